@@ -1,0 +1,127 @@
+//! What the detector answers: [`Detection`] or [`NoBoard`].
+
+use crate::geometry::board::BoardSize;
+use crate::geometry::pixel::Pixel;
+
+/// A corner's place in the board's grid: `col` along a row, `row` down the columns, the first inner corner at (0, 0).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct GridIndex {
+    /// Along a row of `cols` corners.
+    pub col: i32,
+    /// Which row.
+    pub row: i32,
+}
+
+/// One inner corner that was seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DetectedCorner {
+    /// Which corner of the board.
+    pub index: GridIndex,
+    /// Where it is seen.
+    pub pixel: Pixel,
+    /// Predicted standard deviation of `pixel`, per axis, in pixels: the weight of this corner is its inverse square.
+    pub std_px: f64,
+}
+
+/// A board that was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detection {
+    /// Which board was looked for.
+    pub board: BoardSize,
+    /// The corners in row-major order of their indices; all `cols × rows` of them unless `partial`.
+    pub corners: Vec<DetectedCorner>,
+    /// Some of the board's corners were not seen.
+    pub partial: bool,
+    /// The indices count from the board's first corner. False for a partial board of which too little is seen to know
+    /// where in the board it lies: indices are then consistent among themselves only, counted from some corner.
+    pub position_known: bool,
+    /// No picture of this board can tell which way round it is (`cols` + `rows` even): the first corner is the one
+    /// nearest the image's top-left.
+    pub orientation_ambiguous: bool,
+    /// Width of the blur at the board's edges, as a Gaussian's standard deviation in pixels.
+    pub blur_px: f64,
+}
+
+/// Why no board is reported.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoBoard {
+    /// Smaller than any board can be found in.
+    #[error("the image of {width}x{height} pixels is too small to hold a {board} board")]
+    ImageTooSmall {
+        /// The image's width, in pixels.
+        width: usize,
+        /// The image's height, in pixels.
+        height: usize,
+        /// What was looked for.
+        board: BoardSize,
+    },
+    /// Hardly any brightness differences in the picture.
+    #[error(
+        "not enough contrast: brightness varies by {range} of 255; light the board, or check the lens cap and exposure"
+    )]
+    LowContrast {
+        /// Range of brightness between the 1st and the 99th percentile.
+        range: u8,
+    },
+    /// Edges are too soft for corners.
+    #[error(
+        "too blurred: edges are {blur_px:.1} px wide; focus the lens, hold the board still or shorten the exposure"
+    )]
+    Blurred {
+        /// Width of the edges, as a Gaussian's standard deviation in pixels.
+        blur_px: f64,
+    },
+    /// No corner of any chessboard.
+    #[error("no chessboard corners seen; is the board in view, and not too small (a square needs about 6 px)?")]
+    NoCorners,
+    /// Corners, but no grid.
+    #[error("{corners} chessboard-like corners seen, but they form no grid; the largest regular part is {cols}x{rows}")]
+    NoGrid {
+        /// How many corners were seen.
+        corners: usize,
+        /// Width of the largest regular part, in corners.
+        cols: u32,
+        /// Height of the largest regular part, in corners.
+        rows: u32,
+    },
+    /// A board, but not this one.
+    #[error("a {cols}x{rows} board is seen, not {board}; count the inner corners, or give the size that is seen")]
+    OtherSize {
+        /// Corners along the seen board's longer side.
+        cols: u32,
+        /// Corners along its other side.
+        rows: u32,
+        /// What was looked for.
+        board: BoardSize,
+    },
+    /// Part of the board, where the whole was asked for.
+    #[error("only {seen} of {board}'s {} corners are seen; bring the whole board into view, or allow partial boards", board.corner_count())]
+    Incomplete {
+        /// How many corners were seen.
+        seen: usize,
+        /// What was looked for.
+        board: BoardSize,
+    },
+}
+
+impl NoBoard {
+    /// A short stable name for counters and events.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::ImageTooSmall { .. } => "image_too_small",
+            Self::LowContrast { .. } => "low_contrast",
+            Self::Blurred { .. } => "blurred",
+            Self::NoCorners => "no_corners",
+            Self::NoGrid { .. } => "no_grid",
+            Self::OtherSize { .. } => "other_size",
+            Self::Incomplete { .. } => "incomplete",
+        }
+    }
+}
+
+/// How to look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DetectOptions {
+    /// Answer with part of a board where the whole is not seen. Default: false.
+    pub allow_partial: bool,
+}

@@ -1,0 +1,3 @@
+//! Numbers in, an estimate with its uncertainty out. Pure; uses geometry.
+
+pub mod problem;

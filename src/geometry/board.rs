@@ -1,0 +1,119 @@
+//! The chessboard: how many inner corners, how large a square, where each corner lies in the board frame.
+
+use nalgebra::Point3;
+
+/// How many inner corners a chessboard has: `cols` along a row, `rows` rows. Each is at least 3.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct BoardSize {
+    /// Inner corners along a row.
+    pub cols: u32,
+    /// Rows of inner corners.
+    pub rows: u32,
+}
+
+/// A board that cannot be calibrated with.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum BoardError {
+    /// Not of the form `9x6`.
+    #[error(
+        "board `{text}` is not COLSxROWS: give the inner corners of a row, an x, and the number of rows, as in 9x6"
+    )]
+    Malformed {
+        /// What was given.
+        text: String,
+    },
+    /// Fewer than 3 or more than 100 corners in a direction.
+    #[error(
+        "a board of {cols}x{rows} inner corners cannot be used: each side needs 3 to 100 (count the inner corners, where four squares meet, not the squares)"
+    )]
+    Size {
+        /// Inner corners along a row.
+        cols: u32,
+        /// Rows of inner corners.
+        rows: u32,
+    },
+    /// A square that is not a positive length of at most 10 m.
+    #[error("a square of {square_m} m cannot be used: give the side of one square, as in 25mm")]
+    Square {
+        /// The side given, in metres.
+        square_m: f64,
+    },
+}
+
+impl BoardSize {
+    /// A board of `cols` × `rows` inner corners.
+    ///
+    /// # Errors
+    /// [`BoardError::Size`] unless each is 3 to 100.
+    pub fn new(cols: u32, rows: u32) -> Result<Self, BoardError> {
+        let fits = |n: u32| (3..=100).contains(&n);
+        if fits(cols) && fits(rows) { Ok(Self { cols, rows }) } else { Err(BoardError::Size { cols, rows }) }
+    }
+
+    /// How many inner corners there are.
+    pub fn corner_count(self) -> usize {
+        self.cols as usize * self.rows as usize
+    }
+
+    /// Whether a half turn of the board leaves its pattern as it was, so that no picture can tell which corner is first:
+    /// `cols` + `rows` is even.
+    pub fn orientation_ambiguous(self) -> bool {
+        (self.cols + self.rows).is_multiple_of(2)
+    }
+}
+
+impl std::str::FromStr for BoardSize {
+    type Err = BoardError;
+    fn from_str(text: &str) -> Result<Self, BoardError> {
+        let malformed = || BoardError::Malformed { text: text.to_owned() };
+        let (cols, rows) = text.split_once(['x', 'X', '×']).ok_or_else(malformed)?;
+        let number = |s: &str| s.trim().parse().map_err(|_| malformed());
+        Self::new(number(cols)?, number(rows)?)
+    }
+}
+
+impl std::fmt::Display for BoardSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.cols, self.rows)
+    }
+}
+
+/// A chessboard with its physical size.
+///
+/// Board frame: origin at the first inner corner, x along a row, y along the columns, z = x × y, which points away from
+/// a camera that sees the front.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Chessboard {
+    /// Its inner corners.
+    pub size: BoardSize,
+    /// The side of one square, in metres.
+    pub square_m: f64,
+}
+
+impl Chessboard {
+    /// A board of `size` with squares of `square_m` metres.
+    ///
+    /// # Errors
+    /// [`BoardError::Square`] unless 0 < `square_m` ≤ 10.
+    pub fn new(size: BoardSize, square_m: f64) -> Result<Self, BoardError> {
+        if square_m > 0.0 && square_m <= 10.0 {
+            Ok(Self { size, square_m })
+        } else {
+            Err(BoardError::Square { square_m })
+        }
+    }
+
+    /// Where the corner (`col`, `row`) lies in the board frame, in metres. Indices outside the board are allowed: the
+    /// outer border of the squares is at −1 and `cols`.
+    pub fn corner_in_board(&self, col: i32, row: i32) -> Point3<f64> {
+        Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
+    }
+
+    /// All corners in row-major order, in metres in the board frame.
+    pub fn corners_in_board(&self) -> Vec<Point3<f64>> {
+        (0..self.size.rows as i32)
+            .flat_map(|row| (0..self.size.cols as i32).map(move |col| (col, row)))
+            .map(|(col, row)| self.corner_in_board(col, row))
+            .collect()
+    }
+}

@@ -1,0 +1,47 @@
+//! The camera matrix K: from normalised coordinates to pixels.
+
+use nalgebra::{Matrix3, Vector2};
+
+use crate::geometry::pixel::Pixel;
+
+/// The five numbers of K = [[fx, skew, cx], [0, fy, cy], [0, 0, 1]], all in pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CameraMatrix {
+    /// Focal length in pixels along x.
+    pub fx: f64,
+    /// Focal length in pixels along y.
+    pub fy: f64,
+    /// Principal point, x.
+    pub cx: f64,
+    /// Principal point, y.
+    pub cy: f64,
+    /// How much x moves with normalised y: 0 for every ordinary sensor.
+    pub skew: f64,
+}
+
+impl CameraMatrix {
+    /// K as a matrix acting on homogeneous normalised coordinates.
+    pub fn to_matrix(self) -> Matrix3<f64> {
+        Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
+    }
+
+    /// From an upper triangular matrix, scaled so that its last entry is 1. `None` if that entry is 0, a focal length
+    /// is not positive, or anything is not finite.
+    pub fn from_matrix(k: &Matrix3<f64>) -> Option<Self> {
+        let k = k / k[(2, 2)];
+        let matrix = Self { fx: k[(0, 0)], fy: k[(1, 1)], cx: k[(0, 2)], cy: k[(1, 2)], skew: k[(0, 1)] };
+        let usable = k.iter().all(|v| v.is_finite()) && matrix.fx > 0.0 && matrix.fy > 0.0;
+        usable.then_some(matrix)
+    }
+
+    /// The pixel at normalised coordinates.
+    pub fn pixel_from_normalized(self, normalized: Vector2<f64>) -> Pixel {
+        Pixel::new(self.fx * normalized.x + self.skew * normalized.y + self.cx, self.fy * normalized.y + self.cy)
+    }
+
+    /// Normalised coordinates of a pixel.
+    pub fn normalized_from_pixel(self, pixel: Pixel) -> Vector2<f64> {
+        let y = (pixel.y - self.cy) / self.fy;
+        Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y)
+    }
+}

@@ -1,0 +1,112 @@
+//! What the models share that bend the image *plane*: pinhole, radial, brown, rational.
+//!
+//! Such a model maps ideal normalised coordinates (x/z, y/z) to distorted ones, and is one-to-one up to a largest radius.
+
+use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
+
+use crate::geometry::lens::Distorted;
+use crate::geometry::pixel::Bearing;
+
+/// The largest ideal radius that any plane model is asked for: 89.9° off the axis.
+pub(super) const MAX_RADIUS: f64 = 573.0;
+
+/// A distortion of the ideal image plane.
+pub(super) trait PlaneDistortion<const N: usize> {
+    /// The square of the ideal radius at which the model folds over; at most `MAX_RADIUS`².
+    fn radius2_limit(&self) -> f64;
+
+    /// The radial factor d in (x_d, y_d) = d · (x, y) without tangential terms, at squared radius `r2`.
+    fn radial_factor(&self, r2: f64) -> f64;
+
+    /// The distorted coordinates of ideal ones, their 2×2 derivative, and the derivative by the coefficients.
+    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, N>);
+}
+
+pub(super) fn distort<const N: usize>(model: &impl PlaneDistortion<N>, point: &Point3<f64>) -> Option<Vector2<f64>> {
+    let (ideal, _) = ideal_from_point(model, point)?;
+    let (bent, by_ideal, _) = model.bend(ideal);
+    (by_ideal.determinant() > 0.0).then_some(bent)
+}
+
+pub(super) fn distort_with_jacobians<const N: usize>(
+    model: &impl PlaneDistortion<N>,
+    point: &Point3<f64>,
+) -> Option<Distorted<N>> {
+    let (ideal, inverse_z) = ideal_from_point(model, point)?;
+    let (normalized, by_ideal, by_coefficients) = model.bend(ideal);
+    if by_ideal.determinant() <= 0.0 {
+        return None;
+    }
+    let ideal_by_point = Matrix2x3::new(inverse_z, 0.0, -ideal.x * inverse_z, 0.0, inverse_z, -ideal.y * inverse_z);
+    Some(Distorted { normalized, by_point: by_ideal * ideal_by_point, by_coefficients })
+}
+
+fn ideal_from_point<const N: usize>(
+    model: &impl PlaneDistortion<N>,
+    point: &Point3<f64>,
+) -> Option<(Vector2<f64>, f64)> {
+    // Written so that NaN fails too.
+    if !(point.z > 0.0) {
+        return None;
+    }
+    let inverse_z = 1.0 / point.z;
+    let ideal = Vector2::new(point.x * inverse_z, point.y * inverse_z);
+    (ideal.norm_squared() < model.radius2_limit()).then_some((ideal, inverse_z))
+}
+
+/// Newton's method on the plane from the radial solution, which lies on the invertible branch by construction.
+pub(super) fn undistort<const N: usize>(model: &impl PlaneDistortion<N>, distorted: Vector2<f64>) -> Option<Bearing> {
+    let radius = distorted.norm();
+    if !radius.is_finite() {
+        return None;
+    }
+    let limit = model.radius2_limit().sqrt();
+    let mut ideal = distorted;
+    if radius > 0.0 {
+        ideal *= radial_inverse(model, radius, limit) / radius;
+    }
+    let mut best = f64::INFINITY;
+    for _ in 0..50 {
+        let (bent, by_ideal, _) = model.bend(ideal);
+        let miss = bent - distorted;
+        let determinant = by_ideal.determinant();
+        if determinant <= 0.0 {
+            return None;
+        }
+        let step = Vector2::new(
+            by_ideal[(1, 1)] * miss.x - by_ideal[(0, 1)] * miss.y,
+            by_ideal[(0, 0)] * miss.y - by_ideal[(1, 0)] * miss.x,
+        ) / determinant;
+        let size = step.norm();
+        // Converged: the steps are at the rounding of the coordinates and no longer shrink.
+        if size <= 1e-15 * (1.0 + ideal.norm()) || (size < 1e-12 * (1.0 + ideal.norm()) && size >= best) {
+            let inside = ideal.norm_squared() < model.radius2_limit();
+            return inside.then(|| Unit::new_normalize(Vector3::new(ideal.x, ideal.y, 1.0)));
+        }
+        best = best.min(size);
+        ideal -= step;
+        let norm = ideal.norm();
+        if norm > limit {
+            ideal *= limit * (1.0 - 1e-9) / norm;
+        }
+    }
+    None
+}
+
+/// The ideal radius whose distorted radius is `radius`, on the branch around the axis; the limit itself beyond it.
+fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, limit: f64) -> f64 {
+    let distorted_radius = |r: f64| r * model.radial_factor(r * r);
+    let (mut low, mut high) = (0.0, radius.min(limit));
+    while distorted_radius(high) < radius {
+        low = high;
+        if high >= limit * (1.0 - 1e-6) {
+            return limit * (1.0 - 1e-6);
+        }
+        high = (high * 2.0).min(limit * (1.0 - 1e-6));
+    }
+    for _ in 0..30 {
+        let middle = 0.5 * (low + high);
+        if distorted_radius(middle) < radius { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
+}

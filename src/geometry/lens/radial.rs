@@ -1,0 +1,56 @@
+//! One radial coefficient: the textbook's model.
+
+use nalgebra::{Matrix2, Point3, SMatrix, Vector2};
+
+use crate::geometry::lens::plane::{self, MAX_RADIUS, PlaneDistortion};
+use crate::geometry::lens::{Distorted, DistortionModel};
+use crate::geometry::pixel::Bearing;
+
+/// (x_d, y_d) = (1 + k1 r²) (x, y) with (x, y) = (X/Z, Y/Z) and r² = x² + y².
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Radial {
+    k1: f64,
+    radius2_limit: f64,
+}
+
+impl PlaneDistortion<1> for Radial {
+    fn radius2_limit(&self) -> f64 {
+        self.radius2_limit
+    }
+
+    fn radial_factor(&self, r2: f64) -> f64 {
+        1.0 + self.k1 * r2
+    }
+
+    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 1>) {
+        let r2 = ideal.norm_squared();
+        let factor = self.radial_factor(r2);
+        let by_ideal = Matrix2::identity() * factor + ideal * ideal.transpose() * (2.0 * self.k1);
+        (ideal * factor, by_ideal, ideal * r2)
+    }
+}
+
+impl DistortionModel<1> for Radial {
+    const NAMES: [&'static str; 1] = ["k1"];
+
+    fn from_coefficients([k1]: [f64; 1]) -> Self {
+        let fold = if k1 < 0.0 { -1.0 / (3.0 * k1) } else { f64::INFINITY };
+        Self { k1, radius2_limit: fold.min(MAX_RADIUS * MAX_RADIUS) }
+    }
+
+    fn coefficients(&self) -> [f64; 1] {
+        [self.k1]
+    }
+
+    fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
+        plane::distort(self, point_in_camera)
+    }
+
+    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<1>> {
+        plane::distort_with_jacobians(self, point_in_camera)
+    }
+
+    fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
+        plane::undistort(self, distorted)
+    }
+}

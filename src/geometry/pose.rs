@@ -1,0 +1,100 @@
+//! Rigid transforms, named for what they map: `a_from_b` takes coordinates in b to coordinates in a.
+
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+
+/// A rigid transform between two frames. A value is named `a_from_b`, and `p_a = a_from_b * p_b`.
+///
+/// Translation in metres; the rotation's quaternion is kept with w ≥ 0, so that equal rotations are equal values.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pose {
+    isometry: Isometry3<f64>,
+}
+
+impl Pose {
+    /// The transform that changes nothing.
+    pub fn identity() -> Self {
+        Self { isometry: Isometry3::identity() }
+    }
+
+    /// From a rotation and a translation in metres: `p_a = rotation · p_b + translation`.
+    pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
+        let q = rotation.into_inner();
+        let q = if q.w < 0.0 { Quaternion::from(-q.coords) } else { q };
+        Self { isometry: Isometry3::from_parts(Translation3::from(translation), UnitQuaternion::new_unchecked(q)) }
+    }
+
+    /// From a rotation matrix (orthonormal, determinant +1) and a translation in metres.
+    pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+        Self::new(rotation, translation)
+    }
+
+    /// From an axis-angle (Rodrigues) vector in radians and a translation in metres.
+    pub fn from_axis_angle(axis_angle: Vector3<f64>, translation: Vector3<f64>) -> Self {
+        Self::new(UnitQuaternion::from_scaled_axis(axis_angle), translation)
+    }
+
+    /// The rotation, with w ≥ 0.
+    pub fn rotation(&self) -> UnitQuaternion<f64> {
+        self.isometry.rotation
+    }
+
+    /// The rotation as a 3×3 matrix.
+    pub fn rotation_matrix(&self) -> Matrix3<f64> {
+        self.isometry.rotation.to_rotation_matrix().into_inner()
+    }
+
+    /// The translation, in metres: where b's origin is, in a.
+    pub fn translation(&self) -> Vector3<f64> {
+        self.isometry.translation.vector
+    }
+
+    /// `b_from_a`, given `a_from_b`.
+    pub fn inverse(&self) -> Self {
+        let inverse = self.isometry.inverse();
+        Self::new(inverse.rotation, inverse.translation.vector)
+    }
+
+    /// The rotation angle between this pose and `other`, in radians.
+    pub fn angle_to(&self, other: &Self) -> f64 {
+        self.isometry.rotation.angle_to(&other.isometry.rotation)
+    }
+}
+
+impl std::ops::Mul<Pose> for Pose {
+    type Output = Pose;
+    fn mul(self, b_from_c: Pose) -> Pose {
+        let product = self.isometry * b_from_c.isometry;
+        Pose::new(product.rotation, product.translation.vector)
+    }
+}
+
+impl std::ops::Mul<Point3<f64>> for Pose {
+    type Output = Point3<f64>;
+    fn mul(self, point_in_b: Point3<f64>) -> Point3<f64> {
+        self.isometry * point_in_b
+    }
+}
+
+impl std::ops::Mul<Vector3<f64>> for Pose {
+    type Output = Vector3<f64>;
+    fn mul(self, direction_in_b: Vector3<f64>) -> Vector3<f64> {
+        self.isometry.rotation * direction_in_b
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn composition_inverse_and_sign() {
+        let a_from_b = Pose::from_axis_angle(Vector3::new(0.3, -2.9, 0.4), Vector3::new(1.0, 2.0, -0.5));
+        let b_from_c = Pose::from_axis_angle(Vector3::new(-1.0, 0.2, 2.5), Vector3::new(0.1, 0.0, 3.0));
+        let point_in_c = Point3::new(0.2, -0.7, 1.1);
+        let twice = a_from_b * (b_from_c * point_in_c);
+        assert!((twice - (a_from_b * b_from_c) * point_in_c).norm() < 1e-14);
+        assert!((a_from_b.inverse() * (a_from_b * point_in_c) - point_in_c).norm() < 1e-14);
+        assert!(a_from_b.rotation().w >= 0.0 && (a_from_b * b_from_c).rotation().w >= 0.0);
+    }
+}

@@ -1,0 +1,1 @@
+//! The outside's view: axum routes over the pipeline and the store.

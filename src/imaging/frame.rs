@@ -1,0 +1,90 @@
+//! What a camera gives: a [`Frame`] is one image as it came, a [`FrameSet`] the images taken together.
+
+use std::sync::Arc;
+
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::timestamp::{DeviceTime, HostTime};
+
+/// Which of a camera's sensors. A camera with one sensor has it as `Color`, grey or not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SensorKind {
+    /// The visible picture.
+    Color,
+    /// The infrared picture, taken by the depth camera.
+    Infrared,
+    /// Distance, or disparity, per pixel.
+    Depth,
+}
+
+impl SensorKind {
+    /// Every sensor, in the order of documents.
+    pub const ALL: [Self; 3] = [Self::Color, Self::Infrared, Self::Depth];
+
+    /// Its name in topics, documents and folders.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Color => "color",
+            Self::Infrared => "infrared",
+            Self::Depth => "depth",
+        }
+    }
+
+    /// The sensor with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|sensor| sensor.name() == name)
+    }
+}
+
+/// How a frame's bytes encode its pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum PixelFormat {
+    /// A JPEG file (also a UVC camera's MJPG frame).
+    Jpeg,
+    /// A PNG file: 8-bit grey or colour; for depth 16-bit grey.
+    Png,
+    /// 8-bit grey rows.
+    Mono8,
+    /// Interleaved Y U Y V.
+    Yuyv,
+    /// 16-bit little-endian depth or disparity.
+    Depth16,
+    /// Interleaved 8-bit red, green, blue.
+    Rgb8,
+}
+
+/// One image of one sensor, as it came: nothing is decoded before someone needs it.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    /// Which sensor took it.
+    pub sensor: SensorKind,
+    /// Its size in pixels.
+    pub size: ImageSize,
+    /// How `bytes` encode it.
+    pub format: PixelFormat,
+    /// Bytes from one row to the next, for uncompressed formats; 0 for files.
+    pub stride: usize,
+    /// The encoded pixels, shared between preview, detector and recorder.
+    pub bytes: Arc<[u8]>,
+}
+
+/// The frames that a device took together.
+#[derive(Debug, Clone)]
+pub struct FrameSet {
+    /// Counts the device's frame sets; a gap is a lost one.
+    pub sequence: u64,
+    /// When the host received it.
+    pub host_time: HostTime,
+    /// When the device took it, where it says so.
+    pub device_time: Option<DeviceTime>,
+    /// A name where the source has names (a file's path).
+    pub name: Option<String>,
+    /// One frame per sensor that delivered.
+    pub frames: Vec<Frame>,
+}
+
+impl FrameSet {
+    /// The frame of `sensor`, if it is in this set.
+    pub fn frame(&self, sensor: SensorKind) -> Option<&Frame> {
+        self.frames.iter().find(|frame| frame.sensor == sensor)
+    }
+}

@@ -1,0 +1,1 @@
+//! Where it becomes live: threads, channels, clocks. Uses every layer below.

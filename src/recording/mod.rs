@@ -1,0 +1,1 @@
+//! Frames on disk: MCAP files and folders of images. Uses geometry and imaging.

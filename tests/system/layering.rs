@@ -1,0 +1,148 @@
+//! The architecture, as a test: which layer may name which.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Each layer and the layers it may use, bottom to top.
+const LAYERS: &[(&str, &[&str])] = &[
+    ("geometry", &[]),
+    ("imaging", &["geometry"]),
+    ("detection", &["geometry", "imaging"]),
+    ("estimation", &["geometry"]),
+    ("calibration", &["geometry", "estimation", "detection"]),
+    ("simulation", &["geometry", "imaging"]),
+    ("recording", &["geometry", "imaging"]),
+    ("capture", &["geometry", "imaging", "recording", "simulation"]),
+    ("document", &["geometry", "imaging", "calibration"]),
+    ("export", &["geometry", "calibration", "document"]),
+    ("store", &["geometry", "imaging", "calibration", "document"]),
+    (
+        "pipeline",
+        &[
+            "geometry",
+            "imaging",
+            "detection",
+            "estimation",
+            "calibration",
+            "simulation",
+            "recording",
+            "capture",
+            "document",
+            "export",
+            "store",
+        ],
+    ),
+    ("http", &["geometry", "imaging", "estimation", "calibration", "document", "export", "store", "pipeline"]),
+];
+
+/// The layers above all others, which no layer may name.
+const TOP: &[&str] = &["config", "daemon", "cli"];
+const ASYNC_ALLOWED: &[&str] = &["pipeline", "http"];
+const SERDE_ALLOWED: &[&str] = &["recording", "document", "export", "store", "pipeline", "http"];
+/// The only files that may contain `unsafe`: device bindings.
+const UNSAFE_ALLOWED: &[&str] = &[];
+
+#[test]
+fn layers_only_use_layers_below() {
+    for (layer, allowed) in LAYERS {
+        for (file, line, text) in lines_of(layer) {
+            let others = LAYERS.iter().map(|(other, _)| other).chain(TOP);
+            for other in others.filter(|other| *other != layer && !allowed.contains(other)) {
+                let named = text.contains(&format!("crate::{other}"));
+                assert!(!named, "{}:{line}: {layer} may not use {other}", file.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn every_folder_is_a_layer_or_the_top() {
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    for entry in fs::read_dir(src).unwrap() {
+        let entry = entry.unwrap();
+        let name = entry.file_name().into_string().unwrap();
+        let name = name.trim_end_matches(".rs");
+        let known = LAYERS.iter().any(|(layer, _)| *layer == name) || TOP.contains(&name);
+        assert!(known || ["lib", "main"].contains(&name), "src/{name}: in no layer");
+    }
+}
+
+#[test]
+fn below_the_pipeline_nothing_is_async_or_reads_a_clock() {
+    for (layer, _) in LAYERS.iter().filter(|(layer, _)| !ASYNC_ALLOWED.contains(layer)) {
+        for (file, line, text) in lines_of(layer) {
+            let forbidden = ["async fn", "tokio::", "Instant::now", "SystemTime::now", "Timestamp::now"];
+            // A source waits for its device, and paces a replay: it is the one place below that meets a clock.
+            let clock_allowed = *layer == "capture";
+            for word in forbidden.iter().filter(|word| !(clock_allowed && word.contains("::now"))) {
+                assert!(!text.contains(word), "{}:{line}: {layer} may not use {word}", file.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn serde_stays_at_the_edges() {
+    for (layer, _) in LAYERS.iter().filter(|(layer, _)| !SERDE_ALLOWED.contains(layer)) {
+        for (file, line, text) in lines_of(layer) {
+            assert!(!text.contains("serde"), "{}:{line}: {layer} may not use serde", file.display());
+        }
+    }
+}
+
+#[test]
+fn unsafe_only_in_device_files() {
+    for (layer, _) in LAYERS {
+        for (file, line, text) in lines_of(layer) {
+            let code = text.split("//").next().unwrap();
+            let named = UNSAFE_ALLOWED.iter().any(|allowed| file.ends_with(allowed));
+            let uses = code.contains("unsafe ") || code.contains("allow(unsafe_code)");
+            assert!(!uses || named, "{}:{line}: no unsafe here", file.display());
+        }
+    }
+}
+
+#[test]
+fn imports_name_their_layer_plainly() {
+    for (layer, _) in LAYERS {
+        for (file, line, text) in lines_of(layer) {
+            let hidden = text.contains("crate::{") || text.contains("super::super");
+            assert!(!hidden, "{}:{line}: write one `use crate::layer::...` per layer", file.display());
+        }
+    }
+}
+
+#[test]
+fn every_pose_is_named_target_from_source() {
+    for (layer, _) in LAYERS {
+        for (file, line, text) in lines_of(layer) {
+            let code = text.split("//").next().unwrap();
+            for typed in [": Pose", ": &Pose", ": Option<Pose", ": Vec<Pose", ": &[Pose"] {
+                let Some((name, _)) = code.split_once(typed) else { continue };
+                let name = name.rsplit(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap();
+                let named = name.contains("_from_") || name == "other";
+                assert!(named, "{}:{line}: name `{name}` as target_from_source", file.display());
+            }
+        }
+    }
+}
+
+fn lines_of(layer: &str) -> Vec<(PathBuf, usize, String)> {
+    let mut lines = Vec::new();
+    let src = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    visit(&src.join(layer), &mut lines);
+    assert!(!lines.is_empty(), "src/{layer} has no code");
+    lines
+}
+
+fn visit(dir: &Path, lines: &mut Vec<(PathBuf, usize, String)>) {
+    for entry in fs::read_dir(dir).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            visit(&path, lines);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            let text = fs::read_to_string(&path).unwrap();
+            lines.extend(text.lines().enumerate().map(|(i, l)| (path.clone(), i + 1, l.to_owned())));
+        }
+    }
+}
