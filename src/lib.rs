@@ -42,6 +42,7 @@
 
 pub mod calibration;
 pub mod capture;
+pub mod cli;
 pub mod detection;
 pub mod document;
 pub mod estimation;

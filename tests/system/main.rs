@@ -1,3 +1,5 @@
 //! The product as one test binary.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
+
 mod layering;

@@ -1,0 +1,90 @@
+//! The command line: one file a command, each with its `Args` and its `run`.
+//!
+//! A command writes its result to stdout through [`output`], and nothing else goes there: logs and progress go to stderr. With
+//! `--json` the result is exactly one JSON document, or a line of JSON for each item where the command says so. What goes
+//! wrong is a [`Failure`]: one line and an exit code, told to the user here and nowhere else.
+//!
+//! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
+
+pub mod failure;
+pub mod length;
+pub mod output;
+pub mod progress;
+
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+
+pub use failure::Failure;
+
+/// Finds chessboards, calibrates cameras, and says how far to trust the result.
+#[derive(Debug, Parser)]
+#[command(name = "plumb", version, max_term_width = 100)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {}
+
+fn dispatch(command: Command) -> Result<(), Failure> {
+    match command {}
+}
+
+/// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong in one line on stderr.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let outcome = match Arguments::try_parse_from(arguments) {
+        Ok(arguments) => {
+            log_to_stderr();
+            dispatch(arguments.command)
+        }
+        Err(asked) if matches!(asked.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+            output::print_text(&asked.render().to_string())
+        }
+        Err(error) => Err(Failure::usage(one_line(&error))),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            if let Some(line) = failure.line() {
+                output::print_error(line);
+            }
+            ExitCode::from(failure.exit_code())
+        }
+    }
+}
+
+/// clap's explanation without its paragraphs: what was wrong, its tip, and where to read on.
+fn one_line(error: &clap::Error) -> String {
+    if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
+        return "a command is missing; see `plumb --help`".to_owned();
+    }
+    let rendered = error.render().to_string();
+    let told = rendered.split("\n\nUsage:").next().unwrap_or(&rendered);
+    let told = told.strip_prefix("error: ").unwrap_or(told);
+    let told = told.split("\n\nFor more information").next().unwrap_or(told);
+    let words: Vec<&str> = told.split_whitespace().collect();
+    format!("{}; see --help", words.join(" "))
+}
+
+/// Log events of the libraries and the daemon, as the environment variable `RUST_LOG` asks; warnings unless it does.
+fn log_to_stderr() {
+    let filter = tracing_subscriber::EnvFilter::try_from_default_env()
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,plumb=info"));
+    // Only the first of several runs in one process sets the logs up.
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        Arguments::command().debug_assert();
+    }
+}
