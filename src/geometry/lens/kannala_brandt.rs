@@ -33,7 +33,7 @@ impl KannalaBrandt {
         let radius = point.x.hypot(point.y);
         let angle = radius.atan2(point.z);
         let at_origin = radius == 0.0 && point.z == 0.0;
-        (angle < self.angle_limit && !at_origin).then_some((radius, angle))
+        (angle < self.angle_limit && !at_origin && radius.is_finite()).then_some((radius, angle))
     }
 }
 

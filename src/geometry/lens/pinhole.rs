@@ -21,7 +21,9 @@ impl DistortionModel<0> for Pinhole {
     }
 
     fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
-        (point_in_camera.z > 0.0).then(|| point_in_camera.coords.xy() / point_in_camera.z)
+        let normalized = point_in_camera.coords.xy() / point_in_camera.z;
+        let seen = point_in_camera.z > 0.0 && normalized.x.is_finite() && normalized.y.is_finite();
+        seen.then_some(normalized)
     }
 
     fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<0>> {
