@@ -1,5 +1,10 @@
 //! What the product decides: which views to keep, when it is enough, how far to trust the result. Pure; uses geometry,
 //! estimation and detection.
 
+pub mod admission;
 #[expect(clippy::module_inception, reason = "the layer's main noun, named as the house names it")]
 pub mod calibration;
+pub mod coverage;
+pub mod guidance;
+pub mod session_record;
+pub mod view;

@@ -1,1 +1,15 @@
 //! Where it becomes live: threads, channels, clocks. Uses every layer below.
+//!
+//! One camera is three threads and two links. `capture-<camera>` owns the device and puts each frame set into a
+//! newest-wins slot (in a replay at full speed, a slot that waits instead); `detect-<camera>` takes it from there, looks
+//! for the board while a session collects, shows the frame with what was seen to the previews, and passes the outcome to
+//! `session-<camera>`, which owns the session, performs its actions and answers requests. Solves run beside them on
+//! `solve-<camera>`, so that no frame waits for one.
+//!
+//! [`fleet::Fleet`] is the one object that the layers above talk to.
+
+pub mod camera_status;
+pub mod event;
+pub mod fleet;
+pub mod live_frame;
+pub mod session_request;

@@ -1,0 +1,122 @@
+//! What is known of a session from outside: the record that is stored, served and resumed from.
+
+use crate::calibration::admission::Rejections;
+use crate::calibration::calibration::ProjectionUncertainty;
+use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::Guidance;
+use crate::estimation::problem::LensChoice;
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+
+/// What a session is asked to do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionRequest {
+    /// The board that is shown.
+    pub target: Chessboard,
+    /// Which lens model to fit.
+    pub lens: LensChoice,
+    /// When it is enough; `None` runs until it is stopped.
+    pub finish: Option<Finish>,
+}
+
+/// When a session has enough and solves by itself: as soon as every goal that is given is reached, or the time is up.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Finish {
+    /// The worst predicted 1-σ reprojection uncertainty over the image that is still good enough, in pixels.
+    pub uncertainty_px: Option<f64>,
+    /// The least number of views.
+    pub min_views: Option<u32>,
+    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then is solved.
+    pub max_seconds: Option<f64>,
+}
+
+/// Where a session stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SessionState {
+    /// Takes frames and keeps views.
+    Collecting,
+    /// Computes its calibration; takes no more frames.
+    Solving,
+    /// Has its calibration.
+    Finished,
+    /// Has none, and says why; its views stay.
+    Failed,
+    /// Was given up by request.
+    Aborted,
+}
+
+impl SessionState {
+    /// Every state.
+    pub const ALL: [Self; 5] = [Self::Collecting, Self::Solving, Self::Finished, Self::Failed, Self::Aborted];
+
+    /// Its name in documents.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Collecting => "collecting",
+            Self::Solving => "solving",
+            Self::Finished => "finished",
+            Self::Failed => "failed",
+            Self::Aborted => "aborted",
+        }
+    }
+
+    /// The state with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.name() == name)
+    }
+
+    /// Whether nothing will change it any more.
+    pub fn is_over(self) -> bool {
+        matches!(self, Self::Finished | Self::Failed | Self::Aborted)
+    }
+}
+
+/// What the views so far amount to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunningEstimate {
+    /// The lens, as far as it is known.
+    pub lens: Lens,
+    /// Root mean square of the reprojection error, in pixels.
+    pub rms_px: f64,
+    /// How well the lens is known over the image.
+    pub uncertainty_px: ProjectionUncertainty,
+    /// How many views it was made of.
+    pub views: u32,
+}
+
+/// A session as seen from outside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionRecord {
+    /// Sortable by time.
+    pub id: String,
+    /// The camera's name.
+    pub camera: String,
+    /// What was asked for.
+    pub request: SessionRequest,
+    /// Where it stands.
+    pub state: SessionState,
+    /// Why it failed, or what it waits for.
+    pub reason: Option<String>,
+    /// UTC, nanoseconds since the Unix epoch.
+    pub started_at_ns: i64,
+    /// When it ended, likewise; `None` before.
+    pub finished_at_ns: Option<i64>,
+    /// Frames looked at.
+    pub frames_seen: u64,
+    /// Frames in which the board was found.
+    pub boards_seen: u64,
+    /// Views kept.
+    pub views_kept: u32,
+    /// Why the other frames were not kept.
+    pub rejected: Rejections,
+    /// Seconds of frame time spent collecting.
+    pub collecting_s: f64,
+    /// Where in the image corners were seen.
+    pub coverage: Coverage,
+    /// What to do next.
+    pub guidance: Guidance,
+    /// What the views amount to; `None` before there are enough.
+    pub estimate: Option<RunningEstimate>,
+    /// The id of its calibration, once finished.
+    pub calibration: Option<String>,
+}

@@ -1,0 +1,100 @@
+//! How a camera does.
+
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{PixelFormat, SensorKind};
+
+/// Whether a camera delivers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CameraState {
+    /// Is being opened, or has given no frame yet.
+    Starting,
+    /// Gives frames.
+    Streaming,
+    /// Gave frames and stopped; it is tried again.
+    Lost,
+    /// Cannot be opened, or has come to its end; the reason says whether it is tried again.
+    Failed,
+}
+
+impl CameraState {
+    /// Every state.
+    pub const ALL: [Self; 4] = [Self::Starting, Self::Streaming, Self::Lost, Self::Failed];
+
+    /// Its name in documents.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Starting => "starting",
+            Self::Streaming => "streaming",
+            Self::Lost => "lost",
+            Self::Failed => "failed",
+        }
+    }
+}
+
+/// One sensor of a camera, as its newest frame shows it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SensorStatus {
+    /// Which sensor.
+    pub kind: SensorKind,
+    /// The size of its frames.
+    pub size: ImageSize,
+    /// How they are encoded.
+    pub format: PixelFormat,
+}
+
+/// Which device it is, where the device tells.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CameraIdentity {
+    /// The device's own name.
+    pub model: Option<String>,
+    /// Its serial number.
+    pub serial: Option<String>,
+    /// Where it is plugged in, or the file it is read from.
+    pub bus: Option<String>,
+}
+
+/// A camera as seen from outside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraStatus {
+    /// Its name in the configuration.
+    pub name: String,
+    /// What kind of source it is: `v4l2`, `uvc`, `realsense`, `recording`, `simulator`.
+    pub backend: String,
+    /// Whether it delivers.
+    pub state: CameraState,
+    /// Why it is in this state; `None` while all is well.
+    pub reason: Option<String>,
+    /// The sensors of its newest frame set.
+    pub sensors: Vec<SensorStatus>,
+    /// Measured frame sets a second, over about the last second of streaming; `None` before there are two.
+    pub fps: Option<f64>,
+    /// Frame sets received since the daemon started.
+    pub frames: u64,
+    /// Frame sets lost: gaps in the device's count, and those that a newer one replaced before they were looked at.
+    pub dropped_frames: u64,
+    /// Which device it is.
+    pub identity: CameraIdentity,
+    /// The id of its current calibration.
+    pub calibration: Option<String>,
+    /// The id of the session that collects or solves now.
+    pub session: Option<String>,
+}
+
+impl CameraStatus {
+    /// A camera that has not delivered yet.
+    pub fn starting(name: &str, backend: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            backend: backend.to_owned(),
+            state: CameraState::Starting,
+            reason: None,
+            sensors: Vec::new(),
+            fps: None,
+            frames: 0,
+            dropped_frames: 0,
+            identity: CameraIdentity::default(),
+            calibration: None,
+            session: None,
+        }
+    }
+}

@@ -1,0 +1,275 @@
+//! What happens, as it happens: numbered events that any number of listeners follow, from any point still remembered.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::watch;
+
+use crate::calibration::calibration::{Grade, ProjectionUncertainty};
+use crate::calibration::session_record::SessionRecord;
+use crate::geometry::pixel::Pixel;
+use crate::pipeline::camera_status::CameraStatus;
+
+/// Something that happened to a camera.
+#[derive(Debug, Clone)]
+pub struct Event {
+    /// Grows with every event, over restarts too.
+    pub id: u64,
+    /// The camera's name.
+    pub camera: String,
+    /// What happened.
+    pub kind: EventKind,
+}
+
+/// What happened.
+#[derive(Debug, Clone)]
+pub enum EventKind {
+    /// A frame set was looked at.
+    Frame(FrameEvent),
+    /// A frame was searched for the board.
+    Detection(DetectionEvent),
+    /// A session began, kept a view, changed its state or its advice.
+    Session(Box<SessionRecord>),
+    /// A calibration was made or became current.
+    Calibration(CalibrationEvent),
+    /// A camera changed its state.
+    Camera(Box<CameraStatus>),
+    /// The current calibration explains what is seen worse than it should.
+    Drift(DriftEvent),
+}
+
+impl EventKind {
+    /// Its name on the wire.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Frame(_) => "frame",
+            Self::Detection(_) => "detection",
+            Self::Session(_) => "session",
+            Self::Calibration(_) => "calibration",
+            Self::Camera(_) => "camera",
+            Self::Drift(_) => "drift",
+        }
+    }
+
+    /// Whether it comes with every frame, and so may be forgotten soon.
+    fn is_frequent(&self) -> bool {
+        matches!(self, Self::Frame(_) | Self::Detection(_))
+    }
+}
+
+/// A frame set that was looked at.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameEvent {
+    /// The frame set's number.
+    pub sequence: u64,
+    /// When the host received it, nanoseconds since the Unix epoch.
+    pub host_time_ns: i64,
+    /// When the device took it, nanoseconds of its own clock.
+    pub device_time_ns: Option<i64>,
+    /// Frame sets lost so far.
+    pub dropped_frames: u64,
+}
+
+/// What a session made of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DetectionEvent {
+    /// The frame set's number.
+    pub sequence: u64,
+    /// The session that looked.
+    pub session: String,
+    /// Whether the board was found.
+    pub found: bool,
+    /// The corners in row-major order; empty if not found.
+    pub corners_px: Vec<Pixel>,
+    /// The number of the view it became; `None` if it was not kept.
+    pub kept_view: Option<u32>,
+    /// The kind of rejection ([`crate::calibration::admission::Rejection::kind`]); `None` if it was kept.
+    pub rejection: Option<&'static str>,
+    /// The rejection in words.
+    pub reason: Option<String>,
+    /// The time that decoding and detection took, in milliseconds.
+    pub elapsed_ms: f64,
+}
+
+/// A calibration that was made or became current.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CalibrationEvent {
+    /// Its id.
+    pub id: String,
+    /// The session it came from.
+    pub session: Option<String>,
+    /// Whether it is the camera's current one now.
+    pub current: bool,
+    /// How far to trust it.
+    pub grade: Grade,
+    /// Its reprojection error, in pixels.
+    pub rms_px: f64,
+    /// Its uncertainty over the image.
+    pub uncertainty_px: ProjectionUncertainty,
+}
+
+/// The current calibration explains what is seen worse than it should.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DriftEvent {
+    /// The current calibration's id.
+    pub calibration: String,
+    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels.
+    pub rms_px: f64,
+    /// What the calibration had when it was made, in pixels.
+    pub expected_px: f64,
+}
+
+/// Events that come with every frame, as many as are remembered.
+const FREQUENT_KEPT: usize = 512;
+/// All other events, as many as are remembered.
+const LASTING_KEPT: usize = 2048;
+
+/// Numbers events, remembers the last of them, wakes who follows them. A listener that falls behind what is remembered
+/// misses events and holds nobody up.
+#[derive(Debug)]
+pub struct EventLog {
+    rings: Mutex<Rings>,
+    newest: watch::Sender<u64>,
+}
+
+#[derive(Debug)]
+struct Rings {
+    last_id: u64,
+    frequent: VecDeque<Arc<Event>>,
+    lasting: VecDeque<Arc<Event>>,
+}
+
+impl EventLog {
+    /// An empty log whose first event is numbered `first_id` + 1. Given a clock's microseconds, ids grow over restarts.
+    pub fn new(first_id: u64) -> Self {
+        let rings = Rings { last_id: first_id, frequent: VecDeque::new(), lasting: VecDeque::new() };
+        Self { rings: Mutex::new(rings), newest: watch::Sender::new(first_id) }
+    }
+
+    /// Numbers and announces an event.
+    pub fn publish(&self, camera: &str, kind: EventKind) {
+        let mut rings = self.lock();
+        rings.last_id += 1;
+        let id = rings.last_id;
+        let frequent = kind.is_frequent();
+        let event = Arc::new(Event { id, camera: camera.to_owned(), kind });
+        let (ring, limit) =
+            if frequent { (&mut rings.frequent, FREQUENT_KEPT) } else { (&mut rings.lasting, LASTING_KEPT) };
+        if ring.len() == limit {
+            ring.pop_front();
+        }
+        ring.push_back(event);
+        self.newest.send_replace(id);
+    }
+
+    /// Follows the events after `last_seen`; from now on, when `None`. An id from the future (of a clock that was set
+    /// back) counts as now.
+    pub fn follow(self: &Arc<Self>, last_seen: Option<u64>) -> EventStream {
+        let newest = self.lock().last_id;
+        EventStream {
+            log: Arc::clone(self),
+            last_id: last_seen.unwrap_or(newest).min(newest),
+            newest: self.newest.subscribe(),
+        }
+    }
+
+    /// The first remembered event after `id`.
+    fn first_after(&self, id: u64) -> Option<Arc<Event>> {
+        let rings = self.lock();
+        let first = |ring: &VecDeque<Arc<Event>>| ring.get(ring.partition_point(|event| event.id <= id)).cloned();
+        match (first(&rings.frequent), first(&rings.lasting)) {
+            (Some(a), Some(b)) => Some(if a.id < b.id { a } else { b }),
+            (a, b) => a.or(b),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Rings> {
+        self.rings.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// One listener's place in the log.
+#[derive(Debug)]
+pub struct EventStream {
+    log: Arc<EventLog>,
+    last_id: u64,
+    newest: watch::Receiver<u64>,
+}
+
+impl EventStream {
+    /// The next event; waits for it. Dropping the future loses nothing.
+    pub async fn next(&mut self) -> Arc<Event> {
+        loop {
+            if let Some(event) = self.next_remembered() {
+                return event;
+            }
+            // The sender lives in the log, which this stream holds: waiting cannot fail.
+            if self.newest.changed().await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        }
+    }
+
+    /// The next event, if it has happened already.
+    pub fn next_remembered(&mut self) -> Option<Arc<Event>> {
+        self.newest.mark_unchanged();
+        let event = self.log.first_after(self.last_id)?;
+        self.last_id = event.id;
+        Some(event)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(sequence: u64) -> EventKind {
+        EventKind::Frame(FrameEvent { sequence, host_time_ns: 0, device_time_ns: None, dropped_frames: 0 })
+    }
+
+    fn camera() -> EventKind {
+        EventKind::Camera(Box::new(CameraStatus::starting("front", "recording")))
+    }
+
+    fn ids(stream: &mut EventStream) -> Vec<u64> {
+        std::iter::from_fn(|| stream.next_remembered()).map(|event| event.id).collect()
+    }
+
+    #[test]
+    fn a_listener_resumes_where_it_left() {
+        let log = Arc::new(EventLog::new(100));
+        (0..5).for_each(|sequence| log.publish("front", frame(sequence)));
+        assert_eq!(ids(&mut log.follow(Some(102))), [103, 104, 105]);
+        assert_eq!(ids(&mut log.follow(None)), [0_u64; 0]);
+        assert_eq!(ids(&mut log.follow(Some(0))), [101, 102, 103, 104, 105]);
+    }
+
+    #[test]
+    fn an_id_from_the_future_counts_as_now() {
+        let log = Arc::new(EventLog::new(100));
+        let mut stream = log.follow(Some(u64::MAX));
+        log.publish("front", camera());
+        assert_eq!(ids(&mut stream), [101]);
+    }
+
+    #[test]
+    fn many_frames_do_not_push_out_what_lasts() {
+        let log = Arc::new(EventLog::new(0));
+        log.publish("front", camera());
+        (0..10_000).for_each(|sequence| log.publish("front", frame(sequence)));
+        let remembered = ids(&mut log.follow(Some(0)));
+        assert_eq!(remembered.len(), 1 + FREQUENT_KEPT);
+        assert_eq!(remembered[0], 1);
+        assert!(remembered.is_sorted());
+    }
+
+    #[tokio::test]
+    async fn a_waiting_listener_is_woken() {
+        let log = Arc::new(EventLog::new(0));
+        let mut stream = log.follow(None);
+        let waiting = tokio::spawn(async move { stream.next().await.id });
+        tokio::task::yield_now().await;
+        log.publish("front", camera());
+        assert_eq!(waiting.await.unwrap(), 1);
+    }
+}

@@ -1,0 +1,72 @@
+//! What can be asked of a camera's session, and why it may be refused.
+
+use tokio::sync::oneshot;
+
+use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
+
+/// Why no session was started.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum StartError {
+    /// No such camera is configured.
+    #[error("there is no camera `{camera}`; see GET /v1/cameras for those there are")]
+    UnknownCamera {
+        /// The name that was asked for.
+        camera: String,
+    },
+    /// One session a camera.
+    #[error("camera `{camera}` is in session {session} already; stop or abort that one first")]
+    Busy {
+        /// The camera's name.
+        camera: String,
+        /// The session that runs.
+        session: String,
+    },
+    /// The session could not be written down, so it was not begun.
+    #[error("the session could not be stored: {detail}")]
+    Store {
+        /// What the store said.
+        detail: String,
+    },
+    /// The daemon is going down.
+    #[error("the daemon is stopping; start the session again when it is back")]
+    Stopping,
+}
+
+/// Why a session was not stopped or aborted.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EndError {
+    /// No such session.
+    #[error("there is no session `{id}`; see GET /v1/sessions for those there are")]
+    UnknownSession {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It has ended.
+    #[error("session {id} is {} already", state.name())]
+    Over {
+        /// The session's id.
+        id: String,
+        /// How it ended.
+        state: SessionState,
+    },
+    /// Its end could not be written down.
+    #[error("the session could not be stored: {detail}")]
+    Store {
+        /// What the store said.
+        detail: String,
+    },
+    /// The daemon is going down.
+    #[error("the daemon is stopping; the session goes on when it is back")]
+    Stopping,
+}
+
+/// A request to a camera's session thread, with where to answer.
+#[derive(Debug)]
+pub(super) enum Request {
+    /// Begin a session.
+    Start(SessionRequest, oneshot::Sender<Result<SessionRecord, StartError>>),
+    /// Solve what has been gathered; answered once solving has begun.
+    Stop(String, oneshot::Sender<Result<SessionRecord, EndError>>),
+    /// Give it up.
+    Abort(String, oneshot::Sender<Result<SessionRecord, EndError>>),
+}
