@@ -43,6 +43,7 @@
 pub mod calibration;
 pub mod capture;
 pub mod cli;
+pub mod config;
 pub mod detection;
 pub mod document;
 pub mod estimation;

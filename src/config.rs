@@ -1,0 +1,363 @@
+//! The daemon's configuration: TOML text → [`Written`] (what it says) → [`Config`] (what it means).
+//!
+//! Reading is apart from checking: [`Written::parse`] needs no file system, [`Written::check`] looks whether what is
+//! named is there. Every refusal names the key, the file and the line. Relative paths are taken from the directory that
+//! the daemon runs in.
+//!
+//! ```toml
+//! [server]
+//! listen = "127.0.0.1:8600"      # default; an address that others can reach needs a token
+//! token_file = "token"           # default: none; the file's first line is the token
+//!
+//! [store]
+//! path = "plumb-data"            # default; made if it is not there
+//!
+//! [calibration]
+//! auto_approve = true            # default; a `good` calibration becomes current by itself
+//!
+//! [[camera]]
+//! name = "front"                 # letters, digits, `-`, `_`; once each
+//! source = { kind = "simulator" }
+//! ```
+
+pub mod source;
+
+use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use toml::Spanned;
+
+pub use crate::config::source::SourceConfig;
+use crate::config::source::WrittenSource;
+
+/// Where the daemon listens unless told otherwise.
+const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8600);
+
+/// A configuration that holds: what it names was there when it was checked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// Where to listen. Default: 127.0.0.1:8600.
+    pub listen: SocketAddr,
+    /// What every request must carry. Default: none, which only a loopback address allows.
+    pub token: Option<Token>,
+    /// The folder of the database and the kept pictures. Default: `plumb-data`.
+    pub store_path: PathBuf,
+    /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
+    pub auto_approve: bool,
+    /// The cameras, in the order of the file.
+    pub cameras: Vec<CameraConfig>,
+}
+
+/// One camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraConfig {
+    /// Its name, in addresses and topics.
+    pub name: String,
+    /// Where its frames come from.
+    pub source: SourceConfig,
+}
+
+/// A secret that is never printed.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Token(String);
+
+impl Token {
+    /// The secret itself.
+    pub fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::fmt::Debug for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+/// Why a configuration is refused: one line that names the file, the line and the key.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("{}: {detail}; give an existing TOML file with --config", file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// What the system said.
+        detail: String,
+    },
+    /// The file says something that cannot be.
+    #[error("{}:{line}: {key}: {problem}", file.display())]
+    Refused {
+        /// The file.
+        file: PathBuf,
+        /// The line, counted from 1.
+        line: usize,
+        /// The key, as `table.key`.
+        key: String,
+        /// What is wrong with it, and what to write instead.
+        problem: String,
+    },
+    /// The address given on the command line cannot be.
+    #[error("--listen {listen}: {problem}")]
+    Listen {
+        /// What was given.
+        listen: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// What the command line says louder than the file.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Overrides {
+    /// Where to listen. Default: as the file says.
+    pub listen: Option<String>,
+}
+
+impl Config {
+    /// Reads and checks the file at `path`; without one, every default and no camera.
+    ///
+    /// # Errors
+    /// [`ConfigError`].
+    pub fn load(path: Option<&Path>, overrides: &Overrides) -> Result<Self, ConfigError> {
+        let Some(path) = path else { return Written::parse("", Path::new("(no file)"))?.check(overrides) };
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| ConfigError::Unreadable { file: path.to_owned(), detail: error.to_string() })?;
+        Written::parse(&text, path)?.check(overrides)
+    }
+}
+
+/// What a file says, with where it says so.
+#[derive(Debug)]
+pub struct Written {
+    tables: Tables,
+    place: Place,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Tables {
+    #[serde(default)]
+    server: ServerTable,
+    #[serde(default)]
+    store: StoreTable,
+    #[serde(default)]
+    calibration: CalibrationTable,
+    #[serde(default)]
+    camera: Vec<CameraTable>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ServerTable {
+    listen: Option<Spanned<String>>,
+    token_file: Option<Spanned<PathBuf>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StoreTable {
+    path: Option<PathBuf>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CalibrationTable {
+    auto_approve: Option<bool>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraTable {
+    name: Spanned<String>,
+    source: Spanned<WrittenSource>,
+}
+
+/// The file, for saying where in it something stands.
+#[derive(Debug)]
+pub(crate) struct Place {
+    file: PathBuf,
+    text: String,
+}
+
+impl Place {
+    /// A refusal of what stands at `span` under `key`.
+    pub(crate) fn refuse(&self, span: &Range<usize>, key: &str, problem: impl Into<String>) -> ConfigError {
+        let before = &self.text.as_bytes()[..span.start.min(self.text.len())];
+        let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
+        ConfigError::Refused { file: self.file.clone(), line, key: key.to_owned(), problem: problem.into() }
+    }
+
+    /// The key that the value at `span` is given to: what stands before the `=` before it.
+    fn key_before(&self, span: &Range<usize>) -> Option<String> {
+        let before = self.text.get(..span.start)?.trim_end().strip_suffix('=')?.trim_end();
+        let key = before.rsplit(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-' || c == '.')).next()?;
+        (!key.is_empty()).then(|| key.to_owned())
+    }
+}
+
+impl Written {
+    /// Reads `text`; `file` is what refusals call it. Looks at nothing else.
+    ///
+    /// # Errors
+    /// [`ConfigError::Refused`] for text that is not TOML, an unknown or missing key, a value of the wrong type.
+    pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        let place = Place { file: file.to_owned(), text: text.to_owned() };
+        match toml::from_str(text) {
+            Ok(tables) => Ok(Self { tables, place }),
+            Err(error) => {
+                let span = error.span().unwrap_or(0..0);
+                let named = error.message().split('`').nth(1).filter(|_| error.message().contains(" field `"));
+                let key = named.map(str::to_owned).or_else(|| place.key_before(&span));
+                Err(place.refuse(&span, key.as_deref().unwrap_or("syntax"), one_line(error.message())))
+            }
+        }
+    }
+
+    /// Whether it can be run as it stands, and what it then means.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for the first thing that cannot be: a name used twice, a file that is not there, an impossible
+    /// size, an address that others can reach without a token.
+    pub fn check(self, overrides: &Overrides) -> Result<Config, ConfigError> {
+        let Self { tables, place } = self;
+        let token = check_token(tables.server.token_file.as_ref(), &place)?;
+        let listen = check_listen(tables.server.listen.as_ref(), token.is_some(), overrides, &place)?;
+        let mut cameras: Vec<CameraConfig> = Vec::new();
+        for table in &tables.camera {
+            let name = check_name(&table.name, &cameras, &place)?;
+            let source = table.source.get_ref().check(&table.source.span(), &place)?;
+            cameras.push(CameraConfig { name, source });
+        }
+        let store_path = tables.store.path.unwrap_or_else(|| PathBuf::from("plumb-data"));
+        let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
+        Ok(Config { listen, token, store_path, auto_approve, cameras })
+    }
+}
+
+fn check_token(file: Option<&Spanned<PathBuf>>, place: &Place) -> Result<Option<Token>, ConfigError> {
+    let Some(file) = file else { return Ok(None) };
+    let path = file.get_ref();
+    let refuse = |problem: String| place.refuse(&file.span(), "server.token_file", problem);
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| refuse(format!("`{}` cannot be read: {error}", path.display())))?;
+    match text.lines().next().map(str::trim) {
+        Some(token) if !token.is_empty() => Ok(Some(Token(token.to_owned()))),
+        _ => Err(refuse(format!("`{}` is empty; its first line must be the token", path.display()))),
+    }
+}
+
+fn check_listen(
+    listen: Option<&Spanned<String>>,
+    has_token: bool,
+    overrides: &Overrides,
+    place: &Place,
+) -> Result<SocketAddr, ConfigError> {
+    if let Some(text) = &overrides.listen {
+        let refuse = |problem| ConfigError::Listen { listen: text.clone(), problem };
+        return parse_listen(text, has_token).map_err(refuse);
+    }
+    let Some(listen) = listen else { return Ok(DEFAULT_LISTEN) };
+    parse_listen(listen.get_ref(), has_token)
+        .map_err(|problem| place.refuse(&listen.span(), "server.listen", format!("`{}` {problem}", listen.get_ref())))
+}
+
+fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
+    let resolved = text.to_socket_addrs().ok().and_then(|mut addresses| addresses.next());
+    let address = resolved.ok_or("is no address; write HOST:PORT, as in 127.0.0.1:8600")?;
+    if address.ip().is_loopback() || has_token {
+        Ok(address)
+    } else {
+        Err("can be reached by others and needs a token; give server.token_file, or listen on 127.0.0.1".to_owned())
+    }
+}
+
+fn check_name(name: &Spanned<String>, before: &[CameraConfig], place: &Place) -> Result<String, ConfigError> {
+    let text = name.get_ref();
+    let refuse = |problem: &str| Err(place.refuse(&name.span(), "camera.name", format!("`{text}` {problem}")));
+    let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+    if text.is_empty() || text.len() > 64 || !text.chars().all(allowed) {
+        return refuse("is no name; use 1 to 64 letters, digits, `-` and `_`");
+    }
+    if before.iter().any(|camera| camera.name == *text) {
+        return refuse("is used twice; each camera needs its own name");
+    }
+    Ok(text.clone())
+}
+
+fn one_line(message: &str) -> String {
+    message.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refusal(text: &str) -> String {
+        let file = Path::new("plumb.toml");
+        let config = Written::parse(text, file).and_then(|written| written.check(&Overrides::default()));
+        config.unwrap_err().to_string()
+    }
+
+    #[test]
+    fn an_empty_file_means_every_default() {
+        let config = Written::parse("", Path::new("plumb.toml")).unwrap().check(&Overrides::default()).unwrap();
+        let expected = Config {
+            listen: "127.0.0.1:8600".parse().unwrap(),
+            token: None,
+            store_path: "plumb-data".into(),
+            auto_approve: true,
+            cameras: Vec::new(),
+        };
+        assert_eq!(config, expected);
+    }
+
+    #[test]
+    fn a_refusal_names_file_line_and_key() {
+        let cases = [
+            ("[server]\nlisten = \"127.0.0.1:1\"\nportt = 3\n", "plumb.toml:3: portt: unknown field `portt`"),
+            ("[servers]\n", "plumb.toml:1: servers: unknown field `servers`"),
+            ("\n[server]\nlisten = 8600\n", "plumb.toml:3: listen: invalid type: integer `8600`"),
+            ("[server]\nlisten = \"here\"\n", "plumb.toml:2: server.listen: `here` is no address"),
+            ("[server]\nlisten = \"0.0.0.0:1\"\n", "plumb.toml:2: server.listen: `0.0.0.0:1` can be reached by others"),
+            ("[server]\ntoken_file = \"/not/there\"\n", "plumb.toml:2: server.token_file: `/not/there` cannot be read"),
+            ("[[camera]]\nsource = { kind = \"simulator\" }\n", "plumb.toml:1: name: missing field `name`"),
+            ("[[camera]]\nname = \"front\"\n", "plumb.toml:1: source: missing field `source`"),
+            (
+                "[[camera]]\nname = \"a/b\"\nsource = { kind = \"simulator\" }\n",
+                "plumb.toml:2: camera.name: `a/b` is no",
+            ),
+            ("[store]\npath = \n", "plumb.toml:2: "),
+        ];
+        for (text, expected) in cases {
+            let message = refusal(text);
+            assert!(message.starts_with(expected), "{message}\nis not\n{expected}");
+            assert_eq!(message.lines().count(), 1, "{message}");
+        }
+    }
+
+    #[test]
+    fn a_name_is_used_once() {
+        let camera = "[[camera]]\nname = \"front\"\nsource = { kind = \"simulator\" }\n";
+        let message = refusal(&camera.repeat(2));
+        assert!(message.starts_with("plumb.toml:5: camera.name: `front` is used twice"), "{message}");
+    }
+
+    #[test]
+    fn the_command_line_is_louder_than_the_file_and_held_to_the_same_rule() {
+        let listen = |address: &str| {
+            let overrides = Overrides { listen: Some(address.to_owned()) };
+            Written::parse("", Path::new("plumb.toml")).unwrap().check(&overrides)
+        };
+        assert_eq!(listen("127.0.0.1:0").unwrap().listen, "127.0.0.1:0".parse().unwrap());
+        let message = listen("0.0.0.0:80").unwrap_err().to_string();
+        assert!(message.starts_with("--listen 0.0.0.0:80: can be reached by others"), "{message}");
+    }
+
+    #[test]
+    fn a_token_is_not_printed() {
+        assert_eq!(format!("{:?}", Token("secret".to_owned())), "Token(…)");
+    }
+}

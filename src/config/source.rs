@@ -1,0 +1,342 @@
+//! A camera's `source = { kind = "…", … }`: each kind with the keys it takes.
+//!
+//! | kind | keys |
+//! | --- | --- |
+//! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands) |
+//! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
+//! | `realsense` | `serial` (default: the only one there is) or `path` of a .bag file |
+//! | `recording` | `path`; `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
+//! | `simulator` | `seed` (default 1), `width` and `height` (default 640 × 480), `fps` (default 30) |
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::config::{ConfigError, Place};
+use crate::geometry::pixel::ImageSize;
+
+/// Where a camera's frames come from.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SourceConfig {
+    /// A Linux video device.
+    V4l2 {
+        /// Its path; one under `/dev/v4l/by-id` stays with the device.
+        device: PathBuf,
+        /// What to ask it for.
+        mode: StreamMode,
+        /// Its controls by name, set when it is opened.
+        controls: BTreeMap<String, i64>,
+    },
+    /// A USB camera through the system's own interface.
+    Uvc {
+        /// Which one.
+        camera: UvcSelector,
+        /// What to ask it for.
+        mode: StreamMode,
+    },
+    /// A RealSense camera.
+    Realsense {
+        /// Its serial number; `None` takes the only one there is.
+        serial: Option<String>,
+    },
+    /// A recording of a RealSense camera, in its own format.
+    RealsenseBag {
+        /// The .bag file.
+        path: PathBuf,
+    },
+    /// Frames on disk.
+    Recording {
+        /// An MCAP file or a folder of images.
+        path: PathBuf,
+        /// Whether frames come as they were taken, or as fast as they are looked at, without skipping any.
+        fastest: bool,
+        /// Begin again at the end.
+        repeat: bool,
+        /// Frames a second of a folder that tells no times.
+        fps: f64,
+    },
+    /// A rendered camera and a moving board.
+    Simulator {
+        /// Which world.
+        seed: u64,
+        /// The size of its images.
+        size: ImageSize,
+        /// Frames a second.
+        fps: f64,
+    },
+}
+
+impl SourceConfig {
+    /// The name of its kind.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::V4l2 { .. } => "v4l2",
+            Self::Uvc { .. } => "uvc",
+            Self::Realsense { .. } | Self::RealsenseBag { .. } => "realsense",
+            Self::Recording { .. } => "recording",
+            Self::Simulator { .. } => "simulator",
+        }
+    }
+}
+
+/// What a device is asked for; what is not said stays as the device has it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StreamMode {
+    /// The size of its images.
+    pub size: Option<ImageSize>,
+    /// Its pixel format as a four-character code, as in `MJPG`.
+    pub format: Option<String>,
+    /// Frames a second.
+    pub fps: Option<f64>,
+}
+
+/// Which USB camera.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum UvcSelector {
+    /// The n-th, from 0.
+    Index(u32),
+    /// The one with this name.
+    Name(String),
+}
+
+/// The table as written: every key that some kind takes.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct WrittenSource {
+    kind: Spanned<String>,
+    device: Option<Spanned<PathBuf>>,
+    index: Option<Spanned<u32>>,
+    name: Option<Spanned<String>>,
+    serial: Option<Spanned<String>>,
+    path: Option<Spanned<PathBuf>>,
+    pace: Option<Spanned<String>>,
+    repeat: Option<Spanned<bool>>,
+    seed: Option<Spanned<u64>>,
+    width: Option<Spanned<u32>>,
+    height: Option<Spanned<u32>>,
+    format: Option<Spanned<String>>,
+    fps: Option<Spanned<f64>>,
+    controls: Option<Spanned<BTreeMap<String, i64>>>,
+}
+
+const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
+/// No camera sees more; a larger size is a slip of the keyboard.
+const LARGEST_SIDE: u32 = 16_384;
+const HIGHEST_FPS: f64 = 1000.0;
+const FOLDER_FPS: f64 = 10.0;
+const SIMULATOR_FPS: f64 = 30.0;
+const SIMULATOR_SIZE: ImageSize = ImageSize::new(640, 480);
+
+impl WrittenSource {
+    /// What it means; `span` is where the table stands.
+    pub(crate) fn check(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
+        match self.kind.get_ref().as_str() {
+            "v4l2" => {
+                self.takes_only(&["device", "width", "height", "format", "fps", "controls"], place)?;
+                let device = self.needed("device", self.device.as_ref(), span, place)?;
+                let controls = self.controls.as_ref().map(|c| c.get_ref().clone()).unwrap_or_default();
+                Ok(SourceConfig::V4l2 { device, mode: self.mode(place)?, controls })
+            }
+            "uvc" => {
+                self.takes_only(&["index", "name", "width", "height", "format", "fps"], place)?;
+                Ok(SourceConfig::Uvc { camera: self.uvc_selector(span, place)?, mode: self.mode(place)? })
+            }
+            "realsense" => self.realsense(place),
+            "recording" => self.recording(span, place),
+            "simulator" => {
+                self.takes_only(&["seed", "width", "height", "fps"], place)?;
+                let mode = self.mode(place)?;
+                let seed = self.seed.as_ref().map_or(1, |seed| *seed.get_ref());
+                let (size, fps) = (mode.size.unwrap_or(SIMULATOR_SIZE), mode.fps.unwrap_or(SIMULATOR_FPS));
+                Ok(SourceConfig::Simulator { seed, size, fps })
+            }
+            other => {
+                Err(place.refuse(&self.kind.span(), "camera.source.kind", format!("`{other}` is no kind; {KINDS}")))
+            }
+        }
+    }
+
+    fn recording(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
+        self.takes_only(&["path", "pace", "repeat", "fps"], place)?;
+        let path = self.existing_path(span, place)?;
+        let fastest = match self.pace.as_ref().map(|pace| (pace.get_ref().as_str(), pace.span())) {
+            None | Some(("recorded", _)) => false,
+            Some(("fastest", _)) => true,
+            Some((other, span)) => {
+                let problem = format!("`{other}` is no pace; write \"recorded\" or \"fastest\"");
+                return Err(place.refuse(&span, "camera.source.pace", problem));
+            }
+        };
+        let repeat = self.repeat.as_ref().is_some_and(|repeat| *repeat.get_ref());
+        Ok(SourceConfig::Recording { path, fastest, repeat, fps: self.fps(place)?.unwrap_or(FOLDER_FPS) })
+    }
+
+    fn realsense(&self, place: &Place) -> Result<SourceConfig, ConfigError> {
+        self.takes_only(&["serial", "path"], place)?;
+        match (&self.serial, &self.path) {
+            (Some(serial), Some(_)) => {
+                let problem = "a serial number and a file exclude each other; leave one out";
+                Err(place.refuse(&serial.span(), "camera.source.serial", problem))
+            }
+            (None, Some(path)) => Ok(SourceConfig::RealsenseBag { path: self.existing_path(&path.span(), place)? }),
+            (serial, None) => Ok(SourceConfig::Realsense { serial: serial.as_ref().map(|s| s.get_ref().clone()) }),
+        }
+    }
+
+    fn existing_path(&self, span: &Range<usize>, place: &Place) -> Result<PathBuf, ConfigError> {
+        let path = self.needed("path", self.path.as_ref(), span, place)?;
+        let span = self.path.as_ref().map_or_else(|| span.clone(), Spanned::span);
+        match std::fs::metadata(&path) {
+            Ok(_) => Ok(path),
+            Err(error) => {
+                let problem =
+                    format!("`{}` cannot be opened: {error}; give an existing file or folder", path.display());
+                Err(place.refuse(&span, "camera.source.path", problem))
+            }
+        }
+    }
+
+    fn needed<T: Clone>(
+        &self,
+        key: &str,
+        value: Option<&Spanned<T>>,
+        span: &Range<usize>,
+        place: &Place,
+    ) -> Result<T, ConfigError> {
+        value.map(|value| value.get_ref().clone()).ok_or_else(|| {
+            let problem = format!("missing: a source of kind \"{}\" needs it", self.kind.get_ref());
+            place.refuse(span, &format!("camera.source.{key}"), problem)
+        })
+    }
+
+    fn uvc_selector(&self, span: &Range<usize>, place: &Place) -> Result<UvcSelector, ConfigError> {
+        match (&self.index, &self.name) {
+            (Some(index), None) => Ok(UvcSelector::Index(*index.get_ref())),
+            (None, Some(name)) => Ok(UvcSelector::Name(name.get_ref().clone())),
+            _ => Err(place.refuse(span, "camera.source.index", "give the camera's index or its name, and not both")),
+        }
+    }
+
+    fn mode(&self, place: &Place) -> Result<StreamMode, ConfigError> {
+        let size = match (&self.width, &self.height) {
+            (None, None) => None,
+            (Some(width), Some(height)) => {
+                for (key, side) in [("width", width), ("height", height)] {
+                    if !(1..=LARGEST_SIDE).contains(side.get_ref()) {
+                        let problem = format!("{} px is impossible; write 1 to {LARGEST_SIDE}", side.get_ref());
+                        return Err(place.refuse(&side.span(), &format!("camera.source.{key}"), problem));
+                    }
+                }
+                Some(ImageSize::new(*width.get_ref(), *height.get_ref()))
+            }
+            (Some(side), None) => {
+                return Err(place.refuse(&side.span(), "camera.source.height", "missing: width is given"));
+            }
+            (None, Some(side)) => {
+                return Err(place.refuse(&side.span(), "camera.source.width", "missing: height is given"));
+            }
+        };
+        Ok(StreamMode { size, format: self.format.as_ref().map(|f| f.get_ref().clone()), fps: self.fps(place)? })
+    }
+
+    fn fps(&self, place: &Place) -> Result<Option<f64>, ConfigError> {
+        let Some(fps) = &self.fps else { return Ok(None) };
+        let value = *fps.get_ref();
+        if value > 0.0 && value <= HIGHEST_FPS {
+            return Ok(Some(value));
+        }
+        let problem = format!("{value} frames a second are impossible; write more than 0 and at most {HIGHEST_FPS}");
+        Err(place.refuse(&fps.span(), "camera.source.fps", problem))
+    }
+
+    /// Refuses a key that another kind takes.
+    fn takes_only(&self, allowed: &[&str], place: &Place) -> Result<(), ConfigError> {
+        let given = [
+            ("device", self.device.as_ref().map(Spanned::span)),
+            ("index", self.index.as_ref().map(Spanned::span)),
+            ("name", self.name.as_ref().map(Spanned::span)),
+            ("serial", self.serial.as_ref().map(Spanned::span)),
+            ("path", self.path.as_ref().map(Spanned::span)),
+            ("pace", self.pace.as_ref().map(Spanned::span)),
+            ("repeat", self.repeat.as_ref().map(Spanned::span)),
+            ("seed", self.seed.as_ref().map(Spanned::span)),
+            ("width", self.width.as_ref().map(Spanned::span)),
+            ("height", self.height.as_ref().map(Spanned::span)),
+            ("format", self.format.as_ref().map(Spanned::span)),
+            ("fps", self.fps.as_ref().map(Spanned::span)),
+            ("controls", self.controls.as_ref().map(Spanned::span)),
+        ];
+        for (key, span) in given {
+            if let (Some(span), false) = (span, allowed.contains(&key)) {
+                let kind = self.kind.get_ref();
+                let problem = format!("unknown for kind \"{kind}\", which takes {}", allowed.join(", "));
+                return Err(place.refuse(&span, &format!("camera.source.{key}"), problem));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config::{Overrides, Written};
+
+    fn source(text: &str) -> Result<SourceConfig, String> {
+        let text = format!("[[camera]]\nname = \"front\"\nsource = {text}\n");
+        let config = Written::parse(&text, Path::new("plumb.toml"))
+            .and_then(|written| written.check(&Overrides::default()))
+            .map_err(|error| error.to_string())?;
+        Ok(config.cameras[0].source.clone())
+    }
+
+    #[test]
+    fn each_kind_with_its_defaults() {
+        let simulator = SourceConfig::Simulator { seed: 1, size: ImageSize::new(640, 480), fps: 30.0 };
+        assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
+        let recording = SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
+        assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));
+        assert_eq!(source("{ kind = \"realsense\" }"), Ok(SourceConfig::Realsense { serial: None }));
+        let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: StreamMode::default() };
+        assert_eq!(source("{ kind = \"uvc\", index = 0 }"), Ok(uvc));
+    }
+
+    #[test]
+    fn the_contracts_v4l2_camera_reads_as_written() {
+        let text = "{ kind = \"v4l2\", device = \"/dev/v4l/by-id/x\", width = 1280, height = 720, format = \"MJPG\", \
+                    fps = 30, controls = { focus_auto = 0 } }";
+        let mode =
+            StreamMode { size: Some(ImageSize::new(1280, 720)), format: Some("MJPG".to_owned()), fps: Some(30.0) };
+        let controls = BTreeMap::from([("focus_auto".to_owned(), 0)]);
+        assert_eq!(source(text), Ok(SourceConfig::V4l2 { device: "/dev/v4l/by-id/x".into(), mode, controls }));
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused_at_its_key() {
+        let cases = [
+            ("{ kind = \"webcam\" }", "camera.source.kind: `webcam` is no kind"),
+            ("{ kind = \"recording\" }", "camera.source.path: missing"),
+            ("{ kind = \"recording\", path = \"/not/there.mcap\" }", "camera.source.path: `/not/there.mcap` cannot be"),
+            ("{ kind = \"recording\", path = \"/\", pace = \"slow\" }", "camera.source.pace: `slow` is no pace"),
+            ("{ kind = \"recording\", path = \"/\", fps = 0 }", "camera.source.fps: 0 frames a second"),
+            ("{ kind = \"recording\", path = \"/\", fps = nan }", "camera.source.fps: NaN frames a second"),
+            ("{ kind = \"recording\", path = \"/\", device = \"x\" }", "camera.source.device: unknown for kind"),
+            ("{ kind = \"simulator\", width = 0, height = 480 }", "camera.source.width: 0 px is impossible"),
+            ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),
+            ("{ kind = \"simulator\", colour = 1 }", "colour: unknown field `colour`"),
+            ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
+            ("{ kind = \"uvc\", index = 0, name = \"x\" }", "camera.source.index: give the camera's index or its name"),
+            ("{ kind = \"realsense\", serial = \"1\", path = \"/\" }", "camera.source.serial: a serial number and a"),
+            ("\"simulator\"", "source: invalid type: string"),
+        ];
+        for (text, expected) in cases {
+            let message = source(text).unwrap_err();
+            assert!(message.starts_with(&format!("plumb.toml:3: {expected}")), "{message}\nis not\n{expected}");
+        }
+    }
+}
