@@ -22,6 +22,8 @@ pub struct Calibration {
     pub color: Option<SensorCalibration>,
     /// The infrared sensor's calibration.
     pub infrared: Option<SensorCalibration>,
+    /// Where the sensors are relative to each other; empty for one sensor.
+    pub extrinsics: Vec<Extrinsics>,
     /// How well it did beyond the views it was fitted to.
     pub checks: Checks,
     /// How far to trust it.
@@ -71,6 +73,19 @@ pub struct CalibratedView {
     pub rms_px: Option<f64>,
     /// Where the board was; `None` for a view without a pose.
     pub camera_from_board: Option<Pose>,
+}
+
+/// Where one sensor is relative to another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Extrinsics {
+    /// What it maps, as in `color_from_depth`.
+    pub name: String,
+    /// The pose of that name.
+    pub target_from_source: Pose,
+    /// Standard deviation of the rotation about each axis, in radians.
+    pub rotation_std: [f64; 3],
+    /// Standard deviation of the translation, in metres.
+    pub translation_std_m: [f64; 3],
 }
 
 /// One lens model of a comparison.

@@ -13,7 +13,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("simulation", &["geometry", "imaging"]),
     ("recording", &["geometry", "imaging"]),
     ("capture", &["geometry", "imaging", "recording", "simulation"]),
-    ("document", &["geometry", "imaging", "calibration"]),
+    ("document", &["geometry", "imaging", "estimation", "calibration"]),
     ("export", &["geometry", "calibration", "document"]),
     ("store", &["geometry", "imaging", "calibration", "document"]),
     (

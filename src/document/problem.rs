@@ -1,0 +1,128 @@
+//! The solve problem: correspondences in, for `plumb solve` and `POST /v1/solve`.
+
+use nalgebra::Point3;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::document::calibration::image_size;
+use crate::document::error::DocumentError;
+use crate::document::lens::LensRequest;
+use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use crate::geometry::pixel::Pixel;
+
+/// Correspondences of one camera and what to do with them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProblemDocument {
+    /// Width and height of the images, in pixels.
+    pub image_size: [u32; 2],
+    /// What was seen, picture by picture.
+    pub views: Vec<ProblemViewDocument>,
+    /// The lens model to fit; `auto` when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lens: Option<LensRequest>,
+    /// How to solve; `calibrate` when left out.
+    #[serde(default)]
+    pub method: Method,
+}
+
+/// How to solve.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// Lens and poses from several views of a flat target, with uncertainty.
+    #[default]
+    Calibrate,
+    /// The direct linear transform: the projection matrix from one view of at least six points that are not in a plane.
+    Dlt,
+}
+
+/// One picture's correspondences: as many pixels as object points.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ProblemViewDocument {
+    /// What it is called in errors and in the result; its index when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Points of the object, in metres: `[X, Y, Z]`.
+    pub object: Vec<[f64; 3]>,
+    /// Where each was seen, in pixels: `[u, v]`.
+    pub image: Vec<[f64; 2]>,
+}
+
+impl TryFrom<&ProblemDocument> for CameraProblem {
+    type Error = DocumentError;
+    fn try_from(document: &ProblemDocument) -> Result<Self, DocumentError> {
+        let image_size = image_size(document.image_size)?;
+        if document.views.is_empty() {
+            return Err(DocumentError::field("views", "is empty; give at least one view"));
+        }
+        let views = document.views.iter().enumerate().map(|(i, view)| board_view(i, view));
+        Ok(Self { image_size, views: views.collect::<Result<_, _>>()? })
+    }
+}
+
+fn board_view(index: usize, view: &ProblemViewDocument) -> Result<BoardView, DocumentError> {
+    let (points, pixels) = (view.object.len(), view.image.len());
+    if points != pixels {
+        let problem = format!("{pixels} pixels for {points} object points; each point needs its pixel");
+        return Err(DocumentError::field(format!("views[{index}].image"), problem));
+    }
+    let correspondence = |(&[x, y, z], &[u, v]): (&[f64; 3], &[f64; 2])| Correspondence {
+        point_in_board: Point3::new(x, y, z),
+        pixel: Pixel::new(u, v),
+        std_px: 1.0,
+    };
+    Ok(BoardView {
+        name: view.name.clone().unwrap_or_else(|| index.to_string()),
+        correspondences: view.object.iter().zip(&view.image).map(correspondence).collect(),
+    })
+}
+
+impl From<&CameraProblem> for ProblemDocument {
+    /// Weights are not part of the document: they are lost.
+    fn from(problem: &CameraProblem) -> Self {
+        let view = |view: &BoardView| ProblemViewDocument {
+            name: Some(view.name.clone()),
+            object: view.correspondences.iter().map(|c| c.point_in_board.into()).collect(),
+            image: view.correspondences.iter().map(|c| [c.pixel.x, c.pixel.y]).collect(),
+        };
+        Self {
+            image_size: [problem.image_size.width, problem.image_size.height],
+            views: problem.views.iter().map(view).collect(),
+            lens: None,
+            method: Method::Calibrate,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::reading::{from_json, to_json};
+
+    #[test]
+    fn a_problem_survives_to_the_bit() {
+        let json = r#"{"image_size":[640,480],"views":[{"name":"a","object":[[0.1,0.2,0]],"image":[[1e-3,2.7]]}]}"#;
+        let problem = CameraProblem::try_from(&from_json::<ProblemDocument>(json.as_bytes()).unwrap()).unwrap();
+        let written = to_json(&ProblemDocument::from(&problem)).unwrap();
+        assert_eq!(CameraProblem::try_from(&from_json::<ProblemDocument>(written.as_bytes()).unwrap()), Ok(problem));
+    }
+
+    #[test]
+    fn impossible_problems_are_refused_by_field() {
+        let one = r#"{"object":[[0,0,0]],"image":[[1,2]]}"#;
+        let table = [
+            (r#"{"image_size":[0,480],"views":[]}"#.into(), "image_size"),
+            (r#"{"image_size":[640,480],"views":[]}"#.into(), "views"),
+            (
+                format!(r#"{{"image_size":[640,480],"views":[{one},{{"object":[[0,0,0]],"image":[]}}]}}"#),
+                "views[1].image",
+            ),
+        ];
+        for (json, field) in table {
+            let document: ProblemDocument = from_json(json.as_bytes()).unwrap();
+            assert_eq!(CameraProblem::try_from(&document).unwrap_err().path(), Some(field), "{json}");
+        }
+    }
+}

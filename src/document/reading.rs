@@ -1,0 +1,148 @@
+//! JSON in and out: errors that name the field, numbers that keep every bit.
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::error::Category;
+
+use crate::document::error::DocumentError;
+
+/// Reads a document.
+///
+/// # Errors
+/// [`DocumentError::Field`] with the field's path when a field is missing, unknown, of the wrong shape, or holds what JSON
+/// has no number for (`NaN`, `Infinity`, 1e999); [`DocumentError::Syntax`] when the text is not JSON at all.
+pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
+    let mut reader = serde_json::Deserializer::from_slice(json);
+    let document = serde_path_to_error::deserialize(&mut reader).map_err(|e| {
+        let path = e.path().to_string();
+        located(json, &path, &e.into_inner())
+    })?;
+    reader.end().map_err(|e| syntax(json, &e))?;
+    Ok(document)
+}
+
+/// Writes a document on one line. Doubles are written with as few digits as read back to the same bits.
+///
+/// # Errors
+/// [`DocumentError::Field`] never happens for the documents of this layer: all their keys are strings.
+pub fn to_json<T: Serialize>(document: &T) -> Result<String, DocumentError> {
+    serde_json::to_string(document).map_err(unwritable)
+}
+
+/// As [`to_json`], indented for people.
+///
+/// # Errors
+/// As [`to_json`].
+pub fn to_json_pretty<T: Serialize>(document: &T) -> Result<String, DocumentError> {
+    serde_json::to_string_pretty(document).map_err(unwritable)
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "the shape that map_err wants")]
+fn unwritable(error: serde_json::Error) -> DocumentError {
+    DocumentError::field("document", format!("cannot be written as JSON: {error}"))
+}
+
+fn located(json: &[u8], path: &str, error: &serde_json::Error) -> DocumentError {
+    let not_a_number = not_a_number_at(json, error);
+    match error.classify() {
+        Category::Syntax if not_a_number.is_none() && !error.to_string().starts_with("number out of range") => {
+            syntax(json, error)
+        }
+        Category::Eof | Category::Io => syntax(json, error),
+        _ => {
+            let problem = not_a_number.unwrap_or_else(|| without_position(error));
+            let missing = problem.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
+            match missing {
+                Some(name) if path == "." => DocumentError::field(name, "is missing"),
+                Some(name) => DocumentError::field(format!("{path}.{name}"), "is missing"),
+                None if path == "." => DocumentError::field("document", problem),
+                None => DocumentError::field(path, problem),
+            }
+        }
+    }
+}
+
+fn syntax(json: &[u8], error: &serde_json::Error) -> DocumentError {
+    let problem =
+        if json.iter().all(u8::is_ascii_whitespace) { "nothing there".into() } else { without_position(error) };
+    DocumentError::Syntax { line: error.line(), column: error.column(), problem }
+}
+
+/// The parser's words without its " at line 1 column 2".
+fn without_position(error: &serde_json::Error) -> String {
+    let text = error.to_string();
+    text.split(" at line ").next().unwrap_or_default().to_owned()
+}
+
+/// Names the word when the parser stumbled over what other languages print for a double that is no number.
+fn not_a_number_at(json: &[u8], error: &serde_json::Error) -> Option<String> {
+    let line = json.split(|&b| b == b'\n').nth(error.line().checked_sub(1)?)?;
+    // The parser points at the offending byte or one past it.
+    let around = line.get(error.column().saturating_sub(3)..)?;
+    let around = String::from_utf8_lossy(around.get(..around.len().min(12))?).into_owned();
+    let word = ["-Infinity", "Infinity", "NaN", "-inf", "inf", "nan"].into_iter().find(|word| {
+        let at = around.find(word);
+        at.is_some_and(|at| at <= 2)
+    })?;
+    Some(format!("{word} is not a number; every number must be finite"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::problem::ProblemDocument;
+
+    #[test]
+    fn errors_name_the_field_in_one_line() {
+        let view =
+            |image: &str| format!(r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":{image}}}]}}"#);
+        let table = [
+            (view("[[1,NaN]]"), "views[0].image[0][1]: NaN is not a number; every number must be finite"),
+            (view("[[1, Infinity]]"), "views[0].image[0][1]: Infinity is not a number; every number must be finite"),
+            (view("[[-Infinity,2]]"), "views[0].image[0][0]: -Infinity is not a number; every number must be finite"),
+            (view("[[nan,2]]"), "views[0].image[0][0]: nan is not a number; every number must be finite"),
+            (view("[[1,1e999]]"), "views[0].image[0][1]: number out of range"),
+            (view("[[1,null]]"), "views[0].image[0][1]: invalid type: null, expected f64"),
+            (view("[[1]]"), "views[0].image[0]: invalid length 1, expected an array of length 2"),
+            (view("[1,2]"), "views[0].image[0]: invalid type: integer `1`, expected an array of length 2"),
+            (r#"{"image_size":[640,480]}"#.into(), "views: is missing"),
+            (r#"{"image_size":[640,480],"views":[{"image":[]}]}"#.into(), "views[0].object: is missing"),
+            (
+                r#"{"image_size":[640],"views":[]}"#.into(),
+                "image_size: invalid length 1, expected an array of length 2",
+            ),
+            (
+                r#"{"image_size":[640,-1],"views":[]}"#.into(),
+                "image_size[1]: invalid value: integer `-1`, expected u32",
+            ),
+            ("".into(), "not JSON at line 1, column 0: nothing there"),
+            ("{".into(), "not JSON at line 1, column 1: EOF while parsing an object"),
+            ("7".into(), "document: invalid type: integer `7`, expected struct ProblemDocument"),
+        ];
+        for (json, expected) in table {
+            let error = from_json::<ProblemDocument>(json.as_bytes()).unwrap_err();
+            assert_eq!(error.to_string(), expected, "for {json}");
+        }
+    }
+
+    #[test]
+    fn text_after_the_document_is_refused() {
+        let error = from_json::<[f64; 1]>(b"[1] 2").unwrap_err();
+        assert_eq!(error.to_string(), "not JSON at line 1, column 5: trailing characters");
+    }
+
+    #[test]
+    fn doubles_keep_every_bit() {
+        let mut bits = 0x9e37_79b9_7f4a_7c15_u64;
+        for _ in 0..10_000 {
+            bits ^= bits << 13;
+            bits ^= bits >> 7;
+            bits ^= bits << 17;
+            let value = f64::from_bits(bits);
+            if value.is_finite() {
+                let [back] = from_json::<[f64; 1]>(to_json(&[value]).unwrap().as_bytes()).unwrap();
+                assert_eq!(back.to_bits(), value.to_bits());
+            }
+        }
+    }
+}

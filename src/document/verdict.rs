@@ -1,0 +1,77 @@
+//! How far to trust a calibration: checks and verdict.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::calibration::calibration::{Checks, Grade, Verdict};
+
+/// How a calibration does beyond the views it was fitted to; null where it could not be computed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ChecksDocument {
+    /// Projection difference between two disjoint halves, over what their uncertainties predict: about 1 when the model
+    /// is right.
+    pub split_half_ratio: Option<f64>,
+    /// Error on views that were not fitted to, in pixels.
+    pub held_out_rms_px: Option<f64>,
+    /// Part of the corners that was not used, 0 to 1.
+    pub outlier_fraction: f64,
+    /// Part of the image in which corners were seen, 0 to 1.
+    pub coverage: f64,
+}
+
+impl From<Checks> for ChecksDocument {
+    fn from(checks: Checks) -> Self {
+        let Checks { split_half_ratio, held_out_rms_px, outlier_fraction, coverage } = checks;
+        Self { split_half_ratio, held_out_rms_px, outlier_fraction, coverage }
+    }
+}
+
+impl From<ChecksDocument> for Checks {
+    fn from(document: ChecksDocument) -> Self {
+        let ChecksDocument { split_half_ratio, held_out_rms_px, outlier_fraction, coverage } = document;
+        Self { split_half_ratio, held_out_rms_px, outlier_fraction, coverage }
+    }
+}
+
+/// The grade of a calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum GradeName {
+    /// To be used as it is.
+    Good,
+    /// To be used with the reasons in mind.
+    Usable,
+    /// Not to be used.
+    Poor,
+}
+
+/// A grade with its reasons, each one that a person can act on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct VerdictDocument {
+    /// The grade.
+    pub grade: GradeName,
+    /// Why it is no better; empty for a spotless one.
+    pub reasons: Vec<String>,
+}
+
+impl From<&Verdict> for VerdictDocument {
+    fn from(verdict: &Verdict) -> Self {
+        let grade = match verdict.grade {
+            Grade::Good => GradeName::Good,
+            Grade::Usable => GradeName::Usable,
+            Grade::Poor => GradeName::Poor,
+        };
+        Self { grade, reasons: verdict.reasons.clone() }
+    }
+}
+
+impl From<&VerdictDocument> for Verdict {
+    fn from(document: &VerdictDocument) -> Self {
+        let grade = match document.grade {
+            GradeName::Good => Grade::Good,
+            GradeName::Usable => Grade::Usable,
+            GradeName::Poor => Grade::Poor,
+        };
+        Self { grade, reasons: document.reasons.clone() }
+    }
+}
