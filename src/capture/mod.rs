@@ -1,1 +1,43 @@
 //! Where frames come from: one trait, one file a kind of source. Uses geometry, imaging, recording and simulation.
+//!
+//! [`FrameSource::next_frame`] is the whole of it: a blocking call with a timeout, made from one thread that owns the
+//! source. Supervision (states, opening again, back-off) is above it, in the pipeline.
+
+mod error;
+mod replay;
+
+use std::time::Duration;
+
+pub use error::CaptureError;
+pub use replay::{Pace, Replay, ReplayOptions};
+
+use crate::imaging::frame::FrameSet;
+
+/// What yields frames.
+pub trait FrameSource: Send {
+    /// The next frames taken together, waiting at most `timeout` for them.
+    ///
+    /// # Errors
+    /// [`CaptureError::TimedOut`] when none came in time (asking again is right), [`CaptureError::Ended`] after the last
+    /// frame of a recording, [`CaptureError::Lost`] when the device went away (opening it again may help), and
+    /// [`CaptureError::Failed`] when a person has to act.
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError>;
+
+    /// What it is.
+    fn description(&self) -> SourceDescription;
+}
+
+/// What a source says about itself.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct SourceDescription {
+    /// The kind of source, as in the configuration: `recording`, `simulator`, …
+    pub kind: &'static str,
+    /// What stays the same when it is opened again: a path, a serial number.
+    pub identity: String,
+    /// Frame sets a second, where that is known beforehand.
+    pub fps: Option<f64>,
+    /// How many frame sets there will be, where that is known beforehand.
+    pub frame_set_count: Option<usize>,
+    /// Whether every frame waits to be taken: then none may be skipped, and none is ever late.
+    pub waits: bool,
+}

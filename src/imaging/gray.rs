@@ -21,6 +21,17 @@ impl GrayImage {
         (pixels.len() == width.checked_mul(height)?).then_some(Self { width, height, pixels })
     }
 
+    /// Makes it `width` × `height`, keeping its memory; what the pixels then hold is unspecified.
+    pub fn reshape(&mut self, width: usize, height: usize) {
+        self.pixels.resize(width * height, 0);
+        (self.width, self.height) = (width, height);
+    }
+
+    /// Its pixels, row by row.
+    pub fn into_pixels(self) -> Vec<u8> {
+        self.pixels
+    }
+
     /// Columns.
     pub fn width(&self) -> usize {
         self.width

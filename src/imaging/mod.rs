@@ -1,5 +1,9 @@
 //! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
 
+pub mod decode;
 pub mod frame;
 pub mod gray;
+mod jpeg;
+pub mod picture_file;
+pub mod pixel_format;
 pub mod timestamp;

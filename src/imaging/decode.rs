@@ -1,0 +1,394 @@
+//! From a frame's bytes to luma, colours or depth; and luma to JPEG.
+//!
+//! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per picture.
+
+use std::io::Cursor;
+
+use image::{ColorType, DynamicImage, ImageDecoder, RgbImage};
+
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{Frame, PixelFormat};
+use crate::imaging::gray::{GrayImage, GrayView};
+use crate::imaging::jpeg;
+use crate::imaging::pixel_format::{buffer_length, luma_row_from_rgb, luma_row_from_yuyv, rgb_row_from_yuyv};
+
+/// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown to.
+pub const MAX_PIXELS: u64 = 120_000_000;
+
+/// A frame that cannot be decoded.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum DecodeError {
+    /// No bytes at all.
+    #[error("the picture has 0 bytes: it was never written; leave it out or record it again")]
+    Empty,
+    /// Neither a JPEG nor a PNG, nor whatever its format says.
+    #[error("not a picture that Plumb reads: convert it to JPEG, PNG or PGM")]
+    NotAPicture,
+    /// More pixels than [`MAX_PIXELS`].
+    #[error("a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header")]
+    TooLarge {
+        /// What its header says.
+        size: ImageSize,
+    },
+    /// Its bytes end before its pixels do.
+    #[error("the {format} ends too early, after {bytes} bytes: it was cut off; leave it out or copy it again")]
+    Truncated {
+        /// The file format.
+        format: &'static str,
+        /// How many bytes there are.
+        bytes: usize,
+    },
+    /// Its bytes contradict the format.
+    #[error("the {format} is damaged ({reason}): leave it out or record it again")]
+    Malformed {
+        /// The file format.
+        format: &'static str,
+        /// What the decoder met.
+        reason: String,
+    },
+    /// An uncompressed buffer too short for its size.
+    #[error("a {size} {format} frame with rows every {stride} bytes needs {needed} bytes, not {bytes}")]
+    Buffer {
+        /// The frame's size.
+        size: ImageSize,
+        /// Its pixel format.
+        format: &'static str,
+        /// Its bytes from row to row.
+        stride: usize,
+        /// What it needs.
+        needed: usize,
+        /// What it has.
+        bytes: usize,
+    },
+    /// Colours asked for as depth, or depth as a picture.
+    #[error("a {format} frame cannot be read as {wanted}")]
+    WrongKind {
+        /// The frame's pixel format.
+        format: &'static str,
+        /// What was asked for.
+        wanted: &'static str,
+    },
+}
+
+/// The size that a JPEG's or PNG's header states, without decoding it.
+///
+/// # Errors
+/// [`DecodeError`] when it has none, or is over [`MAX_PIXELS`].
+pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
+    if bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
+    let size = match PixelFormat::of_file(bytes) {
+        Some(PixelFormat::Jpeg) => jpeg::Header::read(bytes)?.size,
+        Some(PixelFormat::Png) => {
+            let (Some(width), Some(height)) = (word_at(bytes, 16), word_at(bytes, 20)) else {
+                return Err(DecodeError::Truncated { format: "PNG", bytes: bytes.len() });
+            };
+            ImageSize::new(width, height)
+        }
+        _ => return Err(DecodeError::NotAPicture),
+    };
+    check_size(size)
+}
+
+/// The 8-bit luma of a frame, into `luma`, whose buffer is used again.
+///
+/// JPEG: its Y alone, nothing else is decoded. Colours: BT.601, as OpenCV's `cvtColor`. 16-bit grey: the upper byte.
+///
+/// # Errors
+/// [`DecodeError`], never a panic, whatever the bytes; `luma` then holds nothing of use.
+pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
+    if frame.bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
+    match frame.format {
+        PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
+        PixelFormat::Png => luma_from_picture(&decode_png(&frame.bytes)?, luma),
+        PixelFormat::Mono8 => luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row)),
+        PixelFormat::Yuyv => luma_from_rows(frame, luma, luma_row_from_yuyv),
+        PixelFormat::Rgb8 => luma_from_rows(frame, luma, luma_row_from_rgb),
+        PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
+    }
+}
+
+/// A frame's colours; a grey frame's as three equal channels.
+///
+/// # Errors
+/// As [`luma`].
+pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
+    if frame.bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
+    match frame.format {
+        PixelFormat::Jpeg => {
+            let header = jpeg::Header::read(&frame.bytes)?;
+            let size = check_size(header.size)?;
+            rgb_image(size, jpeg::rgb(&frame.bytes, header)?)
+        }
+        PixelFormat::Png => Ok(decode_png(&frame.bytes)?.into_rgb8()),
+        PixelFormat::Mono8 => rgb_from_rows(frame, |row, out| {
+            for (value, pixel) in row.iter().zip(out.chunks_exact_mut(3)) {
+                pixel.fill(*value);
+            }
+        }),
+        PixelFormat::Yuyv => rgb_from_rows(frame, rgb_row_from_yuyv),
+        PixelFormat::Rgb8 => rgb_from_rows(frame, |row, out| out.copy_from_slice(row)),
+        PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
+    }
+}
+
+/// A grey JPEG of `image` with `quality` 1 to 100: the same bytes on every machine.
+pub fn encode_jpeg(image: GrayView<'_>, quality: u8) -> Vec<u8> {
+    let pixels: Vec<u8> = (0..image.height()).flat_map(|y| image.row(y)).copied().collect();
+    encode(&pixels, image.size(), image::ExtendedColorType::L8, quality)
+}
+
+/// A colour JPEG of `image` with `quality` 1 to 100.
+pub fn encode_jpeg_rgb(image: &RgbImage, quality: u8) -> Vec<u8> {
+    let size = ImageSize::new(image.width(), image.height());
+    encode(image.as_raw(), size, image::ExtendedColorType::Rgb8, quality)
+}
+
+fn encode(pixels: &[u8], size: ImageSize, color: image::ExtendedColorType, quality: u8) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100));
+    // Writing to memory cannot fail; what remains is a size of 0 or over 65535, for which there is no JPEG.
+    if encoder.encode(pixels, size.width, size.height, color).is_err() {
+        bytes.clear();
+    }
+    bytes
+}
+
+fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {
+    if u64::from(size.width) * u64::from(size.height) > MAX_PIXELS {
+        return Err(DecodeError::TooLarge { size });
+    }
+    Ok(size)
+}
+
+fn word_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_be_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
+}
+
+fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
+    let header = jpeg::Header::read(bytes)?;
+    let size = check_size(header.size)?;
+    let mut pixels = std::mem::take(luma).into_pixels();
+    jpeg::luma(bytes, header, &mut pixels)?;
+    *luma = GrayImage::from_pixels(size.width as usize, size.height as usize, pixels).unwrap_or_default();
+    Ok(())
+}
+
+fn decode_png(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
+    if PixelFormat::of_file(bytes) != Some(PixelFormat::Png) {
+        return Err(DecodeError::NotAPicture);
+    }
+    file_size(bytes)?;
+    let decoder = image::codecs::png::PngDecoder::new(Cursor::new(bytes)).map_err(|error| png_error(&error, bytes))?;
+    let alpha = matches!(decoder.color_type(), ColorType::La8 | ColorType::La16 | ColorType::Rgba8 | ColorType::Rgba16);
+    let picture = DynamicImage::from_decoder(decoder).map_err(|error| png_error(&error, bytes))?;
+    Ok(if alpha { picture.into_rgb8().into() } else { picture })
+}
+
+fn png_error(error: &image::ImageError, bytes: &[u8]) -> DecodeError {
+    let text = error.to_string();
+    let cut = matches!(error, image::ImageError::IoError(_)) || text.contains("nexpected end");
+    if cut {
+        DecodeError::Truncated { format: "PNG", bytes: bytes.len() }
+    } else {
+        DecodeError::Malformed { format: "PNG", reason: text.lines().next().unwrap_or_default().to_owned() }
+    }
+}
+
+fn luma_from_picture(picture: &DynamicImage, luma: &mut GrayImage) -> Result<(), DecodeError> {
+    luma.reshape(picture.width() as usize, picture.height() as usize);
+    match picture {
+        DynamicImage::ImageLuma8(grey) => luma.pixels_mut().copy_from_slice(grey),
+        DynamicImage::ImageLuma16(grey) => {
+            for (value, out) in grey.iter().zip(luma.pixels_mut()) {
+                *out = (value >> 8) as u8;
+            }
+        }
+        DynamicImage::ImageRgb8(rgb) => luma_row_from_rgb(rgb, luma.pixels_mut()),
+        other => luma_row_from_rgb(&other.to_rgb8(), luma.pixels_mut()),
+    }
+    Ok(())
+}
+
+fn luma_from_rows(frame: &Frame, luma: &mut GrayImage, convert: fn(&[u8], &mut [u8])) -> Result<(), DecodeError> {
+    let rows = rows_of(frame)?;
+    luma.reshape(frame.size.width as usize, frame.size.height as usize);
+    let width = luma.width().max(1);
+    for (row, out) in rows.zip(luma.pixels_mut().chunks_exact_mut(width)) {
+        convert(row, out);
+    }
+    Ok(())
+}
+
+fn rgb_from_rows(frame: &Frame, convert: fn(&[u8], &mut [u8])) -> Result<RgbImage, DecodeError> {
+    let rows = rows_of(frame)?;
+    let width = frame.size.width as usize;
+    let mut pixels = vec![0; width * frame.size.height as usize * 3];
+    for (row, out) in rows.zip(pixels.chunks_exact_mut((width * 3).max(1))) {
+        convert(row, out);
+    }
+    rgb_image(frame.size, pixels)
+}
+
+fn rgb_image(size: ImageSize, pixels: Vec<u8>) -> Result<RgbImage, DecodeError> {
+    RgbImage::from_raw(size.width, size.height, pixels).ok_or(DecodeError::TooLarge { size })
+}
+
+/// The rows of an uncompressed frame, without their padding.
+pub(super) fn rows_of(frame: &Frame) -> Result<impl Iterator<Item = &[u8]>, DecodeError> {
+    let wrong_kind = DecodeError::WrongKind { format: frame.format.name(), wanted: "uncompressed rows" };
+    let bytes_per_pixel = frame.format.bytes_per_pixel().ok_or(wrong_kind)?;
+    check_size(frame.size)?;
+    let row = frame.size.width as usize * bytes_per_pixel;
+    let needed = buffer_length(frame.size, frame.stride, bytes_per_pixel);
+    if frame.stride < row || frame.bytes.len() < needed {
+        let (size, format, stride, bytes) = (frame.size, frame.format.name(), frame.stride, frame.bytes.len());
+        return Err(DecodeError::Buffer { size, format, stride, needed, bytes });
+    }
+    Ok((0..frame.size.height as usize).map(move |y| &frame.bytes[y * frame.stride..y * frame.stride + row]))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::imaging::frame::SensorKind;
+
+    fn frame(format: PixelFormat, size: ImageSize, stride: usize, bytes: &[u8]) -> Frame {
+        Frame { sensor: SensorKind::Color, size, format, stride, bytes: Arc::from(bytes) }
+    }
+
+    fn file(format: PixelFormat, bytes: &[u8]) -> Frame {
+        frame(format, file_size(bytes).unwrap_or(ImageSize::new(0, 0)), 0, bytes)
+    }
+
+    fn luma_of(frame: &Frame) -> Result<GrayImage, DecodeError> {
+        let mut image = GrayImage::default();
+        luma(frame, &mut image).map(|()| image)
+    }
+
+    fn ramp(width: usize, height: usize) -> GrayImage {
+        let pixels = (0..width * height).map(|k| (40 + 2 * (k % width) + 3 * (k / width)).min(250) as u8).collect();
+        GrayImage::from_pixels(width, height, pixels).unwrap()
+    }
+
+    fn png(image: &DynamicImage) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn jpeg_round_trip_in_grey_and_colour() {
+        for (width, height) in [(1, 1), (7, 5), (8, 8), (33, 17), (64, 48)] {
+            let image = ramp(width, height);
+            let grey = luma_of(&file(PixelFormat::Jpeg, &encode_jpeg(image.view(), 95))).unwrap();
+            assert_eq!(grey.size(), image.size());
+            let rgb_in = RgbImage::from_fn(width as u32, height as u32, |x, y| {
+                let v = image.row(y as usize)[x as usize];
+                image::Rgb([v, v, v])
+            });
+            let colored = file(PixelFormat::Jpeg, &encode_jpeg_rgb(&rgb_in, 95));
+            let from_color = luma_of(&colored).unwrap();
+            let rgb_out = rgb(&colored).unwrap();
+            for (k, value) in image.pixels().iter().enumerate() {
+                assert!(grey.pixels()[k].abs_diff(*value) <= 3, "{width}x{height} at {k}");
+                assert!(from_color.pixels()[k].abs_diff(*value) <= 3, "{width}x{height} at {k}");
+                assert!(rgb_out.as_raw()[3 * k].abs_diff(*value) <= 4, "{width}x{height} at {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_has_the_same_luma_whichever_way_it_comes() {
+        let rgb_in = RgbImage::from_fn(6, 2, |x, y| image::Rgb([(40 * x) as u8, (90 * y) as u8, 200]));
+        let expected: Vec<u8> =
+            rgb_in.pixels().map(|p| crate::imaging::pixel_format::luma_from_rgb(p[0], p[1], p[2])).collect();
+        let as_png = luma_of(&file(PixelFormat::Png, &png(&rgb_in.clone().into()))).unwrap();
+        assert_eq!(as_png.pixels(), expected);
+        let with_alpha = DynamicImage::from(rgb_in.clone()).into_rgba8();
+        assert_eq!(luma_of(&file(PixelFormat::Png, &png(&with_alpha.into()))).unwrap().pixels(), expected);
+        let raw = frame(PixelFormat::Rgb8, ImageSize::new(6, 2), 18, rgb_in.as_raw());
+        assert_eq!(luma_of(&raw).unwrap().pixels(), expected);
+        let deep = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(2, 1, vec![0x1234, 0xff00]).unwrap();
+        assert_eq!(luma_of(&file(PixelFormat::Png, &png(&deep.into()))).unwrap().pixels(), [0x12, 0xff]);
+    }
+
+    #[test]
+    fn padding_between_rows_is_left_out() {
+        let bytes = [10, 128, 20, 128, 99, 99, 30, 128, 40, 128];
+        let yuyv = luma_of(&frame(PixelFormat::Yuyv, ImageSize::new(2, 2), 6, &bytes)).unwrap();
+        assert_eq!(yuyv.pixels(), [10, 20, 30, 40]);
+        let mono = luma_of(&frame(PixelFormat::Mono8, ImageSize::new(4, 2), 6, &bytes)).unwrap();
+        assert_eq!(mono.pixels(), [10, 128, 20, 128, 30, 128, 40, 128]);
+        let rgb_out = rgb(&frame(PixelFormat::Yuyv, ImageSize::new(2, 2), 6, &bytes)).unwrap();
+        assert_eq!(rgb_out.as_raw(), &[10, 10, 10, 20, 20, 20, 30, 30, 30, 40, 40, 40]);
+    }
+
+    #[test]
+    fn a_file_cut_anywhere_is_refused_and_never_panics() {
+        let jpeg = encode_jpeg(ramp(64, 48).view(), 90);
+        for cut in 0..jpeg.len() - 3 {
+            let error = luma_of(&file(PixelFormat::Jpeg, &jpeg[..cut])).unwrap_err();
+            assert!(!error.to_string().contains('\n'), "{error}");
+        }
+        let png = png(&ramp_rgb().into());
+        for cut in 0..png.len() - 13 {
+            assert!(luma_of(&file(PixelFormat::Png, &png[..cut])).is_err(), "at {cut} of {}", png.len());
+        }
+    }
+
+    fn ramp_rgb() -> RgbImage {
+        RgbImage::from_fn(20, 15, |x, y| image::Rgb([(x * 12) as u8, (y * 16) as u8, (x * y) as u8]))
+    }
+
+    #[test]
+    fn any_byte_may_be_wrong_without_a_panic() {
+        for whole in [encode_jpeg(ramp(24, 16).view(), 80), png(&ramp_rgb().into())] {
+            for at in 0..whole.len() {
+                for value in [0, 0xff, whole[at] ^ 0x10] {
+                    let mut bytes = whole.clone();
+                    bytes[at] = value;
+                    let format = PixelFormat::of_file(&bytes).unwrap_or(PixelFormat::Jpeg);
+                    let _ = luma_of(&file(format, &bytes));
+                    let _ = rgb(&file(format, &bytes));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_header_that_promises_too_much_is_refused_before_anything_is_allocated() {
+        let mut jpeg = encode_jpeg(ramp(8, 8).view(), 90);
+        let at = jpeg.windows(2).position(|pair| pair == [0xff, 0xc0]).unwrap();
+        jpeg[at + 5..at + 9].copy_from_slice(&[0x37, 0x1b, 0x37, 0x1b]);
+        let mut png = png(&ramp_rgb().into());
+        png[16..24].copy_from_slice(&[0, 0, 0x37, 0x1b, 0, 0, 0x37, 0x1b]);
+        for (format, bytes) in [(PixelFormat::Jpeg, &jpeg), (PixelFormat::Png, &png)] {
+            let error = luma_of(&file(format, bytes)).unwrap_err();
+            assert_eq!(error, DecodeError::TooLarge { size: ImageSize::new(14107, 14107) });
+        }
+    }
+
+    #[test]
+    fn buffers_that_are_too_short_are_refused() {
+        let size = ImageSize::new(4, 2);
+        for (format, stride, length) in [
+            (PixelFormat::Mono8, 4, 7),
+            (PixelFormat::Mono8, 3, 8),
+            (PixelFormat::Yuyv, 8, 15),
+            (PixelFormat::Rgb8, 12, 23),
+        ] {
+            let error = luma_of(&frame(format, size, stride, &vec![0; length])).unwrap_err();
+            assert!(matches!(error, DecodeError::Buffer { .. }), "{error}");
+        }
+        let depth = frame(PixelFormat::Depth16, size, 8, &[0; 16]);
+        assert!(matches!(luma_of(&depth), Err(DecodeError::WrongKind { .. })));
+    }
+}
