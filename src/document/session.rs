@@ -58,7 +58,7 @@ impl TryFrom<&StartDocument> for SessionRequest {
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishDocument {
-    /// The worst predicted 1-σ reprojection uncertainty over the image that is good enough, in pixels.
+    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough, in pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty_px: Option<f64>,
     /// Not before so many views are kept.
