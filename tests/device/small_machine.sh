@@ -4,7 +4,7 @@
 #   small_machine.sh prepare                                    make it: packages, kernel, modules, initramfs; quick when done
 #   small_machine.sh run [-t SECONDS] [-m 'MODULE ARGS']… -- PROGRAM ARGS…
 #
-# QEMU boots Debian's own kernel (hardware virtualisation where /dev/kvm allows it), loads the modules and runs PROGRAM on
+# QEMU boots Debian's own kernel (in software: no KVM is needed), loads the modules and runs PROGRAM on
 # the host's root file system, which the guest sees read-only. Writable in the guest: /run, and /run/out, which is
 # $SMALL_MACHINE_OUT on the host. In the guest `/run/machine/modprobe NAME ARGS` loads another module.
 # Output and exit status are PROGRAM's own; 124: no end in time; 125: the guest died; 126: a module did not load.
@@ -21,10 +21,11 @@ prepare() {
   mkdir -p "$HOME_DIR"
   exec 9>"$HOME_DIR/lock"; flock 9
   local missing=() package
-  for package in "${PACKAGES[@]}"; do dpkg -s "$package" >/dev/null 2>&1 || missing+=("$package"); done
+  for package in "${PACKAGES[@]}"; do installed "$package" || missing+=("$package"); done
   if [ ${#missing[@]} -eq 0 ] && [ "$(cat "$HOME_DIR/made" 2>/dev/null)" = "$RECIPE" ]; then return 0; fi
   local log=$HOME_DIR/prepare.log
-  apt-get update -qq >"$log" 2>&1 || true
+  dpkg --configure -a >"$log" 2>&1 || true  # an installation that was cut off
+  apt-get update -qq >>"$log" 2>&1 || true
   local image version
   image=$(apt-cache depends linux-image-amd64 | awk '$1 == "Depends:" { print $2; exit }')
   [ -n "$image" ] || fail "the package index knows no linux-image-amd64 (see $log)"
@@ -42,6 +43,8 @@ prepare() {
   rm -rf "$tree"
   echo "$RECIPE" >"$HOME_DIR/made"
 }
+
+installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
 
 unpack_kernel() {
   local image=$1 tree=$2
@@ -113,7 +116,7 @@ run() {
   out=${SMALL_MACHINE_OUT:-$(mktemp -d /tmp/small-machine.XXXXXX)}
   mkdir -p "$out"; rm -f "$out/status"
   command_file "$out" "${modules[@]+"${modules[@]}"}" -- "$@"
-  timeout -k 5 "$seconds" qemu-system-x86_64 -M pc -accel kvm -accel tcg,thread=multi -cpu max -m "${SMALL_MACHINE_MB:-1024}" -smp 2 \
+  timeout -k 5 "$seconds" qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -m "${SMALL_MACHINE_MB:-1024}" -smp 2 \
     -kernel "$HOME_DIR/vmlinuz" -initrd "$HOME_DIR/initramfs" \
     -append 'console=ttyS0 quiet panic=-1 reboot=t mitigations=off random.trust_cpu=on' \
     -display none -monitor none -no-reboot -net none -serial "file:$out/console.log" -serial stdio \
