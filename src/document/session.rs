@@ -105,6 +105,18 @@ pub enum SessionStateName {
     Aborted,
 }
 
+impl From<SessionStateName> for SessionState {
+    fn from(name: SessionStateName) -> Self {
+        match name {
+            SessionStateName::Collecting => Self::Collecting,
+            SessionStateName::Solving => Self::Solving,
+            SessionStateName::Finished => Self::Finished,
+            SessionStateName::Failed => Self::Failed,
+            SessionStateName::Aborted => Self::Aborted,
+        }
+    }
+}
+
 impl From<SessionState> for SessionStateName {
     fn from(state: SessionState) -> Self {
         match state {
@@ -207,9 +219,46 @@ impl From<&SessionRecord> for SessionDocument {
             rejected: rejected_counts(&record.rejected),
             coverage: (&record.coverage).into(),
             guidance: (&record.guidance).into(),
-            estimate: record.estimate.as_ref().map(EstimateDocument::from),
+            estimate: record.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
             calibration: record.calibration.clone(),
         }
+    }
+}
+
+/// Whether a document can say it: JSON has no number for infinity.
+fn is_finite(estimate: &RunningEstimate) -> bool {
+    let uncertainty = estimate.uncertainty_px;
+    let figures = [estimate.rms_px, uncertainty.center, uncertainty.median, uncertainty.worst];
+    figures.into_iter().chain(estimate.lens.parameters()).all(f64::is_finite)
+}
+
+impl SessionDocument {
+    /// The record it came from; `collecting_s` is what the document does not tell: seconds of frame time spent collecting.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] naming the field that cannot be.
+    pub fn to_record(&self, collecting_s: f64) -> Result<SessionRecord, DocumentError> {
+        let finish = Some(self.finish).filter(|finish| *finish != FinishDocument::default());
+        let start = StartDocument { target: self.target, lens: self.lens, finish };
+        let estimate = self.estimate.as_ref().map(RunningEstimate::try_from).transpose();
+        Ok(SessionRecord {
+            id: self.id.clone(),
+            camera: self.camera.clone(),
+            request: (&start).try_into()?,
+            state: self.state.into(),
+            reason: self.reason.clone(),
+            started_at_ns: time::utc_ns(self.started_at),
+            finished_at_ns: self.finished_at.map(time::utc_ns),
+            frames_seen: self.frames_seen,
+            boards_seen: self.boards_seen,
+            views_kept: self.views_kept,
+            rejected: Rejections::from_counts(self.rejected.iter().map(|(kind, count)| (kind.as_str(), *count))),
+            collecting_s,
+            coverage: self.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
+            guidance: self.guidance.clone().into(),
+            estimate: estimate.map_err(|e| e.inside("estimate"))?,
+            calibration: self.calibration.clone(),
+        })
     }
 }
 
