@@ -6,9 +6,7 @@
 //!
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
-pub mod export;
 pub mod failure;
-pub mod files;
 pub mod length;
 pub mod output;
 pub mod progress;
@@ -30,14 +28,10 @@ struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {
-    Export(export::Args),
-}
+enum Command {}
 
 fn dispatch(command: Command) -> Result<(), Failure> {
-    match command {
-        Command::Export(args) => export::run(&args),
-    }
+    match command {}
 }
 
 /// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong in one line on stderr.

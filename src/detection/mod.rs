@@ -3,4 +3,3 @@
 //! **May miss, never mislabels.**
 
 pub mod board_detection;
-pub mod refine;

@@ -1,3 +1,27 @@
 //! Numbers in, an estimate with its uncertainty out. Pure; uses geometry.
+//!
+//! | question | where |
+//! | --- | --- |
+//! | what is given | [`problem`] |
+//! | one camera, lens and poses, from views of a board | [`camera`] |
+//! | a start without any guess | [`zhang`] (closed form), `start` |
+//! | the least-squares problem itself | `joint` |
+//! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
+//! | whether the model is right at all | [`model_check`] |
+//! | how far to trust a projection | [`uncertainty`] |
+//! | which lens model | [`lens_choice`] |
+//! | why there is no answer | [`error`] |
 
+pub mod camera;
+pub mod error;
+mod joint;
+pub mod lens_choice;
+pub mod model_check;
+pub(crate) mod planar_pose;
 pub mod problem;
+mod robust;
+mod robust_fit;
+mod start;
+pub mod uncertainty;
+pub mod view_fault;
+pub mod zhang;

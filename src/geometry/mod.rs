@@ -12,6 +12,7 @@
 
 pub mod board;
 pub mod camera_matrix;
+pub mod homography;
 pub mod lens;
 pub mod pixel;
 pub mod polynomial;

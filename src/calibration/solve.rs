@@ -1,0 +1,108 @@
+//! The solve of one camera: an estimate with its checks and its verdict, as documents show it.
+
+use crate::calibration::calibration::{
+    CalibratedView, Checks, ComparedLens, ProjectionUncertainty, SensorCalibration, Verdict,
+};
+use crate::calibration::coverage::Coverage;
+use crate::calibration::verdict;
+use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera};
+use crate::estimation::error::EstimationError;
+use crate::estimation::problem::CameraProblem;
+use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
+
+/// A solved camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SolvedCamera {
+    /// What the calibration says of the sensor.
+    pub sensor: SensorCalibration,
+    /// How it does beyond the views it was fitted to.
+    pub checks: Checks,
+    /// How far to trust it.
+    pub verdict: Verdict,
+    /// The estimate itself: residuals, covariances, and what to start from when views are added.
+    pub estimate: CameraEstimate,
+}
+
+/// Columns of the grid that uncertainty is summed up over.
+const UNCERTAINTY_COLUMNS: u32 = 16;
+
+/// Calibrates a camera from `problem`, checks the result, and says how far to trust it.
+///
+/// # Errors
+/// As [`calibrate_camera`].
+pub fn solve_views(problem: &CameraProblem, options: &CameraOptions) -> Result<SolvedCamera, EstimationError> {
+    let (estimate, model_check) = calibrate_and_check(problem, options)?;
+    let coverage = corner_coverage(problem, &estimate);
+    let checks = Checks {
+        split_half_ratio: model_check.split_half_ratio,
+        held_out_rms_px: model_check.held_out_rms_px,
+        outlier_fraction: estimate.outlier_fraction(),
+        coverage: coverage.fraction(),
+    };
+    let sensor = sensor_calibration(&estimate);
+    let verdict = verdict::judge(&estimate, &sensor, &model_check, &coverage);
+    Ok(SolvedCamera { sensor, checks, verdict, estimate })
+}
+
+/// The running estimate of a session: as [`solve_views`], without the checks.
+///
+/// # Errors
+/// As [`calibrate_camera`].
+pub fn estimate_views(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, ProjectionUncertainty), EstimationError> {
+    let estimate = calibrate_camera(problem, options)?;
+    let uncertainty = summary(&estimate);
+    Ok((estimate, uncertainty))
+}
+
+/// The predicted 1-σ projection uncertainty over the image at `distance`, on a grid with `columns` along its longer side.
+pub fn uncertainty_map(estimate: &CameraEstimate, columns: u32, distance: Distance) -> Option<UncertaintyMap> {
+    let grid = PixelGrid::over(estimate.image_size, columns);
+    projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, distance)
+}
+
+fn summary(estimate: &CameraEstimate) -> ProjectionUncertainty {
+    let map = uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
+    let figures = map.and_then(|map| Some((map.center()?, map.median_and_worst()?)));
+    let (center, (median, worst)) = figures.unwrap_or((f64::INFINITY, (f64::INFINITY, f64::INFINITY)));
+    ProjectionUncertainty { center, median, worst }
+}
+
+fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
+    let view = |view: &crate::estimation::camera::ViewEstimate| CalibratedView {
+        name: view.name.clone(),
+        used: view.fault.is_none(),
+        reason: view.fault.map(|fault| fault.to_string()),
+        rms_px: view.rms_px.filter(|rms| rms.is_finite()),
+        camera_from_board: view.camera_from_board,
+    };
+    let compared = |trial: &crate::estimation::lens_choice::LensTrial| ComparedLens {
+        model: trial.model,
+        held_out_rms_px: trial.held_out_rms_px,
+    };
+    SensorCalibration {
+        image_size: estimate.image_size,
+        lens: estimate.lens,
+        lens_std: estimate.lens_std(),
+        rms_px: estimate.rms_px,
+        uncertainty_px: summary(estimate),
+        views: estimate.views.iter().map(view).collect(),
+        compared: estimate.compared.iter().map(compared).collect(),
+    }
+}
+
+/// Where in the image the corners were seen that took part.
+fn corner_coverage(problem: &CameraProblem, estimate: &CameraEstimate) -> Coverage {
+    let mut cells = Coverage::empty(problem.image_size).cells().to_vec();
+    let grid = Coverage::empty(problem.image_size);
+    for (view, estimated) in problem.views.iter().zip(&estimate.views) {
+        for (corner, used) in view.correspondences.iter().zip(&estimated.used) {
+            if let Some((row, col)) = grid.cell_of(corner.pixel, problem.image_size).filter(|_| *used) {
+                cells[row][col] += 1;
+            }
+        }
+    }
+    Coverage::from_cells(cells).unwrap_or(grid)
+}

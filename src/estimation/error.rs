@@ -1,0 +1,107 @@
+//! Why an estimate could not be made. What concerns one view only is not an error but that view's
+//! [`crate::estimation::view_fault::ViewFault`].
+
+/// Why there is no estimate, and what would help.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum EstimationError {
+    /// The image has no area.
+    #[error(
+        "an image of {width}x{height} pixels cannot be calibrated: give the size of the images that the pixels were measured in"
+    )]
+    ImageSize {
+        /// Its width.
+        width: u32,
+        /// Its height.
+        height: u32,
+    },
+    /// NaN or infinite.
+    #[error("view `{view}`, point {point}: {what} is not a finite number; correct it or leave the point out")]
+    NotFinite {
+        /// The view's name.
+        view: String,
+        /// Which point of the view, counted from 0.
+        point: usize,
+        /// Which of its numbers.
+        what: &'static str,
+    },
+    /// A standard deviation of 0 or less.
+    #[error("view `{view}`, point {point}: a standard deviation of {std_px} px is impossible; give a positive one")]
+    Std {
+        /// The view's name.
+        view: String,
+        /// Which point of the view, counted from 0.
+        point: usize,
+        /// What was given.
+        std_px: f64,
+    },
+    /// A given parameter that the lens does not have.
+    #[error("a {model} lens has no parameter `{name}`: give one of {known}")]
+    UnknownParameter {
+        /// The lens model.
+        model: crate::geometry::lens::LensModel,
+        /// What was given.
+        name: String,
+        /// What it has.
+        known: String,
+    },
+    /// A given parameter that is not a number, or a focal length that is not positive.
+    #[error("{name} cannot be {value}: give a finite number, positive for a focal length")]
+    GivenValue {
+        /// Its name.
+        name: String,
+        /// What was given.
+        value: f64,
+    },
+    /// Not enough views to determine the lens.
+    #[error(
+        "{usable} usable views are too few: {needed} are needed, with the board turned differently in each{rejected}"
+    )]
+    TooFewViews {
+        /// Views that could be used.
+        usable: usize,
+        /// How many it takes.
+        needed: usize,
+        /// Which views could not be used and why, as `; view: reason`, or nothing.
+        rejected: String,
+    },
+    /// The board was never turned.
+    #[error(
+        "the board is parallel to itself in all views, which leaves the focal length open: tilt it by 20 to 45 degrees in different directions"
+    )]
+    ParallelViews,
+    /// B of Zhang's method is not positive definite.
+    #[error(
+        "no camera matrix fits these homographies: the lens bends the picture too strongly for the closed form, or corners are mislabelled"
+    )]
+    NoCameraMatrix,
+    /// No start led to a plausible camera.
+    #[error(
+        "no plausible camera fits these views: check the order of the corners, the board's size in corners, and the image size"
+    )]
+    NoFit,
+    /// Something is left undetermined by these views.
+    #[error(
+        "these views leave {parameter} open (its standard deviation is {std:.3e} at a value of {value:.3e}): {remedy}"
+    )]
+    Undetermined {
+        /// The weakest parameter's name.
+        parameter: &'static str,
+        /// Its estimate.
+        value: f64,
+        /// Its standard deviation.
+        std: f64,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// A direct linear transform needs six points in space.
+    #[error("{points} points are too few for a direct linear transform: give at least 6 that do not lie on one plane")]
+    TooFewPoints {
+        /// How many were given.
+        points: usize,
+    },
+    /// The points lie on a plane, a line, or with the camera on a surface that determines no projection.
+    #[error(
+        "the points lie on one plane (or nearly), which determines no projection matrix: add points at other depths, or give several views of the plane and leave out the method"
+    )]
+    Coplanar,
+}

@@ -1,0 +1,69 @@
+//! Which parameters of a lens are estimated, and which are given.
+
+use nalgebra::DMatrix;
+
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::error::EstimationError;
+use crate::geometry::lens::{Lens, LensModel};
+
+/// Which parameters of a lens are estimated.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct FreeLens {
+    pub(crate) model: LensModel,
+    /// Indices into [`Lens::parameters`]; with `square_pixels`, fx stands for fx and fy.
+    pub(crate) free: Vec<usize>,
+    /// fx and fy are one parameter.
+    pub(crate) square_pixels: bool,
+}
+
+/// Parameters with known values, by their index.
+pub(crate) struct Given(Vec<(usize, f64)>);
+
+impl Given {
+    /// Sets them in a lens.
+    pub(crate) fn apply(&self, lens: &mut Lens) -> Option<()> {
+        let mut parameters = lens.parameters();
+        for (index, value) in &self.0 {
+            parameters[*index] = *value;
+        }
+        *lens = Lens::from_parameters(lens.model(), &parameters)?;
+        Some(())
+    }
+}
+
+impl FreeLens {
+    /// What `options` leave free of a lens of `model`.
+    pub(crate) fn from_options(model: LensModel, options: &CameraOptions) -> Result<(Self, Given), EstimationError> {
+        let names = Lens::parameter_names(model);
+        let mut given = Vec::new();
+        for (name, value) in &options.given {
+            let unknown = || EstimationError::UnknownParameter { model, name: name.clone(), known: names.join(", ") };
+            let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
+            if !value.is_finite() || (index < 2 && *value <= 0.0) {
+                return Err(EstimationError::GivenValue { name: name.clone(), value: *value });
+            }
+            given.push((index, *value));
+        }
+        let is_given = |index: usize| given.iter().any(|(known, _)| *known == index);
+        let square_pixels = options.square_pixels && !is_given(0) && !is_given(1);
+        let held = |index: usize| match index {
+            1 => square_pixels,
+            4 => !options.skew,
+            _ => false,
+        };
+        let free = (0..names.len()).filter(|index| !is_given(*index) && !held(*index)).collect();
+        Ok((Self { model, free, square_pixels }, Given(given)))
+    }
+
+    /// All parameters of the lens by the free ones.
+    pub(crate) fn spread(&self, lens: &Lens) -> DMatrix<f64> {
+        let mut spread = DMatrix::zeros(lens.parameters().len(), self.free.len());
+        for (column, index) in self.free.iter().enumerate() {
+            spread[(*index, column)] = 1.0;
+            if self.square_pixels && *index == 0 {
+                spread[(1, column)] = 1.0;
+            }
+        }
+        spread
+    }
+}

@@ -1,0 +1,89 @@
+//! Levenberg–Marquardt: damping by the gain ratio, the actual over the predicted decrease of the cost.
+//!
+//! K. Madsen, H. B. Nielsen, O. Tingleff, *Methods for non-linear least squares problems*, 2004, section 3.2, with
+//! Marquardt's scaling by the diagonal.
+
+use crate::estimation::joint::normal::{NormalEquations, linearize};
+use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::robust::Loss;
+
+/// When to stop.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Stop {
+    /// Steps at most. Default: 50.
+    pub(crate) max_steps: usize,
+    /// The predicted decrease of the cost, in units of one residual's mean cost, below which there is nothing left to
+    /// gain: a decrease of d is √d standard deviations of the estimate. Default: 1e-8.
+    pub(crate) decrease: f64,
+    /// Damping of the first step. Default: 1e-3.
+    pub(crate) lambda: f64,
+}
+
+impl Default for Stop {
+    fn default() -> Self {
+        Self { max_steps: 50, decrease: 1e-8, lambda: 1e-3 }
+    }
+}
+
+/// A state with the normal equations there.
+#[derive(Debug, Clone)]
+pub(crate) struct Minimum {
+    pub(crate) state: State,
+    pub(crate) equations: NormalEquations,
+    /// Linearisations, kept or not.
+    pub(crate) steps: usize,
+}
+
+/// Residuals this small (in standard deviations) are rounding: the data is exact.
+const EXACT: f64 = 1e-11;
+
+impl Minimum {
+    /// Where a walk from `start` begins. `None` where a corner that takes part cannot be projected.
+    pub(crate) fn start(layout: &Layout, start: State, sights: &[Sight], loss: Loss) -> Option<Self> {
+        let equations = linearize(layout, &start, sights, loss)?;
+        Some(Self { state: start, equations, steps: 1 })
+    }
+
+    /// Walks on to the nearest minimum.
+    pub(crate) fn descend(mut self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
+        let residual_count: usize = sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+        let (mut lambda, mut growth) = (stop.lambda, 2.0);
+        for _ in 0..stop.max_steps {
+            let mean_cost = self.equations.cost / residual_count.max(1) as f64;
+            if mean_cost < EXACT * EXACT {
+                break;
+            }
+            let step = self.equations.solve(lambda);
+            let predicted = step.as_ref().map_or(f64::INFINITY, |step| step.predicted_decrease);
+            if predicted <= stop.decrease * mean_cost {
+                break;
+            }
+            let trial = step.as_ref().and_then(|step| {
+                let state = self.state.stepped(layout, &step.global, &step.instants)?;
+                let equations = linearize(layout, &state, sights, loss)?;
+                Some((state, equations))
+            });
+            self.steps += 1;
+            match trial {
+                Some((state, equations)) if equations.cost <= self.equations.cost => {
+                    let gain = (self.equations.cost - equations.cost) / predicted;
+                    (self.state, self.equations) = (state, equations);
+                    lambda =
+                        if gain > 0.75 { lambda * 0.1 } else { lambda * (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1) };
+                    if lambda < 1e-9 {
+                        lambda = 0.0;
+                    }
+                    growth = 2.0;
+                }
+                _ => {
+                    lambda = lambda.max(1e-6) * growth;
+                    growth *= 2.0;
+                }
+            }
+            if lambda > 1e12 {
+                break;
+            }
+        }
+        self
+    }
+}

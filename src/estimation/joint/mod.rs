@@ -1,0 +1,154 @@
+//! The one least-squares problem behind every calibration: sensors × lenses × sensor-to-rig poses × board poses per
+//! instant × an optional warp of the board.
+//!
+//! ```text
+//! p = sensor_from_rig · rig_from_board · (X + warp)      residual = (lens(p) − pixel) / std
+//! ```
+//!
+//! | term | where |
+//! | --- | --- |
+//! | which parameters are free, and where each lies in the vector | [`Layout`] |
+//! | residuals, their derivatives, the loss | `linearize` |
+//! | normal equations, board poses eliminated (Schur complement) | `normal` |
+//! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
+//!
+//! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative to a common centre, so
+//! that a pose's rotation and translation hardly depend on each other. Cost per iteration is linear in the number of
+//! views; no result depends on threads.
+
+pub(crate) mod free_lens;
+pub(crate) mod linearize;
+pub(crate) mod minimize;
+pub(crate) mod normal;
+
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+
+pub(crate) use crate::estimation::joint::free_lens::FreeLens;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::Pixel;
+use crate::geometry::pose::Pose;
+
+/// What one sensor saw of the board at one instant.
+#[derive(Debug, Clone)]
+pub(crate) struct Sight {
+    pub(crate) sensor: usize,
+    pub(crate) instant: usize,
+    /// In the board frame, relative to the problem's centre.
+    pub(crate) points: Vec<Point3<f64>>,
+    pub(crate) pixels: Vec<Pixel>,
+    /// 1 over each corner's relative standard deviation, in 1/px.
+    pub(crate) inverse_std: Vec<f64>,
+    /// Whether each corner takes part.
+    pub(crate) used: Vec<bool>,
+}
+
+/// The values of all parameters.
+#[derive(Debug, Clone)]
+pub(crate) struct State {
+    pub(crate) lenses: Vec<Lens>,
+    pub(crate) sensor_from_rig: Vec<Pose>,
+    pub(crate) rig_from_board: Vec<Pose>,
+    /// The board's bow along x and y, in metres at its middle.
+    pub(crate) warp: [f64; 2],
+}
+
+/// Where each global parameter lies: for each sensor its lens, for each but the first its pose; then the warp.
+#[derive(Debug, Clone)]
+pub(crate) struct Layout {
+    pub(crate) sensors: Vec<SensorLayout>,
+    /// The offset of the two warp parameters, and the board's half extents in metres along x and y.
+    pub(crate) warp: Option<(usize, [f64; 2])>,
+    /// How many global parameters there are.
+    pub(crate) len: usize,
+}
+
+/// Where the parameters of one sensor lie.
+#[derive(Debug, Clone)]
+pub(crate) struct SensorLayout {
+    pub(crate) lens: FreeLens,
+    pub(crate) lens_at: usize,
+    /// `None` for the sensor that is the rig's own frame.
+    pub(crate) pose_at: Option<usize>,
+}
+
+impl Layout {
+    pub(crate) fn new(lenses: Vec<FreeLens>, warp_half_extent: Option<[f64; 2]>) -> Self {
+        let mut len = 0;
+        let mut take = |n: usize| {
+            let at = len;
+            len += n;
+            at
+        };
+        let sensors = lenses
+            .into_iter()
+            .enumerate()
+            .map(|(index, lens)| {
+                let lens_at = take(lens.free.len());
+                let pose_at = (index > 0).then(|| take(6));
+                SensorLayout { lens, lens_at, pose_at }
+            })
+            .collect();
+        let warp = warp_half_extent.map(|extent| (take(2), extent));
+        Self { sensors, warp, len }
+    }
+}
+
+impl State {
+    /// The pose of the board in a sensor's frame.
+    pub(crate) fn sensor_from_board(&self, sensor: usize, instant: usize) -> Pose {
+        if sensor == 0 {
+            self.rig_from_board[instant]
+        } else {
+            self.sensor_from_rig[sensor] * self.rig_from_board[instant]
+        }
+    }
+
+    /// (projected − observed) / std of each corner of a sight; infinite where nothing is projected.
+    pub(crate) fn residuals(&self, sight: &Sight) -> Vec<[f64; 2]> {
+        let sensor_from_board = self.sensor_from_board(sight.sensor, sight.instant);
+        let lens = &self.lenses[sight.sensor];
+        let corners = sight.points.iter().zip(&sight.pixels).zip(&sight.inverse_std);
+        corners
+            .map(|((point, observed), inverse_std)| match lens.pixel_from_point(&(sensor_from_board * *point)) {
+                Some(pixel) => [(pixel.x - observed.x) * inverse_std, (pixel.y - observed.y) * inverse_std],
+                None => [f64::INFINITY; 2],
+            })
+            .collect()
+    }
+
+    /// The state after a step: `global` in the order of `layout`, `instants` six numbers each. `None` where a lens
+    /// parameter leaves the finite numbers.
+    pub(crate) fn stepped(&self, layout: &Layout, global: &[f64], instants: &[[f64; 6]]) -> Option<Self> {
+        let mut next = self.clone();
+        for (sensor, at) in layout.sensors.iter().enumerate() {
+            let mut parameters = self.lenses[sensor].parameters();
+            for (k, index) in at.lens.free.iter().enumerate() {
+                parameters[*index] += global[at.lens_at + k];
+            }
+            if at.lens.square_pixels {
+                parameters[1] = parameters[0];
+            }
+            let positive = parameters[0] > 0.0 && parameters[1] > 0.0;
+            if !positive || !parameters.iter().all(|p| p.is_finite()) {
+                return None;
+            }
+            next.lenses[sensor] = Lens::from_parameters(at.lens.model, &parameters)?;
+            if let Some(pose_at) = at.pose_at {
+                next.sensor_from_rig[sensor] = moved(&self.sensor_from_rig[sensor], &global[pose_at..pose_at + 6]);
+            }
+        }
+        if let Some((at, _)) = layout.warp {
+            next.warp = [self.warp[0] + global[at], self.warp[1] + global[at + 1]];
+        }
+        for (pose, step) in next.rig_from_board.iter_mut().zip(instants) {
+            *pose = moved(pose, step);
+        }
+        Some(next)
+    }
+}
+
+/// A pose after a small turn about its target's axes, exp(ω) R, and a shift t + τ; `step` is (ω, τ).
+pub(crate) fn moved(a_from_b: &Pose, step: &[f64]) -> Pose {
+    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+    Pose::new(turn * a_from_b.rotation(), a_from_b.translation() + Vector3::new(step[3], step[4], step[5]))
+}

@@ -1,0 +1,260 @@
+//! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6 block per instant, and
+//! what couples them. Instants are eliminated one by one (Schur complement), so cost is linear in their number.
+
+use nalgebra::{DMatrix, DVector, Matrix6};
+
+use crate::estimation::joint::linearize::{self, Columns, LocalEquations, linearize_sight};
+use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::robust::Loss;
+
+/// The normal equations of all sights at one state.
+#[derive(Debug, Clone)]
+pub(crate) struct NormalEquations {
+    /// Σ ρ of the loss over the corners that take part.
+    pub(crate) cost: f64,
+    pub(crate) global: DMatrix<f64>,
+    pub(crate) global_gradient: DVector<f64>,
+    pub(crate) instants: Vec<InstantBlock>,
+    /// Per sight, per corner: (projected − observed) / std; infinite where nothing is projected.
+    pub(crate) residuals: Vec<Vec<[f64; 2]>>,
+}
+
+/// The part of one instant.
+#[derive(Debug, Clone)]
+pub(crate) struct InstantBlock {
+    pub(crate) hessian: [[f64; 6]; 6],
+    pub(crate) gradient: [f64; 6],
+    /// Global × instant: row k couples global parameter k with the board's pose.
+    pub(crate) coupling: Vec<[f64; 6]>,
+}
+
+/// A step, and by how much it lowers the linearised cost.
+#[derive(Debug, Clone)]
+pub(crate) struct Step {
+    pub(crate) global: Vec<f64>,
+    pub(crate) instants: Vec<[f64; 6]>,
+    pub(crate) predicted_decrease: f64,
+}
+
+/// The normal equations at `state`; `None` where a corner that takes part cannot be projected.
+pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: Loss) -> Option<NormalEquations> {
+    let empty = InstantBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], coupling: vec![[0.0; 6]; layout.len] };
+    let mut equations = NormalEquations {
+        cost: 0.0,
+        global: DMatrix::zeros(layout.len, layout.len),
+        global_gradient: DVector::zeros(layout.len),
+        instants: vec![empty; state.rig_from_board.len()],
+        residuals: sights.iter().map(|sight| vec![[0.0; 2]; sight.points.len()]).collect(),
+    };
+    let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
+    for (index, sight) in sights.iter().enumerate() {
+        let results = (equations.residuals[index].as_mut_slice(), &mut local);
+        if !linearize_sight((layout, state), sight, loss, &mut columns, results) {
+            return None;
+        }
+        equations.cost += local.cost;
+        equations.add(layout, state, sight, &local);
+    }
+    for i in 0..layout.len {
+        for j in 0..i {
+            equations.global[(i, j)] = equations.global[(j, i)];
+        }
+    }
+    Some(equations)
+}
+
+impl NormalEquations {
+    fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
+        let at = &layout.sensors[sight.sensor];
+        let residual = local.columns - 1;
+        let pose = residual - 6;
+        let mut globals: Vec<usize> = (at.lens_at..at.lens_at + at.lens.free.len()).collect();
+        globals.extend(layout.warp.iter().flat_map(|(warp, _)| [*warp, warp + 1]));
+        for (i, gi) in globals.iter().enumerate() {
+            self.global_gradient[*gi] += local.product(i, residual);
+            for (j, gj) in globals.iter().enumerate().skip(i) {
+                self.global[(*gi, *gj)] += local.product(i, j);
+            }
+        }
+        let block = &mut self.instants[sight.instant];
+        let Some(pose_at) = at.pose_at else {
+            for a in 0..6 {
+                block.gradient[a] += local.product(pose + a, residual);
+                for b in 0..6 {
+                    block.hessian[a][b] += local.product(pose + a, pose + b);
+                }
+                for (i, gi) in globals.iter().enumerate() {
+                    block.coupling[*gi][a] += local.product(i, pose + a);
+                }
+            }
+            return;
+        };
+        // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
+        let (by_sensor, by_board) = chain(state, sight);
+        let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
+        let gradient = nalgebra::Vector6::from_fn(|a, _| local.product(pose + a, residual));
+        let (sensor_square, board_square) = (by_sensor.transpose() * square, by_board.transpose() * square * by_board);
+        let sensor_board = sensor_square * by_board;
+        let sensor_square = sensor_square * by_sensor;
+        let (sensor_gradient, board_gradient) = (by_sensor.transpose() * gradient, by_board.transpose() * gradient);
+        for a in 0..6 {
+            self.global_gradient[pose_at + a] += sensor_gradient[a];
+            block.gradient[a] += board_gradient[a];
+            for b in 0..6 {
+                block.hessian[a][b] += board_square[(a, b)];
+                block.coupling[pose_at + a][b] += sensor_board[(a, b)];
+                if b >= a {
+                    self.global[(pose_at + a, pose_at + b)] += sensor_square[(a, b)];
+                }
+            }
+        }
+        for (i, gi) in globals.iter().enumerate() {
+            let row = nalgebra::RowVector6::from_fn(|_, a| local.product(i, pose + a));
+            let (sensor_row, board_row) = (row * by_sensor, row * by_board);
+            for a in 0..6 {
+                let (low, high) = (*gi.min(&(pose_at + a)), *gi.max(&(pose_at + a)));
+                self.global[(low, high)] += sensor_row[a];
+                block.coupling[*gi][a] += board_row[a];
+            }
+        }
+    }
+
+    /// Solves (H + λ diag H) step = −gradient. `None` where the damped matrix is not positive definite.
+    pub(crate) fn solve(&self, lambda: f64) -> Option<Step> {
+        let size = self.global_gradient.len();
+        let mut schur = self.global.clone();
+        for k in 0..size {
+            schur[(k, k)] *= 1.0 + lambda;
+        }
+        let mut right = -&self.global_gradient;
+        let mut eliminated = Vec::with_capacity(self.instants.len());
+        for block in &self.instants {
+            let factor = cholesky6(&block.hessian, lambda)?;
+            let half: Vec<[f64; 6]> = block.coupling.iter().map(|row| forward6(&factor, row)).collect();
+            let half_gradient = forward6(&factor, &block.gradient);
+            for i in 0..size {
+                right[i] += dot6(&half[i], &half_gradient);
+                for j in 0..=i {
+                    schur[(i, j)] -= dot6(&half[i], &half[j]);
+                }
+            }
+            eliminated.push((factor, half, half_gradient));
+        }
+        let global = if size == 0 { right } else { schur.cholesky()?.solve(&right) };
+        let mut decrease = -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
+        let mut instants = Vec::with_capacity(self.instants.len());
+        for ((factor, half, half_gradient), block) in eliminated.iter().zip(&self.instants) {
+            let mut rest = half_gradient.map(|g| -g);
+            for (row, step) in half.iter().zip(global.iter()) {
+                for a in 0..6 {
+                    rest[a] -= row[a] * step;
+                }
+            }
+            let step = backward6(factor, &rest);
+            for (a, step) in step.iter().enumerate() {
+                decrease += step * (lambda * block.hessian[a][a] * step - block.gradient[a]);
+            }
+            instants.push(step);
+        }
+        let step = Step { global: global.iter().copied().collect(), instants, predicted_decrease: decrease };
+        decrease.is_finite().then_some(step)
+    }
+
+    /// The covariance of the global parameters for residuals of unit variance: the inverse of the Schur complement.
+    pub(crate) fn global_covariance(&self) -> Option<DMatrix<f64>> {
+        let size = self.global_gradient.len();
+        let mut schur = self.global.clone();
+        for block in &self.instants {
+            let factor = cholesky6(&block.hessian, 0.0)?;
+            let half: Vec<[f64; 6]> = block.coupling.iter().map(|row| forward6(&factor, row)).collect();
+            for i in 0..size {
+                for j in 0..=i {
+                    schur[(i, j)] -= dot6(&half[i], &half[j]);
+                }
+            }
+        }
+        // Parameters differ by orders of magnitude: invert in units of their own strength.
+        let unit = DVector::from_fn(size, |i, _| 1.0 / self.global[(i, i)].sqrt());
+        let scaled = DMatrix::from_fn(size, size, |i, j| schur[(i.max(j), i.min(j))] * unit[i] * unit[j]);
+        let inverse = scaled.cholesky()?.inverse();
+        let covariance = DMatrix::from_fn(size, size, |i, j| inverse[(i, j)] * unit[i] * unit[j]);
+        covariance.iter().all(|v| v.is_finite()).then_some(covariance)
+    }
+
+    /// The covariance of one instant's pose step (ω, τ), given that of the global parameters.
+    pub(crate) fn instant_covariance(&self, instant: usize, global: &DMatrix<f64>) -> Option<Matrix6<f64>> {
+        let block = &self.instants[instant];
+        let inverse = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky()?.inverse();
+        let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| block.coupling[k][a]);
+        let through = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]) * coupling;
+        let carried = &through * global * through.transpose();
+        Some(Matrix6::from_fn(|a, b| inverse[(a, b)] + carried[(a, b)]))
+    }
+}
+
+/// A and B of δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
+fn chain(state: &State, sight: &Sight) -> (Matrix6<f64>, Matrix6<f64>) {
+    let rotation = state.sensor_from_rig[sight.sensor].rotation_matrix();
+    let lever = rotation * state.rig_from_board[sight.instant].translation();
+    let mut by_sensor = Matrix6::identity();
+    by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-linearize::cross(&lever));
+    let mut by_board = Matrix6::zeros();
+    by_board.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    by_board.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    (by_sensor, by_board)
+}
+
+fn diagonal_form(matrix: &DMatrix<f64>, vector: &DVector<f64>) -> f64 {
+    (0..vector.len()).map(|k| matrix[(k, k)] * vector[k] * vector[k]).sum()
+}
+
+fn dot6(a: &[f64; 6], b: &[f64; 6]) -> f64 {
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
+}
+
+/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. An instant that nothing
+/// sees (A = 0) gets an L that solves to 0.
+fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
+    let mut factor = [[0.0; 6]; 6];
+    if matrix.iter().flatten().all(|v| *v == 0.0) {
+        return Some(factor);
+    }
+    for i in 0..6 {
+        for j in 0..=i {
+            let mut sum = matrix[i][j];
+            sum -= (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
+            if i == j {
+                sum += lambda * matrix[i][i];
+                if !(sum > 1e-14 * matrix[i][i]) {
+                    return None;
+                }
+                factor[i][i] = 1.0 / sum.sqrt();
+            } else {
+                factor[i][j] = sum * factor[j][j];
+            }
+        }
+    }
+    Some(factor)
+}
+
+fn forward6(factor: &[[f64; 6]; 6], right: &[f64; 6]) -> [f64; 6] {
+    let mut x = *right;
+    for i in 0..6 {
+        for k in 0..i {
+            x[i] -= factor[i][k] * x[k];
+        }
+        x[i] *= factor[i][i];
+    }
+    x
+}
+
+fn backward6(factor: &[[f64; 6]; 6], right: &[f64; 6]) -> [f64; 6] {
+    let mut x = *right;
+    for i in (0..6).rev() {
+        for k in i + 1..6 {
+            x[i] -= factor[k][i] * x[k];
+        }
+        x[i] *= factor[i][i];
+    }
+    x
+}

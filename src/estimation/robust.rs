@@ -1,0 +1,74 @@
+//! Which residuals to believe: scale from the median, losses that bound what a wrong corner can do.
+
+/// What a squared residual r² (in two dimensions, in standard deviations) costs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Loss {
+    /// r²: right when every residual is noise.
+    Squares,
+    /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964): convex, so a start far away is no trap.
+    Huber {
+        /// Where it turns linear.
+        scale: f64,
+    },
+}
+
+impl Loss {
+    /// ρ(r²) and the weight ρ'(r²) of iteratively reweighted least squares.
+    pub(crate) fn cost_and_weight(self, r2: f64) -> (f64, f64) {
+        match self {
+            Self::Squares => (r2, 1.0),
+            Self::Huber { scale } if r2 <= scale * scale => (r2, 1.0),
+            Self::Huber { scale } => (scale * (2.0 * r2.sqrt() - scale), scale / r2.sqrt()),
+        }
+    }
+}
+
+/// √(2 ln 2): the median of a two-dimensional Gaussian's length, in standard deviations per axis.
+const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_515_474_7;
+
+/// The standard deviation per axis of two-dimensional residuals, from the median of their lengths: right with up to
+/// half of them wrong. 0 for none.
+pub(crate) fn median_scale(residuals: impl Iterator<Item = [f64; 2]>) -> f64 {
+    let squares = residuals.map(|[x, y]| x * x + y * y).collect();
+    median(squares).unwrap_or(0.0).sqrt() / RAYLEIGH_MEDIAN
+}
+
+/// The upper median.
+pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
+    let middle = values.len() / 2;
+    if values.is_empty() {
+        return None;
+    }
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_the_losses_slopes() {
+        for loss in [Loss::Squares, Loss::Huber { scale: 1.5 }] {
+            for r2 in [0.0, 0.3, 2.0, 2.3, 9.0, 400.0] {
+                let h = 1e-6;
+                let slope = (loss.cost_and_weight(r2 + h).0 - loss.cost_and_weight((r2 - h).abs()).0)
+                    / (r2 + h - (r2 - h).abs()).max(h);
+                let weight = loss.cost_and_weight(r2).1;
+                assert!(r2 == 0.0 || (slope - weight).abs() < 1e-5, "{loss:?} {r2}: {slope} {weight}");
+            }
+        }
+    }
+
+    #[test]
+    fn scale_withstands_a_third_of_nonsense() {
+        let clean = (0..1000).map(|k| {
+            let (angle, u) = (f64::from(k) * 2.399_963, (f64::from(k) + 0.5) / 1000.0);
+            let r = 0.2 * (-2.0 * f64::ln(u)).sqrt();
+            [r * angle.cos(), r * angle.sin()]
+        });
+        assert!((median_scale(clean.clone()) - 0.2).abs() < 0.002);
+        let spoiled = clean.enumerate().map(|(k, r)| if k % 10 < 1 { [20.0, 5.0] } else { r });
+        assert!((median_scale(spoiled) - 0.2).abs() < 0.03);
+        assert_eq!(median_scale(std::iter::empty()), 0.0);
+    }
+}

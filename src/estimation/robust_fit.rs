@@ -1,0 +1,97 @@
+//! A fit that wrong corners and wrong views do not move: Huber's loss while the scale of the residuals falls, then
+//! plain least squares over the corners within a limit, chosen anew until the choice stands.
+
+use crate::estimation::joint::minimize::{Minimum, Stop};
+use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::robust::{Loss, median_scale};
+use crate::estimation::view_fault::ViewFault;
+
+/// Corners further off than this many standard deviations take no part: of Gaussian ones, four in a million.
+const LIMIT: f64 = 5.0;
+
+/// Where Huber's loss turns linear, in standard deviations.
+const HUBER: f64 = 2.0;
+
+/// A view needs this part of its corners, or its labels are wrong rather than its corners.
+const MIN_USED: f64 = 0.6;
+
+/// Residuals below this, in units of each corner's standard deviation, are rounding.
+const ROUNDING: f64 = 1e-8;
+
+/// A fit that has settled.
+#[derive(Debug, Clone)]
+pub(crate) struct RobustFit {
+    pub(crate) minimum: Minimum,
+    /// The distance, in units of each corner's relative standard deviation, up to which corners were believed.
+    pub(crate) limit: f64,
+}
+
+/// Fits from `start`; chooses `used` of the sights whose `faults` entry is `None`, and adds the faults of views that have
+/// too few good corners. `None` where nothing can be projected or everything was rejected.
+pub(crate) fn robust_fit(
+    layout: &Layout,
+    start: State,
+    sights: &mut [Sight],
+    faults: &mut [Option<ViewFault>],
+) -> Option<RobustFit> {
+    let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(sight)).collect();
+    select(sights, &at_start, f64::INFINITY, faults);
+    let mut scale = scale_of(sights, &at_start).max(ROUNDING);
+    // Most fits are clean: with Huber's loss beyond every residual it is least squares, at no cost.
+    let loss = |scale: f64| Loss::Huber { scale: HUBER * scale };
+    let rough = Stop { decrease: 1e-4, ..Stop::default() };
+    let mut minimum = Minimum::start(layout, start, sights, loss(scale))?.descend(layout, sights, loss(scale), rough);
+    for _ in 0..12 {
+        let next = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
+        if next > 0.8 * scale || !exceeds(sights, &minimum.equations.residuals, HUBER * next) {
+            scale = next;
+            break;
+        }
+        scale = next;
+        select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
+        minimum =
+            Minimum::start(layout, minimum.state, sights, loss(scale))?.descend(layout, sights, loss(scale), rough);
+    }
+    for _ in 0..10 {
+        let changed = select(sights, &minimum.equations.residuals, LIMIT * scale, faults);
+        minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
+        minimum = minimum.descend(layout, sights, Loss::Squares, Stop { lambda: 0.0, ..Stop::default() });
+        scale = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
+        if !changed {
+            break;
+        }
+    }
+    let anything = sights.iter().any(|sight| sight.used.contains(&true));
+    anything.then_some(RobustFit { minimum, limit: LIMIT * scale })
+}
+
+/// The scale of the residuals of all views without a fault.
+fn scale_of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
+    let taking_part = sights.iter().zip(residuals).filter(|(sight, _)| sight.used.contains(&true));
+    median_scale(taking_part.flat_map(|(_, residuals)| residuals.iter().copied()))
+}
+
+fn exceeds(sights: &[Sight], residuals: &[Vec<[f64; 2]>], limit: f64) -> bool {
+    let used = sights.iter().zip(residuals).flat_map(|(s, r)| s.used.iter().zip(r));
+    used.into_iter().any(|(used, [x, y])| *used && x.hypot(*y) > limit)
+}
+
+/// Lets those corners take part that are within `limit` (and can be projected at all); answers whether that changed.
+fn select(sights: &mut [Sight], residuals: &[Vec<[f64; 2]>], limit: f64, faults: &mut [Option<ViewFault>]) -> bool {
+    let mut changed = false;
+    for ((sight, residuals), fault) in sights.iter_mut().zip(residuals).zip(faults) {
+        let within = |[x, y]: &[f64; 2]| x.is_finite() && (*x * *x + *y * *y) <= limit * limit;
+        let good = residuals.iter().filter(|r| within(r)).count();
+        let points = residuals.len();
+        if fault.is_none() && (good as f64) < MIN_USED * points as f64 {
+            let mean_std = sight.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>() / points as f64;
+            *fault = Some(ViewFault::Outliers { outliers: points - good, points, limit_px: limit * mean_std });
+        }
+        for (used, residual) in sight.used.iter_mut().zip(residuals) {
+            let next = fault.is_none() && within(residual);
+            changed |= next != *used;
+            *used = next;
+        }
+    }
+    changed
+}

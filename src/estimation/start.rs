@@ -1,0 +1,293 @@
+//! Where to start without any guess: Zhang's closed form, or, where a lens bends the picture too strongly for it, the
+//! focal length under which linear poses fit best.
+
+use nalgebra::{Point2, Point3, Vector3};
+
+use crate::estimation::camera::CameraStart;
+use crate::estimation::joint::{Sight, State};
+use crate::estimation::planar_pose::{Shape, pose_from_bearings};
+use crate::estimation::problem::CameraProblem;
+use crate::estimation::robust::median;
+use crate::estimation::view_fault::{ViewFault, mislabelling};
+use crate::estimation::zhang::{self, Skew};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::homography::Homography;
+use crate::geometry::lens::{Distortion, Lens, LensModel};
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
+
+/// A view is left out of the start where its own homography leaves this part of its corners' spread: a strong fisheye
+/// leaves a tenth, labels out of order leave more than half.
+const MISFIT: f64 = 0.25;
+
+/// At least this many corners make a view: a flat pose takes four, two more make errors show.
+const MIN_POINTS: usize = 6;
+
+/// The views of a problem, each looked at by itself.
+pub(crate) struct Prepared {
+    pub(crate) image_size: ImageSize,
+    pub(crate) names: Vec<String>,
+    /// Where the points' common centre lies in the board frame.
+    pub(crate) center_in_board: Vector3<f64>,
+    /// One per view; `instant` is the view's index.
+    pub(crate) sights: Vec<Sight>,
+    pub(crate) views: Vec<PreparedView>,
+}
+
+/// What a view says by itself.
+pub(crate) struct PreparedView {
+    shape: Option<Shape>,
+    /// `pixel_from_plane`, with its rms.
+    homography: Option<(Homography, f64)>,
+    pub(crate) fault: Option<ViewFault>,
+}
+
+impl Prepared {
+    /// Looks at every view of a valid problem.
+    pub(crate) fn of(problem: &CameraProblem) -> Self {
+        let points = || problem.views.iter().flat_map(|view| &view.correspondences).map(|c| c.point_in_board.coords);
+        let center_in_board = points().sum::<Vector3<f64>>() / points().count().max(1) as f64;
+        // A flat board stays exactly flat.
+        let sights: Vec<_> = problem
+            .views
+            .iter()
+            .enumerate()
+            .map(|(instant, view)| {
+                let seen = &view.correspondences;
+                Sight {
+                    sensor: 0,
+                    instant,
+                    points: seen.iter().map(|c| c.point_in_board - center_in_board).collect(),
+                    pixels: seen.iter().map(|c| c.pixel).collect(),
+                    inverse_std: seen.iter().map(|c| 1.0 / c.std_px).collect(),
+                    used: vec![true; seen.len()],
+                }
+            })
+            .collect();
+        let mut views: Vec<_> = sights.iter().map(PreparedView::of).collect();
+        name_mislabelled(&sights, &mut views);
+        let names = problem.views.iter().map(|view| view.name.clone()).collect();
+        Self { image_size: problem.image_size, names, center_in_board, sights, views }
+    }
+
+    /// What is known against each view.
+    pub(crate) fn faults(&self) -> Vec<Option<ViewFault>> {
+        self.views.iter().map(|view| view.fault).collect()
+    }
+
+    /// Whether every view that has a shape is flat.
+    pub(crate) fn is_flat(&self) -> bool {
+        self.views.iter().filter_map(|view| view.shape.as_ref()).all(Shape::is_flat)
+    }
+
+    /// The board's normal in its own frame, if it is flat.
+    pub(crate) fn board_normal(&self) -> Option<Vector3<f64>> {
+        match self.views.iter().find_map(|view| view.shape.as_ref())? {
+            Shape::Flat { plane_from_board, .. } => Some(plane_from_board.inverse() * Vector3::z()),
+            Shape::Solid { .. } => None,
+        }
+    }
+
+    /// Half the extent of all points along x and y, in metres.
+    pub(crate) fn half_extent(&self) -> [f64; 2] {
+        let points = || self.sights.iter().flat_map(|sight| &sight.points);
+        [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
+    }
+
+    /// The views that nothing is known against, by index.
+    pub(crate) fn usable(&self) -> Vec<usize> {
+        (0..self.views.len()).filter(|index| self.views[*index].fault.is_none()).collect()
+    }
+
+    /// `camera_from_board` (about the common centre) of each view under `lens`, linear; `None` where there is none.
+    pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
+        let (prepared, sight) = (&self.views[view], &self.sights[view]);
+        if let (Distortion::Pinhole(_), Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
+            (&lens.distortion, &prepared.homography, &prepared.shape)
+        {
+            return Some(zhang::camera_from_board(lens.matrix, homography)? * *plane_from_board);
+        }
+        let bearings: Vec<_> = sight.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
+        pose_from_bearings(prepared.shape.as_ref()?, &sight.points, &bearings)
+    }
+}
+
+impl PreparedView {
+    fn of(sight: &Sight) -> Self {
+        let points = sight.points.len();
+        let faulty = |fault| Self { shape: None, homography: None, fault: Some(fault) };
+        if points < MIN_POINTS {
+            return faulty(ViewFault::TooFewPoints { points, needed: MIN_POINTS });
+        }
+        let Some(shape) = Shape::of(&sight.points) else { return faulty(ViewFault::PointsOnLine) };
+        if spread_px(&sight.pixels).1 < 1e-6 {
+            return faulty(ViewFault::PixelsOnLine);
+        }
+        let Shape::Flat { .. } = &shape else { return Self { shape: Some(shape), homography: None, fault: None } };
+        let pairs = plane_pairs(&shape, sight);
+        let homography = Homography::fit(&pairs).ok().map(|h| (h, h.rms(&pairs)));
+        let spread = spread_px(&sight.pixels).0;
+        let rms_px = homography.as_ref().map_or(spread, |(_, rms_px)| rms_px.min(spread));
+        let fault = (rms_px > MISFIT * spread).then_some(ViewFault::NoPose { rms_px });
+        Self { shape: Some(shape), homography, fault }
+    }
+}
+
+/// Looks for the names of those labels that no homography explains, to within what the other views leave.
+fn name_mislabelled(sights: &[Sight], views: &mut [PreparedView]) {
+    let good = views.iter().filter(|view| view.fault.is_none());
+    let Some(typical_px) = median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect()) else {
+        return;
+    };
+    for (sight, view) in sights.iter().zip(views) {
+        let (Some(ViewFault::NoPose { .. }), Some(shape)) = (&view.fault, &view.shape) else { continue };
+        let Shape::Flat { plane_from_board, .. } = shape else { continue };
+        let on_plane: Vec<_> = sight.points.iter().map(|p| *plane_from_board * *p).collect();
+        let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&sight.pixels).0);
+        view.fault = mislabelling(&on_plane, &sight.pixels, limit_px).or(view.fault);
+    }
+}
+
+fn plane_pairs(shape: &Shape, sight: &Sight) -> Vec<(Point2<f64>, Point2<f64>)> {
+    let pixels = sight.pixels.iter().map(|pixel| Point2::new(pixel.x, pixel.y));
+    match shape {
+        Shape::Flat { plane_from_board, .. } if plane_from_board.rotation().w == 1.0 => {
+            let shift = plane_from_board.translation();
+            sight.points.iter().map(|p| (p + shift).xy()).zip(pixels).collect()
+        }
+        Shape::Flat { plane_from_board, .. } => {
+            sight.points.iter().map(|p| (*plane_from_board * *p).xy()).zip(pixels).collect()
+        }
+        Shape::Solid { .. } => Vec::new(),
+    }
+}
+
+/// The rms distance from the mean, and the ratio of the lesser to the greater principal spread.
+fn spread_px(pixels: &[Pixel]) -> (f64, f64) {
+    let n = pixels.len() as f64;
+    let (sx, sy) = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.x, y + p.y));
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for p in pixels {
+        let (dx, dy) = (p.x - sx / n, p.y - sy / n);
+        xx += dx * dx;
+        xy += dx * dy;
+        yy += dy * dy;
+    }
+    let (trace, area) = (xx + yy, (xx * yy - xy * xy).max(0.0));
+    ((trace / n).sqrt(), if trace > 0.0 { area.sqrt() / trace } else { 0.0 })
+}
+
+/// A first lens of `model` and the poses of the usable views, about the common centre; a view without a pose gets the
+/// fault that says so. `None` where not one view has a pose.
+pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> {
+    let usable = prepared.usable();
+    let homographies: Vec<_> = usable.iter().filter_map(|v| Some(prepared.views[*v].homography?.0)).collect();
+    let mut candidates: Vec<CameraMatrix> = Vec::new();
+    candidates.extend(zhang::camera_matrix(&homographies, prepared.image_size, Skew::Zero).ok());
+    candidates.retain(|matrix| is_plausible(matrix, prepared.image_size));
+    candidates.extend(median_focal(&homographies, prepared.image_size).map(|f| centered(prepared.image_size, f)));
+    let few = sample(&usable, 9);
+    let lens_of = |matrix| undistorted(model, matrix);
+    let score = |matrix: &CameraMatrix| misfit_px(prepared, &few, &lens_of(*matrix));
+    let mut scored: Vec<_> = candidates.into_iter().map(|matrix| (score(&matrix), matrix)).collect();
+    scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let good_enough_px = 0.005 * prepared.image_size.diagonal_px();
+    if scored.first().is_none_or(|(px, _)| !(*px < good_enough_px)) {
+        let width = f64::from(prepared.image_size.width.max(prepared.image_size.height));
+        for factor in [0.2, 0.28, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0, 3.0, 5.0, 8.0] {
+            let matrix = centered(prepared.image_size, factor * width);
+            scored.push((score(&matrix), matrix));
+        }
+        scored.sort_by(|a, b| a.0.total_cmp(&b.0));
+    }
+    let lens = lens_of(scored.first()?.1);
+    place_views(prepared, lens, &[])
+}
+
+/// The state of an earlier estimate, with poses for the views that it has none of.
+pub(crate) fn resume(prepared: &mut Prepared, earlier: &CameraStart) -> Option<State> {
+    let center = Point3::from(prepared.center_in_board);
+    let known: Vec<_> = earlier
+        .camera_from_board
+        .iter()
+        .map(|known| {
+            known.map(|camera_from_board| Pose::new(camera_from_board.rotation(), (camera_from_board * center).coords))
+        })
+        .collect();
+    place_views(prepared, earlier.lens, &known)
+}
+
+/// `lens` with the pose of each usable view, known or found.
+fn place_views(prepared: &mut Prepared, lens: Lens, camera_from_board: &[Option<Pose>]) -> Option<State> {
+    let mut rig_from_board = vec![Pose::identity(); prepared.views.len()];
+    let mut found = false;
+    for view in prepared.usable() {
+        match camera_from_board.get(view).copied().flatten().or_else(|| prepared.pose(view, &lens)) {
+            Some(pose) => (rig_from_board[view], found) = (pose, true),
+            None => prepared.views[view].fault = Some(ViewFault::NoPose { rms_px: f64::INFINITY }),
+        }
+    }
+    found.then(|| State { lenses: vec![lens], sensor_from_rig: vec![Pose::identity()], rig_from_board, warp: [0.0; 2] })
+}
+
+/// Square pixels, the principal point in the middle.
+fn centered(size: ImageSize, focal_px: f64) -> CameraMatrix {
+    CameraMatrix { fx: focal_px, fy: focal_px, cx: size.center().x, cy: size.center().y, skew: 0.0 }
+}
+
+/// A lens of `model` that bends nothing.
+pub(crate) fn undistorted(model: LensModel, matrix: CameraMatrix) -> Lens {
+    let zeros = vec![0.0; model.coefficient_names().len()];
+    match Distortion::from_coefficients(model, &zeros) {
+        Some(distortion) => Lens { matrix, distortion },
+        None => Lens::pinhole(matrix),
+    }
+}
+
+fn is_plausible(matrix: &CameraMatrix, size: ImageSize) -> bool {
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let inside = |c: f64, length: f64| c > 0.1 * length && c < 0.9 * length;
+    let ratio = matrix.fx / matrix.fy;
+    let focal = matrix.fx / width.max(height);
+    inside(matrix.cx, width) && inside(matrix.cy, height) && (0.6..1.6).contains(&ratio) && (0.1..50.0).contains(&focal)
+}
+
+/// The focal length of square pixels about the image's middle: each homography gives one from Zhang's two equations,
+/// and the median is not moved by a few wrong ones.
+fn median_focal(homographies: &[Homography], size: ImageSize) -> Option<f64> {
+    let center = size.center();
+    let squares = homographies.iter().filter_map(|homography| {
+        let h = homography.matrix();
+        let at = |column: usize| {
+            let c = h.column(column);
+            (c[0] - center.x * c[2], c[1] - center.y * c[2], c[2])
+        };
+        let ((a, b, c), (d, e, f)) = (at(0), at(1));
+        let across = [a * d + b * e, a * a + b * b - d * d - e * e];
+        let depth = [c * f, c * c - f * f];
+        let square = -(across[0] * depth[0] + across[1] * depth[1]) / (depth[0] * depth[0] + depth[1] * depth[1]);
+        (square.is_finite() && square > 0.0).then_some(square)
+    });
+    Some(median(squares.collect())?.sqrt())
+}
+
+/// At most `count` of `indices`, evenly.
+fn sample(indices: &[usize], count: usize) -> Vec<usize> {
+    let step = indices.len().div_ceil(count).max(1);
+    indices.iter().step_by(step).copied().collect()
+}
+
+/// The median over `views` of each one's rms at its linear pose; a view without a pose counts as infinitely far off.
+fn misfit_px(prepared: &Prepared, views: &[usize], lens: &Lens) -> f64 {
+    let of_view = |view: &usize| {
+        let sight = &prepared.sights[*view];
+        let Some(pose) = prepared.pose(*view, lens) else { return f64::INFINITY };
+        let square = |(point, pixel): (&Point3<f64>, &Pixel)| {
+            let seen = lens.pixel_from_point(&(pose * *point));
+            seen.map_or(f64::INFINITY, |seen| (seen.to_vector() - pixel.to_vector()).norm_squared())
+        };
+        let sum: f64 = sight.points.iter().zip(&sight.pixels).map(square).sum();
+        (sum / sight.points.len() as f64).sqrt()
+    };
+    median(views.iter().map(of_view).collect()).unwrap_or(f64::INFINITY)
+}

@@ -1,0 +1,183 @@
+//! How far a projection can be trusted, where in the picture: after the camera motion that compensates best, since what
+//! a turn of the camera explains is no error of its lens (mrcal's projection uncertainty and difference).
+
+use nalgebra::{DMatrix, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
+
+use crate::geometry::lens::{Lens, MAX_PARAMETERS, Projection};
+use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
+
+/// How far away the things are that are seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Distance {
+    /// So far that only a turn of the camera compensates.
+    Infinity,
+    /// At this many metres: a turn and a shift compensate.
+    Meters(f64),
+}
+
+/// A grid of pixels over an image, corner to corner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelGrid {
+    /// The image.
+    pub size: ImageSize,
+    /// Columns, at least 2.
+    pub cols: u32,
+    /// Rows, at least 2.
+    pub rows: u32,
+}
+
+impl PixelGrid {
+    /// About `count` columns along the longer side, and the same spacing along the other.
+    pub fn over(size: ImageSize, count: u32) -> Self {
+        let longer = f64::from(size.width.max(size.height));
+        let along = |length: u32| ((f64::from(count) * f64::from(length) / longer).round() as u32).max(2);
+        Self { size, cols: along(size.width), rows: along(size.height) }
+    }
+
+    /// The pixels, row by row.
+    pub fn pixels(self) -> impl Iterator<Item = Pixel> {
+        let at =
+            |k: u32, count: u32, length: u32| f64::from(k) / f64::from(count.max(2) - 1) * (f64::from(length) - 1.0);
+        let Self { size, cols, rows } = self;
+        (0..rows)
+            .flat_map(move |r| (0..cols).map(move |c| Pixel::new(at(c, cols, size.width), at(r, rows, size.height))))
+    }
+}
+
+/// The predicted 1-σ uncertainty of projections over an image, in pixels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UncertaintyMap {
+    /// Where.
+    pub grid: PixelGrid,
+    /// Standard deviation in the worst direction at each pixel of the grid, row by row; `None` where the lens sees
+    /// nothing.
+    pub std_px: Vec<Option<f64>>,
+    /// Mean squared length of the error over the grid (both axes), in px²: what a difference to the truth is compared with.
+    pub mean_square_px2: f64,
+}
+
+impl UncertaintyMap {
+    /// The uncertainty at the image's middle (at the nearest pixel of the grid that the lens sees).
+    pub fn center(&self) -> Option<f64> {
+        let middle = self.grid.size.center();
+        let seen = self.grid.pixels().zip(&self.std_px).filter_map(|(pixel, std)| Some((pixel, (*std)?)));
+        let nearest = seen.min_by(|a, b| a.0.distance_px(middle).total_cmp(&b.0.distance_px(middle)));
+        Some(nearest?.1)
+    }
+
+    /// Median and worst over the image.
+    pub fn median_and_worst(&self) -> Option<(f64, f64)> {
+        let mut seen: Vec<f64> = self.std_px.iter().flatten().copied().collect();
+        seen.sort_by(f64::total_cmp);
+        Some((*seen.get(seen.len() / 2)?, *seen.last()?))
+    }
+}
+
+/// The derivative of one projection by the lens's parameters and by the compensating motion.
+struct Sample {
+    by_parameters: SMatrix<f64, 2, MAX_PARAMETERS>,
+    by_motion: Matrix2x6<f64>,
+}
+
+impl Sample {
+    fn of(lens: &Lens, bearing: Bearing, distance: Distance) -> Option<Self> {
+        let (length, shifts) = match distance {
+            Distance::Infinity => (1.0, 0.0),
+            Distance::Meters(metres) => (metres, 1.0),
+        };
+        let point = Point3::from(bearing.into_inner() * length);
+        let Projection { by_point, by_parameters, .. } = lens.project(&point)?;
+        let mut by_motion = Matrix2x6::zeros();
+        for axis in 0..2 {
+            let row = by_point.row(axis).transpose();
+            let by_turn = point.coords.cross(&row);
+            for k in 0..3 {
+                by_motion[(axis, k)] = by_turn[k];
+                by_motion[(axis, 3 + k)] = shifts * row[k];
+            }
+        }
+        Some(Self { by_parameters, by_motion })
+    }
+}
+
+/// Inverts the normal matrix of a motion, of which only the turn may be determined.
+fn invert_motion(normal: &Matrix6<f64>, distance: Distance) -> Option<Matrix6<f64>> {
+    match distance {
+        Distance::Meters(_) => normal.cholesky().map(|c| c.inverse()),
+        Distance::Infinity => {
+            let turn = normal.fixed_view::<3, 3>(0, 0).into_owned().cholesky()?.inverse();
+            let mut inverse = Matrix6::zeros();
+            inverse.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+            Some(inverse)
+        }
+    }
+}
+
+/// The 1-σ uncertainty of projections over a grid of pixels, from the covariance of the lens's parameters (in the order
+/// of [`Lens::parameter_names`]), after the best compensating motion. `None` where the lens sees nothing of the image.
+pub fn projection_uncertainty(
+    lens: &Lens,
+    covariance: &DMatrix<f64>,
+    grid: PixelGrid,
+    distance: Distance,
+) -> Option<UncertaintyMap> {
+    let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
+    let count = covariance.nrows().min(MAX_PARAMETERS);
+    padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
+    let samples: Vec<Option<Sample>> =
+        grid.pixels().map(|pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance)).collect();
+    let mut normal = Matrix6::zeros();
+    let mut coupling = SMatrix::<f64, 6, MAX_PARAMETERS>::zeros();
+    for sample in samples.iter().flatten() {
+        normal += sample.by_motion.transpose() * sample.by_motion;
+        coupling += sample.by_motion.transpose() * sample.by_parameters;
+    }
+    let compensation = invert_motion(&normal, distance)? * coupling;
+    let mut trace = 0.0;
+    let std_px: Vec<_> = samples
+        .iter()
+        .map(|sample| {
+            let sample = sample.as_ref()?;
+            let rest = sample.by_parameters - sample.by_motion * compensation;
+            let spread = rest * padded * rest.transpose();
+            trace += spread.trace();
+            let half = 0.5 * spread.trace();
+            let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
+            Some((half + apart).max(0.0).sqrt())
+        })
+        .collect();
+    let seen = std_px.iter().flatten().count();
+    Some(UncertaintyMap { grid, std_px, mean_square_px2: trace / seen.max(1) as f64 })
+}
+
+/// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the best compensating
+/// turn, in pixels; `None` where either sees nothing.
+pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid) -> Vec<Option<[f64; 2]>> {
+    let seen: Vec<_> = grid.pixels().map(|pixel| (pixel, first.bearing_from_pixel(pixel))).collect();
+    let mut turn = nalgebra::UnitQuaternion::identity();
+    let difference = |pixel: Pixel, bearing: Bearing, turn: &nalgebra::UnitQuaternion<f64>| {
+        let projection = second.project(&Point3::from(turn * bearing.into_inner()))?;
+        Some((projection, [projection.pixel.x - pixel.x, projection.pixel.y - pixel.y]))
+    };
+    for _ in 0..4 {
+        let (mut normal, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
+        for (pixel, bearing) in seen.iter().filter_map(|(pixel, bearing)| Some((*pixel, (*bearing)?))) {
+            let Some((projection, rest)) = difference(pixel, bearing, &turn) else { continue };
+            let turned = turn * bearing.into_inner();
+            let mut by_motion = Matrix2x6::zeros();
+            for axis in 0..2 {
+                let by_turn = turned.cross(&projection.by_point.row(axis).transpose());
+                by_motion.fixed_view_mut::<1, 3>(axis, 0).copy_from(&by_turn.transpose());
+            }
+            normal += by_motion.transpose() * by_motion;
+            gradient += by_motion.transpose() * nalgebra::Vector2::from(rest);
+        }
+        let Some(inverse) = invert_motion(&normal, Distance::Infinity) else { break };
+        let step = -(inverse * gradient);
+        turn = nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned()) * turn;
+        if step.norm() < 1e-12 {
+            break;
+        }
+    }
+    seen.iter().map(|(pixel, bearing)| Some(difference(*pixel, (*bearing)?, &turn)?.1)).collect()
+}

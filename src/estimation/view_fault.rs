@@ -1,0 +1,166 @@
+//! Why a view takes no part in an estimate, and what its corners' labels look like instead.
+
+use nalgebra::{Point2, Point3};
+
+use crate::geometry::homography::Homography;
+use crate::geometry::pixel::Pixel;
+
+/// Why a view takes no part in an estimate.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum ViewFault {
+    /// A pose has six unknowns, and a check needs more.
+    #[error("only {points} points; at least {needed} are needed")]
+    TooFewPoints {
+        /// How many it has.
+        points: usize,
+        /// How many it takes.
+        needed: usize,
+    },
+    /// The board's points are on one line or in one place.
+    #[error("its board points lie on one line or in one place")]
+    PointsOnLine,
+    /// The pixels are on one line or in one place.
+    #[error("its corners were all seen on one line or in one place")]
+    PixelsOnLine,
+    /// Seen from behind, which a printed board cannot be.
+    #[error("mirrored: it fits only as the board's back side")]
+    Mirrored,
+    /// Labelled one place off, the corners that fall off the end at the other.
+    #[error("its labels are shifted by one {0}")]
+    Shifted(GridLine),
+    /// Labelled along the columns.
+    #[error("its labels are transposed: the corners were listed along the columns")]
+    Transposed,
+    /// No pose explains it.
+    #[error("no pose explains its corners (rms {rms_px:.1} px): they are mislabelled, or it is another board")]
+    NoPose {
+        /// What is left at the best pose.
+        rms_px: f64,
+    },
+    /// Most corners are far off.
+    #[error("{outliers} of its {points} corners are further off than {limit_px:.2} px")]
+    Outliers {
+        /// How many are.
+        outliers: usize,
+        /// Of how many.
+        points: usize,
+        /// The distance up to which a corner is believed.
+        limit_px: f64,
+    },
+}
+
+/// A line of a chessboard's corners.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum GridLine {
+    /// Along y.
+    Column,
+    /// Along x.
+    Row,
+}
+
+impl std::fmt::Display for GridLine {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Column => "column",
+            Self::Row => "row",
+        })
+    }
+}
+
+/// The corner grid that a full view's points form.
+struct Grid {
+    cols: usize,
+    rows: usize,
+    /// The column and row of each point.
+    places: Vec<(usize, usize)>,
+    /// The point at each place, row by row.
+    point_at: Vec<usize>,
+}
+
+impl Grid {
+    /// `None` unless the points are all the places of a grid along x and y, each once.
+    fn of(points: &[Point3<f64>]) -> Option<Self> {
+        let (xs, ys) = (lines(points.iter().map(|p| p.x)), lines(points.iter().map(|p| p.y)));
+        let (cols, rows) = (xs.len(), ys.len());
+        if cols * rows != points.len() || cols < 3 || rows < 3 {
+            return None;
+        }
+        let nearest = |values: &[f64], v: f64| values.partition_point(|x| *x < v - 0.5 * (values[1] - values[0]));
+        let places: Vec<_> = points.iter().map(|p| (nearest(&xs, p.x), nearest(&ys, p.y))).collect();
+        let mut point_at = vec![usize::MAX; points.len()];
+        for (index, (col, row)) in places.iter().enumerate() {
+            *point_at.get_mut(row * cols + col)? = index;
+        }
+        point_at.iter().all(|index| *index != usize::MAX).then_some(Self { cols, rows, places, point_at })
+    }
+
+    /// For each point the one that it was, had the labels been moved by `place`.
+    fn permuted(&self, place: impl Fn(usize, usize) -> (usize, usize)) -> Vec<usize> {
+        let at = |&(col, row): &(usize, usize)| {
+            let (col, row) = place(col, row);
+            self.point_at[row * self.cols + col]
+        };
+        self.places.iter().map(at).collect()
+    }
+}
+
+/// The distinct values, ascending.
+fn lines(values: impl Iterator<Item = f64>) -> Vec<f64> {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    let width = sorted.last().unwrap_or(&0.0) - sorted.first().unwrap_or(&0.0);
+    sorted.dedup_by(|a, b| (*a - *b).abs() <= 1e-6 * width);
+    sorted
+}
+
+/// What is wrong with the labels of a flat view that no pose explains: the relabelling under which a homography fits to
+/// within `limit_px`, if one does.
+pub(crate) fn mislabelling(points_on_plane: &[Point3<f64>], pixels: &[Pixel], limit_px: f64) -> Option<ViewFault> {
+    let grid = Grid::of(points_on_plane)?;
+    let (cols, rows) = (grid.cols, grid.rows);
+    let shifted = |by_col: usize, by_row: usize| grid.permuted(|c, r| ((c + by_col) % cols, (r + by_row) % rows));
+    let listed_along_columns = |k: usize| (k / rows, k % rows);
+    let listed_along_rows = |k: usize| (k % cols, k / cols);
+    let along_columns = grid.permuted(|c, r| listed_along_columns(r * cols + c));
+    let along_rows = grid.permuted(|c, r| listed_along_rows(c * rows + r));
+    let relabellings = [
+        (ViewFault::Shifted(GridLine::Column), shifted(1, 0)),
+        (ViewFault::Shifted(GridLine::Column), shifted(cols - 1, 0)),
+        (ViewFault::Shifted(GridLine::Row), shifted(0, 1)),
+        (ViewFault::Shifted(GridLine::Row), shifted(0, rows - 1)),
+        (ViewFault::Transposed, along_columns),
+        (ViewFault::Transposed, along_rows),
+    ];
+    relabellings.into_iter().find_map(|(fault, relabelled)| {
+        let pair = |(label, pixel): (&usize, &Pixel)| (points_on_plane[*label].xy(), Point2::new(pixel.x, pixel.y));
+        let pairs: Vec<_> = relabelled.iter().zip(pixels).map(pair).collect();
+        let homography = Homography::fit(&pairs).ok()?;
+        (homography.rms(&pairs) <= limit_px).then_some(fault)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_mislabelling_is_named() {
+        let (cols, rows) = (7, 5);
+        let points: Vec<_> =
+            (0..35).map(|k| Point3::new(f64::from(k % cols) * 0.03, f64::from(k / cols) * 0.03, 0.0)).collect();
+        let pixels: Vec<_> = points
+            .iter()
+            .map(|p| Pixel::new(100.0 + 900.0 * p.x / (1.0 + p.y), 80.0 + 800.0 * (p.y + 0.1 * p.x) / (1.0 + p.y)))
+            .collect();
+        let named = |order: &dyn Fn(i32) -> i32| {
+            let seen: Vec<_> = (0..35).map(|k| pixels[order(k) as usize]).collect();
+            mislabelling(&points, &seen, 1.0)
+        };
+        let shift = |k: i32| k / cols * cols + (k % cols + 1) % cols;
+        assert_eq!(named(&shift), Some(ViewFault::Shifted(GridLine::Column)));
+        assert_eq!(named(&|k| (k + cols) % 35), Some(ViewFault::Shifted(GridLine::Row)));
+        assert_eq!(named(&|k| k % rows * cols + k / rows), Some(ViewFault::Transposed));
+        assert_eq!(named(&|k| k % cols * rows + k / cols), Some(ViewFault::Transposed));
+        assert_eq!(named(&|k| (k * 11) % 35), None);
+    }
+}
