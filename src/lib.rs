@@ -15,9 +15,9 @@
 //! | [`simulation`] | a rendered world with exact truth | geometry, imaging |
 //! | [`recording`] | frames on disk | geometry, imaging |
 //! | [`capture`] | where frames come from | geometry, imaging, recording, simulation |
-//! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, estimation, calibration |
+//! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, detection, estimation, calibration |
 //! | [`export`] | other programs' formats | geometry, calibration, document |
-//! | [`store`] | SQLite | geometry, imaging, calibration, document |
+//! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | all of the above |
 //! | [`http`] | axum | geometry, imaging, estimation, calibration, document, export, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |

@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use crate::detection::board_detection::NoBoard;
+use crate::calibration::placement::Placement;
+use crate::calibration::view::FrameFacts;
+use crate::detection::board_detection::{Detection, NoBoard};
 use crate::geometry::pixel::ImageSize;
 
 /// Why a frame did not become a view.
@@ -126,4 +128,89 @@ impl Rejections {
         }
         rejections
     }
+}
+
+/// What a detection must be to become a view.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AdmissionOptions {
+    /// The widest blur of the board's edges, as a part of the image's diagonal, but never less than 2 px. Default:
+    /// 0.0025 (2 px at 640×480, 5.5 px at 1920×1080).
+    pub blur_limit: f64,
+    /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
+    pub speed_limit: f64,
+    /// How many steps ([`Placement::steps_to`]) away from every kept view. Default: 1.
+    pub novelty_steps: f64,
+    /// The most views of a session. Default: 150.
+    pub view_limit: u32,
+}
+
+impl Default for AdmissionOptions {
+    fn default() -> Self {
+        Self { blur_limit: 0.0025, speed_limit: 0.4, novelty_steps: 1.0, view_limit: 150 }
+    }
+}
+
+const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
+/// Two boards further apart than this part of the diagonal are not one motion: the recording has a cut, or is a pile of
+/// photographs.
+const CUT: f64 = 0.25;
+
+/// The frame before, with what was seen in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenBefore {
+    /// Its time, in nanoseconds.
+    pub time_ns: i64,
+    /// Where the board was.
+    pub detection: Detection,
+}
+
+/// Decides on a detection in an image of `size` seen at `time_ns`: its placement if it becomes a view. It depends on the
+/// frames alone, not on what was estimated meanwhile: a replay keeps the same views.
+///
+/// # Errors
+/// The first reason against it, the most telling first.
+pub fn admit(
+    detection: &Detection,
+    seen: &FrameFacts,
+    before: Option<&SeenBefore>,
+    kept: &[Placement],
+    options: &AdmissionOptions,
+) -> Result<Placement, Rejection> {
+    let size = seen.image_size;
+    let limit_px = (options.blur_limit * size.diagonal_px()).max(LEAST_BLUR_LIMIT_PX);
+    if detection.blur_px > limit_px {
+        return Err(Rejection::Blurred { blur_px: detection.blur_px, limit_px });
+    }
+    let limit_px_per_s = options.speed_limit * size.diagonal_px();
+    match before.and_then(|before| speed_px_per_s(detection, seen, before)) {
+        Some(speed_px_per_s) if speed_px_per_s > limit_px_per_s => {
+            return Err(Rejection::Moving { speed_px_per_s, limit_px_per_s });
+        }
+        _ => {}
+    }
+    let (seen, expected) = (detection.corners.len(), detection.board.corner_count());
+    let placement = Placement::of(detection, size).ok_or(Rejection::Partial { seen, expected })?;
+    let alike = kept.iter().map(|other| placement.steps_to(other)).enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+    match alike {
+        Some((view, steps)) if steps < options.novelty_steps => Err(Rejection::TooSimilar { view: view as u32 }),
+        _ if kept.len() >= options.view_limit as usize => Err(Rejection::Full { limit: options.view_limit }),
+        _ => Ok(placement),
+    }
+}
+
+/// Speed of the fastest corner since the frame before; `None` where that cannot be told.
+fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
+    let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
+    // A named frame is a picture of its own; the times of a folder of them mean nothing.
+    if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < 0.5) {
+        return None;
+    }
+    let corners = detection.corners.iter();
+    let shared = corners.filter_map(|corner| {
+        let corners = &before.detection.corners;
+        let at = corners.binary_search_by_key(&(corner.index.row, corner.index.col), |c| (c.index.row, c.index.col));
+        Some(corner.pixel.distance_px(corners[at.ok()?].pixel))
+    });
+    let moved_px = shared.max_by(f64::total_cmp)?;
+    (moved_px < CUT * seen.image_size.diagonal_px()).then_some(moved_px / elapsed_s)
 }

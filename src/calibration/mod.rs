@@ -6,6 +6,8 @@ pub mod admission;
 pub mod calibration;
 pub mod coverage;
 pub mod guidance;
+pub mod placement;
+pub mod session;
 pub mod session_record;
 pub mod solve;
 pub(crate) mod verdict;

@@ -22,7 +22,7 @@ pub struct SessionRequest {
 /// When a session has enough and solves by itself: as soon as every goal that is given is reached, or the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Finish {
-    /// The worst predicted 1-σ reprojection uncertainty over the image that is still good enough, in pixels.
+    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough, in pixels.
     pub uncertainty_px: Option<f64>,
     /// The least number of views.
     pub min_views: Option<u32>,
@@ -119,4 +119,28 @@ pub struct SessionRecord {
     pub estimate: Option<RunningEstimate>,
     /// The id of its calibration, once finished.
     pub calibration: Option<String>,
+}
+
+impl SessionRecord {
+    /// The record of a session that is about to collect.
+    pub fn begin(id: &str, camera: &str, request: SessionRequest, started_at_ns: i64) -> Self {
+        Self {
+            id: id.to_owned(),
+            camera: camera.to_owned(),
+            request,
+            state: SessionState::Collecting,
+            reason: None,
+            started_at_ns,
+            finished_at_ns: None,
+            frames_seen: 0,
+            boards_seen: 0,
+            views_kept: 0,
+            rejected: Rejections::default(),
+            collecting_s: 0.0,
+            coverage: Coverage::default(),
+            guidance: Guidance::default(),
+            estimate: None,
+            calibration: None,
+        }
+    }
 }

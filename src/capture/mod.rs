@@ -25,6 +25,29 @@ pub trait FrameSource: Send {
 
     /// What it is.
     fn description(&self) -> SourceDescription;
+
+    /// What it has lost by itself since it was opened.
+    fn losses(&self) -> Losses {
+        Losses::default()
+    }
+
+    /// A session begins or ends: a device holds still what would move under a calibration (focus, exposure), or shows
+    /// the board to its infrared sensors, and gives back what it changed.
+    ///
+    /// # Errors
+    /// [`CaptureError`] when the device refuses; it goes on as before.
+    fn calibrating(&mut self, _on: bool) -> Result<(), CaptureError> {
+        Ok(())
+    }
+}
+
+/// Frames that never came out of [`FrameSource::next_frame`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Losses {
+    /// Gaps in the device's own count.
+    pub missed: u64,
+    /// Frames that the driver flagged as damaged, or gave without content.
+    pub damaged: u64,
 }
 
 /// What a source says about itself.
@@ -40,4 +63,12 @@ pub struct SourceDescription {
     pub frame_set_count: Option<usize>,
     /// Whether every frame waits to be taken: then none may be skipped, and none is ever late.
     pub waits: bool,
+    /// The device's own name.
+    pub model: Option<String>,
+    /// Its serial number.
+    pub serial: Option<String>,
+    /// Where it is plugged in.
+    pub bus: Option<String>,
+    /// What it was set to, and how that differs from what was asked for, in words.
+    pub mode: Option<String>,
 }

@@ -155,6 +155,7 @@ impl FrameSource for Replay {
             fps: None,
             frame_set_count: self.recording.frame_set_count().filter(|_| !self.options.repeat),
             waits: self.options.pace == Pace::Fastest,
+            ..SourceDescription::default()
         }
     }
 }

@@ -6,7 +6,9 @@
 //!
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
+pub mod export;
 pub mod failure;
+pub mod files;
 pub mod length;
 pub mod output;
 pub mod progress;
@@ -28,10 +30,14 @@ struct Arguments {
 }
 
 #[derive(Debug, Subcommand)]
-enum Command {}
+enum Command {
+    Export(export::Args),
+}
 
 fn dispatch(command: Command) -> Result<(), Failure> {
-    match command {}
+    match command {
+        Command::Export(args) => export::run(&args),
+    }
 }
 
 /// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong in one line on stderr.

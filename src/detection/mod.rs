@@ -3,3 +3,4 @@
 //! **May miss, never mislabels.**
 
 pub mod board_detection;
+pub mod refine;

@@ -44,8 +44,8 @@ pub struct CameraDocument {
     pub reason: Option<String>,
     /// Its sensors, by name; empty before the first frame.
     pub sensors: BTreeMap<String, CameraSensorDocument>,
-    /// Frame sets a second, measured.
-    pub fps: f64,
+    /// Frame sets a second, measured; null before there are two.
+    pub fps: Option<f64>,
     /// Frame sets received since the start.
     pub frames: u64,
     /// Frame sets that were lost or skipped since the start.

@@ -7,6 +7,7 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod detection;
 pub mod error;
 pub mod lens;
 pub mod pose;

@@ -5,74 +5,94 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::calibration::admission::Rejections;
+use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::Guidance;
+use crate::calibration::session_record::{Finish, RunningEstimate, SessionRecord, SessionRequest, SessionState};
 use crate::document::calibration::UncertaintyDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensRequest};
 use crate::document::pose::PoseDocument;
 use crate::document::target::TargetDocument;
+use crate::document::time;
 use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::Pixel;
 
 /// What starts a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
-pub struct SessionRequest {
+pub struct StartDocument {
     /// The board. There is no default: count its inner corners and measure a square.
     pub target: TargetDocument,
     /// The lens model to fit; `auto` when left out.
     #[serde(default)]
     pub lens: LensRequest,
     /// When to stop by itself; when left out it runs till it is stopped.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<FinishDocument>,
 }
 
-impl SessionRequest {
-    /// Refuses a board or a goal that cannot be.
-    ///
-    /// # Errors
-    /// [`DocumentError::Field`] naming the field.
-    pub fn check(&self) -> Result<(), DocumentError> {
-        Chessboard::try_from(self.target).map_err(|e| e.inside("target"))?;
-        self.finish.unwrap_or_default().check().map_err(|e| e.inside("finish"))
+impl From<&SessionRequest> for StartDocument {
+    fn from(request: &SessionRequest) -> Self {
+        Self {
+            target: request.target.into(),
+            lens: request.lens.into(),
+            finish: request.finish.map(FinishDocument::from),
+        }
     }
 }
 
-/// When a session stops by itself: as soon as the uncertainty is reached with enough views, or the time is over.
+impl TryFrom<&StartDocument> for SessionRequest {
+    type Error = DocumentError;
+    fn try_from(document: &StartDocument) -> Result<Self, DocumentError> {
+        Ok(Self {
+            target: Chessboard::try_from(document.target).map_err(|e| e.inside("target"))?,
+            lens: document.lens.into(),
+            finish: document.finish.map(Finish::try_from).transpose().map_err(|e| e.inside("finish"))?,
+        })
+    }
+}
+
+/// When a session stops by itself: as soon as every goal that is given is reached, or the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishDocument {
-    /// The median predicted uncertainty to reach, in pixels.
+    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough, in pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty_px: Option<f64>,
     /// Not before so many views are kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_views: Option<u32>,
-    /// Not later than so many seconds after its start.
+    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then is solved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_seconds: Option<f64>,
 }
 
-impl FinishDocument {
-    /// Refuses a goal that cannot be reached.
-    ///
-    /// # Errors
-    /// [`DocumentError::Field`] naming the field.
-    pub fn check(&self) -> Result<(), DocumentError> {
-        let positive = |field: &str, value: Option<f64>| match value {
-            Some(value) if !(value.is_finite() && value > 0.0) => {
-                Err(DocumentError::field(field, format!("{value} cannot be reached; give a positive number")))
+impl From<Finish> for FinishDocument {
+    fn from(finish: Finish) -> Self {
+        let Finish { uncertainty_px, min_views, max_seconds } = finish;
+        Self { uncertainty_px, min_views, max_seconds }
+    }
+}
+
+impl TryFrom<FinishDocument> for Finish {
+    type Error = DocumentError;
+    fn try_from(document: FinishDocument) -> Result<Self, DocumentError> {
+        let FinishDocument { uncertainty_px, min_views, max_seconds } = document;
+        for (field, value) in [("uncertainty_px", uncertainty_px), ("max_seconds", max_seconds)] {
+            if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
+                return Err(DocumentError::field(field, format!("{value} cannot be reached; give a positive number")));
             }
-            _ => Ok(()),
-        };
-        positive("uncertainty_px", self.uncertainty_px)?;
-        positive("max_seconds", self.max_seconds)
+        }
+        Ok(Self { uncertainty_px, min_views, max_seconds })
     }
 }
 
 /// Where a session stands.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum SessionState {
+pub enum SessionStateName {
     /// Looking for boards and keeping views.
     Collecting,
     /// Stopped, and computing the result.
@@ -85,21 +105,27 @@ pub enum SessionState {
     Aborted,
 }
 
-impl SessionState {
-    /// Its name in documents.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Collecting => "collecting",
-            Self::Solving => "solving",
-            Self::Finished => "finished",
-            Self::Failed => "failed",
-            Self::Aborted => "aborted",
+impl From<SessionStateName> for SessionState {
+    fn from(name: SessionStateName) -> Self {
+        match name {
+            SessionStateName::Collecting => Self::Collecting,
+            SessionStateName::Solving => Self::Solving,
+            SessionStateName::Finished => Self::Finished,
+            SessionStateName::Failed => Self::Failed,
+            SessionStateName::Aborted => Self::Aborted,
         }
     }
+}
 
-    /// Whether nothing more will happen to it.
-    pub fn is_over(self) -> bool {
-        matches!(self, Self::Finished | Self::Failed | Self::Aborted)
+impl From<SessionState> for SessionStateName {
+    fn from(state: SessionState) -> Self {
+        match state {
+            SessionState::Collecting => Self::Collecting,
+            SessionState::Solving => Self::Solving,
+            SessionState::Finished => Self::Finished,
+            SessionState::Failed => Self::Failed,
+            SessionState::Aborted => Self::Aborted,
+        }
     }
 }
 
@@ -111,7 +137,7 @@ pub struct SessionDocument {
     /// The camera's name.
     pub camera: String,
     /// Where it stands.
-    pub state: SessionState,
+    pub state: SessionStateName,
     /// Why it failed, waits or was given up.
     pub reason: Option<String>,
     /// When it was started.
@@ -131,7 +157,7 @@ pub struct SessionDocument {
     /// Frames in which the board was found.
     pub boards_seen: u64,
     /// Views kept for the solve.
-    pub views_kept: u64,
+    pub views_kept: u32,
     /// Frames not kept, by reason.
     pub rejected: BTreeMap<String, u64>,
     /// Where in the image corners have been seen.
@@ -171,6 +197,125 @@ pub struct EstimateDocument {
     pub rms_px: f64,
     /// Predicted 1-σ reprojection uncertainty over the image.
     pub uncertainty_px: UncertaintyDocument,
+    /// How many views it was made of.
+    pub views: u32,
+}
+
+impl From<&SessionRecord> for SessionDocument {
+    fn from(record: &SessionRecord) -> Self {
+        Self {
+            id: record.id.clone(),
+            camera: record.camera.clone(),
+            state: record.state.into(),
+            reason: record.reason.clone(),
+            started_at: time::from_utc_ns(record.started_at_ns),
+            finished_at: record.finished_at_ns.map(time::from_utc_ns),
+            target: record.request.target.into(),
+            lens: record.request.lens.into(),
+            finish: record.request.finish.map(FinishDocument::from).unwrap_or_default(),
+            frames_seen: record.frames_seen,
+            boards_seen: record.boards_seen,
+            views_kept: record.views_kept,
+            rejected: rejected_counts(&record.rejected),
+            coverage: (&record.coverage).into(),
+            guidance: (&record.guidance).into(),
+            estimate: record.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
+            calibration: record.calibration.clone(),
+        }
+    }
+}
+
+/// Whether a document can say it: JSON has no number for infinity.
+fn is_finite(estimate: &RunningEstimate) -> bool {
+    let uncertainty = estimate.uncertainty_px;
+    let figures = [estimate.rms_px, uncertainty.center, uncertainty.median, uncertainty.worst];
+    figures.into_iter().chain(estimate.lens.parameters()).all(f64::is_finite)
+}
+
+impl SessionDocument {
+    /// The record it came from; `collecting_s` is what the document does not tell: seconds of frame time spent collecting.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] naming the field that cannot be.
+    pub fn to_record(&self, collecting_s: f64) -> Result<SessionRecord, DocumentError> {
+        let finish = Some(self.finish).filter(|finish| *finish != FinishDocument::default());
+        let start = StartDocument { target: self.target, lens: self.lens, finish };
+        let estimate = self.estimate.as_ref().map(RunningEstimate::try_from).transpose();
+        Ok(SessionRecord {
+            id: self.id.clone(),
+            camera: self.camera.clone(),
+            request: (&start).try_into()?,
+            state: self.state.into(),
+            reason: self.reason.clone(),
+            started_at_ns: time::utc_ns(self.started_at),
+            finished_at_ns: self.finished_at.map(time::utc_ns),
+            frames_seen: self.frames_seen,
+            boards_seen: self.boards_seen,
+            views_kept: self.views_kept,
+            rejected: Rejections::from_counts(self.rejected.iter().map(|(kind, count)| (kind.as_str(), *count))),
+            collecting_s,
+            coverage: self.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
+            guidance: self.guidance.clone().into(),
+            estimate: estimate.map_err(|e| e.inside("estimate"))?,
+            calibration: self.calibration.clone(),
+        })
+    }
+}
+
+/// Each kind of rejection with its count.
+pub fn rejected_counts(rejected: &Rejections) -> BTreeMap<String, u64> {
+    rejected.iter().map(|(kind, count)| (kind.to_owned(), count)).collect()
+}
+
+impl From<&Coverage> for CoverageDocument {
+    fn from(coverage: &Coverage) -> Self {
+        Self { fraction: coverage.fraction(), cells: coverage.cells().to_vec() }
+    }
+}
+
+impl TryFrom<CoverageDocument> for Coverage {
+    type Error = DocumentError;
+    fn try_from(document: CoverageDocument) -> Result<Self, DocumentError> {
+        let uneven = || DocumentError::field("cells", "has no cells, or rows of different lengths");
+        Self::from_cells(document.cells).ok_or_else(uneven)
+    }
+}
+
+impl From<&Guidance> for GuidanceDocument {
+    fn from(guidance: &Guidance) -> Self {
+        let outline_px = guidance.outline_px.iter().map(|pixel| [pixel.x, pixel.y]).collect();
+        Self { message: guidance.message.clone(), outline_px }
+    }
+}
+
+impl From<GuidanceDocument> for Guidance {
+    fn from(document: GuidanceDocument) -> Self {
+        let outline_px = document.outline_px.into_iter().map(|[x, y]| Pixel::new(x, y)).collect();
+        Self { message: document.message, outline_px }
+    }
+}
+
+impl From<&RunningEstimate> for EstimateDocument {
+    fn from(estimate: &RunningEstimate) -> Self {
+        Self {
+            lens: (&estimate.lens).into(),
+            rms_px: estimate.rms_px,
+            uncertainty_px: estimate.uncertainty_px.into(),
+            views: estimate.views,
+        }
+    }
+}
+
+impl TryFrom<&EstimateDocument> for RunningEstimate {
+    type Error = DocumentError;
+    fn try_from(document: &EstimateDocument) -> Result<Self, DocumentError> {
+        Ok(Self {
+            lens: Lens::try_from(&document.lens).map_err(|e| e.inside("lens"))?,
+            rms_px: document.rms_px,
+            uncertainty_px: document.uncertainty_px.into(),
+            views: document.views,
+        })
+    }
 }
 
 /// Every session, newest first.
@@ -230,10 +375,13 @@ mod tests {
             ),
         ];
         for (json, expected) in table {
-            let checked = from_json::<SessionRequest>(json.as_bytes()).and_then(|request| request.check());
-            assert_eq!(checked.unwrap_err().to_string(), expected);
+            let document = from_json::<StartDocument>(json.as_bytes());
+            let request = document.and_then(|document| SessionRequest::try_from(&document));
+            assert_eq!(request.unwrap_err().to_string(), expected);
         }
-        let request: SessionRequest = from_json(format!("{{{target}}}").as_bytes()).unwrap();
-        assert_eq!((request.check(), request.lens, request.finish), (Ok(()), LensRequest::Auto, None));
+        let document: StartDocument = from_json(format!("{{{target}}}").as_bytes()).unwrap();
+        let request = SessionRequest::try_from(&document).unwrap();
+        assert_eq!((request.lens, request.finish), (crate::estimation::problem::LensChoice::Auto, None));
+        assert_eq!(StartDocument::from(&request), document);
     }
 }

@@ -10,7 +10,10 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::gray::{GrayImage, GrayView};
 use crate::imaging::jpeg;
-use crate::imaging::pixel_format::{buffer_length, luma_row_from_rgb, luma_row_from_yuyv, rgb_row_from_yuyv};
+use crate::imaging::pixel_format::{
+    buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes, luma_row_from_yuyv,
+    rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
+};
 
 /// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown to.
 pub const MAX_PIXELS: u64 = 120_000_000;
@@ -104,9 +107,11 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
     match frame.format {
         PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
         PixelFormat::Png => luma_from_picture(&decode_png(&frame.bytes)?, luma),
-        PixelFormat::Mono8 => luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row)),
+        PixelFormat::Mono8 | PixelFormat::Nv12 => luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row)),
+        PixelFormat::Mono16 | PixelFormat::Uyvy => luma_from_rows(frame, luma, luma_row_from_upper_bytes),
         PixelFormat::Yuyv => luma_from_rows(frame, luma, luma_row_from_yuyv),
         PixelFormat::Rgb8 => luma_from_rows(frame, luma, luma_row_from_rgb),
+        PixelFormat::Bgr8 => luma_from_rows(frame, luma, luma_row_from_bgr),
         PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
     }
 }
@@ -131,8 +136,20 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
                 pixel.fill(*value);
             }
         }),
+        PixelFormat::Mono16 => rgb_from_rows(frame, |row, out| {
+            for (value, pixel) in row.chunks_exact(2).zip(out.chunks_exact_mut(3)) {
+                pixel.fill(value[1]);
+            }
+        }),
         PixelFormat::Yuyv => rgb_from_rows(frame, rgb_row_from_yuyv),
+        PixelFormat::Uyvy => rgb_from_rows(frame, rgb_row_from_uyvy),
+        PixelFormat::Nv12 => rgb_from_nv12(frame),
         PixelFormat::Rgb8 => rgb_from_rows(frame, |row, out| out.copy_from_slice(row)),
+        PixelFormat::Bgr8 => rgb_from_rows(frame, |row, out| {
+            for (bgr, pixel) in row.chunks_exact(3).zip(out.chunks_exact_mut(3)) {
+                pixel.copy_from_slice(&[bgr[2], bgr[1], bgr[0]]);
+            }
+        }),
         PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
     }
 }
@@ -235,6 +252,16 @@ fn rgb_from_rows(frame: &Frame, convert: fn(&[u8], &mut [u8])) -> Result<RgbImag
     rgb_image(frame.size, pixels)
 }
 
+fn rgb_from_nv12(frame: &Frame) -> Result<RgbImage, DecodeError> {
+    let (width, height) = (frame.size.width as usize, frame.size.height as usize);
+    let mut pixels = vec![0; width * height * 3];
+    for (y, (row, out)) in rows_of(frame)?.zip(pixels.chunks_exact_mut((width * 3).max(1))).enumerate() {
+        let chroma = &frame.bytes[(height + y / 2) * frame.stride..];
+        rgb_row_from_nv12(row, &chroma[..width.next_multiple_of(2)], out);
+    }
+    rgb_image(frame.size, pixels)
+}
+
 fn rgb_image(size: ImageSize, pixels: Vec<u8>) -> Result<RgbImage, DecodeError> {
     RgbImage::from_raw(size.width, size.height, pixels).ok_or(DecodeError::TooLarge { size })
 }
@@ -245,7 +272,13 @@ pub(super) fn rows_of(frame: &Frame) -> Result<impl Iterator<Item = &[u8]>, Deco
     let bytes_per_pixel = frame.format.bytes_per_pixel().ok_or(wrong_kind)?;
     check_size(frame.size)?;
     let row = frame.size.width as usize * bytes_per_pixel;
-    let needed = buffer_length(frame.size, frame.stride, bytes_per_pixel);
+    let needed = match frame.format {
+        PixelFormat::Nv12 => {
+            let (width, height) = (frame.size.width.next_multiple_of(2), frame.size.height);
+            buffer_length(ImageSize::new(width, height + height.div_ceil(2)), frame.stride, 1)
+        }
+        _ => buffer_length(frame.size, frame.stride, bytes_per_pixel),
+    };
     if frame.stride < row || frame.bytes.len() < needed {
         let (size, format, stride, bytes) = (frame.size, frame.format.name(), frame.stride, frame.bytes.len());
         return Err(DecodeError::Buffer { size, format, stride, needed, bytes });
@@ -327,8 +360,22 @@ mod tests {
         assert_eq!(yuyv.pixels(), [10, 20, 30, 40]);
         let mono = luma_of(&frame(PixelFormat::Mono8, ImageSize::new(4, 2), 6, &bytes)).unwrap();
         assert_eq!(mono.pixels(), [10, 128, 20, 128, 30, 128, 40, 128]);
+        let uyvy = luma_of(&frame(PixelFormat::Uyvy, ImageSize::new(2, 2), 6, &bytes)).unwrap();
+        assert_eq!(uyvy.pixels(), [128, 128, 128, 128]);
+        let mono16 = luma_of(&frame(PixelFormat::Mono16, ImageSize::new(2, 2), 6, &bytes)).unwrap();
+        assert_eq!(mono16.pixels(), [128, 128, 128, 128]);
         let rgb_out = rgb(&frame(PixelFormat::Yuyv, ImageSize::new(2, 2), 6, &bytes)).unwrap();
         assert_eq!(rgb_out.as_raw(), &[10, 10, 10, 20, 20, 20, 30, 30, 30, 40, 40, 40]);
+    }
+
+    #[test]
+    fn the_two_planes_of_nv12_are_read_in_place() {
+        let bytes = [10, 20, 30, 0, 40, 50, 60, 0, 128, 128, 128, 128];
+        let nv12 = frame(PixelFormat::Nv12, ImageSize::new(3, 2), 4, &bytes);
+        assert_eq!(luma_of(&nv12).unwrap().pixels(), [10, 20, 30, 40, 50, 60]);
+        let grey: Vec<u8> = [10, 20, 30, 40, 50, 60].iter().flat_map(|value| [*value; 3]).collect();
+        assert_eq!(rgb(&nv12).unwrap().as_raw(), &grey);
+        assert!(matches!(luma_of(&Frame { size: ImageSize::new(3, 3), ..nv12 }), Err(DecodeError::Buffer { .. })));
     }
 
     #[test]
@@ -383,6 +430,8 @@ mod tests {
             (PixelFormat::Mono8, 4, 7),
             (PixelFormat::Mono8, 3, 8),
             (PixelFormat::Yuyv, 8, 15),
+            (PixelFormat::Mono16, 8, 15),
+            (PixelFormat::Nv12, 4, 11),
             (PixelFormat::Rgb8, 12, 23),
         ] {
             let error = luma_of(&frame(format, size, stride, &vec![0; length])).unwrap_err();

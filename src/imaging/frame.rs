@@ -44,12 +44,20 @@ pub enum PixelFormat {
     Png,
     /// 8-bit grey rows.
     Mono8,
+    /// 16-bit little-endian grey rows that use the whole range.
+    Mono16,
     /// Interleaved Y U Y V.
     Yuyv,
+    /// Interleaved U Y V Y.
+    Uyvy,
+    /// Rows of Y, then half as many rows of interleaved U V, all with the same stride.
+    Nv12,
     /// 16-bit little-endian depth or disparity.
     Depth16,
     /// Interleaved 8-bit red, green, blue.
     Rgb8,
+    /// Interleaved 8-bit blue, green, red.
+    Bgr8,
 }
 
 /// One image of one sensor, as it came: nothing is decoded before someone needs it.

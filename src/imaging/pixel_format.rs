@@ -7,12 +7,12 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::PixelFormat;
 
 impl PixelFormat {
-    /// Bytes from one pixel to the next in a row; `None` for formats that are files.
+    /// Bytes from one pixel to the next in a row (of Y, for `Nv12`); `None` for formats that are files.
     pub fn bytes_per_pixel(self) -> Option<usize> {
         match self {
-            Self::Mono8 => Some(1),
-            Self::Yuyv | Self::Depth16 => Some(2),
-            Self::Rgb8 => Some(3),
+            Self::Mono8 | Self::Nv12 => Some(1),
+            Self::Mono16 | Self::Yuyv | Self::Uyvy | Self::Depth16 => Some(2),
+            Self::Rgb8 | Self::Bgr8 => Some(3),
             Self::Jpeg | Self::Png => None,
         }
     }
@@ -23,9 +23,13 @@ impl PixelFormat {
             Self::Jpeg => "jpeg",
             Self::Png => "png",
             Self::Mono8 => "mono8",
+            Self::Mono16 => "mono16",
             Self::Yuyv => "yuyv",
+            Self::Uyvy => "uyvy",
+            Self::Nv12 => "nv12",
             Self::Depth16 => "16UC1",
             Self::Rgb8 => "rgb8",
+            Self::Bgr8 => "bgr8",
         }
     }
 
@@ -62,6 +66,20 @@ pub fn luma_row_from_rgb(rgb: &[u8], luma: &mut [u8]) {
     }
 }
 
+/// Luma of a row of interleaved blue, green, red.
+pub fn luma_row_from_bgr(bgr: &[u8], luma: &mut [u8]) {
+    for (pixel, out) in bgr.chunks_exact(3).zip(luma) {
+        *out = luma_from_rgb(pixel[2], pixel[1], pixel[0]);
+    }
+}
+
+/// Luma of a row of 16-bit little-endian grey (its upper byte), or of interleaved U Y V Y.
+pub fn luma_row_from_upper_bytes(row: &[u8], luma: &mut [u8]) {
+    for (pair, out) in row.chunks_exact(2).zip(luma) {
+        *out = pair[1];
+    }
+}
+
 /// Luma of a row of interleaved Y U Y V.
 pub fn luma_row_from_yuyv(yuyv: &[u8], luma: &mut [u8]) {
     for (pair, out) in yuyv.chunks_exact(2).zip(luma) {
@@ -75,6 +93,23 @@ pub fn rgb_row_from_yuyv(yuyv: &[u8], rgb: &mut [u8]) {
         for (y, pixel) in [four[0], four[2]].into_iter().zip(out.chunks_exact_mut(3)) {
             pixel.copy_from_slice(&rgb_from_ycc(y, four[1], four[3]));
         }
+    }
+}
+
+/// As [`rgb_row_from_yuyv`], of interleaved U Y V Y.
+pub fn rgb_row_from_uyvy(uyvy: &[u8], rgb: &mut [u8]) {
+    for (four, out) in uyvy.chunks_exact(4).zip(rgb.chunks_mut(6)) {
+        for (y, pixel) in [four[1], four[3]].into_iter().zip(out.chunks_exact_mut(3)) {
+            pixel.copy_from_slice(&rgb_from_ycc(y, four[0], four[2]));
+        }
+    }
+}
+
+/// As [`rgb_row_from_yuyv`], of a row of Y and the row of interleaved U V that it shares with its neighbour.
+pub fn rgb_row_from_nv12(luma: &[u8], chroma: &[u8], rgb: &mut [u8]) {
+    let chroma = chroma.chunks_exact(2).flat_map(|pair| [pair, pair]);
+    for ((y, uv), pixel) in luma.iter().zip(chroma).zip(rgb.chunks_exact_mut(3)) {
+        pixel.copy_from_slice(&rgb_from_ycc(*y, uv[0], uv[1]));
     }
 }
 
@@ -95,6 +130,10 @@ mod tests {
             let mut rgb = [0; 6];
             rgb_row_from_yuyv(&[value, 128, value, 128], &mut rgb);
             assert_eq!(rgb, [value; 6]);
+            rgb_row_from_uyvy(&[128, value, 128, value], &mut rgb);
+            assert_eq!(rgb, [value; 6]);
+            rgb_row_from_nv12(&[value, value], &[128, 128], &mut rgb);
+            assert_eq!(rgb, [value; 6]);
         }
     }
 
@@ -106,6 +145,10 @@ mod tests {
         let mut rgb = [0; 6];
         rgb_row_from_yuyv(&[76, 85, 76, 255], &mut rgb);
         assert!(rgb[0] >= 253 && rgb[1] <= 1 && rgb[2] <= 1, "{rgb:?}");
+        let (mut from_uyvy, mut from_nv12) = ([0; 6], [0; 6]);
+        rgb_row_from_uyvy(&[85, 76, 255, 76], &mut from_uyvy);
+        rgb_row_from_nv12(&[76, 76], &[85, 255], &mut from_nv12);
+        assert_eq!((from_uyvy, from_nv12), (rgb, rgb));
     }
 
     #[test]

@@ -13,9 +13,9 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("simulation", &["geometry", "imaging"]),
     ("recording", &["geometry", "imaging"]),
     ("capture", &["geometry", "imaging", "recording", "simulation"]),
-    ("document", &["geometry", "imaging", "estimation", "calibration"]),
+    ("document", &["geometry", "imaging", "detection", "estimation", "calibration"]),
     ("export", &["geometry", "calibration", "document"]),
-    ("store", &["geometry", "imaging", "calibration", "document"]),
+    ("store", &["geometry", "imaging", "detection", "calibration", "document"]),
     (
         "pipeline",
         &[

@@ -1,6 +1,7 @@
 //! What every lens model must do, checked over the whole image: a new model is one line at the end of this file.
 
 use nalgebra::{Matrix2x3, Matrix3, Point3, SMatrix, Vector2, Vector3};
+use plumb::document::lens::LensDocument;
 use plumb::geometry::lens::{Lens, LensModel, MAX_PARAMETERS};
 use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::geometry::pose::Pose;
@@ -170,6 +171,38 @@ fn pose_derivative(by_point: &Matrix2x3<f64>, point: &Point3<f64>) -> SMatrix<f6
 fn near_the_fold(by_point: &Matrix2x3<f64>) -> bool {
     let values = by_point.svd(false, false).singular_values;
     values.min() < 0.05 * values.max()
+}
+
+/// Agrees with `cv::projectPoints` and `cv::fisheye::projectPoints`: the file holds OpenCV's own numbers, which
+/// `tests/python/test_opencv.py` computes again.
+#[test]
+fn agrees_with_opencv() {
+    #[derive(serde::Deserialize)]
+    struct Reference {
+        lenses: Vec<ReferenceLens>,
+    }
+    #[derive(serde::Deserialize)]
+    struct ReferenceLens {
+        lens: LensDocument,
+        points_m: Vec<[f64; 3]>,
+        pixels: Vec<[f64; 2]>,
+    }
+    let reference: Reference = serde_json::from_str(include_str!("../golden/opencv_projections.json")).unwrap();
+    let models: Vec<LensModel> = reference
+        .lenses
+        .iter()
+        .map(|ReferenceLens { lens, points_m, pixels }| {
+            let lens = Lens::try_from(lens).unwrap();
+            assert_eq!((points_m.len(), pixels.len()), (169, 169));
+            for (point, [x, y]) in points_m.iter().zip(pixels) {
+                let pixel = lens.pixel_from_point(&Point3::from(*point)).unwrap();
+                let apart = pixel.distance_px(Pixel::new(*x, *y));
+                assert!(apart < 1e-9, "{} at {point:?}: {pixel:?}, OpenCV ({x}, {y})", lens.model());
+            }
+            lens.model()
+        })
+        .collect();
+    assert!(LensModel::ALL.iter().all(|model| models.contains(model)), "a model is not compared: {models:?}");
 }
 
 /// One line a lens: name, model, parameters (fx, fy, cx, cy, skew, coefficients), and whether it sees the whole image.

@@ -1,0 +1,376 @@
+//! What the product decides: a calibration session as a state machine. Events go in (a frame was looked at, an estimate is
+//! ready, someone asks to stop), [`Action`]s come out; whoever owns the session performs them.
+//!
+//! ```text
+//! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
+//!     │                                          └──────▶ failed (its views stay)
+//!     ├──stop with too few views──▶ failed
+//!     └──abort──▶ aborted          (also from solving)
+//! ```
+//!
+//! It reads no clock and starts no thread: time comes inside frames and requests. Which views are kept depends on the
+//! frames alone; only reaching an uncertainty goal depends on when estimates are ready.
+
+use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
+use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::{Guidance, advise};
+use crate::calibration::placement::Placement;
+use crate::calibration::session_record::{Finish, RunningEstimate, SessionRecord, SessionState};
+use crate::calibration::view::{FrameFacts, View};
+use crate::detection::board_detection::Detection;
+use crate::geometry::pixel::ImageSize;
+
+/// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera calibration", 2000, section 3.3).
+pub const LEAST_VIEWS: usize = 3;
+/// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
+const LEAST_VIEWS_FOR_GOAL: u32 = 8;
+/// So many frames in a row with the same obstacle, and the operator is told.
+const OBSTACLE_FRAMES: u32 = 4;
+
+/// What whoever owns the session has to do, in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Action {
+    /// Store the view with this number, with the picture that was just observed, before taking the next frame.
+    Keep(u32),
+    /// Estimate from [`Session::views`] beside the frames, and answer with [`Session::estimated`].
+    Estimate,
+    /// Announce that the record changed in a way the operator should see.
+    Announce,
+    /// Take no more frames, solve [`Session::views`], and answer with [`Session::solved`].
+    Solve,
+    /// Store the record for good: the session is over.
+    Close,
+}
+
+/// What became of one frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Observed {
+    /// The number of the view it became, or why it became none.
+    pub admission: Result<u32, Rejection>,
+    /// What to do now.
+    pub actions: Vec<Action>,
+}
+
+/// A request that comes too late.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("the session is {} already", state.name())]
+pub struct SessionOver {
+    /// How it ended.
+    pub state: SessionState,
+}
+
+/// One camera's session.
+#[derive(Debug, Clone)]
+pub struct Session {
+    record: SessionRecord,
+    views: Vec<View>,
+    placements: Vec<Placement>,
+    before: Option<SeenBefore>,
+    last_time_ns: Option<i64>,
+    obstacle: Option<(Rejection, u32)>,
+    estimating: bool,
+    /// A view was kept while an estimate was being made.
+    estimate_outdated: bool,
+    options: AdmissionOptions,
+}
+
+impl Session {
+    /// A session that collects from the next frame on.
+    pub fn begin(record: SessionRecord, options: &AdmissionOptions) -> Self {
+        Self {
+            record,
+            views: Vec::new(),
+            placements: Vec::new(),
+            before: None,
+            last_time_ns: None,
+            obstacle: None,
+            estimating: false,
+            estimate_outdated: false,
+            options: *options,
+        }
+    }
+
+    /// A session as it was stored, with its views in order. One that was collecting goes on collecting, one that was
+    /// solving solves again.
+    pub fn resume(record: SessionRecord, views: Vec<View>, options: &AdmissionOptions) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record, options);
+        session.record.coverage = Coverage::default();
+        session.record.reason = None;
+        for view in views {
+            // What was admitted once has a placement; a view without one would shift the numbers that rejections name.
+            if let Some(placement) = Placement::of(&view.detection, view.frame.image_size) {
+                session.add(view, placement);
+            }
+        }
+        let mut actions = vec![Action::Announce];
+        match session.record.state {
+            SessionState::Solving => actions.push(Action::Solve),
+            SessionState::Collecting => actions.extend(session.wish_estimate()),
+            _ => {}
+        }
+        (session, actions)
+    }
+
+    /// The session as seen from outside.
+    pub fn record(&self) -> &SessionRecord {
+        &self.record
+    }
+
+    /// The kept views, in order.
+    pub fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    /// The size of its pictures; `None` before the first view.
+    pub fn image_size(&self) -> Option<ImageSize> {
+        self.views.first().map(|view| view.frame.image_size)
+    }
+
+    /// Looks at one frame: what was detected in it, or why nothing was. `None` once the session takes no more frames.
+    pub fn observe(&mut self, frame: &FrameFacts, seen: Result<&Detection, Rejection>) -> Option<Observed> {
+        if self.record.state != SessionState::Collecting {
+            return None;
+        }
+        self.record.frames_seen += 1;
+        self.count_time(frame.time_ns());
+        let admission = self.admit(frame, seen);
+        let mut actions = Vec::new();
+        match &admission {
+            Ok(number) => {
+                self.obstacle = None;
+                actions.push(Action::Keep(*number));
+                actions.extend(self.wish_estimate());
+            }
+            Err(rejection) => {
+                self.record.rejected.count(rejection);
+                self.note_obstacle(rejection);
+            }
+        }
+        let advised = self.advise(frame.image_size);
+        if advised || admission.is_ok() {
+            actions.push(Action::Announce);
+        }
+        actions.extend(self.end_if_reached());
+        Some(Observed { admission, actions })
+    }
+
+    /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves the one before.
+    pub fn estimated(&mut self, estimate: Option<RunningEstimate>) -> Vec<Action> {
+        self.estimating = false;
+        if self.record.state.is_over() {
+            return Vec::new();
+        }
+        let mut actions = Vec::new();
+        if let Some(estimate) = estimate {
+            self.record.estimate = Some(estimate);
+            actions.push(Action::Announce);
+        }
+        if self.record.state == SessionState::Collecting {
+            if self.estimate_outdated {
+                actions.extend(self.wish_estimate());
+            }
+            actions.extend(self.end_if_reached());
+        }
+        actions
+    }
+
+    /// Whether an estimate is being made.
+    pub fn is_estimating(&self) -> bool {
+        self.estimating
+    }
+
+    /// Solves what has been gathered; with too few views it fails at once. Nothing new for one that solves already.
+    /// `now_ns` is UTC since the Unix epoch.
+    ///
+    /// # Errors
+    /// [`SessionOver`].
+    pub fn stop(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
+        match self.record.state {
+            SessionState::Collecting if self.views.len() < LEAST_VIEWS => {
+                let reason = format!(
+                    "{} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions",
+                    self.views.len()
+                );
+                Ok(self.close(SessionState::Failed, Some(reason), now_ns))
+            }
+            SessionState::Collecting => Ok(self.begin_solve()),
+            SessionState::Solving => Ok(Vec::new()),
+            state => Err(SessionOver { state }),
+        }
+    }
+
+    /// Gives it up; its views stay. `now_ns` is UTC since the Unix epoch.
+    ///
+    /// # Errors
+    /// [`SessionOver`].
+    pub fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
+        match self.record.state {
+            SessionState::Collecting | SessionState::Solving => Ok(self.close(SessionState::Aborted, None, now_ns)),
+            state => Err(SessionOver { state }),
+        }
+    }
+
+    /// Takes the answer to [`Action::Solve`]: the id of the calibration, or why there is none.
+    pub fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
+        if self.record.state != SessionState::Solving {
+            return Vec::new();
+        }
+        match outcome {
+            Ok(calibration) => {
+                self.record.calibration = Some(calibration);
+                self.close(SessionState::Finished, None, now_ns)
+            }
+            Err(reason) => self.close(SessionState::Failed, Some(reason), now_ns),
+        }
+    }
+
+    /// The camera gives no frames for `reason`: the session waits for it, and says so.
+    pub fn camera_lost(&mut self, reason: &str) -> Vec<Action> {
+        self.before = None;
+        self.last_time_ns = None;
+        let reason = Some(format!("waits for the camera: {reason}"));
+        if self.record.state != SessionState::Collecting || self.record.reason == reason {
+            return Vec::new();
+        }
+        self.record.reason = reason;
+        vec![Action::Announce]
+    }
+
+    /// The camera gives frames again.
+    pub fn camera_back(&mut self) -> Vec<Action> {
+        if self.record.state == SessionState::Collecting && self.record.reason.take().is_some() {
+            return vec![Action::Announce];
+        }
+        Vec::new()
+    }
+
+    /// `seconds` went by without a frame.
+    pub fn waited(&mut self, seconds: f64) -> Vec<Action> {
+        if self.record.state != SessionState::Collecting {
+            return Vec::new();
+        }
+        self.record.collecting_s += seconds.max(0.0);
+        self.end_if_reached()
+    }
+
+    /// No frame will ever come again: a session that was to end by itself ends now, another one waits to be stopped.
+    pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
+        if self.record.state != SessionState::Collecting {
+            return Vec::new();
+        }
+        if self.record.request.finish.is_some_and(|finish| finish != Finish::default()) {
+            return self.stop(now_ns).unwrap_or_default();
+        }
+        self.record.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
+        vec![Action::Announce]
+    }
+
+    fn admit(&mut self, frame: &FrameFacts, seen: Result<&Detection, Rejection>) -> Result<u32, Rejection> {
+        let detection = seen.inspect_err(|_| self.before = None)?;
+        self.record.boards_seen += 1;
+        let now = SeenBefore { time_ns: frame.time_ns(), detection: detection.clone() };
+        let before = self.before.replace(now);
+        match self.image_size() {
+            Some(expected) if expected != frame.image_size => {
+                return Err(Rejection::OtherImageSize { got: frame.image_size, expected });
+            }
+            _ => {}
+        }
+        let placement = admit(detection, frame, before.as_ref(), &self.placements, &self.options)?;
+        let number = self.views.len() as u32;
+        self.add(View { number, frame: frame.clone(), detection: detection.clone() }, placement);
+        Ok(number)
+    }
+
+    fn add(&mut self, view: View, placement: Placement) {
+        let size = view.frame.image_size;
+        if self.views.is_empty() {
+            self.record.coverage = Coverage::empty(size);
+        }
+        self.record.coverage.add(&view.detection, size);
+        self.views.push(view);
+        self.placements.push(placement);
+        self.record.views_kept = self.views.len() as u32;
+    }
+
+    /// Frame time goes on counting as long as it rises in plausible steps.
+    fn count_time(&mut self, time_ns: i64) {
+        let last_ns = self.last_time_ns.replace(time_ns);
+        let elapsed_s = last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
+        if (0.0..60.0).contains(&elapsed_s) {
+            self.record.collecting_s += elapsed_s;
+        }
+    }
+
+    fn note_obstacle(&mut self, rejection: &Rejection) {
+        let frames = match &self.obstacle {
+            Some((before, frames)) if before.kind() == rejection.kind() => frames + 1,
+            _ => 1,
+        };
+        self.obstacle = Some((rejection.clone(), frames));
+    }
+
+    /// Renews the guidance; whether it changed.
+    fn advise(&mut self, size: ImageSize) -> bool {
+        let lasting = self.obstacle.as_ref().filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what);
+        let guidance: Guidance = advise(&self.record.request.target, size, &self.placements, lasting);
+        let changed = guidance != self.record.guidance;
+        self.record.guidance = guidance;
+        changed
+    }
+
+    fn wish_estimate(&mut self) -> Option<Action> {
+        if self.views.len() < LEAST_VIEWS {
+            return None;
+        }
+        self.estimate_outdated = self.estimating;
+        (!std::mem::replace(&mut self.estimating, true)).then_some(Action::Estimate)
+    }
+
+    fn end_if_reached(&mut self) -> Vec<Action> {
+        let Some(finish) = self.record.request.finish else { return Vec::new() };
+        let time_is_up = finish.max_seconds.is_some_and(|limit| self.record.collecting_s >= limit);
+        if !(time_is_up || self.goals_reached(&finish)) {
+            return Vec::new();
+        }
+        if self.views.len() >= LEAST_VIEWS {
+            return self.begin_solve();
+        }
+        let reason = format!(
+            "the time is up and {} views were kept, where at least {LEAST_VIEWS} are needed; start again with more time",
+            self.views.len()
+        );
+        let now_ns = self.record.started_at_ns.saturating_add((self.record.collecting_s * 1e9) as i64);
+        self.close(SessionState::Failed, Some(reason), now_ns)
+    }
+
+    fn goals_reached(&self, finish: &Finish) -> bool {
+        let kept = self.record.views_kept;
+        match (finish.uncertainty_px, finish.min_views) {
+            (None, None) => false,
+            (None, Some(least)) => kept >= least.max(LEAST_VIEWS as u32),
+            (Some(goal_px), least) => self.record.estimate.is_some_and(|estimate| {
+                estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL) && estimate.uncertainty_px.median <= goal_px
+            }),
+        }
+    }
+
+    fn begin_solve(&mut self) -> Vec<Action> {
+        self.record.state = SessionState::Solving;
+        self.record.reason = None;
+        self.record.guidance = Guidance::default();
+        vec![Action::Announce, Action::Solve]
+    }
+
+    fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<Action> {
+        self.record.state = state;
+        self.record.reason = reason;
+        self.record.guidance = Guidance::default();
+        self.record.finished_at_ns = Some(now_ns.max(self.record.started_at_ns));
+        vec![Action::Close]
+    }
+}
+
+#[cfg(test)]
+#[path = "session_tests.rs"]
+mod tests;

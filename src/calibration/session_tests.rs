@@ -1,0 +1,238 @@
+//! The session against seeded frames: what it keeps, what it turns away, when it ends.
+
+use nalgebra::Vector3;
+
+use super::*;
+use crate::calibration::calibration::ProjectionUncertainty;
+use crate::calibration::placement::tests::{SIZE, detection_at};
+use crate::calibration::session_record::SessionRequest;
+use crate::detection::board_detection::NoBoard;
+use crate::estimation::problem::LensChoice;
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::Lens;
+
+const NOW_NS: i64 = 9_000_000_000;
+
+fn session(finish: Option<Finish>) -> Session {
+    let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    let request = SessionRequest { target, lens: LensChoice::Auto, finish };
+    Session::begin(SessionRecord::begin("01", "front", request, 1_000_000_000), &AdmissionOptions::default())
+}
+
+/// The `n`-th frame of a camera that takes two a second.
+fn frame(n: u64) -> FrameFacts {
+    FrameFacts {
+        sequence: n,
+        name: None,
+        host_time_ns: 1_000_000_000 + n as i64 * 500_000_000,
+        device_time_ns: None,
+        image_size: SIZE,
+    }
+}
+
+/// Twelve placements that differ by more than a step.
+fn placements() -> Vec<Detection> {
+    let tilts = [[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5]];
+    let at = |x: f64, tilt: [f64; 2]| detection_at(Vector3::new(x, 0.02, 0.5), Vector3::new(tilt[0], tilt[1], 0.0));
+    [-0.12, 0.0, 0.12].iter().flat_map(|x| tilts.map(|tilt| at(*x, tilt))).collect()
+}
+
+fn estimate_of(views: u32, median: f64) -> Option<RunningEstimate> {
+    let lens = Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 });
+    let uncertainty_px = ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
+    Some(RunningEstimate { lens, rms_px: 0.1, uncertainty_px, views })
+}
+
+/// Feeds `detections` as frames from `first` on; the actions of all.
+fn feed(session: &mut Session, first: u64, detections: &[Detection]) -> Vec<Action> {
+    let observed = |(k, detection)| session.observe(&frame(first + k as u64), Ok(detection)).unwrap();
+    detections.iter().enumerate().map(observed).flat_map(|observed| observed.actions).collect()
+}
+
+#[test]
+fn new_placements_are_kept_and_known_ones_named() {
+    let mut session = session(None);
+    let detections = placements();
+    for (n, detection) in detections.iter().enumerate() {
+        let observed = session.observe(&frame(n as u64), Ok(detection)).unwrap();
+        assert_eq!(observed.admission, Ok(n as u32));
+        assert_eq!(observed.actions[0], Action::Keep(n as u32));
+    }
+    let again = session.observe(&frame(20), Ok(&detections[5])).unwrap();
+    assert_eq!(again.admission, Err(Rejection::TooSimilar { view: 5 }));
+    let record = session.record();
+    assert_eq!((record.frames_seen, record.boards_seen, record.views_kept), (13, 13, 12));
+    assert_eq!(record.rejected.of("too_similar"), 1);
+    assert!(record.coverage.fraction() > 0.3);
+}
+
+#[test]
+fn each_reason_is_counted_and_told() {
+    let mut session = session(None);
+    let still = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
+    let shifted = detection_at(Vector3::new(0.02, 0.0, 0.5), Vector3::zeros());
+    let blurred = Detection { blur_px: 3.0, ..still.clone() };
+    let soon = FrameFacts { host_time_ns: frame(1).host_time_ns + 20_000_000, ..frame(2) };
+    let other_size = FrameFacts { image_size: ImageSize::new(1280, 960), ..frame(9) };
+    let no_board = || Err(Rejection::NoBoard(NoBoard::NoCorners));
+    let unreadable = || Err(Rejection::Unreadable { detail: "cut short".to_owned() });
+    let steps: [(&FrameFacts, Result<&Detection, Rejection>, Option<&str>); 7] = [
+        (&frame(0), no_board(), Some("no_board")),
+        (&frame(1), Ok(&still), None),
+        (&soon, Ok(&shifted), Some("moving")),
+        (&frame(4), Ok(&shifted), Some("too_similar")),
+        (&frame(5), Ok(&blurred), Some("blurred")),
+        (&frame(6), unreadable(), Some("unreadable")),
+        (&other_size, Ok(&still), Some("other_image_size")),
+    ];
+    for (frame, seen, expected) in steps {
+        let admission = session.observe(frame, seen).unwrap().admission;
+        assert_eq!(admission.as_ref().err().map(Rejection::kind), expected, "{admission:?}");
+    }
+    assert_eq!(session.record().rejected.total(), 6);
+}
+
+#[test]
+fn a_pile_of_photographs_has_no_motion() {
+    let mut session = session(None);
+    let still = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
+    let moved = detection_at(Vector3::new(0.1, 0.0, 0.5), Vector3::zeros());
+    let named = |n: u64| FrameFacts {
+        name: Some(format!("{n}.png")),
+        host_time_ns: frame(0).host_time_ns + n as i64 * 10_000_000,
+        ..frame(n)
+    };
+    assert_eq!(session.observe(&named(0), Ok(&still)).unwrap().admission, Ok(0));
+    assert_eq!(session.observe(&named(1), Ok(&moved)).unwrap().admission, Ok(1));
+}
+
+#[test]
+fn one_estimate_at_a_time_and_the_newest_views_at_the_end() {
+    let mut session = session(None);
+    let detections = placements();
+    let wished = |actions: &[Action]| actions.iter().filter(|action| **action == Action::Estimate).count();
+    assert_eq!(wished(&feed(&mut session, 0, &detections[..6])), 1, "the third view asks, the others wait");
+    assert_eq!(session.estimated(estimate_of(3, 0.5)), [Action::Announce, Action::Estimate]);
+    assert_eq!(session.estimated(estimate_of(6, 0.4)), [Action::Announce]);
+    assert!(!session.is_estimating());
+    assert_eq!(wished(&feed(&mut session, 6, &detections[6..7])), 1);
+    session.estimated(None);
+    assert_eq!(session.record().estimate.unwrap().views, 6, "a failed estimate leaves the one before");
+}
+
+#[test]
+fn goals_end_it() {
+    let goal = Finish { uncertainty_px: Some(0.2), min_views: Some(5), max_seconds: None };
+    let mut session = session(Some(goal));
+    feed(&mut session, 0, &placements()[..5]);
+    assert_eq!(session.estimated(estimate_of(3, 0.1)), [Action::Announce, Action::Estimate], "of too few views");
+    assert_eq!(session.estimated(estimate_of(5, 0.3)), [Action::Announce], "not sure enough");
+    feed(&mut session, 5, &placements()[5..6]);
+    assert_eq!(session.estimated(estimate_of(6, 0.2)), [Action::Announce, Action::Announce, Action::Solve]);
+    assert_eq!(session.observe(&frame(9), Ok(&placements()[9])), None, "takes no more frames");
+    assert_eq!(session.stop(NOW_NS), Ok(Vec::new()), "it solves already");
+    assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), [Action::Close]);
+    let record = session.record();
+    assert_eq!((record.state, record.finished_at_ns), (SessionState::Finished, Some(NOW_NS)));
+    assert_eq!(session.stop(NOW_NS), Err(SessionOver { state: SessionState::Finished }));
+}
+
+#[test]
+fn a_number_of_views_alone_is_a_goal() {
+    let mut session = session(Some(Finish { min_views: Some(4), ..Finish::default() }));
+    assert!(!feed(&mut session, 0, &placements()[..3]).contains(&Action::Solve));
+    assert!(feed(&mut session, 3, &placements()[3..4]).contains(&Action::Solve));
+}
+
+#[test]
+fn time_is_that_of_the_frames_and_ends_it() {
+    let finish = Some(Finish { max_seconds: Some(5.0), ..Finish::default() });
+    let mut enough = session(finish);
+    assert!(!feed(&mut enough, 0, &placements()[..10]).contains(&Action::Solve));
+    assert_eq!(enough.record().collecting_s, 4.5);
+    assert!(feed(&mut enough, 10, &placements()[10..11]).contains(&Action::Solve));
+
+    let mut starved = session(finish);
+    assert_eq!(starved.waited(4.9), []);
+    assert_eq!(starved.waited(0.2), [Action::Close]);
+    assert_eq!(starved.record().state, SessionState::Failed);
+    assert!(starved.record().reason.as_ref().unwrap().starts_with("the time is up and 0 views were kept"));
+}
+
+#[test]
+fn too_few_views_fail_and_stay() {
+    let mut session = session(None);
+    feed(&mut session, 0, &placements()[..2]);
+    assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Close]));
+    assert_eq!((session.record().state, session.views().len()), (SessionState::Failed, 2));
+    assert!(session.record().reason.as_ref().unwrap().contains("2 views were kept and at least 3 are needed"));
+}
+
+#[test]
+fn an_aborted_solve_changes_nothing_any_more() {
+    let mut session = session(None);
+    feed(&mut session, 0, &placements());
+    assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Announce, Action::Solve]));
+    assert_eq!(session.abort(NOW_NS), Ok(vec![Action::Close]));
+    assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), []);
+    assert_eq!((session.record().state, &session.record().calibration), (SessionState::Aborted, &None));
+    assert_eq!(session.abort(NOW_NS), Err(SessionOver { state: SessionState::Aborted }));
+}
+
+#[test]
+fn a_loss_is_waited_through_and_said() {
+    let mut session = session(None);
+    feed(&mut session, 0, &placements()[..4]);
+    assert_eq!(session.camera_lost("unplugged"), [Action::Announce]);
+    assert_eq!(session.camera_lost("unplugged"), [], "said once");
+    assert_eq!(session.record().reason.as_deref(), Some("waits for the camera: unplugged"));
+    assert_eq!(session.camera_back(), [Action::Announce]);
+    assert_eq!(session.record().reason, None);
+    feed(&mut session, 100, &placements()[4..5]);
+    assert_eq!((session.record().views_kept, session.record().collecting_s), (5, 1.5), "the gap is not counted");
+}
+
+#[test]
+fn the_end_of_a_recording_ends_only_what_ends_by_itself() {
+    let mut until_stopped = session(None);
+    feed(&mut until_stopped, 0, &placements());
+    assert_eq!(until_stopped.source_ended("the recording has ended", NOW_NS), [Action::Announce]);
+    assert_eq!(until_stopped.record().state, SessionState::Collecting);
+    let mut with_goal = session(Some(Finish { uncertainty_px: Some(1e-9), ..Finish::default() }));
+    feed(&mut with_goal, 0, &placements());
+    assert!(with_goal.source_ended("the recording has ended", NOW_NS).contains(&Action::Solve));
+}
+
+#[test]
+fn a_resumed_session_is_the_one_that_was() {
+    let mut before = session(None);
+    feed(&mut before, 0, &placements()[..7]);
+    let (mut after, actions) =
+        Session::resume(before.record().clone(), before.views().to_vec(), &AdmissionOptions::default());
+    assert_eq!(actions, [Action::Announce, Action::Estimate]);
+    assert_eq!((after.record(), after.views()), (before.record(), before.views()));
+    let again = after.observe(&frame(7), Ok(&placements()[3])).unwrap();
+    assert_eq!(again.admission, Err(Rejection::TooSimilar { view: 3 }));
+    assert_eq!(after.observe(&frame(8), Ok(&placements()[7])).unwrap().admission, Ok(7));
+
+    after.stop(NOW_NS).unwrap();
+    let (_, actions) = Session::resume(after.record().clone(), after.views().to_vec(), &AdmissionOptions::default());
+    assert_eq!(actions, [Action::Announce, Action::Solve]);
+}
+
+#[test]
+fn the_operator_is_told_what_lasts_and_not_what_flickers() {
+    let mut session = session(None);
+    let no_board = || Err(Rejection::NoBoard(NoBoard::NoCorners));
+    let message = |session: &Session| session.record().guidance.message.clone();
+    feed(&mut session, 0, &placements()[..1]);
+    let wish = message(&session);
+    (1..4).for_each(|n| {
+        session.observe(&frame(n), no_board());
+    });
+    assert_eq!(message(&session), wish);
+    let actions = session.observe(&frame(4), no_board()).unwrap().actions;
+    assert_eq!((message(&session).as_str(), actions), ("show the board to the camera", vec![Action::Announce]));
+    assert_eq!(session.observe(&frame(5), no_board()).unwrap().actions, [], "nothing new");
+}

@@ -1,0 +1,113 @@
+//! `plumb export`: a stored calibration in another program's format.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use serde::Serialize;
+
+use crate::calibration::calibration::Calibration;
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::{Failure, output};
+use crate::export::{Exported, Format, export};
+
+/// Converts a stored calibration to another program's format.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// The format to write.
+    #[arg(long)]
+    format: FormatName,
+    /// Which sensor, where the calibration has several and the format holds one.
+    #[arg(long)]
+    sensor: Option<SensorName>,
+    /// Where to write; standard output unless given.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Print one JSON document that holds the file and what to know about it.
+    #[arg(long)]
+    json: bool,
+}
+
+/// The formats by their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FormatName {
+    /// Plumb's calibration document
+    Json,
+    /// ROS camera_info YAML
+    Ros,
+    /// OpenCV FileStorage YAML
+    Opencv,
+    /// Kalibr camera chain YAML
+    Kalibr,
+    /// mrcal .cameramodel
+    Mrcal,
+    /// COLMAP cameras.txt
+    Colmap,
+}
+
+impl From<FormatName> for Format {
+    fn from(name: FormatName) -> Self {
+        match name {
+            FormatName::Json => Self::Json,
+            FormatName::Ros => Self::Ros,
+            FormatName::Opencv => Self::Opencv,
+            FormatName::Kalibr => Self::Kalibr,
+            FormatName::Mrcal => Self::Mrcal,
+            FormatName::Colmap => Self::Colmap,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum SensorName {
+    Color,
+    Infrared,
+}
+
+#[derive(Debug, Serialize)]
+struct ExportedDocument<'a> {
+    format: &'a str,
+    media_type: &'a str,
+    file_name: &'a str,
+    note: Option<&'a str>,
+    content: &'a str,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the calibration cannot be read, or the format cannot hold it.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let calibration = read_calibration(&args.calibration)?;
+    let calibration = match args.sensor {
+        None => calibration,
+        Some(SensorName::Color) => Calibration { infrared: None, ..calibration },
+        Some(SensorName::Infrared) => Calibration { color: None, ..calibration },
+    };
+    let format = Format::from(args.format);
+    let exported = export(&calibration, format)
+        .map_err(|error| Failure::failed(format!("{}: {error}", args.calibration.display())))?;
+    if let Some(note) = &exported.note {
+        tracing::warn!("{note}");
+    }
+    if let Some(path) = &args.out {
+        write_file(path, &exported.bytes)?;
+    }
+    match (args.json, &args.out) {
+        (true, _) => print_document(format, &exported),
+        (false, None) => output::print_bytes(&exported.bytes),
+        (false, Some(_)) => Ok(()),
+    }
+}
+
+fn print_document(format: Format, exported: &Exported) -> Result<(), Failure> {
+    output::print_json(&ExportedDocument {
+        format: format.name(),
+        media_type: exported.media_type,
+        file_name: &exported.file_name,
+        note: exported.note.as_deref(),
+        content: &String::from_utf8_lossy(&exported.bytes),
+    })
+}

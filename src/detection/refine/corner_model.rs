@@ -1,0 +1,90 @@
+//! What a blurred chessboard corner looks like: two edges that cross, each a Gaussian's integral across.
+//!
+//! With u₁ and u₂ the distances to the two edges in units of the blur, ρ the correlation of the blur across them (the
+//! cosine between their normals, for a round blur), and Φ₂ the bivariate normal distribution, the pattern is
+//! t = 4Φ₂(u₁, u₂; ρ) − 2Φ(u₁) − 2Φ(u₂) + 1, in −1 … 1, here to third order in ρ (the tetrachoric series). The grey value is
+//! (level + amplitude·t + bend·(1 − t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
+
+/// How many unknowns [`CornerModel`] has, in the order of [`CornerModel::moved_by`].
+pub(super) const UNKNOWNS: usize = 11;
+
+/// One corner, in the pixels of its window and relative to the window's origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CornerModel {
+    /// Where the edges cross.
+    pub center: [f64; 2],
+    /// Unit vectors along the two edges at the corner.
+    pub along: [[f64; 2]; 2],
+    /// 1/σ of the blur across each edge.
+    pub sharpness: [f64; 2],
+    /// Curvature of each edge, towards its normal, in 1/pixel.
+    pub curvature: [f64; 2],
+    /// Mean of black and white.
+    pub level: f64,
+    /// Half the difference of white and black; its sign says which diagonal is white.
+    pub amplitude: f64,
+    /// How far a grey value halfway lies above the mean.
+    pub bend: f64,
+    /// Relative change of light per pixel.
+    pub gradient: [f64; 2],
+}
+
+impl CornerModel {
+    /// The normals of the edges: `along` turned by +90° (x towards y).
+    pub fn normals(&self) -> [[f64; 2]; 2] {
+        self.along.map(|[x, y]| [-y, x])
+    }
+
+    /// Correlation of a round blur across the two edges.
+    pub fn correlation(&self) -> f64 {
+        self.along[0][0] * self.along[1][0] + self.along[0][1] * self.along[1][1]
+    }
+
+    /// The move of `center` that shifts the two edges by `shift` along their normals.
+    pub fn center_move(&self, shift: [f64; 2]) -> [f64; 2] {
+        let [a, b] = self.normals();
+        let det = a[0] * b[1] - a[1] * b[0];
+        [(shift[0] * b[1] - shift[1] * a[1]) / det, (a[0] * shift[1] - b[0] * shift[0]) / det]
+    }
+
+    /// The model after a step in the unknowns: shift of each edge along its normal, gradient x and y, turn of each edge
+    /// (radians), sharpness of each edge, level, amplitude, bend. Steps beyond what the linearisation can promise are
+    /// cut short.
+    pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
+        let mut moved = *self;
+        let reach = 0.5 + 1.0 / self.sharpness[0].min(self.sharpness[1]);
+        let [dx, dy] = self.center_move([step[0], step[1]]);
+        let short = (reach / dx.hypot(dy).max(1e-12)).min(1.0);
+        moved.center = [self.center[0] + short * dx, self.center[1] + short * dy];
+        moved.gradient = [self.gradient[0] + step[2], self.gradient[1] + step[3]];
+        for edge in 0..2 {
+            let turn = step[4 + edge].clamp(-0.25, 0.25);
+            let [x, y] = self.along[edge];
+            let turned = [x - turn * y, y + turn * x];
+            let length = turned[0].hypot(turned[1]);
+            moved.along[edge] = [turned[0] / length, turned[1] / length];
+            let sharpness = self.sharpness[edge];
+            moved.sharpness[edge] = (sharpness + step[6 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
+        }
+        moved.level += step[8];
+        moved.amplitude += step[9];
+        moved.bend += step[10];
+        moved
+    }
+
+    /// The same model in samples of another size: from bins of `from` pixels to bins of `to`.
+    pub fn rescaled(&self, from: f64, to: f64) -> Self {
+        let scale = to / from;
+        let sharpness = self.sharpness.map(|k| {
+            let variance = from * from * (1.0 / (k * k) - 1.0 / 12.0) + to * to / 12.0;
+            to / variance.max(0.08 * to * to).sqrt()
+        });
+        Self {
+            center: self.center.map(|c| c / scale),
+            sharpness,
+            curvature: self.curvature.map(|c| c * scale),
+            gradient: self.gradient.map(|g| g * scale),
+            ..*self
+        }
+    }
+}

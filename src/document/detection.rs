@@ -1,0 +1,112 @@
+//! A detection, as it is stored with its view.
+
+use serde::{Deserialize, Serialize};
+
+use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
+use crate::document::error::DocumentError;
+use crate::geometry::board::BoardSize;
+use crate::geometry::pixel::Pixel;
+
+/// A board that was found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DetectionDocument {
+    /// Inner corners along a row.
+    pub cols: u32,
+    /// Rows of inner corners.
+    pub rows: u32,
+    /// Some of the board's corners were not seen.
+    pub partial: bool,
+    /// The indices count from the board's first corner.
+    pub position_known: bool,
+    /// No picture of this board can tell which way round it is.
+    pub orientation_ambiguous: bool,
+    /// Width of the blur at the board's edges, in pixels.
+    pub blur_px: f64,
+    /// Which corners: `[col, row]`.
+    pub indices: Vec<[i32; 2]>,
+    /// Where each is seen, in pixels.
+    pub corners: Vec<[f64; 2]>,
+    /// Predicted standard deviation of each, per axis, in pixels.
+    pub std_px: Vec<f64>,
+}
+
+impl From<&Detection> for DetectionDocument {
+    fn from(detection: &Detection) -> Self {
+        let corners = || detection.corners.iter();
+        Self {
+            cols: detection.board.cols,
+            rows: detection.board.rows,
+            partial: detection.partial,
+            position_known: detection.position_known,
+            orientation_ambiguous: detection.orientation_ambiguous,
+            blur_px: detection.blur_px,
+            indices: corners().map(|corner| [corner.index.col, corner.index.row]).collect(),
+            corners: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
+            std_px: corners().map(|corner| corner.std_px).collect(),
+        }
+    }
+}
+
+impl TryFrom<&DetectionDocument> for Detection {
+    type Error = DocumentError;
+    fn try_from(document: &DetectionDocument) -> Result<Self, DocumentError> {
+        let board = BoardSize::new(document.cols, document.rows);
+        let count = document.corners.len();
+        if document.indices.len() != count || document.std_px.len() != count {
+            return Err(DocumentError::field("corners", "has another length than `indices` or `std_px`"));
+        }
+        let places = document.indices.iter().zip(&document.corners);
+        let corner = |((&[col, row], &[x, y]), &std_px): ((&[i32; 2], &[f64; 2]), &f64)| DetectedCorner {
+            index: GridIndex { col, row },
+            pixel: Pixel::new(x, y),
+            std_px,
+        };
+        Ok(Self {
+            board: board.map_err(|e| DocumentError::field("cols", e.to_string()))?,
+            corners: places.zip(&document.std_px).map(corner).collect(),
+            partial: document.partial,
+            position_known: document.position_known,
+            orientation_ambiguous: document.orientation_ambiguous,
+            blur_px: document.blur_px,
+        })
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::document::reading::{from_json, to_json};
+
+    /// A detection of a whole board whose numbers have no short decimals.
+    pub(crate) fn example() -> Detection {
+        let board = BoardSize::new(4, 3).unwrap();
+        let corner = |i: i32| DetectedCorner {
+            index: GridIndex { col: i % 4, row: i / 4 },
+            pixel: Pixel::new(100.0 / 3.0 + f64::from(i).sqrt(), 200.0 / 7.0 - f64::from(i).sin()),
+            std_px: 0.1 / f64::from(i + 3),
+        };
+        Detection {
+            board,
+            corners: (0..12).map(corner).collect(),
+            partial: false,
+            position_known: true,
+            orientation_ambiguous: false,
+            blur_px: 2.0 / 3.0,
+        }
+    }
+
+    #[test]
+    fn a_detection_survives_to_the_bit() {
+        let detection = example();
+        let json = to_json(&DetectionDocument::from(&detection)).unwrap();
+        let back: DetectionDocument = from_json(json.as_bytes()).unwrap();
+        assert_eq!(Detection::try_from(&back), Ok(detection));
+    }
+
+    #[test]
+    fn lists_of_different_lengths_are_refused() {
+        let mut document = DetectionDocument::from(&example());
+        document.std_px.pop();
+        assert_eq!(Detection::try_from(&document).unwrap_err().path(), Some("corners"));
+    }
+}

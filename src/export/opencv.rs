@@ -1,0 +1,34 @@
+//! OpenCV `FileStorage` YAML, with the field names of OpenCV's own calibration sample.
+
+use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::export::number::{decimal, list};
+use crate::export::{ExportError, Format, without_skew};
+use crate::geometry::lens::LensModel;
+
+/// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1: the coefficients are
+/// those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their fisheye twins.
+pub(super) fn file_storage(calibration: &Calibration, sensor: &SensorCalibration) -> Result<String, ExportError> {
+    without_skew(sensor, Format::Opencv)?;
+    let lens = &sensor.lens;
+    let mut coefficients = lens.distortion.coefficients();
+    if matches!(lens.model(), LensModel::Pinhole | LensModel::Radial) {
+        coefficients.resize(5, 0.0);
+    }
+    let k = lens.matrix;
+    let mut text = String::from("%YAML:1.0\n---\n");
+    text += &format!("image_width: {}\nimage_height: {}\n", sensor.image_size.width, sensor.image_size.height);
+    if let Some(target) = &calibration.target {
+        text += &format!("board_width: {}\nboard_height: {}\n", target.size.cols, target.size.rows);
+        text += &format!("square_size: {}\n", decimal(target.square_m));
+    }
+    text += &format!("fisheye_model: {}\n", i32::from(lens.model() == LensModel::KannalaBrandt));
+    text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
+    text += &matrix("distortion_coefficients", coefficients.len(), &coefficients);
+    text += &format!("avg_reprojection_error: {}\n", decimal(sensor.rms_px));
+    Ok(text)
+}
+
+fn matrix(name: &str, rows: usize, values: &[f64]) -> String {
+    let cols = values.len() / rows;
+    format!("{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]\n", list(values))
+}

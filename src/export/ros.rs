@@ -1,0 +1,45 @@
+//! ROS `camera_info` YAML, as `camera_info_manager` and `camera_calibration_parsers` read it.
+
+use crate::calibration::calibration::SensorCalibration;
+use crate::export::number::list;
+use crate::export::{ExportError, Format, without_skew};
+use crate::geometry::lens::{Lens, LensModel};
+
+/// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the projection matrix keeps
+/// the camera matrix: a rectified image has the same focal length and principal point, so that nothing is resampled more
+/// than the distortion asks for.
+pub(super) fn camera_info(camera: &str, sensor: &SensorCalibration) -> Result<String, ExportError> {
+    without_skew(sensor, Format::Ros)?;
+    let (model, coefficients) = distortion(&sensor.lens);
+    let k = sensor.lens.matrix;
+    let camera_matrix = list(&[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
+    let rectification = list(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    let projection = list(&[k.fx, 0.0, k.cx, 0.0, 0.0, k.fy, k.cy, 0.0, 0.0, 0.0, 1.0, 0.0]);
+    Ok(format!(
+        "image_width: {width}\n\
+         image_height: {height}\n\
+         camera_name: {name}\n\
+         camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{camera_matrix}]\n\
+         distortion_model: {model}\n\
+         distortion_coefficients:\n  rows: 1\n  cols: {count}\n  data: [{coefficients}]\n\
+         rectification_matrix:\n  rows: 3\n  cols: 3\n  data: [{rectification}]\n\
+         projection_matrix:\n  rows: 3\n  cols: 4\n  data: [{projection}]\n",
+        width = sensor.image_size.width,
+        height = sensor.image_size.height,
+        name = serde_json::Value::from(camera),
+        count = coefficients.len(),
+        coefficients = list(&coefficients),
+    ))
+}
+
+/// ROS's name and coefficients. Pinhole and radial lenses are `plumb_bob` ones whose other coefficients are 0.
+fn distortion(lens: &Lens) -> (&'static str, Vec<f64>) {
+    let coefficients = lens.distortion.coefficients();
+    match lens.model() {
+        LensModel::Pinhole => ("plumb_bob", vec![0.0; 5]),
+        LensModel::Radial => ("plumb_bob", vec![coefficients[0], 0.0, 0.0, 0.0, 0.0]),
+        LensModel::Brown => ("plumb_bob", coefficients),
+        LensModel::Rational => ("rational_polynomial", coefficients),
+        LensModel::KannalaBrandt => ("equidistant", coefficients),
+    }
+}

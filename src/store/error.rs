@@ -1,0 +1,73 @@
+//! Why the store refuses or fails.
+
+use std::path::PathBuf;
+
+/// A store that cannot be opened, read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The folder cannot be made or used.
+    #[error("store {}: {detail}; give a folder that can be written, with `path` in [store]", path.display())]
+    Folder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system said.
+        detail: String,
+    },
+    /// Another process has it open.
+    #[error("store {}: in use by another plumb; stop that one, or give another `path` in [store]", path.display())]
+    InUse {
+        /// The database.
+        path: PathBuf,
+    },
+    /// Written by a newer program.
+    #[error(
+        "store {}: has schema {found}, this program knows up to {known}; use the newer plumb, or give another `path` in [store]",
+        path.display()
+    )]
+    Newer {
+        /// The database.
+        path: PathBuf,
+        /// Its schema's version.
+        found: i64,
+        /// The newest version that is known here.
+        known: i64,
+    },
+    /// Not a database, another program's, or a broken one.
+    #[error("store {}: damaged or not a plumb store: {detail}; move it away, or restore it from a copy", path.display())]
+    Damaged {
+        /// The database.
+        path: PathBuf,
+        /// What is wrong.
+        detail: String,
+    },
+    /// A row that does not read as what it should be.
+    #[error("store: {row} cannot be read: {detail}; restore the store from a copy")]
+    Unreadable {
+        /// Which row.
+        row: String,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// Something that would not come back as it was given.
+    #[error("store: {row} cannot be stored: {detail}")]
+    Unstorable {
+        /// What it is.
+        row: String,
+        /// What is wrong with it.
+        detail: String,
+    },
+    /// What is named is not there.
+    #[error("store: there is no {row}")]
+    Missing {
+        /// What was asked for.
+        row: String,
+    },
+    /// The database failed.
+    #[error("store {}: {detail}; is the disk full or read-only?", path.display())]
+    Failed {
+        /// The database.
+        path: PathBuf,
+        /// What it said.
+        detail: String,
+    },
+}

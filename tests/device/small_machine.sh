@@ -1,0 +1,148 @@
+#!/bin/bash
+# A small Linux machine with a real V4L2 stack, for hosts whose kernel has none (containers, most virtual machines).
+#
+#   small_machine.sh prepare                                    make it: packages, kernel, modules, initramfs; quick when done
+#   small_machine.sh run [-t SECONDS] [-m 'MODULE ARGS']… -- PROGRAM ARGS…
+#
+# QEMU boots Debian's own kernel (in software: no KVM is needed), loads the modules and runs PROGRAM on
+# the host's root file system, which the guest sees read-only. Writable in the guest: /run, and /run/out, which is
+# $SMALL_MACHINE_OUT on the host. In the guest `/run/machine/modprobe NAME ARGS` loads another module.
+# Output and exit status are PROGRAM's own; 124: no end in time; 125: the guest died; 126: a module did not load.
+set -euo pipefail
+HOME_DIR=${SMALL_MACHINE_HOME:-${XDG_CACHE_HOME:-$HOME/.cache}/plumb-small-machine}
+PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils)
+MODULES=(vivid v4l2loopback uvcvideo usb_f_uvc dummy_hcd virtio_pci 9pnet_virtio 9p)
+# Raised when a change here must remake what is prepared.
+RECIPE=1
+
+fail() { echo "small machine: $*" >&2; exit 125; }
+
+prepare() {
+  mkdir -p "$HOME_DIR"
+  exec 9>"$HOME_DIR/lock"; flock 9
+  local missing=() package
+  for package in "${PACKAGES[@]}"; do installed "$package" || missing+=("$package"); done
+  if [ ${#missing[@]} -eq 0 ] && [ "$(cat "$HOME_DIR/made" 2>/dev/null)" = "$RECIPE" ]; then return 0; fi
+  local log=$HOME_DIR/prepare.log
+  dpkg --configure -a >"$log" 2>&1 || true  # an installation that was cut off
+  apt-get update -qq >>"$log" 2>&1 || true
+  local image version
+  image=$(apt-cache depends linux-image-amd64 | awk '$1 == "Depends:" { print $2; exit }')
+  [ -n "$image" ] || fail "the package index knows no linux-image-amd64 (see $log)"
+  version=${image#linux-image-}
+  missing+=("linux-headers-$version" gcc-12 make)
+  DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=900 install -y --no-install-recommends "${missing[@]}" \
+    >>"$log" 2>&1 || fail "apt-get could not install ${missing[*]} (see $log)"
+  local tree=$HOME_DIR/tree
+  rm -rf "$tree"; mkdir -p "$tree"
+  unpack_kernel "$image" "$tree" >>"$log" 2>&1 || fail "the kernel $image could not be fetched (see $log)"
+  build_loopback "$version" "$tree" >>"$log" 2>&1 || fail "v4l2loopback did not build (see $log)"
+  /sbin/depmod -b "$tree" "$version"
+  make_initramfs "$version" "$tree"
+  cp "$tree/boot/vmlinuz-$version" "$HOME_DIR/vmlinuz"
+  rm -rf "$tree"
+  echo "$RECIPE" >"$HOME_DIR/made"
+}
+
+installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
+
+unpack_kernel() {
+  local image=$1 tree=$2
+  (cd "$HOME_DIR" && rm -f ./*.deb && apt-get download "$image")
+  dpkg-deb --fsys-tarfile "$HOME_DIR/${image}"_*.deb | tar -x -C "$tree" ./boot ./lib/modules
+  rm -f "$HOME_DIR/${image}"_*.deb
+}
+
+build_loopback() {
+  local version=$1 tree=$2 source=$HOME_DIR/loopback
+  rm -rf "$source"
+  (cd "$HOME_DIR" && apt-get download v4l2loopback-dkms && dpkg-deb -x v4l2loopback-dkms_*.deb "$source" && rm -f ./*.deb)
+  local build; build=$(echo "$source"/usr/src/v4l2loopback-*)
+  make -s -C "/lib/modules/$version/build" M="$build" modules
+  mkdir -p "$tree/lib/modules/$version/extra"
+  strip -g -o "$tree/lib/modules/$version/extra/v4l2loopback.ko" "$build/v4l2loopback.ko"
+  rm -rf "$source"
+}
+
+make_initramfs() {
+  local version=$1 tree=$2 root=$HOME_DIR/root module path
+  rm -rf "$root"; mkdir -p "$root"/{bin,modules,lists,proc,sys,dev,run,host}
+  cp "$(command -v busybox)" "$root/bin/busybox"
+  for module in "${MODULES[@]}"; do
+    # The order in which insmod must load them.
+    /sbin/modprobe -d "$tree" -S "$version" --show-depends "$module" | awk '$1 == "insmod" { print $2 }' |
+      while read -r path; do cp -n "$path" "$root/modules/"; basename "$path"; done >"$root/lists/$module"
+  done
+  cat >"$root/modprobe" <<'GUEST'
+#!/run/machine/busybox sh
+# modprobe NAME ARGS: loads what NAME needs, then NAME with its arguments.
+bb=/run/machine/busybox; name=$1; shift
+last=$($bb tail -n1 /run/machine/lists/$name)
+for file in $($bb cat /run/machine/lists/$name); do
+  loaded=$(echo ${file%.ko} | $bb tr - _)
+  [ -d /sys/module/$loaded ] && continue
+  if [ $file = $last ]; then $bb insmod /run/machine/modules/$file "$@" || exit 1; else $bb insmod /run/machine/modules/$file || exit 1; fi
+done
+GUEST
+  cat >"$root/init" <<'GUEST'
+#!/bin/busybox sh
+bb=/bin/busybox
+$bb mount -t proc proc /proc; $bb mount -t sysfs sys /sys; $bb mount -t devtmpfs dev /dev
+$bb ln -s / /run/machine; $bb ln -s /bin/busybox /busybox
+for module in virtio_pci 9pnet_virtio 9p; do $bb sh /modprobe $module; done
+$bb mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=524288 hostroot /host
+$bb mount -t tmpfs run /host/run; $bb mkdir -p /host/run/machine /host/run/out
+$bb cp -r /modules /lists /modprobe /host/run/machine/; $bb cp /bin/busybox /host/run/machine/busybox
+$bb chmod 755 /host/run/machine/modprobe
+$bb mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288 hostout /host/run/out
+for dir in proc sys dev; do $bb mount --bind /$dir /host/$dir; done
+$bb ifconfig lo 127.0.0.1 up
+$bb stty -F /dev/ttyS1 raw -echo
+$bb chroot /host /run/out/command.sh </dev/null >/dev/ttyS1 2>&1
+$bb echo $? >/host/run/out/status
+$bb sync; $bb sleep 0.1; $bb reboot -f
+GUEST
+  chmod +x "$root/init" "$root/modprobe"
+  (cd "$root" && find . | cpio -o -H newc --quiet) | gzip -1 >"$HOME_DIR/initramfs"
+  rm -rf "$root"
+}
+
+run() {
+  local seconds=180 modules=() out status=0
+  while [ $# -gt 0 ]; do
+    case $1 in -t) seconds=$2; shift 2 ;; -m) modules+=("$2"); shift 2 ;; --) shift; break ;; *) break ;; esac
+  done
+  [ -s "$HOME_DIR/initramfs" ] || fail "not prepared: run $0 prepare"
+  out=${SMALL_MACHINE_OUT:-$(mktemp -d /tmp/small-machine.XXXXXX)}
+  mkdir -p "$out"; rm -f "$out/status"
+  command_file "$out" "${modules[@]+"${modules[@]}"}" -- "$@"
+  timeout -k 5 "$seconds" qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -m "${SMALL_MACHINE_MB:-1024}" -smp 2 \
+    -kernel "$HOME_DIR/vmlinuz" -initrd "$HOME_DIR/initramfs" \
+    -append 'console=ttyS0 quiet panic=-1 reboot=t mitigations=off random.trust_cpu=on' \
+    -display none -monitor none -no-reboot -net none -serial "file:$out/console.log" -serial stdio \
+    -virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap \
+    -virtfs local,path="$out",mount_tag=hostout,security_model=none </dev/null 2>"$out/qemu.log" || status=$?
+  if [ "$status" = 124 ] || [ "$status" = 137 ]; then echo "small machine: no end within $seconds s (kernel messages: $out/console.log)" >&2; return 124; fi
+  [ -s "$out/status" ] || fail "the guest died: $(tail -n1 "$out/qemu.log") (kernel messages: $out/console.log)"
+  return "$(cat "$out/status")"
+}
+
+# What the guest runs: the modules, then the program, in this directory and with nothing of this environment but $GUEST_ENV.
+command_file() {
+  local out=$1 module; shift
+  {
+    echo '#!/bin/sh'
+    while [ "$1" != -- ]; do printf '/run/machine/modprobe %s || exit 126\n' "$1"; shift; done
+    shift
+    echo 'export SMALL_MACHINE_GUEST=1 TMPDIR=/run HOME=/run PATH=/usr/local/bin:/usr/bin:/bin:/sbin:/usr/sbin'
+    for module in ${GUEST_ENV:-}; do printf 'export %s=%q\n' "$module" "${!module}"; done
+    printf 'cd %q\nexec' "$PWD"; printf ' %q' "$@"; echo
+  } >"$out/command.sh"
+  chmod +x "$out/command.sh"
+}
+
+case ${1:-} in
+  prepare) prepare ;;
+  run) shift; run "$@" ;;
+  *) sed -n '2,12s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+esac
