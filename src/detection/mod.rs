@@ -3,4 +3,16 @@
 //! **May miss, never mislabels.**
 
 pub mod board_detection;
+mod candidates;
+mod cross;
+pub mod detector;
+mod edges;
+mod ends;
+mod grid;
+mod growth;
+mod placement;
+mod pyramid;
 pub mod refine;
+mod response;
+mod seeds;
+mod verification;

@@ -99,6 +99,16 @@ impl<'a> GrayView<'a> {
         ImageSize::new(self.width as u32, self.height as u32)
     }
 
+    /// Bytes from the start of one row to the start of the next.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
+    /// The buffer that holds the rows, each starting [`stride`](Self::stride) bytes after the one above.
+    pub fn bytes(&self) -> &'a [u8] {
+        self.pixels
+    }
+
     /// The pixels of row `y`.
     pub fn row(&self, y: usize) -> &'a [u8] {
         &self.pixels[y * self.stride..y * self.stride + self.width]

@@ -1,0 +1,196 @@
+//! A small window laid over the image along two edges: is this where four chessboard squares meet, and where exactly?
+//!
+//! The window is a parallelogram whose sides follow the board's edges, so a slanted board looks square in it. Six by six
+//! samples are compared with the pattern sign(a·b), and a bilinear saddle c₀ + c₁a + c₂b + c₄ab is fitted to them by
+//! least squares; its saddle point (−c₂/c₄, −c₁/c₄) is the corner.
+
+use nalgebra::Vector2;
+
+use crate::imaging::gray::GrayView;
+
+/// A position or a vector in an image, in pixels.
+pub(super) type Vec2 = Vector2<f32>;
+
+/// A parallelogram about `center`, reaching `a` and `b` to each side.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    /// Its middle.
+    pub center: Vec2,
+    /// From the middle half-way along one edge of the board.
+    pub a: Vec2,
+    /// From the middle half-way along the other edge.
+    pub b: Vec2,
+}
+
+/// What a window shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Cross {
+    /// The saddle point, in pixels.
+    pub center: Vec2,
+    /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either polarity.
+    pub score: f32,
+    /// Mean brightness of the quadrants between +a and +b and between −a and −b, less that of the other two.
+    pub contrast: f32,
+}
+
+const OFFSETS: [f32; 6] = [-1.0, -0.6, -0.2, 0.2, 0.6, 1.0];
+const SUM_A2: f32 = 6.0 * 2.8;
+const SUM_A2B2: f32 = 2.8 * 2.8;
+
+impl Window {
+    /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
+    /// `most_px` pixels.
+    pub(super) fn on_board(center: Vec2, u: Vec2, v: Vec2, fraction: f32, most_px: f32) -> Self {
+        let reach = |w: Vec2| w * fraction.min(most_px / w.norm().max(1e-3));
+        Self { center, a: reach(u), b: reach(v) }
+    }
+
+    /// The same window, shrunk until it lies inside `image`; `None` if less than `least` of it is left.
+    pub(super) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
+        let half = Vec2::new(self.a.x.abs() + self.b.x.abs(), self.a.y.abs() + self.b.y.abs());
+        let room_x = self.center.x.min((image.width() as f32 - 1.0) - self.center.x);
+        let room_y = self.center.y.min((image.height() as f32 - 1.0) - self.center.y);
+        let fit = (room_x / half.x.max(1e-6)).min(room_y / half.y.max(1e-6)) - 1e-4;
+        if fit < least || !fit.is_finite() {
+            return None;
+        }
+        let shrink = fit.min(1.0);
+        self.a *= shrink;
+        self.b *= shrink;
+        Some(self)
+    }
+
+    /// Looks at the window once. `None` if it leaves the image or is flat.
+    pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
+        let inside = self.inside(image, 1.0)?;
+        let (bytes, stride) = (image.bytes(), image.stride());
+        let (mut sum, mut squares, mut sum_a, mut sum_b, mut sum_ab, mut matched) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        for &j in &OFFSETS {
+            let row = inside.center + inside.b * j;
+            let (mut line, mut line_a, mut line_sign) = (0.0f32, 0.0f32, 0.0f32);
+            for &i in &OFFSETS {
+                let value = bilinear(bytes, stride, row.x + inside.a.x * i, row.y + inside.a.y * i);
+                line += value;
+                line_a += i * value;
+                line_sign += if i > 0.0 { value } else { -value };
+                squares += value * value;
+            }
+            sum += line;
+            sum_a += line_a;
+            sum_b += j * line;
+            sum_ab += j * line_a;
+            matched += if j > 0.0 { line_sign } else { -line_sign };
+        }
+        let spread = (squares - sum * sum / 36.0).max(0.0);
+        if spread < 18.0 || sum_ab == 0.0 {
+            return None;
+        }
+        let c4 = sum_ab / SUM_A2B2;
+        let shift_a = (-(sum_b / SUM_A2) / c4).clamp(-1.0, 1.0);
+        let shift_b = (-(sum_a / SUM_A2) / c4).clamp(-1.0, 1.0);
+        Some(Cross {
+            center: self.center + self.a * shift_a + self.b * shift_b,
+            score: matched.abs() / (36.0 * spread).sqrt(),
+            contrast: matched / 18.0,
+        })
+    }
+
+    /// Looks, moves to the saddle point, and looks again, `times` in all.
+    pub(super) fn settle(mut self, image: GrayView<'_>, times: usize) -> Option<Cross> {
+        let mut cross = self.look(image)?;
+        for _ in 1..times {
+            self.center = cross.center;
+            cross = self.look(image)?;
+        }
+        Some(cross)
+    }
+
+    /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the smaller of the bright
+    /// less the larger of the dark, with the sign that [`Cross::contrast`] has. `None` outside the image; 0 if not.
+    pub(super) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
+        let inside = self.inside(image, 1.0)?;
+        let at = |p: Vec2| bilinear(image.bytes(), image.stride(), p.x, p.y);
+        let (sum, difference) = (inside.a + inside.b, inside.a - inside.b);
+        let (p, q) = (at(inside.center + sum), at(inside.center - sum));
+        let (r, s) = (at(inside.center + difference), at(inside.center - difference));
+        let (bright, dark) = (p.min(q) - r.max(s), r.min(s) - p.max(q));
+        Some(if bright > 0.0 {
+            bright
+        } else if dark > 0.0 {
+            -dark
+        } else {
+            0.0
+        })
+    }
+}
+
+/// Brightness between pixels; (`x`, `y`) must lie in 0 … size − 1.
+#[inline]
+pub(super) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
+    let (column, row) = (x as usize, y as usize);
+    let (fx, fy) = (x - column as f32, y - row as f32);
+    let at = row * stride + column;
+    let get = |i: usize| f32::from(bytes.get(i).copied().unwrap_or(0));
+    let (p, q) = if fx > 0.0 { (get(at) + fx * (get(at + 1) - get(at)), at + stride) } else { (get(at), at + stride) };
+    if fy > 0.0 {
+        let lower = if fx > 0.0 { get(q) + fx * (get(q + 1) - get(q)) } else { get(q) };
+        p + fy * (lower - p)
+    } else {
+        p
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::gray::GrayImage;
+
+    fn slanted_cross(center: Vec2, a: Vec2, b: Vec2) -> GrayImage {
+        let mut pixels = Vec::new();
+        let inverse = nalgebra::Matrix2::from_columns(&[a, b]).try_inverse().expect("two directions");
+        for y in 0..40 {
+            for x in 0..40 {
+                let mut bright = 0.0;
+                for sub in 0..64 {
+                    let p = Vec2::new(x as f32 - 0.5 + (sub % 8) as f32 / 8.0, y as f32 - 0.5 + (sub / 8) as f32 / 8.0);
+                    let q = inverse * (p + Vec2::repeat(1.0 / 16.0) - center);
+                    bright += if q.x * q.y > 0.0 { 200.0 / 64.0 } else { 50.0 / 64.0 };
+                }
+                pixels.push(bright as u8);
+            }
+        }
+        GrayImage::from_pixels(40, 40, pixels).expect("1600 pixels")
+    }
+
+    #[test]
+    fn the_saddle_of_a_slanted_cross_is_found() {
+        let (a, b) = (Vec2::new(0.9, 0.3), Vec2::new(-0.1, 1.0));
+        let truth = Vec2::new(19.3, 20.6);
+        let image = slanted_cross(truth, a, b);
+        let window = Window { center: Vec2::new(20.5, 19.9), a: a * 2.5, b: b * 2.5 };
+        let cross = window.settle(image.view(), 6).expect("a cross");
+        assert!((cross.center - truth).norm() < 0.1, "{cross:?}");
+        assert!(cross.score > 0.85 && cross.contrast > 100.0, "{cross:?}");
+    }
+
+    #[test]
+    fn the_other_polarity_has_negative_contrast() {
+        let (a, b) = (Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0));
+        let image = slanted_cross(Vec2::new(20.0, 20.0), a, b);
+        let window = Window { center: Vec2::new(20.0, 20.0), a: b * 3.0, b: -a * 3.0 };
+        assert!(window.look(image.view()).expect("a cross").contrast < -100.0);
+        assert!(window.alternation(image.view()).expect("inside") < -100.0);
+    }
+
+    #[test]
+    fn a_flat_window_and_one_outside_show_nothing() {
+        let flat = GrayImage::filled(40, 40, 128);
+        let window = Window { center: Vec2::new(20.0, 20.0), a: Vec2::new(3.0, 0.0), b: Vec2::new(0.0, 3.0) };
+        assert_eq!(window.look(flat.view()), None);
+        let outside = Window { center: Vec2::new(1.0, 20.0), ..window };
+        assert_eq!(outside.look(flat.view()), None);
+        assert!(outside.inside(flat.view(), 0.2).is_some());
+        assert!(outside.inside(flat.view(), 0.9).is_none());
+        assert!(Window { center: Vec2::new(f32::NAN, 0.0), ..window }.look(flat.view()).is_none());
+    }
+}

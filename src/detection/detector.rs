@@ -1,0 +1,293 @@
+//! The whole search: from the coarsest level of the image to the finest, until a board is found.
+
+use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
+use super::candidates::CandidateSearch;
+use super::cross::Vec2;
+use super::ends::seen_ends;
+use super::grid::{Bounds, Grid, Node};
+use super::growth::{Growth, settle};
+use super::placement::{Placement, place};
+use super::pyramid::{Pyramid, coarsest_level};
+use super::refine::{GridCorner, RefinedCorner, Refiner};
+use super::response::Response;
+use super::seeds::Neighbourhood;
+use super::verification::verify;
+use crate::geometry::board::BoardSize;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`] lines each way.
+const LEAST_PART: usize = 12;
+const LEAST_LINE: i32 = 3;
+/// Range of brightness that is no picture at all, in grey levels.
+const LEAST_RANGE: u8 = 8;
+
+/// Finds one kind of board in images. Its buffers are kept from image to image.
+#[derive(Debug)]
+pub struct Detector {
+    board: BoardSize,
+    pyramid: Pyramid,
+    response: Response,
+    candidates: CandidateSearch,
+    neighbourhood: Neighbourhood,
+    used: Vec<bool>,
+    growth: Growth,
+    grid: Grid,
+    trial: Grid,
+    part: Grid,
+    guesses: Vec<GridCorner>,
+    blurs: Vec<f64>,
+    refiner: Refiner,
+}
+
+/// What a grid turned out to be.
+enum Found {
+    Whole(Placement),
+    Part(Placement),
+    Other { cols: u32, rows: u32 },
+    Nothing,
+}
+
+/// What the search saw that was no board, for the reason.
+#[derive(Default)]
+struct Seen {
+    candidates: usize,
+    largest: usize,
+    size: (u32, u32),
+    other: Option<(u32, u32)>,
+}
+
+impl Detector {
+    /// A detector of `board`.
+    pub fn new(board: BoardSize) -> Self {
+        Self {
+            board,
+            pyramid: Pyramid::default(),
+            response: Response::default(),
+            candidates: CandidateSearch::default(),
+            neighbourhood: Neighbourhood::default(),
+            used: Vec::new(),
+            growth: Growth::default(),
+            grid: Grid::default(),
+            trial: Grid::default(),
+            part: Grid::default(),
+            guesses: Vec::new(),
+            blurs: Vec::new(),
+            refiner: Refiner::new(),
+        }
+    }
+
+    /// The board that is looked for.
+    pub fn board(&self) -> BoardSize {
+        self.board
+    }
+
+    /// Finds the board in `image`.
+    ///
+    /// # Errors
+    /// [`NoBoard`] says why there is none.
+    pub fn find_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Detection, NoBoard> {
+        let longer = self.board.cols.max(self.board.rows) as usize;
+        let shorter = self.board.cols.min(self.board.rows) as usize;
+        let (width, height) = (image.width(), image.height());
+        if width.max(height) < 4 * (longer + 1) || width.min(height) < 4 * (shorter + 1) {
+            return Err(NoBoard::ImageTooSmall { width, height, board: self.board });
+        }
+        let coarsest = coarsest_level(image.size(), longer);
+        self.pyramid.build(image, coarsest);
+        let mut seen = Seen::default();
+        let mut best_part: Option<(usize, Placement)> = None;
+        for level in (0..=coarsest).rev() {
+            let view = self.pyramid.level(image, level);
+            self.response.compute(view);
+            self.candidates.search(view, &self.response);
+            self.neighbourhood.fill(&self.candidates.found, view.width(), view.height());
+            self.used.clear();
+            self.used.resize(self.candidates.found.len(), false);
+            seen.candidates = seen.candidates.max(self.candidates.found.len());
+            let reach = (view.width().max(view.height()) >> (coarsest - level)) as f32 / (shorter - 1) as f32;
+            for first in 0..self.candidates.found.len() {
+                if self.used[first] || !self.grow_from(image, level, first, reach) {
+                    continue;
+                }
+                match self.judge(image, level, &mut seen) {
+                    Found::Whole(placement) => {
+                        std::mem::swap(&mut self.grid, &mut self.part);
+                        return self.report(image, placement, options);
+                    }
+                    Found::Part(placement) => {
+                        let count = self.grid.members.len();
+                        if best_part.is_none_or(|(most, _)| count > most) {
+                            best_part = Some((count, placement));
+                            self.part.copy_from(&self.grid);
+                        }
+                    }
+                    Found::Other { cols, rows } => seen.other = seen.other.or(Some((cols, rows))),
+                    Found::Nothing => {}
+                }
+            }
+        }
+        match best_part {
+            Some((_, placement)) if options.allow_partial => self.report(image, placement, options),
+            Some((seen, _)) => Err(NoBoard::Incomplete { seen, board: self.board }),
+            None => Err(self.reason(image, coarsest, &seen)),
+        }
+    }
+
+    /// Grows a grid from candidate `first`; true if it is one worth judging. Its candidates seed no other.
+    fn grow_from(&mut self, image: GrayView<'_>, level: usize, first: usize, reach: f32) -> bool {
+        let view = self.pyramid.level(image, level);
+        let candidates = &self.candidates.found;
+        let Some(seed) = self.neighbourhood.seed(candidates, first, reach) else { return false };
+        let radius = self.board.cols.max(self.board.rows) as i32 + 2;
+        self.growth.start(view, candidates, &seed, radius, &mut self.trial);
+        if self.trial.members.len() < 6 {
+            return false;
+        }
+        for (used, candidate) in self.used.iter_mut().zip(candidates) {
+            *used = *used || near(&self.trial, candidate.pixel);
+        }
+        std::mem::swap(&mut self.grid, &mut self.trial);
+        true
+    }
+
+    /// Judges the grid found on `level`, and follows it to the image itself.
+    fn judge(&mut self, image: GrayView<'_>, level: usize, seen: &mut Seen) -> Found {
+        for finer in (0..level).rev() {
+            self.grid.descend();
+            let view = self.pyramid.level(image, finer);
+            resettle(view, &mut self.grid);
+            self.grid.forget_attempts();
+            self.growth.grow(view, &mut self.grid);
+        }
+        if !verify(image, &mut self.grid) {
+            return Found::Nothing;
+        }
+        let Some(bounds) = self.grid.bounds() else { return Found::Nothing };
+        let count = self.grid.members.len();
+        let (width, height) = (bounds.width(), bounds.height());
+        if count > seen.largest {
+            seen.largest = count;
+            seen.size = (width.max(height) as u32, width.min(height) as u32);
+        }
+        let ends = seen_ends(image, &self.grid, bounds);
+        let whole = count == self.board.corner_count() && whole_shape(bounds, self.board);
+        match place(&self.grid, bounds, ends, self.board) {
+            Some(placement) if whole => Found::Whole(placement),
+            Some(placement) if count >= LEAST_PART && width.min(height) >= LEAST_LINE => Found::Part(placement),
+            Some(_) => Found::Nothing,
+            None => Found::Other { cols: width.max(height) as u32, rows: width.min(height) as u32 },
+        }
+    }
+
+    /// The corners of `part`, exactly, in the board's order.
+    fn report(
+        &mut self,
+        image: GrayView<'_>,
+        placement: Placement,
+        options: &DetectOptions,
+    ) -> Result<Detection, NoBoard> {
+        let part = &self.part;
+        let at = |col: i32, row: i32| {
+            let (i, j) = placement.in_grid(col, row);
+            part.pixel(i, j).map(|p| Pixel::new(f64::from(p.x), f64::from(p.y)))
+        };
+        self.guesses.clear();
+        self.guesses.extend(part.members.iter().filter_map(|&(i, j)| {
+            let (col, row) = placement.in_board(i, j);
+            let neighbours = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
+            Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
+        }));
+        self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
+        let refined = self.refiner.refine(image, &self.guesses);
+        let mut corners = Vec::with_capacity(self.guesses.len());
+        self.blurs.clear();
+        for (guess, refined) in self.guesses.iter().zip(&refined) {
+            let Some(refined) = refined else { continue };
+            if stays(guess, refined) {
+                corners.push(DetectedCorner { index: guess.index, pixel: refined.pixel, std_px: refined.std_px });
+                self.blurs.push(refined.blur_px);
+            }
+        }
+        let partial = corners.len() < self.board.corner_count();
+        if partial && (!options.allow_partial || corners.len() < LEAST_PART) {
+            return Err(NoBoard::Incomplete { seen: corners.len(), board: self.board });
+        }
+        self.blurs.sort_unstable_by(f64::total_cmp);
+        Ok(Detection {
+            board: self.board,
+            partial,
+            position_known: placement.known,
+            orientation_ambiguous: self.board.orientation_ambiguous(),
+            blur_px: self.blurs.get(self.blurs.len() / 2).copied().unwrap_or(0.0),
+            corners,
+        })
+    }
+
+    fn reason(&self, image: GrayView<'_>, coarsest: usize, seen: &Seen) -> NoBoard {
+        let view = self.pyramid.level(image, coarsest);
+        let range = brightness_range(view);
+        if range < LEAST_RANGE {
+            return NoBoard::LowContrast { range };
+        }
+        if let Some((cols, rows)) = seen.other {
+            return NoBoard::OtherSize { cols, rows, board: self.board };
+        }
+        if seen.candidates == 0 {
+            return NoBoard::NoCorners;
+        }
+        NoBoard::NoGrid { corners: seen.candidates, cols: seen.size.0, rows: seen.size.1 }
+    }
+}
+
+/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its nearest neighbour.
+fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
+    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    refined.pixel.distance_px(guess.pixel) < 0.25 * nearest
+}
+
+fn whole_shape(bounds: Bounds, board: BoardSize) -> bool {
+    let shape = (bounds.width(), bounds.height());
+    let (cols, rows) = (board.cols as i32, board.rows as i32);
+    shape == (cols, rows) || shape == (rows, cols)
+}
+
+/// Whether `p` is one of the corners of `grid`.
+fn near(grid: &Grid, p: Vec2) -> bool {
+    grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < 6.0))
+}
+
+/// Lets each corner settle where `image`, a finer level, shows it.
+fn resettle(image: GrayView<'_>, grid: &mut Grid) {
+    for index in 0..grid.members.len() {
+        let (i, j) = grid.members[index];
+        let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) else { continue };
+        if let Some(settled) = settle(image, node.pixel, steps)
+            && settled.contrast * grid.polarity(i, j) > 0.3 * node.contrast.abs()
+            && (settled.pixel - node.pixel).norm() < 3.0
+        {
+            grid.set(i, j, Node { score: settled.score.max(node.score), ..settled });
+        }
+    }
+}
+
+/// Brightness between the 1st and the 99th percentile.
+fn brightness_range(image: GrayView<'_>) -> u8 {
+    let mut counts = [0usize; 256];
+    for y in 0..image.height() {
+        for &value in image.row(y) {
+            counts[value as usize] += 1;
+        }
+    }
+    let share = image.width() * image.height() / 100;
+    let reach = |mut values: Box<dyn Iterator<Item = usize>>| {
+        let mut sum = 0;
+        values.find(|&v| {
+            sum += counts[v];
+            sum > share
+        })
+    };
+    let low = reach(Box::new(0..256)).unwrap_or(0);
+    let high = reach(Box::new((0..256).rev())).unwrap_or(0);
+    high.saturating_sub(low) as u8
+}

@@ -1,0 +1,252 @@
+//! Corners by their place in a regular grid, and where the next one must be.
+//!
+//! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the corners (i, j) and
+//! (i + 1, j + 1); squares with i + j even are all bright or all dark.
+
+use super::cross::Vec2;
+
+/// Most corners a grid reaches from its first one, in any direction.
+const LARGEST_RADIUS: i32 = 104;
+/// How often a place is looked at in vain.
+const MOST_ATTEMPTS: u8 = 4;
+
+/// A corner of the grid.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Node {
+    /// Where, in pixels of the level.
+    pub pixel: Vec2,
+    /// Bright less dark around it, in grey levels.
+    pub contrast: f32,
+    /// How well it looks like a corner, to 1.
+    pub score: f32,
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Place {
+    node: Option<Node>,
+    attempts: u8,
+}
+
+/// The smallest rectangle of indices that holds all corners, ends included.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Bounds {
+    /// Least and most i.
+    pub i: (i32, i32),
+    /// Least and most j.
+    pub j: (i32, i32),
+}
+
+impl Bounds {
+    /// How many corners fit along i.
+    pub(super) fn width(&self) -> i32 {
+        self.i.1 - self.i.0 + 1
+    }
+
+    /// How many corners fit along j.
+    pub(super) fn height(&self) -> i32 {
+        self.j.1 - self.j.0 + 1
+    }
+}
+
+/// Corners by index. Memory is kept from grid to grid.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Grid {
+    radius: i32,
+    places: Vec<Place>,
+    /// Indices of the corners, in the order they were found.
+    pub members: Vec<(i32, i32)>,
+    /// Whether square (0, 0) is bright.
+    pub bright: bool,
+}
+
+impl Grid {
+    /// Empties the grid; it will hold indices up to `radius` from (0, 0).
+    pub(super) fn clear(&mut self, radius: i32, bright: bool) {
+        self.radius = radius.min(LARGEST_RADIUS);
+        let side = (2 * self.radius + 1) as usize;
+        self.places.clear();
+        self.places.resize(side * side, Place::default());
+        self.members.clear();
+        self.bright = bright;
+    }
+
+    /// Becomes a copy of `other`, in its own memory.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        self.radius = other.radius;
+        self.places.clone_from(&other.places);
+        self.members.clone_from(&other.members);
+        self.bright = other.bright;
+    }
+
+    fn slot(&self, i: i32, j: i32) -> Option<usize> {
+        let r = self.radius;
+        (i.abs() <= r && j.abs() <= r && !self.places.is_empty()).then(|| ((j + r) * (2 * r + 1) + i + r) as usize)
+    }
+
+    /// The corner at (i, j).
+    pub(super) fn get(&self, i: i32, j: i32) -> Option<Node> {
+        self.slot(i, j).and_then(|slot| self.places[slot].node)
+    }
+
+    /// Where the corner (i, j) is.
+    pub(super) fn pixel(&self, i: i32, j: i32) -> Option<Vec2> {
+        self.get(i, j).map(|node| node.pixel)
+    }
+
+    /// Sets the corner (i, j).
+    pub(super) fn set(&mut self, i: i32, j: i32, node: Node) {
+        if let Some(slot) = self.slot(i, j)
+            && self.places[slot].node.replace(node).is_none()
+        {
+            self.members.push((i, j));
+        }
+    }
+
+    /// Takes the corner (i, j) out.
+    pub(super) fn remove(&mut self, i: i32, j: i32) {
+        if let Some(slot) = self.slot(i, j)
+            && self.places[slot].node.take().is_some()
+        {
+            self.members.retain(|&member| member != (i, j));
+        }
+    }
+
+    /// Whether (i, j) is worth a look: within the grid, not a corner yet, not looked at too often. Counts the look.
+    pub(super) fn attempt(&mut self, i: i32, j: i32) -> bool {
+        let Some(slot) = self.slot(i, j) else { return false };
+        let place = &mut self.places[slot];
+        if place.node.is_some() || place.attempts >= MOST_ATTEMPTS {
+            return false;
+        }
+        place.attempts += 1;
+        true
+    }
+
+    /// Forgets what was looked at in vain: another level may show more.
+    pub(super) fn forget_attempts(&mut self) {
+        for place in &mut self.places {
+            place.attempts = 0;
+        }
+    }
+
+    /// Sign of the contrast that a window with its axes along i and j has at corner (i, j).
+    pub(super) fn polarity(&self, i: i32, j: i32) -> f32 {
+        if ((i + j) & 1 == 0) == self.bright { 1.0 } else { -1.0 }
+    }
+
+    /// The rectangle that holds all corners; `None` of none.
+    pub(super) fn bounds(&self) -> Option<Bounds> {
+        let &(i, j) = self.members.first()?;
+        let start = Bounds { i: (i, i), j: (j, j) };
+        Some(
+            self.members
+                .iter()
+                .fold(start, |b, &(i, j)| Bounds { i: (b.i.0.min(i), b.i.1.max(i)), j: (b.j.0.min(j), b.j.1.max(j)) }),
+        )
+    }
+
+    /// From (i, j) to the next corner along i and along j, from the nearest that are known.
+    pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
+        Some([self.step(i, j, (1, 0))?, self.step(i, j, (0, 1))?])
+    }
+
+    fn step(&self, i: i32, j: i32, (di, dj): (i32, i32)) -> Option<Vec2> {
+        let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
+        for side in -2i32..=2 {
+            for start in -3i32..=2 {
+                let (pi, pj) = (i + start * di + side * dj, j + start * dj + side * di);
+                if let (Some(p), Some(q)) = (self.pixel(pi, pj), self.pixel(pi + di, pj + dj)) {
+                    let off = (start as f32 + 0.5).abs() + side.abs() as f32;
+                    let w = 1.0 / (off * off * off * off);
+                    sum += (q - p) * w;
+                    weight += w;
+                }
+            }
+        }
+        (weight > 0.0).then(|| sum / weight)
+    }
+
+    /// Where the corner (i, j) must be, from its known neighbours: along lines and across squares.
+    pub(super) fn predict(&self, i: i32, j: i32) -> Option<Vec2> {
+        let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
+        let mut add = |p: Vec2, w: f32| {
+            sum += p * w;
+            weight += w;
+        };
+        for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
+            let Some(p1) = self.pixel(i - di, j - dj) else { continue };
+            if let Some(next) = self.pixel(i + di, j + dj) {
+                add((p1 + next) * 0.5, 2.0);
+            }
+            for (ei, ej) in [(dj, di), (-dj, -di)] {
+                if let (Some(a), Some(b)) = (self.pixel(i - di + ei, j - dj + ej), self.pixel(i + ei, j + ej)) {
+                    add(p1 + (b - a), 1.0);
+                }
+            }
+            let Some(p2) = self.pixel(i - 2 * di, j - 2 * dj) else { continue };
+            match self.pixel(i - 3 * di, j - 3 * dj) {
+                Some(p3) => add(p1 + projective_step(p1 - p2, p2 - p3), 1.0),
+                None => add(p1 * 2.0 - p2, 0.2),
+            }
+        }
+        (weight > 0.0).then(|| sum / weight)
+    }
+
+    /// Takes the positions to the level below, twice as fine.
+    pub(super) fn descend(&mut self) {
+        for place in &mut self.places {
+            if let Some(node) = &mut place.node {
+                node.pixel = node.pixel * 2.0 + Vec2::repeat(0.5);
+            }
+        }
+    }
+}
+
+/// The step after `second` (older) and `first` (newer) on a line seen in perspective, where places are α + β/(n + γ):
+/// if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
+fn projective_step(first: Vec2, second: Vec2) -> Vec2 {
+    let ratio = first.norm() / second.norm().max(1e-3);
+    let ratio = ratio.clamp(0.5, 2.0);
+    first * ((1.0 + ratio) / (3.0 - ratio))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn node(x: f32, y: f32) -> Node {
+        Node { pixel: Vec2::new(x, y), contrast: 100.0, score: 1.0 }
+    }
+
+    #[test]
+    fn a_slanted_grid_is_continued() {
+        let at = |i: i32, j: i32| {
+            let (x, y, w) = (10.0 * i as f32 + j as f32, 9.0 * j as f32, 1.0 + 0.02 * i as f32 + 0.01 * j as f32);
+            node(100.0 + x / w, 80.0 + y / w)
+        };
+        let mut grid = Grid::default();
+        grid.clear(8, true);
+        for (i, j) in (0..3).flat_map(|j| (0..4).map(move |i| (i, j))) {
+            grid.set(i, j, at(i, j));
+        }
+        for (i, j) in [(4, 1), (1, 3), (-1, 2), (4, 0)] {
+            let off = grid.predict(i, j).expect("neighbours") - at(i, j).pixel;
+            assert!(off.norm() < 0.4, "({i}, {j}) is off by {off}");
+        }
+        assert_eq!(grid.predict(7, 7), None);
+        assert_eq!(grid.bounds().map(|b| (b.width(), b.height())), Some((4, 3)));
+        assert!(grid.polarity(1, 0) < 0.0 && grid.polarity(1, 1) > 0.0);
+    }
+
+    #[test]
+    fn a_place_is_looked_at_a_few_times_only() {
+        let mut grid = Grid::default();
+        grid.clear(2, false);
+        assert_eq!((0..9).filter(|_| grid.attempt(1, 1)).count(), usize::from(MOST_ATTEMPTS));
+        assert!(!grid.attempt(3, 0));
+        grid.set(0, 0, node(1.0, 1.0));
+        assert!(!grid.attempt(0, 0));
+        grid.remove(0, 0);
+        assert!(grid.members.is_empty() && grid.get(0, 0).is_none());
+    }
+}

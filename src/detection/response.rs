@@ -1,0 +1,102 @@
+//! How much each pixel looks like the middle of four chessboard squares.
+//!
+//! On a ring of 16 pixels about the point, opposite pixels of a chessboard corner are alike, and the means of opposite
+//! pairs differ from pair to pair: bright along one diagonal, dark along the other. An edge has unlike opposites; a
+//! stripe has a middle unlike its ring. So, with a_k the mean and d_k the difference of the k-th of eight opposite pairs,
+//!
+//! > response = (max a − min a) − mean d − 2·|middle − mean a|
+//!
+//! after Bennett and Lasenby, "ChESS – quick and robust detection of chess-board features" (CVIU 118, 2014), with the
+//! range of the eight means in place of their sums over pairs at right angles, so that a board seen at a slant, whose
+//! squares are acute, still answers. All in saturating eight-bit arithmetic, 32 pixels an instruction where there is AVX2.
+
+use crate::imaging::gray::GrayView;
+
+/// How far the ring reaches: no response is computed nearer to the border than this.
+pub(super) const REACH: usize = 4;
+
+/// Half of the ring, in order of its angle from +x towards +y; the other half is opposite.
+pub(super) const HALF_RING: [(i32, i32); 8] = [(4, 0), (4, 2), (3, 3), (2, 4), (0, 4), (-2, 4), (-3, 3), (-4, 2)];
+
+/// The response at every pixel of an image, rows without padding.
+#[derive(Debug, Default)]
+pub(super) struct Response {
+    width: usize,
+    height: usize,
+    values: Vec<u8>,
+}
+
+impl Response {
+    /// Computes the response of `image`; 0 within [`REACH`] of the border.
+    pub(super) fn compute(&mut self, image: GrayView<'_>) {
+        (self.width, self.height) = (image.width(), image.height());
+        self.values.resize(self.width * self.height, 0);
+        let (width, height) = (self.width, self.height);
+        if width <= 2 * REACH || height <= 2 * REACH {
+            self.values.fill(0);
+            return;
+        }
+        self.values[..REACH * width].fill(0);
+        self.values[(height - REACH) * width..].fill(0);
+        pulp::Arch::new().dispatch(|| {
+            for y in REACH..height - REACH {
+                let rows = std::array::from_fn(|i| image.row(y + i - REACH));
+                let out = &mut self.values[y * width..(y + 1) * width];
+                out[..REACH].fill(0);
+                out[width - REACH..].fill(0);
+                respond_row(&rows, &mut out[REACH..width - REACH]);
+            }
+        });
+    }
+
+    /// Columns.
+    pub(super) fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub(super) fn height(&self) -> usize {
+        self.height
+    }
+
+    /// The responses of row `y`.
+    pub(super) fn row(&self, y: usize) -> &[u8] {
+        &self.values[y * self.width..(y + 1) * self.width]
+    }
+}
+
+#[inline(always)]
+fn mean(a: u8, b: u8) -> u8 {
+    ((u16::from(a) + u16::from(b) + 1) >> 1) as u8
+}
+
+#[inline(always)]
+fn apart(a: u8, b: u8) -> u8 {
+    a.max(b) - a.min(b)
+}
+
+#[inline(always)]
+fn mean_of(v: [u8; 8]) -> u8 {
+    mean(mean(mean(v[0], v[1]), mean(v[2], v[3])), mean(mean(v[4], v[5]), mean(v[6], v[7])))
+}
+
+#[inline(always)]
+fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
+    let n = out.len();
+    let shifted = |dx: i32, dy: i32| {
+        let start = (REACH as i32 + dx) as usize;
+        &rows[(REACH as i32 + dy) as usize][start..start + n]
+    };
+    let near: [&[u8]; 8] = std::array::from_fn(|k| shifted(HALF_RING[k].0, HALF_RING[k].1));
+    let far: [&[u8]; 8] = std::array::from_fn(|k| shifted(-HALF_RING[k].0, -HALF_RING[k].1));
+    let middle = [shifted(1, 0), shifted(-1, 0), shifted(0, 1), shifted(0, -1)];
+    for i in 0..n {
+        let means: [u8; 8] = std::array::from_fn(|k| mean(near[k][i], far[k][i]));
+        let unlike: [u8; 8] = std::array::from_fn(|k| apart(near[k][i], far[k][i]));
+        let most = means.iter().fold(0, |m: u8, &a| m.max(a));
+        let least = means.iter().fold(255, |m: u8, &a| m.min(a));
+        let center = mean(mean(middle[0][i], middle[1][i]), mean(middle[2][i], middle[3][i]));
+        let offset = apart(center, mean_of(means));
+        out[i] = (most - least).saturating_sub(mean_of(unlike)).saturating_sub(offset).saturating_sub(offset);
+    }
+}

@@ -1,0 +1,53 @@
+//! The last look, which can only drop: every corner's edges and its place among its neighbours.
+
+use super::edges::{EdgeCount, count_edges};
+use super::grid::Grid;
+use super::growth::in_steps;
+use crate::imaging::gray::GrayView;
+
+/// Part of all edges that must hold.
+const LEAST_HELD: f32 = 0.75;
+/// How far a corner may lie from where its neighbours put it, in steps.
+const MOST_OFF: f32 = 0.22;
+
+/// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe any of it.
+pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
+    drop_loose(image, grid);
+    drop_misplaced(grid);
+    let mut total = EdgeCount::default();
+    for &(i, j) in &grid.members {
+        let count = count_edges(image, grid, i, j);
+        total.held += count.held;
+        total.seen += count.seen;
+    }
+    total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32
+}
+
+/// Drops corners most of whose edges do not hold, until there is none.
+fn drop_loose(image: GrayView<'_>, grid: &mut Grid) {
+    loop {
+        let loose = grid.members.iter().copied().find(|&(i, j)| {
+            let EdgeCount { held, seen } = count_edges(image, grid, i, j);
+            seen > 0 && 2 * held < seen
+        });
+        match loose {
+            Some((i, j)) => grid.remove(i, j),
+            None => return,
+        }
+    }
+}
+
+/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near.
+fn drop_misplaced(grid: &mut Grid) {
+    loop {
+        let off = |&(i, j): &(i32, i32)| {
+            let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
+            Some((off.x.abs().max(off.y.abs()), (i, j)))
+        };
+        let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
+        match worst {
+            Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
+            _ => return,
+        }
+    }
+}
