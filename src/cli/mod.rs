@@ -6,12 +6,17 @@
 //!
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
+pub mod calibration_output;
 pub mod export;
 pub mod failure;
 pub mod files;
+pub mod in_order;
 pub mod length;
+pub mod lens_name;
 pub mod output;
 pub mod progress;
+pub mod solve;
+pub mod sources;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -31,11 +36,13 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Solve(solve::Args),
     Export(export::Args),
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
+        Command::Solve(args) => solve::run(&args),
         Command::Export(args) => export::run(&args),
     }
 }

@@ -1,0 +1,126 @@
+//! A finished calibration on stdout and in a file, the same way for every command that makes one.
+
+use std::path::PathBuf;
+
+use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::calibration::solve::SolvedCamera;
+use crate::cli::export::FormatName;
+use crate::cli::files::write_file;
+use crate::cli::{Failure, output};
+use crate::document::calibration::CalibrationDocument;
+use crate::document::time;
+use crate::export::{Format, export};
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+
+/// Where a calibration goes.
+#[derive(Debug, clap::Args)]
+pub struct OutputArgs {
+    /// Print the calibration as one JSON document.
+    #[arg(long)]
+    json: bool,
+    /// Write the calibration to FILE.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// The format of FILE, or without --out of what is printed.
+    #[arg(long)]
+    format: Option<FormatName>,
+}
+
+impl OutputArgs {
+    /// Refuses what cannot be done, before any work is.
+    ///
+    /// # Errors
+    /// When two documents would have to go to stdout.
+    pub fn check(&self) -> Result<(), Failure> {
+        let other_format = self.format.is_some_and(|format| format != FormatName::Json);
+        if self.json && other_format && self.out.is_none() {
+            return Err(Failure::usage(
+                "--json and --format both print: give --out FILE for the format, or leave one out",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Writes and prints `calibration`; `elapsed_ms` is what the solve took, where the command tells it.
+    ///
+    /// # Errors
+    /// When the format cannot hold it, or it cannot be written.
+    pub fn give(&self, calibration: &Calibration, elapsed_ms: Option<f64>) -> Result<(), Failure> {
+        let format = self.format.map(Format::from);
+        if let Some(path) = &self.out {
+            let exported = export(calibration, format.unwrap_or(Format::Json)).map_err(Failure::failed)?;
+            if let Some(note) = &exported.note {
+                tracing::warn!("{}: {note}", path.display());
+            }
+            write_file(path, &exported.bytes)?;
+        }
+        if self.json {
+            let document = CalibrationDocument { elapsed_ms, ..CalibrationDocument::from(calibration) };
+            return output::print_json(&document);
+        }
+        match (format, &self.out) {
+            (Some(format), None) => output::print_bytes(&export(calibration, format).map_err(Failure::failed)?.bytes),
+            _ => output::print_text(&summary(calibration)),
+        }
+    }
+}
+
+/// The calibration that `solved` amounts to, made now.
+pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration {
+    Calibration {
+        id: ulid::Ulid::generate().to_string(),
+        camera: None,
+        session: None,
+        created_at_ns: time::utc_ns(jiff::Timestamp::now()),
+        target,
+        color: Some(solved.sensor),
+        infrared: None,
+        extrinsics: Vec::new(),
+        checks: solved.checks,
+        verdict: solved.verdict,
+    }
+}
+
+/// What a person wants to know first.
+fn summary(calibration: &Calibration) -> String {
+    let mut lines = Vec::new();
+    for (name, sensor) in [("color", &calibration.color), ("infrared", &calibration.infrared)] {
+        if let Some(sensor) = sensor {
+            lines.extend(sensor_lines(name, sensor));
+        }
+    }
+    let verdict = &calibration.verdict;
+    lines.push(format!("verdict: {}", verdict.grade.name()));
+    lines.extend(verdict.reasons.iter().map(|reason| format!("  {reason}")));
+    lines.join("\n") + "\n"
+}
+
+fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
+    let model = sensor.lens.model();
+    let used = sensor.views.iter().filter(|view| view.used).count();
+    let mut lines = vec![
+        format!("{name}: {} lens for {} images", model, sensor.image_size),
+        format!("  views: {used} of {} used, rms {:.4} px", sensor.views.len(), sensor.rms_px),
+        format!(
+            "  projections are known to {:.3} px in the centre, {:.3} px in the median, {:.3} px at worst (1 sigma)",
+            sensor.uncertainty_px.center, sensor.uncertainty_px.median, sensor.uncertainty_px.worst
+        ),
+    ];
+    let names = Lens::parameter_names(model);
+    for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
+        if *std > 0.0 || value != 0.0 {
+            lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}"));
+        }
+    }
+    for compared in &sensor.compared {
+        lines.push(format!(
+            "  compared: {} off by {:.4} px on held-out views",
+            compared.model, compared.held_out_rms_px
+        ));
+    }
+    for view in sensor.views.iter().filter(|view| !view.used) {
+        lines.push(format!("  not used: {}: {}", view.name, view.reason.as_deref().unwrap_or("no reason given")));
+    }
+    lines
+}

@@ -1,0 +1,89 @@
+//! Work on a sequence with several threads, results in the sequence's order.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::mpsc::sync_channel;
+use std::thread;
+
+/// Calls a worker on each of `items` and `take` on each result, in the order of the items, as soon as it is there. Each of
+/// the `threads` has a worker of its own from `new_worker`. Stops at the first error of `take`.
+///
+/// # Errors
+/// The error of `take`.
+pub fn in_order<T, R, E, W>(
+    items: impl Iterator<Item = T> + Send,
+    threads: usize,
+    new_worker: impl Fn() -> W + Sync,
+    mut take: impl FnMut(R) -> Result<(), E>,
+) -> Result<(), E>
+where
+    T: Send,
+    R: Send,
+    W: FnMut(T) -> R,
+{
+    let items = Mutex::new(items.enumerate());
+    thread::scope(|scope| {
+        let (send, receive) = sync_channel::<(usize, R)>(2 * threads);
+        for _ in 0..threads.max(1) {
+            let (send, items, new_worker) = (send.clone(), &items, &new_worker);
+            scope.spawn(move || {
+                let mut worker = new_worker();
+                loop {
+                    // A poisoned lock means that another thread panicked, which the scope passes on.
+                    let Some((index, item)) = items.lock().ok().and_then(|mut items| items.next()) else { return };
+                    if send.send((index, worker(item))).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(send);
+        let (mut next, mut early) = (0, BTreeMap::new());
+        for (index, result) in receive {
+            early.insert(index, result);
+            while let Some(result) = early.remove(&next) {
+                take(result)?;
+                next += 1;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// How many threads to use when nobody says.
+pub fn all_cores() -> usize {
+    thread::available_parallelism().map_or(1, std::num::NonZero::get)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn results_come_in_order_whatever_each_takes() {
+        for threads in [1, 2, 7] {
+            let mut seen = Vec::new();
+            let new_worker = || |item: u64| (0..(item * 7919) % 5000).fold(item, |item, k| item ^ (k & 1) ^ (k & 1));
+            let done: Result<(), ()> = in_order(0..500_u64, threads, new_worker, |result| {
+                seen.push(result);
+                Ok(())
+            });
+            assert_eq!((done, seen), (Ok(()), (0..500).collect()));
+        }
+    }
+
+    #[test]
+    fn an_error_ends_it() {
+        let mut taken = 0;
+        let done = in_order(
+            0..,
+            3,
+            || |item: u32| item,
+            |item| {
+                taken += 1;
+                if item == 10 { Err("enough") } else { Ok(()) }
+            },
+        );
+        assert_eq!((done, taken), (Err("enough"), 11));
+    }
+}

@@ -1,0 +1,48 @@
+//! `plumb solve`: from given correspondences to a calibration.
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use crate::calibration::solve::solve_views;
+use crate::cli::Failure;
+use crate::cli::calibration_output::{OutputArgs, finished};
+use crate::cli::files::read_document;
+use crate::cli::lens_name::LensName;
+use crate::document::problem::ProblemDocument;
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::{CameraProblem, LensChoice};
+
+/// Calibrates a camera from given correspondences of points and pixels.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The lens model to fit; the problem's own, else auto, unless given.
+    #[arg(long)]
+    lens: Option<LensName>,
+    #[command(flatten)]
+    output: OutputArgs,
+    /// The most threads to use; the result does not depend on it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// The problem: {"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]}, metres and pixels;
+    /// with "method":"dlt" one view of points that do not lie on a plane.
+    #[arg(value_name = "PROBLEM.json")]
+    problem: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the problem cannot be read, or determines no calibration.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    args.output.check()?;
+    let document: ProblemDocument = read_document(&args.problem)?;
+    let in_file = |error: &dyn std::fmt::Display| Failure::failed(format!("{}: {error}", args.problem.display()));
+    let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
+    let lens = args.lens.map(LensChoice::from).or(document.lens.map(LensChoice::from)).unwrap_or(LensChoice::Auto);
+    let options = CameraOptions { lens, ..CameraOptions::default() };
+    let started = Instant::now();
+    let solved = solve_views(&problem, &options).map_err(|error| in_file(&error))?;
+    let elapsed_ms = started.elapsed().as_secs_f64() * 1000.0;
+    let calibration = finished(None, solved);
+    args.output.give(&calibration, Some(elapsed_ms))
+}

@@ -1,0 +1,163 @@
+//! What a command is given to look at: pictures, folders, quoted globs and recordings, as frame sets in the order given.
+
+use std::collections::VecDeque;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::timestamp::HostTime;
+use crate::recording::{Recording, natural_order};
+
+/// Frame sets a second of a folder, which tells no times: what a `kind = "recording"` camera takes unless told otherwise.
+const FOLDER_FPS: f64 = 10.0;
+
+/// A source that could not be read, or one frame set of it.
+#[derive(Debug)]
+pub struct Unreadable {
+    /// The path, as it was given.
+    pub path: String,
+    /// One line that names it, says what was wrong and what to do.
+    pub reason: String,
+}
+
+/// A frame set and where it is from.
+#[derive(Debug)]
+pub struct SourcedFrames {
+    /// The frames.
+    pub set: FrameSet,
+    /// The recording they are part of; `None` for a picture that was chosen by itself or as one of a folder.
+    pub recording: Option<String>,
+}
+
+impl SourcedFrames {
+    /// The picture's path; for a frame of a recording its path and sequence number.
+    pub fn path(&self) -> String {
+        let numbered = || format!("{}#{}", self.recording.as_deref().unwrap_or_default(), self.set.sequence);
+        self.set.name.clone().unwrap_or_else(numbered)
+    }
+}
+
+/// The frame sets of everything that was asked for, one after the other. Opens a source when its turn comes, so that
+/// paths may arrive one by one. A source that cannot be read is one error, and the next one follows.
+pub struct FrameSets<'a> {
+    paths: Box<dyn Iterator<Item = String> + Send + 'a>,
+    open: Option<Opened>,
+    pictures: VecDeque<PathBuf>,
+}
+
+struct Opened {
+    path: String,
+    recording: Recording,
+    is_folder: bool,
+}
+
+impl<'a> FrameSets<'a> {
+    /// Of the files, folders, globs and recordings that `paths` names.
+    pub fn new(paths: impl Iterator<Item = String> + Send + 'a) -> Self {
+        Self { paths: Box::new(paths), open: None, pictures: VecDeque::new() }
+    }
+
+    fn open_next(&mut self, path: String) -> Result<(), Unreadable> {
+        let place = Path::new(&path);
+        if place.is_dir() || is_recording(place) {
+            let is_folder = place.is_dir();
+            let recording = Recording::open(place, FOLDER_FPS)
+                .map_err(|error| Unreadable { path: path.clone(), reason: error.to_string() })?;
+            self.open = Some(Opened { path, recording, is_folder });
+        } else if !place.exists() && path.contains(['*', '?', '[']) {
+            self.pictures.extend(files_of_glob(&path)?);
+        } else {
+            self.pictures.push_back(place.to_owned());
+        }
+        Ok(())
+    }
+}
+
+impl Iterator for FrameSets<'_> {
+    type Item = Result<SourcedFrames, Unreadable>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            if let Some(path) = self.pictures.pop_front() {
+                return Some(picture(&path).map(|set| SourcedFrames { set, recording: None }));
+            }
+            if let Some(opened) = &mut self.open {
+                match opened.recording.next_frame_set() {
+                    Ok(Some(set)) => {
+                        let recording = (!opened.is_folder).then(|| opened.path.clone());
+                        return Some(Ok(SourcedFrames { set, recording }));
+                    }
+                    Ok(None) => self.open = None,
+                    // A recording that was cut off ends here: all before it has been given.
+                    Err(error) => {
+                        let unreadable = Unreadable { path: opened.path.clone(), reason: error.to_string() };
+                        self.open = self.open.take().filter(|opened| opened.is_folder);
+                        return Some(Err(unreadable));
+                    }
+                }
+                continue;
+            }
+            let path = self.paths.next()?;
+            if let Err(unreadable) = self.open_next(path) {
+                return Some(Err(unreadable));
+            }
+        }
+    }
+}
+
+/// Whether `path` is a recording file by its name.
+pub fn is_recording(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+}
+
+fn picture(path: &Path) -> Result<FrameSet, Unreadable> {
+    let name = path.display().to_string();
+    let bytes = fs::read(path).map_err(|error| Unreadable {
+        reason: format!("{name}: cannot be read ({error}); check the path"),
+        path: name.clone(),
+    })?;
+    let frames = vec![frame_from_file(SensorKind::Color, bytes)];
+    Ok(FrameSet { sequence: 0, host_time: HostTime { utc_ns: 0 }, device_time: None, name: Some(name), frames })
+}
+
+fn files_of_glob(pattern: &str) -> Result<Vec<PathBuf>, Unreadable> {
+    let unreadable = |reason| Unreadable { path: pattern.to_owned(), reason };
+    let found = glob::glob(pattern).map_err(|error| unreadable(format!("{pattern}: not a glob pattern ({error})")))?;
+    let mut files: Vec<PathBuf> = found.filter_map(Result::ok).filter(|path| path.is_file()).collect();
+    if files.is_empty() {
+        return Err(unreadable(format!("{pattern}: no file has such a name; check the pattern and the folder")));
+    }
+    files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PICTURE: &[u8] = b"P5 1 1 255\n7";
+
+    #[test]
+    fn files_folders_and_globs_in_the_order_given() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name).display().to_string();
+        fs::create_dir(folder.path().join("more")).unwrap();
+        for name in ["a10.pgm", "a9.pgm", "b.pgm", "more/c.pgm"] {
+            fs::write(at(name), PICTURE).unwrap();
+        }
+        let paths = [at("b.pgm"), at("a*.pgm"), at("nothing*.pgm"), at("more"), at("gone.pgm")];
+        let seen: Vec<_> = FrameSets::new(paths.into_iter())
+            .map(|frames| frames.map(|frames| frames.path()).map_err(|unreadable| unreadable.path))
+            .collect();
+        let expected = [
+            Ok(at("b.pgm")),
+            Ok(at("a9.pgm")),
+            Ok(at("a10.pgm")),
+            Err(at("nothing*.pgm")),
+            Ok(at("more/c.pgm")),
+            Err(at("gone.pgm")),
+        ];
+        assert_eq!(seen, expected);
+    }
+}
