@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
 
-use crate::calibration::calibration::{Grade, ProjectionUncertainty};
+use crate::calibration::calibration::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
@@ -106,6 +106,21 @@ pub struct CalibrationEvent {
     pub rms_px: f64,
     /// Its uncertainty over the image.
     pub uncertainty_px: ProjectionUncertainty,
+}
+
+impl CalibrationEvent {
+    /// What an event tells of `calibration`; `None` if it has no picture sensor.
+    pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
+        let sensor = calibration.color.as_ref().or(calibration.infrared.as_ref())?;
+        Some(Self {
+            id: calibration.id.clone(),
+            session: calibration.session.clone(),
+            current,
+            grade: calibration.verdict.grade,
+            rms_px: sensor.rms_px,
+            uncertainty_px: sensor.uncertainty_px,
+        })
+    }
 }
 
 /// The current calibration explains what is seen worse than it should.

@@ -1,14 +1,21 @@
 //! All cameras of the daemon as one live object: the only thing that the layers above talk to.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{oneshot, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
-use crate::pipeline::event::{EventLog, EventStream};
+use crate::pipeline::camera_threads::{CameraPlan, FleetOptions, SharedParts, start_camera};
+use crate::pipeline::clock::utc_now_ns;
+use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
+use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
-use crate::pipeline::session_request::{EndError, Request, StartError};
+use crate::pipeline::message::Message;
+use crate::pipeline::metrics::Metrics;
+use crate::pipeline::session_request::{EndError, StartError};
+use crate::store::{Store, StoreError};
 
 /// No such camera is configured.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -18,23 +25,124 @@ pub struct UnknownCamera {
     pub camera: String,
 }
 
+/// Why the cameras were not set going.
+#[derive(Debug, thiserror::Error)]
+pub enum FleetError {
+    /// What an earlier run left could not be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The system gives no more threads.
+    #[error("a thread for camera `{camera}` could not be started: {detail}")]
+    Thread {
+        /// The camera's name.
+        camera: String,
+        /// What the system said.
+        detail: String,
+    },
+    /// The counters could not be set up.
+    #[error("the metrics could not be set up: {detail}")]
+    Metrics {
+        /// What was wrong.
+        detail: String,
+    },
+}
+
+/// Why a calibration did not become current.
+#[derive(Debug, thiserror::Error)]
+pub enum ApproveError {
+    /// No such calibration.
+    #[error("there is no calibration `{id}`; see GET /v1/cameras/{{camera}}/calibrations for those there are")]
+    UnknownCalibration {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It is of no camera.
+    #[error("calibration {id} belongs to no camera")]
+    NoCamera {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It could not be read or written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
 /// All cameras, live. Reading never waits on a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
-    cameras: Vec<CameraLink>,
-    events: Arc<EventLog>,
-}
-
-/// The ends of one camera's channels that face the outside.
-#[derive(Debug)]
-pub(super) struct CameraLink {
-    pub(super) status: watch::Receiver<CameraStatus>,
-    pub(super) frames: watch::Receiver<Option<Arc<LiveFrame>>>,
-    pub(super) session: watch::Receiver<Option<Arc<SessionRecord>>>,
-    pub(super) requests: mpsc::Sender<Request>,
+    cameras: Vec<Arc<LiveCamera>>,
+    shared: SharedParts,
+    threads: Mutex<Vec<JoinHandle<()>>>,
 }
 
 impl Fleet {
+    /// Sets every camera going, and goes on with the sessions that an earlier run left unfinished.
+    ///
+    /// # Errors
+    /// [`FleetError`].
+    pub fn start(plans: Vec<CameraPlan>, store: Arc<Store>, options: &FleetOptions) -> Result<Self, FleetError> {
+        let metrics = Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
+        // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in JavaScript.
+        let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
+        let mut unfinished = store.unfinished_sessions()?;
+        let shared = SharedParts { events, metrics: Arc::new(metrics), store };
+        let mut fleet = Self { cameras: Vec::new(), shared, threads: Mutex::default() };
+        for plan in plans {
+            let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
+            let left = left.map(|at| unfinished.remove(at));
+            // A fleet that is dropped half started ends the threads that it has.
+            let (camera, threads) = start_camera(plan, left, &fleet.shared, options)?;
+            fleet.cameras.push(camera);
+            fleet.threads.get_mut().unwrap_or_else(PoisonError::into_inner).extend(threads);
+        }
+        for (record, _) in unfinished {
+            tracing::warn!(
+                session = record.id,
+                camera = record.camera,
+                "unfinished session of a camera that is not configured"
+            );
+        }
+        Ok(fleet)
+    }
+
+    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second.
+    pub fn shutdown(&self) {
+        for camera in &self.cameras {
+            camera.stop.set();
+            camera.slot.close();
+            // A full queue wakes its thread anyway.
+            let _ = camera.messages.try_send(Message::Wake);
+        }
+        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        for thread in threads.drain(..) {
+            // A thread that panicked has nothing more to end.
+            let _ = thread.join();
+        }
+    }
+
+    /// Makes a calibration its camera's current one.
+    ///
+    /// # Errors
+    /// [`ApproveError`].
+    pub fn approve(&self, id: &str) -> Result<(), ApproveError> {
+        let unknown = || ApproveError::UnknownCalibration { id: id.to_owned() };
+        let calibration = self.shared.store.calibration(id)?.ok_or_else(unknown)?;
+        let name = calibration.camera.as_ref().ok_or_else(|| ApproveError::NoCamera { id: id.to_owned() })?;
+        self.shared.store.set_current(name, id)?;
+        if let Ok(camera) = self.link(name) {
+            camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+        }
+        if let Some(event) = CalibrationEvent::of(&calibration, true) {
+            self.shared.events.publish(name, EventKind::Calibration(event));
+        }
+        Ok(())
+    }
+
+    /// The counters in Prometheus's text format, version 0.0.4.
+    pub fn metrics_text(&self) -> String {
+        self.shared.metrics.text()
+    }
+
     /// Every camera, in the order of the configuration.
     pub fn cameras(&self) -> Vec<CameraStatus> {
         self.cameras.iter().map(|camera| camera.status.borrow().clone()).collect()
@@ -58,7 +166,7 @@ impl Fleet {
     /// # Errors
     /// [`UnknownCamera`].
     pub fn frames(&self, name: &str) -> Result<watch::Receiver<Option<Arc<LiveFrame>>>, UnknownCamera> {
-        Ok(self.link(name)?.frames.clone())
+        Ok(self.link(name)?.frames.subscribe())
     }
 
     /// The newest session of each camera since the daemon started, running or over. Older ones are in the store.
@@ -78,7 +186,7 @@ impl Fleet {
     pub async fn start_session(&self, name: &str, request: SessionRequest) -> Result<SessionRecord, StartError> {
         let link = self.link(name).map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
         let (reply, answer) = oneshot::channel();
-        link.requests.send(Request::Start(request, reply)).await.map_err(|_| StartError::Stopping)?;
+        link.messages.send(Message::Start(request, reply)).await.map_err(|_| StartError::Stopping)?;
         answer.await.map_err(|_| StartError::Stopping)?
     }
 
@@ -88,7 +196,7 @@ impl Fleet {
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
     pub async fn stop_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Request::Stop).await
+        self.end_session(id, Message::Stop).await
     }
 
     /// Gives session `id` up; its views stay stored.
@@ -96,7 +204,7 @@ impl Fleet {
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
     pub async fn abort_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Request::Abort).await
+        self.end_session(id, Message::Abort).await
     }
 
     /// Waits until session `id` has ended.
@@ -105,7 +213,7 @@ impl Fleet {
     /// [`EndError::UnknownSession`] if it is not, or stops being, the newest of its camera; [`EndError::Stopping`].
     pub async fn session_over(&self, id: &str) -> Result<Arc<SessionRecord>, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
-        let mut session = self.session_link(id).ok_or_else(unknown)?.session.clone();
+        let mut session = self.session_link(id).ok_or_else(unknown)?.session.subscribe();
         let ended = |record: &Option<Arc<SessionRecord>>| {
             record.as_ref().is_none_or(|record| record.id != id || record.state.is_over())
         };
@@ -115,27 +223,37 @@ impl Fleet {
 
     /// The events after `last_seen`; from now on, when `None`.
     pub fn events(&self, last_seen: Option<u64>) -> EventStream {
-        self.events.follow(last_seen)
+        self.shared.events.follow(last_seen)
     }
 
     async fn end_session(
         &self,
         id: &str,
-        request: fn(String, oneshot::Sender<Result<SessionRecord, EndError>>) -> Request,
+        request: fn(String, oneshot::Sender<Result<SessionRecord, EndError>>) -> Message,
     ) -> Result<SessionRecord, EndError> {
         let link = self.session_link(id).ok_or_else(|| EndError::UnknownSession { id: id.to_owned() })?;
         let (reply, answer) = oneshot::channel();
-        link.requests.send(request(id.to_owned(), reply)).await.map_err(|_| EndError::Stopping)?;
+        link.messages.send(request(id.to_owned(), reply)).await.map_err(|_| EndError::Stopping)?;
         answer.await.map_err(|_| EndError::Stopping)?
     }
 
-    fn link(&self, name: &str) -> Result<&CameraLink, UnknownCamera> {
-        let found = self.cameras.iter().find(|camera| camera.status.borrow().name == name);
+    fn link(&self, name: &str) -> Result<&Arc<LiveCamera>, UnknownCamera> {
+        let found = self.cameras.iter().find(|camera| camera.name == name);
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
-    fn session_link(&self, id: &str) -> Option<&CameraLink> {
-        let has = |camera: &&CameraLink| camera.session.borrow().as_ref().is_some_and(|record| record.id == id);
+    fn session_link(&self, id: &str) -> Option<&Arc<LiveCamera>> {
+        let has = |camera: &&Arc<LiveCamera>| camera.session.borrow().as_ref().is_some_and(|record| record.id == id);
         self.cameras.iter().find(has)
     }
 }
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        self.shutdown();
+    }
+}
+
+#[cfg(test)]
+#[path = "fleet_tests.rs"]
+mod tests;

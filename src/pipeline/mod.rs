@@ -9,7 +9,25 @@
 //! [`fleet::Fleet`] is the one object that the layers above talk to.
 
 pub mod camera_status;
+mod camera_threads;
+mod capture_thread;
+mod clock;
+mod detect_thread;
 pub mod event;
 pub mod fleet;
+mod frame_rate;
+mod frame_slot;
+mod guarded;
+mod live_camera;
 pub mod live_frame;
+mod message;
+mod metrics;
+mod search;
 pub mod session_request;
+mod session_thread;
+mod solve_thread;
+mod stop_signal;
+mod view_picture;
+
+pub use camera_threads::{CameraPlan, FleetOptions};
+pub use capture_thread::{SourceOpener, Supervision};

@@ -1,8 +1,6 @@
 //! What can be asked of a camera's session, and why it may be refused.
 
-use tokio::sync::oneshot;
-
-use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
+use crate::calibration::session_record::SessionState;
 
 /// Why no session was started.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -58,15 +56,4 @@ pub enum EndError {
     /// The daemon is going down.
     #[error("the daemon is stopping; the session goes on when it is back")]
     Stopping,
-}
-
-/// A request to a camera's session thread, with where to answer.
-#[derive(Debug)]
-pub(super) enum Request {
-    /// Begin a session.
-    Start(SessionRequest, oneshot::Sender<Result<SessionRecord, StartError>>),
-    /// Solve what has been gathered; answered once solving has begun.
-    Stop(String, oneshot::Sender<Result<SessionRecord, EndError>>),
-    /// Give it up.
-    Abort(String, oneshot::Sender<Result<SessionRecord, EndError>>),
 }

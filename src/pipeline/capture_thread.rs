@@ -1,0 +1,291 @@
+//! Thread `capture-<camera>`: owns the source, opens it and opens it again, and says how it does.
+//!
+//! ```text
+//! starting ──frame──▶ streaming ──gone, silent──▶ lost ──frame──▶ streaming
+//!     └──needs a person──▶ failed (tried again, rarely)
+//! ```
+//!
+//! A replay that waits for its frames to be looked at begins anew with each session, so that every session sees all of
+//! it; while none collects it is shown at its recorded pace, round and round.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::FrameSet;
+use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
+use crate::pipeline::frame_rate::FrameRate;
+use crate::pipeline::guarded::guarded;
+use crate::pipeline::live_camera::LiveCamera;
+use crate::pipeline::message::{Captured, CapturedFrame, Message};
+use crate::pipeline::search::Search;
+
+/// Opens a camera's source; called again whenever it was lost, so it must find the device by what stays the same.
+pub type SourceOpener = Box<dyn FnMut() -> Result<Box<dyn FrameSource>, CaptureError> + Send>;
+
+/// How a camera is watched over.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Supervision {
+    /// The wait before a lost source is opened again; doubles with each failure. Default: 0.25 s.
+    pub first_retry: Duration,
+    /// The longest such wait. Default: 5 s.
+    pub longest_retry: Duration,
+    /// The wait before a source that needs a person is tried again. Default: 10 s.
+    pub failed_retry: Duration,
+    /// A device that is silent for so long, and for ten of its frames, is lost. Default: 2 s.
+    pub stall: Duration,
+}
+
+impl Default for Supervision {
+    fn default() -> Self {
+        Self {
+            first_retry: Duration::from_millis(250),
+            longest_retry: Duration::from_secs(5),
+            failed_retry: Duration::from_secs(10),
+            stall: Duration::from_secs(2),
+        }
+    }
+}
+
+/// The longest that a source may keep the thread from looking up.
+const POLL: Duration = Duration::from_millis(200);
+/// How soon a waiting thread sees that a session began.
+const GLANCE: Duration = Duration::from_millis(20);
+const LONGEST_PACE: Duration = Duration::from_secs(1);
+
+/// Why a source is no longer read.
+enum End {
+    /// The daemon stops.
+    Stopped,
+    /// To be opened again at once.
+    Again,
+    /// Gave its last frame, for this session.
+    Ended { search: Option<Arc<Search>>, waits: bool },
+    /// Gone; may come back.
+    Lost(String),
+    /// Needs a person.
+    Failed(String),
+}
+
+pub(super) struct Capture {
+    pub(super) camera: Arc<LiveCamera>,
+    pub(super) open: SourceOpener,
+    pub(super) supervision: Supervision,
+    /// A silent source is a lost one.
+    pub(super) may_stall: bool,
+    pub(super) rate: FrameRate,
+    pub(super) retry: Duration,
+}
+
+impl Capture {
+    pub(super) fn run(mut self) {
+        while !self.camera.stop.is_set() {
+            let end = guarded(|| self.open_and_deliver()).unwrap_or_else(End::Lost);
+            self.rate.forget();
+            match end {
+                End::Stopped => return,
+                End::Again => {}
+                End::Ended { search, waits } => self.rest(search.as_ref(), waits),
+                End::Lost(reason) => {
+                    self.camera.metrics.lost.with_label_values(&[&self.camera.name]).inc();
+                    let retry = self.retry;
+                    self.retry = (retry * 2).min(self.supervision.longest_retry);
+                    self.wait_out(CameraState::Lost, &reason, retry);
+                }
+                End::Failed(reason) => self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry),
+            }
+        }
+    }
+
+    fn open_and_deliver(&mut self) -> End {
+        let opened_for = self.camera.search.get();
+        match (self.open)() {
+            Ok(mut source) => {
+                self.camera.metrics.opened.with_label_values(&[&self.camera.name]).inc();
+                let description = source.description();
+                self.introduce(&description);
+                self.deliver(source.as_mut(), &description, opened_for)
+            }
+            Err(CaptureError::Failed { reason }) => End::Failed(reason),
+            Err(error) => End::Lost(error.to_string()),
+        }
+    }
+
+    fn introduce(&self, description: &SourceDescription) {
+        let SourceDescription { model, serial, bus, identity, mode, .. } = description.clone();
+        if let Some(mode) = mode {
+            tracing::info!(camera = self.camera.name, "{mode}");
+        }
+        let bus = bus.or_else(|| (!identity.is_empty()).then_some(identity));
+        self.camera.status.send_modify(|status| status.identity = CameraIdentity { model, serial, bus });
+    }
+
+    /// Passes frames on until the source has no more.
+    fn deliver(
+        &mut self,
+        source: &mut dyn FrameSource,
+        description: &SourceDescription,
+        opened_for: Option<Arc<Search>>,
+    ) -> End {
+        let opened = Instant::now();
+        let mut held_for: Option<Arc<Search>> = None;
+        let mut pace = Pace::default();
+        let mut counted = Losses::default();
+        let mut silence = Duration::ZERO;
+        let mut delivered = false;
+        loop {
+            if self.camera.stop.is_set() {
+                return End::Stopped;
+            }
+            let search = self.camera.search.get();
+            if held_for.is_some() != search.is_some() {
+                self.hold_still(source, search.is_some());
+            }
+            held_for.clone_from(&search);
+            if description.waits && search.is_some() && search != opened_for {
+                return End::Again;
+            }
+            let next = source.next_frame(POLL);
+            self.count_losses(source.losses(), &mut counted);
+            match next {
+                Ok(frame_set) => {
+                    silence = Duration::ZERO;
+                    delivered = true;
+                    if opened.elapsed() > self.supervision.longest_retry {
+                        self.retry = self.supervision.first_retry;
+                    }
+                    if description.waits && search.is_none() && self.keep_pace(&mut pace, &frame_set) {
+                        continue;
+                    }
+                    if !self.pass_on(frame_set, search, description.waits) {
+                        return End::Stopped;
+                    }
+                }
+                Err(CaptureError::TimedOut { waited }) => {
+                    silence += waited;
+                    let limit = self.stall_limit(description);
+                    if self.may_stall && silence >= limit {
+                        return End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()));
+                    }
+                }
+                Err(CaptureError::Ended) if !delivered => return End::Failed("the recording holds no frames".into()),
+                Err(CaptureError::Ended) if description.waits && search.is_none() => return End::Again,
+                Err(CaptureError::Ended) => return End::Ended { search, waits: description.waits },
+                Err(CaptureError::Failed { reason }) => return End::Failed(reason),
+                Err(error @ CaptureError::Lost { .. }) => return End::Lost(error.to_string()),
+            }
+        }
+    }
+
+    fn stall_limit(&self, description: &SourceDescription) -> Duration {
+        let ten_frames_s = description.fps.map_or(0.0, |fps| 10.0 / fps.max(1e-3));
+        self.supervision.stall.max(Duration::from_secs_f64(ten_frames_s))
+    }
+
+    fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {
+        if let Err(error) = source.calibrating(on) {
+            tracing::warn!(camera = self.camera.name, "the device does not hold still for a calibration: {error}");
+        }
+    }
+
+    fn count_losses(&self, losses: Losses, counted: &mut Losses) {
+        self.camera.count_dropped("device", losses.missed.saturating_sub(counted.missed));
+        self.camera.count_dropped("damaged", losses.damaged.saturating_sub(counted.damaged));
+        *counted = losses;
+    }
+
+    /// Waits until a frame that nobody waits for is due; whether a session began meanwhile.
+    fn keep_pace(&self, pace: &mut Pace, frame_set: &FrameSet) -> bool {
+        let mut left = pace.until_due(frame_set);
+        while !left.is_zero() {
+            if self.camera.search.get().is_some() || self.camera.stop.is_set() {
+                return true;
+            }
+            let glance = left.min(GLANCE);
+            self.camera.stop.wait(glance);
+            left -= glance;
+        }
+        false
+    }
+
+    /// Hands a frame set to the detector; whether anyone still takes it.
+    fn pass_on(&mut self, frame_set: FrameSet, search: Option<Arc<Search>>, waits: bool) -> bool {
+        let arrived = Instant::now();
+        self.note(&frame_set, arrived);
+        let captured = Captured::Frame(CapturedFrame { frame_set: Arc::new(frame_set), search, arrived, waits });
+        if waits {
+            return self.camera.slot.put_waiting(captured).is_ok();
+        }
+        match self.camera.slot.put_newest(captured) {
+            Ok(replaced) => {
+                self.camera.count_dropped("overload", u64::from(replaced.is_some()));
+                true
+            }
+            Err(_) => false,
+        }
+    }
+
+    fn note(&mut self, frame_set: &FrameSet, arrived: Instant) {
+        let fps = self.rate.count(arrived);
+        self.camera.metrics.frames.with_label_values(&[&self.camera.name]).inc();
+        self.camera.status.send_modify(|status| {
+            status.frames += 1;
+            status.fps = fps;
+            // A file that could not be read has no size; it does not make the sensor another one.
+            let known = |size: ImageSize| size.width > 0 && size.height > 0;
+            if frame_set.frames.iter().all(|frame| known(frame.size)) {
+                let sensors = frame_set.frames.iter();
+                status.sensors = sensors
+                    .map(|frame| SensorStatus { kind: frame.sensor, size: frame.size, format: frame.format })
+                    .collect();
+            }
+        });
+        if self.camera.status.borrow().state != CameraState::Streaming {
+            self.camera.set_state(CameraState::Streaming, None);
+            let _ = self.camera.messages.blocking_send(Message::CameraBack);
+        }
+    }
+
+    /// Says what is wrong, and waits before the next try. The session's time goes on meanwhile.
+    fn wait_out(&self, state: CameraState, reason: &str, wait: Duration) {
+        self.camera.status.send_modify(|status| status.fps = None);
+        self.camera.set_state(state, Some(reason));
+        let _ = self.camera.messages.blocking_send(Message::CameraLost(reason.to_owned()));
+        self.camera.stop.wait(wait);
+        let _ = self.camera.messages.try_send(Message::Waited(wait.as_secs_f64()));
+    }
+
+    /// After the last frame: waits for another session to begin; a replay that waits is also shown again when the session
+    /// is over.
+    fn rest(&self, ended_for: Option<&Arc<Search>>, waits: bool) {
+        let reason = "the recording has ended";
+        let end = Captured::End { search: ended_for.cloned(), reason: reason.to_owned() };
+        if self.camera.slot.put_waiting(end).is_err() {
+            return;
+        }
+        self.camera.status.send_modify(|status| status.fps = None);
+        let until = format!("{reason}; it starts again with the next session");
+        self.camera.set_state(CameraState::Failed, Some(&until));
+        while !self.camera.stop.wait(GLANCE) {
+            let search = self.camera.search.get();
+            if search.as_ref() != ended_for && (waits || search.is_some()) {
+                return;
+            }
+        }
+    }
+}
+
+/// The recorded distance between frames that are shown to nobody in particular.
+#[derive(Default)]
+struct Pace {
+    last_ns: Option<i64>,
+}
+
+impl Pace {
+    fn until_due(&mut self, frame_set: &FrameSet) -> Duration {
+        let now_ns = frame_set.host_time.utc_ns;
+        let since_ns = self.last_ns.replace(now_ns).map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
+        Duration::from_nanos(since_ns.max(0).unsigned_abs()).min(LONGEST_PACE)
+    }
+}

@@ -1,0 +1,277 @@
+//! The fleet on sources that do what the test says: deliver, fall silent, vanish, break, panic, end.
+
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use super::*;
+use crate::calibration::session_record::SessionState;
+use crate::capture::{CaptureError, FrameSource, SourceDescription};
+use crate::estimation::problem::LensChoice;
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+use crate::imaging::timestamp::HostTime;
+use crate::pipeline::Supervision;
+use crate::pipeline::event::Event;
+
+/// A test that hangs has failed.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What a scripted device does next.
+enum Step {
+    Frame,
+    Fail(CaptureError),
+    Panic,
+}
+
+fn lost(reason: &str) -> CaptureError {
+    CaptureError::Lost { device: "camera 7".to_owned(), reason: reason.to_owned() }
+}
+
+/// A device that does what it is sent, and is silent otherwise.
+struct Scripted {
+    steps: Receiver<Step>,
+    sequence: u64,
+    waits: bool,
+}
+
+fn gray_frame(sequence: u64) -> FrameSet {
+    let size = ImageSize::new(64, 48);
+    let frame = Frame {
+        sensor: SensorKind::Color,
+        size,
+        format: PixelFormat::Mono8,
+        stride: 64,
+        bytes: vec![9; 64 * 48].into(),
+    };
+    let host_time = HostTime { utc_ns: sequence as i64 * 1_000_000 };
+    FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] }
+}
+
+impl FrameSource for Scripted {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        match self.steps.recv_timeout(timeout) {
+            Ok(Step::Frame) => {
+                self.sequence += 1;
+                Ok(gray_frame(self.sequence - 1))
+            }
+            Ok(Step::Fail(error)) => Err(error),
+            Ok(Step::Panic) => panic!("the driver's binding broke"),
+            Err(RecvTimeoutError::Timeout) => Err(CaptureError::TimedOut { waited: timeout }),
+            Err(RecvTimeoutError::Disconnected) => Err(CaptureError::Ended),
+        }
+    }
+
+    fn description(&self) -> SourceDescription {
+        SourceDescription { identity: "camera 7".to_owned(), waits: self.waits, ..SourceDescription::default() }
+    }
+}
+
+/// The test's end of a camera: what each opening gives.
+struct Script {
+    openings: Sender<Result<Receiver<Step>, CaptureError>>,
+}
+
+impl Script {
+    /// The next opening succeeds; the sender feeds it.
+    fn plug_in(&self) -> Sender<Step> {
+        let (feed, steps) = channel();
+        self.openings.send(Ok(steps)).unwrap();
+        feed
+    }
+}
+
+fn scripted(name: &str) -> (CameraPlan, Script) {
+    let (openings, next) = channel::<Result<Receiver<Step>, CaptureError>>();
+    let open = move || {
+        let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: false }) as Box<dyn FrameSource>)
+    };
+    let plan = CameraPlan { name: name.to_owned(), kind: "v4l2".to_owned(), open: Box::new(open), may_stall: true };
+    (plan, Script { openings })
+}
+
+/// A fleet that retries at once and has patience with silence unless told otherwise.
+fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration) -> Fleet {
+    let soon = Duration::from_millis(1);
+    let supervision = Supervision { first_retry: soon, longest_retry: soon, failed_retry: soon, stall };
+    let options = FleetOptions { supervision, ..FleetOptions::default() };
+    Fleet::start(plans, Arc::new(Store::open(folder.path()).unwrap()), &options).unwrap()
+}
+
+fn request() -> SessionRequest {
+    let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    SessionRequest { target, lens: LensChoice::Auto, finish: None }
+}
+
+async fn until<T>(events: &mut EventStream, mut wanted: impl FnMut(&Event) -> Option<T>) -> T {
+    let found = async {
+        loop {
+            if let Some(found) = wanted(&*events.next().await) {
+                return found;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, found).await.unwrap()
+}
+
+async fn until_state(events: &mut EventStream, camera: &str, state: CameraState) -> CameraStatus {
+    until(events, |event| match &event.kind {
+        EventKind::Camera(status) if event.camera == camera && status.state == state => Some((**status).clone()),
+        _ => None,
+    })
+    .await
+}
+
+async fn until_session(events: &mut EventStream, wanted: impl Fn(&SessionRecord) -> bool) -> SessionRecord {
+    until(events, |event| match &event.kind {
+        EventKind::Session(record) if wanted(record) => Some((**record).clone()),
+        _ => None,
+    })
+    .await
+}
+
+async fn until_frame(events: &mut EventStream, camera: &str) {
+    until(events, |event| (event.camera == camera && event.kind.name() == "frame").then_some(())).await;
+}
+
+#[tokio::test]
+async fn a_session_lives_through_a_loss_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+
+    feed.send(Step::Fail(lost("unplugged"))).unwrap();
+    let status = until_state(&mut events, "front", CameraState::Lost).await;
+    assert_eq!(status.reason.as_deref(), Some("camera 7 was lost: unplugged"));
+    until_session(&mut events, |record| {
+        record.reason.as_deref() == Some("waits for the camera: camera 7 was lost: unplugged")
+    })
+    .await;
+
+    let feed = script.plug_in();
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    let record = until_session(&mut events, |record| record.reason.is_none()).await;
+    assert_eq!((record.id, record.state), (id.clone(), SessionState::Collecting));
+    let busy = fleet.start_session("front", request()).await.unwrap_err();
+    assert_eq!(busy, StartError::Busy { camera: "front".to_owned(), session: id.clone() });
+    assert_eq!(fleet.abort_session(&id).await.unwrap().state, SessionState::Aborted);
+    assert_eq!(fleet.session_over(&id).await.unwrap().state, SessionState::Aborted);
+}
+
+#[tokio::test]
+async fn silence_is_a_loss_and_a_panic_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let fleet = fleet_of(vec![plan], &folder, Duration::from_millis(1));
+    let mut events = fleet.events(Some(0));
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    let status = until_state(&mut events, "front", CameraState::Lost).await;
+    assert_eq!(status.reason.as_deref(), Some("no frame for 0.2 s"));
+
+    let feed = script.plug_in();
+    feed.send(Step::Frame).unwrap();
+    feed.send(Step::Panic).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    until(&mut events, |event| match &event.kind {
+        EventKind::Camera(status) => status.reason.as_ref().filter(|reason| reason.contains("binding broke")).cloned(),
+        _ => None,
+    })
+    .await;
+    let feed = script.plug_in();
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    assert!(fleet.metrics_text().contains("plumb_camera_opened_total{camera=\"front\"} 3"));
+}
+
+#[tokio::test]
+async fn what_needs_a_person_is_said_and_tried_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plan, script) = scripted("front");
+    let reason = "no permission; join the group `video`";
+    script.openings.send(Err(CaptureError::Failed { reason: reason.to_owned() })).unwrap();
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    let status = until_state(&mut events, "front", CameraState::Failed).await;
+    assert_eq!(status.reason.as_deref(), Some(reason));
+    assert!(!fleet.is_ready());
+    let feed = script.plug_in();
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    assert!(fleet.is_ready());
+}
+
+#[tokio::test]
+async fn two_cameras_never_hold_each_other_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let (release, blocked) = channel::<()>();
+    let stuck = move || {
+        // A driver that does not come back.
+        let _ = blocked.recv();
+        Err(lost("gone"))
+    };
+    let stuck =
+        CameraPlan { name: "stuck".to_owned(), kind: "v4l2".to_owned(), open: Box::new(stuck), may_stall: true };
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let fleet = fleet_of(vec![stuck, plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    for _ in 0..100 {
+        feed.send(Step::Frame).unwrap();
+        until_frame(&mut events, "front").await;
+    }
+    assert_eq!(fleet.camera("stuck").unwrap().state, CameraState::Starting);
+    assert_eq!(fleet.camera("front").unwrap().frames, 100);
+    let id = fleet.start_session("stuck", request()).await.unwrap().id;
+    let failed = fleet.stop_session(&id).await.unwrap();
+    assert_eq!(failed.state, SessionState::Failed, "a session can be stopped while its camera hangs");
+    drop(release);
+}
+
+/// A replay of `frames` frames that waits for each to be looked at.
+fn replay(frames: u64) -> CameraPlan {
+    let open = move || {
+        let (feed, steps) = channel();
+        (0..frames).for_each(|_| feed.send(Step::Frame).unwrap());
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: true }) as Box<dyn FrameSource>)
+    };
+    CameraPlan { name: "front".to_owned(), kind: "recording".to_owned(), open: Box::new(open), may_stall: false }
+}
+
+#[tokio::test]
+async fn every_session_sees_the_whole_of_a_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = fleet_of(vec![replay(500)], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    for _ in 0..3 {
+        let id = fleet.start_session("front", request()).await.unwrap().id;
+        let record = until_session(&mut events, |record| {
+            record.id == id && record.reason.as_ref().is_some_and(|reason| reason.contains("has ended"))
+        })
+        .await;
+        assert_eq!((record.frames_seen, record.state), (500, SessionState::Collecting));
+        fleet.abort_session(&id).await.unwrap();
+    }
+}
+
+#[tokio::test]
+async fn an_unfinished_session_goes_on_under_its_id() {
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = fleet_of(vec![replay(10)], &folder, PATIENCE);
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    drop(fleet);
+    let fleet = fleet_of(vec![replay(10)], &folder, PATIENCE);
+    assert_eq!(fleet.live_session(&id).unwrap().state, SessionState::Collecting);
+    let mut events = fleet.events(Some(0));
+    until_session(&mut events, |record| record.id == id && record.frames_seen >= 10).await;
+    let unknown = fleet.stop_session("other").await.unwrap_err();
+    assert_eq!(unknown.to_string(), "there is no session `other`; see GET /v1/sessions for those there are");
+}

@@ -1,0 +1,114 @@
+//! The one place between a camera and its detector. A live camera's newest frame wins: whatever the detector has not
+//! taken is replaced, so that it never looks at an old one. A replay that must not skip waits for the place instead.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Holds one item at most.
+#[derive(Debug)]
+pub(super) struct FrameSlot<T> {
+    state: Mutex<State<T>>,
+    changed: Condvar,
+}
+
+#[derive(Debug)]
+struct State<T> {
+    item: Option<T>,
+    closed: bool,
+}
+
+/// The slot is closed: nobody takes from it any more.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Closed;
+
+impl<T> FrameSlot<T> {
+    pub(super) fn new() -> Self {
+        Self { state: Mutex::new(State { item: None, closed: false }), changed: Condvar::new() }
+    }
+
+    /// Puts `item` in place of what is there; what it replaced.
+    pub(super) fn put_newest(&self, item: T) -> Result<Option<T>, Closed> {
+        let mut state = self.lock();
+        if state.closed {
+            return Err(Closed);
+        }
+        let replaced = state.item.replace(item);
+        self.changed.notify_all();
+        Ok(replaced)
+    }
+
+    /// Waits until the place is free, then puts `item` there.
+    pub(super) fn put_waiting(&self, item: T) -> Result<(), Closed> {
+        let mut state = self.lock();
+        while state.item.is_some() && !state.closed {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        if state.closed {
+            return Err(Closed);
+        }
+        state.item = Some(item);
+        self.changed.notify_all();
+        Ok(())
+    }
+
+    /// Waits for an item and takes it; `None` once closed.
+    pub(super) fn take(&self) -> Option<T> {
+        let mut state = self.lock();
+        while state.item.is_none() && !state.closed {
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+        let item = state.item.take().filter(|_| !state.closed);
+        self.changed.notify_all();
+        item
+    }
+
+    /// Wakes everyone who waits; nothing goes through any more.
+    pub(super) fn close(&self) {
+        self.lock().closed = true;
+        self.changed.notify_all();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+
+    #[test]
+    fn the_newest_wins_and_the_replaced_one_is_told() {
+        let slot = FrameSlot::new();
+        assert_eq!(slot.put_newest(1), Ok(None));
+        assert_eq!(slot.put_newest(2), Ok(Some(1)));
+        assert_eq!(slot.take(), Some(2));
+    }
+
+    #[test]
+    fn whoever_waits_loses_nothing() {
+        let slot = Arc::new(FrameSlot::new());
+        let taker = Arc::clone(&slot);
+        let taken = std::thread::spawn(move || (0..1000).map(|_| taker.take().unwrap()).collect::<Vec<_>>());
+        (0..1000).for_each(|n| slot.put_waiting(n).unwrap());
+        assert_eq!(taken.join().unwrap(), (0..1000).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn closing_wakes_both_sides() {
+        let empty = Arc::new(FrameSlot::<u32>::new());
+        let taker = Arc::clone(&empty);
+        let taking = std::thread::spawn(move || taker.take());
+        empty.close();
+        assert_eq!(taking.join().unwrap(), None);
+
+        let full = Arc::new(FrameSlot::new());
+        full.put_newest(1).unwrap();
+        let putter = Arc::clone(&full);
+        let putting = std::thread::spawn(move || putter.put_waiting(2));
+        full.close();
+        assert_eq!(putting.join().unwrap(), Err(Closed));
+        assert_eq!(full.put_newest(3), Err(Closed));
+    }
+}

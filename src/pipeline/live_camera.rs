@@ -1,0 +1,66 @@
+//! What a camera's threads share: its state as seen from outside, and the links between them.
+
+use std::sync::Arc;
+
+use tokio::sync::{mpsc, watch};
+
+use crate::calibration::session_record::SessionRecord;
+use crate::pipeline::camera_status::{CameraState, CameraStatus};
+use crate::pipeline::event::{EventKind, EventLog};
+use crate::pipeline::frame_slot::FrameSlot;
+use crate::pipeline::live_frame::LiveFrame;
+use crate::pipeline::message::{Captured, Message};
+use crate::pipeline::metrics::Metrics;
+use crate::pipeline::search::CurrentSearch;
+use crate::pipeline::stop_signal::StopSignal;
+
+/// One camera, as its threads see it.
+#[derive(Debug)]
+pub(super) struct LiveCamera {
+    pub(super) name: String,
+    pub(super) status: watch::Sender<CameraStatus>,
+    pub(super) frames: watch::Sender<Option<Arc<LiveFrame>>>,
+    pub(super) session: watch::Sender<Option<Arc<SessionRecord>>>,
+    pub(super) search: CurrentSearch,
+    pub(super) slot: FrameSlot<Captured>,
+    pub(super) messages: mpsc::Sender<Message>,
+    pub(super) events: Arc<EventLog>,
+    pub(super) metrics: Arc<Metrics>,
+    pub(super) stop: StopSignal,
+}
+
+impl LiveCamera {
+    /// Changes the state and announces it, if it is a change.
+    pub(super) fn set_state(&self, state: CameraState, reason: Option<&str>) {
+        let changed = self.status.send_if_modified(|status| {
+            let changed = status.state != state || status.reason.as_deref() != reason;
+            status.state = state;
+            status.reason = reason.map(str::to_owned);
+            changed
+        });
+        if !changed {
+            return;
+        }
+        self.metrics.set_state(&self.name, state);
+        tracing::info!(camera = self.name, state = state.name(), reason, "camera");
+        self.announce();
+    }
+
+    /// Announces the status as it stands.
+    pub(super) fn announce(&self) {
+        let status = self.status.borrow().clone();
+        self.publish(EventKind::Camera(Box::new(status)));
+    }
+
+    pub(super) fn publish(&self, kind: EventKind) {
+        self.events.publish(&self.name, kind);
+    }
+
+    /// Counts `frames` lost for the reason `why`.
+    pub(super) fn count_dropped(&self, why: &str, frames: u64) {
+        if frames > 0 {
+            self.metrics.dropped.with_label_values(&[&self.name, why]).inc_by(frames);
+            self.status.send_modify(|status| status.dropped_frames += frames);
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! What the daemon counts, in Prometheus's words.
+
+use prometheus::{Encoder, HistogramOpts, HistogramVec, IntCounterVec, IntGaugeVec, Opts, Registry, TextEncoder};
+
+use crate::pipeline::camera_status::CameraState;
+
+/// Every count, by camera.
+#[derive(Debug)]
+pub(super) struct Metrics {
+    registry: Registry,
+    /// Frame sets received.
+    pub(super) frames: IntCounterVec,
+    /// Frame sets lost, and why: `device` (a gap in its count), `damaged`, `overload` (replaced by a newer one unseen).
+    pub(super) dropped: IntCounterVec,
+    /// Frames searched for a board.
+    pub(super) searched: IntCounterVec,
+    /// Frames in which it was found.
+    pub(super) boards: IntCounterVec,
+    /// Views kept.
+    pub(super) views: IntCounterVec,
+    /// Frames not kept by a session, and why.
+    pub(super) rejected: IntCounterVec,
+    /// Sessions that ended, and how.
+    pub(super) sessions: IntCounterVec,
+    /// Times that a camera was opened.
+    pub(super) opened: IntCounterVec,
+    /// Times that a camera was lost.
+    pub(super) lost: IntCounterVec,
+    state: IntGaugeVec,
+    /// Decoding and detection of one frame, in seconds.
+    pub(super) detection_seconds: HistogramVec,
+    /// From taking a frame from its source to telling what was seen in it, in seconds.
+    pub(super) latency_seconds: HistogramVec,
+    /// A final solve, in seconds.
+    pub(super) solve_seconds: HistogramVec,
+}
+
+const FRAME_SECONDS: [f64; 12] = [0.0005, 0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0];
+const SOLVE_SECONDS: [f64; 9] = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
+
+impl Metrics {
+    pub(super) fn new() -> Result<Self, prometheus::Error> {
+        let registry = Registry::new();
+        let counter = |name: &str, help: &str, labels: &[&str]| {
+            let counter = IntCounterVec::new(Opts::new(name, help), labels)?;
+            registry.register(Box::new(counter.clone()))?;
+            Ok::<_, prometheus::Error>(counter)
+        };
+        let histogram = |name: &str, help: &str, buckets: &[f64]| {
+            let histogram = HistogramVec::new(HistogramOpts::new(name, help).buckets(buckets.to_vec()), &["camera"])?;
+            registry.register(Box::new(histogram.clone()))?;
+            Ok::<_, prometheus::Error>(histogram)
+        };
+        let state = IntGaugeVec::new(
+            Opts::new("plumb_camera_state", "1 for the state that the camera is in"),
+            &["camera", "state"],
+        )?;
+        registry.register(Box::new(state.clone()))?;
+        Ok(Self {
+            frames: counter("plumb_frames_total", "frame sets received", &["camera"])?,
+            dropped: counter("plumb_frames_dropped_total", "frame sets lost, and why", &["camera", "why"])?,
+            searched: counter("plumb_frames_searched_total", "frames searched for a board", &["camera"])?,
+            boards: counter("plumb_boards_found_total", "frames in which the board was found", &["camera"])?,
+            views: counter("plumb_views_kept_total", "views kept by sessions", &["camera"])?,
+            rejected: counter("plumb_frames_rejected_total", "frames not kept by a session", &["camera", "reason"])?,
+            sessions: counter("plumb_sessions_ended_total", "sessions that ended, and how", &["camera", "state"])?,
+            opened: counter("plumb_camera_opened_total", "times that the camera was opened", &["camera"])?,
+            lost: counter("plumb_camera_lost_total", "times that the camera was lost", &["camera"])?,
+            state,
+            detection_seconds: histogram(
+                "plumb_detection_seconds",
+                "decoding and detection of a frame",
+                &FRAME_SECONDS,
+            )?,
+            latency_seconds: histogram(
+                "plumb_frame_latency_seconds",
+                "from a frame's arrival to what was seen in it",
+                &FRAME_SECONDS,
+            )?,
+            solve_seconds: histogram("plumb_solve_seconds", "final solves", &SOLVE_SECONDS)?,
+            registry,
+        })
+    }
+
+    /// Makes a camera's counts appear before they first change.
+    pub(super) fn introduce(&self, camera: &str) {
+        for counter in [&self.frames, &self.searched, &self.boards, &self.views, &self.opened, &self.lost] {
+            counter.with_label_values(&[camera]);
+        }
+        for why in ["device", "damaged", "overload"] {
+            self.dropped.with_label_values(&[camera, why]);
+        }
+        self.set_state(camera, CameraState::Starting);
+    }
+
+    pub(super) fn set_state(&self, camera: &str, state: CameraState) {
+        for other in CameraState::ALL {
+            self.state.with_label_values(&[camera, other.name()]).set(i64::from(other == state));
+        }
+    }
+
+    /// In the text format, version 0.0.4.
+    pub(super) fn text(&self) -> String {
+        let mut text = Vec::new();
+        // Writing to memory cannot fail, and what was written before a failure is still worth showing.
+        let _ = TextEncoder::new().encode(&self.registry.gather(), &mut text);
+        String::from_utf8_lossy(&text).into_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_camera_shows_from_the_start_and_in_one_state() {
+        let metrics = Metrics::new().unwrap();
+        metrics.introduce("front");
+        metrics.set_state("front", CameraState::Streaming);
+        let text = metrics.text();
+        assert!(text.contains("plumb_frames_total{camera=\"front\"} 0"), "{text}");
+        assert!(text.contains("plumb_frames_dropped_total{camera=\"front\",why=\"overload\"} 0"), "{text}");
+        assert!(text.contains("plumb_camera_state{camera=\"front\",state=\"starting\"} 0"), "{text}");
+        assert!(text.contains("plumb_camera_state{camera=\"front\",state=\"streaming\"} 1"), "{text}");
+    }
+}
