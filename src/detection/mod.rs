@@ -3,6 +3,7 @@
 //! **May miss, never mislabels.**
 
 pub mod board_detection;
+pub mod board_plane;
 mod candidates;
 mod cross;
 pub mod detector;

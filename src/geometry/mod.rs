@@ -12,6 +12,8 @@
 
 pub mod board;
 pub mod camera_matrix;
+pub mod depth_camera;
+pub mod depth_correction;
 pub mod homography;
 pub mod lens;
 pub mod pixel;

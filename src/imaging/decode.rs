@@ -196,7 +196,7 @@ fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
     Ok(())
 }
 
-fn decode_png(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
+pub(crate) fn decode_png(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
     if PixelFormat::of_file(bytes) != Some(PixelFormat::Png) {
         return Err(DecodeError::NotAPicture);
     }

@@ -1,6 +1,7 @@
 //! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod decode;
+pub mod depth_image;
 pub mod frame;
 pub mod gray;
 mod jpeg;

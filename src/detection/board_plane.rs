@@ -1,0 +1,281 @@
+//! The board's surface in a depth picture: small patches inside its outline, each with its own noise, and nothing that
+//! isn't on the plane.
+//!
+//! A plane's 1/z is linear over a pinhole's picture, so each patch is a straight-line fit; what a lens bends over one
+//! patch is far below its noise.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::geometry::depth_camera::{DepthReading, DepthTile};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::depth_image::DepthImage;
+
+/// How the board's surface is measured.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaneOptions {
+    /// The reading that means none, besides 0 for metric depth.
+    pub invalid: Option<u16>,
+    /// About how many patches. Default: 150.
+    pub tiles: u32,
+    /// Patches further than this part of the depth from the common plane are something else. Default: 0.05.
+    pub tolerance: f64,
+}
+
+impl Default for PlaneOptions {
+    fn default() -> Self {
+        Self { invalid: None, tiles: 150, tolerance: 0.05 }
+    }
+}
+
+/// Why no surface was measured.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum NoPlane {
+    /// The outline hardly touches the picture.
+    #[error("the board is outside the depth picture")]
+    Outside,
+    /// Too few readings inside the outline.
+    #[error("only {percent} % of the depth picture inside the board's outline has readings, 40 % are needed")]
+    Holes {
+        /// How many.
+        percent: u32,
+    },
+    /// What is inside the outline is not one plane.
+    #[error("what the depth picture shows inside the board's outline is not flat: {percent} % of it lies on one plane")]
+    NotFlat {
+        /// How much.
+        percent: u32,
+    },
+}
+
+/// Readings of all patches are trimmed at this many standard deviations.
+const TRIM: f64 = 3.5;
+
+/// Measures the surface inside `outline` (a closed polygon in pixels of the depth picture), seen through `lens`.
+///
+/// # Errors
+/// [`NoPlane`]: outside the picture, holes, not flat.
+pub fn find_board_plane(
+    picture: &DepthImage,
+    (reading, lens): (DepthReading, &Lens),
+    outline: &[Pixel],
+    options: &PlaneOptions,
+) -> Result<Vec<DepthTile>, NoPlane> {
+    let spans = spans_inside(outline, picture);
+    let area: usize = spans.iter().map(|span| span.end - span.start).sum();
+    if area < 100 {
+        return Err(NoPlane::Outside);
+    }
+    let side = ((area as f64 / f64::from(options.tiles.max(1))).sqrt() as usize).clamp(6, 48);
+    let (mut tiles, mut seen) = (Vec::new(), 0);
+    let (top, bottom) = (spans[0].y, spans[spans.len() - 1].y + 1);
+    let left = spans.iter().map(|span| span.start).min().unwrap_or(0);
+    let right = spans.iter().map(|span| span.end).max().unwrap_or(0);
+    let mut samples = Vec::with_capacity(side * side);
+    for y in (top..bottom).step_by(side) {
+        let rows = &spans[y - top..(y - top + side).min(spans.len())];
+        for x in (left..right).step_by(side) {
+            let inside = gather(picture, (reading, options.invalid), rows, x..x + side, &mut samples);
+            seen += samples.len();
+            if 2 * samples.len() >= inside.max(side * side / 2) {
+                tiles.extend(fit_tile(&mut samples));
+            }
+        }
+    }
+    let percent = |part: usize, whole: usize| (100 * part / whole.max(1)) as u32;
+    if 5 * seen < 2 * area || tiles.len() < 6 {
+        return Err(NoPlane::Holes { percent: percent(seen, area) });
+    }
+    let all = tiles.len();
+    keep_plane(&mut tiles, lens, options.tolerance);
+    if 10 * tiles.len() < 7 * all {
+        return Err(NoPlane::NotFlat { percent: percent(tiles.len(), all) });
+    }
+    Ok(tiles)
+}
+
+/// The pixels of one row that lie inside an outline.
+struct Span {
+    y: usize,
+    start: usize,
+    end: usize,
+}
+
+/// One span per row from the outline's top to its bottom, as far as they lie in the picture. A board's outline is convex
+/// but for the lens's bend: its outermost crossings bound each row.
+fn spans_inside(outline: &[Pixel], picture: &DepthImage) -> Vec<Span> {
+    let size = picture.size();
+    let finite = outline.len() >= 3 && outline.iter().all(|pixel| pixel.is_finite());
+    let lowest = outline.iter().map(|p| p.y).fold(f64::INFINITY, f64::min).max(0.0);
+    let highest = outline.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max).min(f64::from(size.height) - 1.0);
+    if !finite || lowest > highest {
+        return Vec::new();
+    }
+    (lowest.ceil() as usize..=highest.floor() as usize)
+        .map(|y| {
+            let line = y as f64;
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            for (a, b) in outline.iter().zip(outline.iter().cycle().skip(1)) {
+                if (a.y <= line) != (b.y <= line) {
+                    let x = a.x + (line - a.y) / (b.y - a.y) * (b.x - a.x);
+                    (low, high) = (low.min(x), high.max(x));
+                }
+            }
+            let start = low.max(0.0).ceil().min(f64::from(size.width)) as usize;
+            let end = (high.min(f64::from(size.width) - 1.0).floor() + 1.0).max(start as f64) as usize;
+            Span { y, start, end: if low <= high { end } else { start } }
+        })
+        .collect()
+}
+
+/// Collects (x, y, 1/z) of the readings in a patch; answers how many pixels of it lie inside the outline.
+fn gather(
+    picture: &DepthImage,
+    (reading, invalid): (DepthReading, Option<u16>),
+    rows: &[Span],
+    columns: std::ops::Range<usize>,
+    samples: &mut Vec<[f64; 3]>,
+) -> usize {
+    samples.clear();
+    let mut inside = 0;
+    for span in rows {
+        let (start, end) = (span.start.max(columns.start), span.end.min(columns.end));
+        inside += end.saturating_sub(start);
+        for x in start..end {
+            let raw = picture.row(span.y)[x];
+            if Some(raw) == invalid {
+                continue;
+            }
+            if let Some(inverse) = reading.inverse_depth(f64::from(raw)) {
+                samples.push([x as f64, span.y as f64, inverse]);
+            }
+        }
+    }
+    inside
+}
+
+/// A plane through the samples of a patch, trimmed twice; `None` where they are too few or on a line.
+fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
+    let mut last = None;
+    for _ in 0..3 {
+        let count = samples.len() as f64;
+        if samples.len() < 12 {
+            return None;
+        }
+        let mean = [0, 1, 2].map(|k| samples.iter().map(|s| s[k]).sum::<f64>() / count);
+        let (mut square, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for s in samples.iter() {
+            let row = Vector3::new(s[0] - mean[0], s[1] - mean[1], 1.0);
+            square += row * row.transpose();
+            right += row * (s[2] - mean[2]);
+        }
+        let slope = square.cholesky()?.solve(&right);
+        let rest = |s: &[f64; 3]| s[2] - mean[2] - slope[0] * (s[0] - mean[0]) - slope[1] * (s[1] - mean[1]);
+        let std = (samples.iter().map(|s| rest(s).powi(2)).sum::<f64>() / (count - 3.0)).sqrt();
+        last = Some(DepthTile {
+            pixel: Pixel::new(mean[0], mean[1]),
+            inverse_depth: mean[2],
+            reading_std: std,
+            count: samples.len() as u32,
+        });
+        let before = samples.len();
+        samples.retain(|s| rest(s).abs() <= TRIM * std);
+        if samples.len() == before {
+            break;
+        }
+    }
+    last
+}
+
+/// Leaves the tiles that lie on one plane: of planes through three tiles the one with the least median deviation, then
+/// least squares over what lies near it.
+fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
+    let ray = |tile: &DepthTile| {
+        let bearing = lens.bearing_from_pixel(tile.pixel)?;
+        (bearing.z > 0.0).then(|| bearing.into_inner() / bearing.z)
+    };
+    tiles.retain(|tile| ray(tile).is_some());
+    let rays: Vec<Vector3<f64>> = tiles.iter().filter_map(ray).collect();
+    let deviations = |plane: &Vector3<f64>| -> Vec<f64> {
+        let each = tiles.iter().zip(&rays);
+        each.map(|(tile, ray)| ((tile.inverse_depth - plane.dot(ray)) / tile.inverse_depth).abs()).collect()
+    };
+    let median = |mut values: Vec<f64>| {
+        values.sort_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
+    };
+    let through = |chosen: &[usize]| {
+        let (mut square, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for k in chosen {
+            square += rays[*k] * rays[*k].transpose();
+            right += rays[*k] * tiles[*k].inverse_depth;
+        }
+        Some(square.cholesky()?.solve(&right))
+    };
+    let count = tiles.len();
+    let triples = (0..TRIPLES).map(|k| [k * 7919, k * 104_729 + count / 3, k * 1_299_709 + 2 * count / 3]);
+    let planes = triples.filter_map(|triple| through(&triple.map(|k| k % count.max(1))));
+    let best = planes.map(|plane| (median(deviations(&plane)), plane)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let Some((scale, mut plane)) = best else { return tiles.clear() };
+    let limit = (4.0 * scale).clamp(0.002, tolerance);
+    for _ in 0..3 {
+        let off = deviations(&plane);
+        let near: Vec<usize> = (0..count).filter(|k| off[*k] <= limit).collect();
+        plane = through(&near).unwrap_or(plane);
+    }
+    let mut deviations = deviations(&plane).into_iter();
+    tiles.retain(|_| deviations.next().is_some_and(|deviation| deviation <= tolerance));
+}
+
+/// How many triples are tried: with a third of the tiles elsewhere, all but one in 10⁷ pictures meet a good one.
+const TRIPLES: usize = 50;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::pixel::ImageSize;
+
+    const METRIC: DepthReading = DepthReading::Metric { unit_m: 0.001 };
+
+    fn lens() -> Lens {
+        Lens::pinhole(CameraMatrix { fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, skew: 0.0 })
+    }
+
+    fn picture(z_m: impl Fn(f64, f64) -> f64) -> DepthImage {
+        let at = |k: usize| z_m((k % 320) as f64, (k / 320) as f64);
+        DepthImage::new(ImageSize::new(320, 240), (0..320 * 240).map(|k| (at(k) * 1000.0).round() as u16).collect())
+            .unwrap()
+    }
+
+    fn square(low: f64, high: f64) -> Vec<Pixel> {
+        vec![Pixel::new(low, low), Pixel::new(high, low), Pixel::new(high, high), Pixel::new(low, high)]
+    }
+
+    #[test]
+    fn a_tilted_plane_is_measured_and_a_hand_before_it_is_left_out() {
+        let plane = |x: f64, y: f64| 1.0 / (0.7 + 0.0004 * (x - 160.0) - 0.0002 * (y - 120.0));
+        let with_hand = picture(|x, y| if x > 150.0 && y > 150.0 { 0.6 } else { plane(x, y) });
+        let tiles =
+            find_board_plane(&with_hand, (METRIC, &lens()), &square(40.0, 200.0), &PlaneOptions::default()).unwrap();
+        assert!(tiles.len() > 80, "{}", tiles.len());
+        for tile in tiles {
+            let truth = 1.0 / plane(tile.pixel.x, tile.pixel.y);
+            assert!((tile.inverse_depth - truth).abs() < 1e-4, "{tile:?} {truth}");
+            assert!(tile.reading_std < 4e-4 && !(tile.pixel.x > 158.0 && tile.pixel.y > 158.0));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_measured_is_said() {
+        let find = |picture: &DepthImage, outline: &[Pixel]| {
+            find_board_plane(picture, (METRIC, &lens()), outline, &PlaneOptions::default())
+        };
+        let flat = picture(|_, _| 1.0);
+        assert_eq!(find(&flat, &square(400.0, 500.0)), Err(NoPlane::Outside));
+        assert_eq!(find(&flat, &[Pixel::new(f64::NAN, 0.0); 4]), Err(NoPlane::Outside));
+        assert_eq!(find(&picture(|_, _| 0.0), &square(40.0, 200.0)), Err(NoPlane::Holes { percent: 0 }));
+        let bent = picture(|x, _| if x < 110.0 { 1.0 } else { 1.6 });
+        assert!(matches!(find(&bent, &square(40.0, 200.0)), Err(NoPlane::NotFlat { .. })));
+    }
+}

@@ -1,0 +1,214 @@
+//! The systematic error of a depth camera: a polynomial in depth or inverse depth whose coefficients vary smoothly over
+//! the picture.
+//!
+//! With g_k(u, v) a cubic B-spline surface (C. de Boor, *A Practical Guide to Splines*, 1978):
+//!
+//! ```text
+//! stereo:                          1/z' = 1/z + Σ_k g_k(u, v) · (1/z)^k
+//! structured light, time of flight:   z' =   z + Σ_k g_k(u, v) ·     z^k
+//! ```
+//!
+//! Two terms of the first are a(u,v)/z + b(u,v). The polynomial is held at its value at the ends of the range of depths
+//! it was fitted over.
+
+use crate::geometry::pixel::{ImageSize, Pixel};
+
+/// What the polynomial is in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CorrectedQuantity {
+    /// 1/z, in 1/m: the errors of a stereo camera are constant in it.
+    InverseDepth,
+    /// z, in metres.
+    Depth,
+}
+
+impl CorrectedQuantity {
+    /// Its name in documents.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::InverseDepth => "inverse_depth",
+            Self::Depth => "depth",
+        }
+    }
+}
+
+/// A grid of equal cells over a picture, with the nodes of cubic B-splines on it. Without cells it is one constant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SplineGrid {
+    /// The picture.
+    pub size: ImageSize,
+    /// Cells along x; 0 with `rows` 0 for a constant.
+    pub cols: u32,
+    /// Cells along y.
+    pub rows: u32,
+}
+
+/// The nodes that matter at a pixel, with their weights, which add up to 1.
+#[derive(Debug, Clone, Copy)]
+pub struct NodeWeights {
+    /// Indices of nodes.
+    pub nodes: [usize; 16],
+    /// Their weights.
+    pub weights: [f64; 16],
+    /// How many there are: 16, or 1 for a constant.
+    pub len: usize,
+}
+
+impl SplineGrid {
+    /// One constant for the whole picture.
+    pub fn constant(size: ImageSize) -> Self {
+        Self { size, cols: 0, rows: 0 }
+    }
+
+    /// Nodes along x and y.
+    pub fn nodes(self) -> [usize; 2] {
+        let along = |cells: u32| if cells == 0 { 1 } else { cells as usize + 3 };
+        [along(self.cols), along(self.rows)]
+    }
+
+    /// How many nodes there are; node (i, j) is number j · nodes along x + i.
+    pub fn node_count(self) -> usize {
+        let [across, down] = self.nodes();
+        across * down
+    }
+
+    /// The nodes that matter at `pixel` (outside the picture: at its nearest edge).
+    pub fn weights(self, pixel: Pixel) -> NodeWeights {
+        let mut result = NodeWeights { nodes: [0; 16], weights: [0.0; 16], len: 1 };
+        if self.cols == 0 || self.rows == 0 {
+            result.weights[0] = 1.0;
+            return result;
+        }
+        let (column, across) = cell(pixel.x, self.size.width, self.cols);
+        let (row, down) = cell(pixel.y, self.size.height, self.rows);
+        let width = self.nodes()[0];
+        for (j, wy) in down.into_iter().enumerate() {
+            for (i, wx) in across.into_iter().enumerate() {
+                result.nodes[4 * j + i] = (row + j) * width + column + i;
+                result.weights[4 * j + i] = wx * wy;
+            }
+        }
+        result.len = 16;
+        result
+    }
+}
+
+/// The cell of a coordinate, and the uniform cubic B-spline's four values there.
+fn cell(coordinate: f64, length: u32, cells: u32) -> (usize, [f64; 4]) {
+    let along = (coordinate + 0.5) / f64::from(length) * f64::from(cells);
+    let along = if along.is_finite() { along.clamp(0.0, f64::from(cells)) } else { 0.0 };
+    let first = along.floor().min(f64::from(cells) - 1.0);
+    let t = along - first;
+    let (t2, t3) = (t * t, t * t * t);
+    let weights = [(1.0 - t).powi(3), 3.0 * t3 - 6.0 * t2 + 4.0, -3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0, t3];
+    (first as usize, weights.map(|w| w / 6.0))
+}
+
+/// A correction of depth over a picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthCorrection {
+    /// What the polynomial is in.
+    pub quantity: CorrectedQuantity,
+    /// How many terms: powers 0 to terms − 1.
+    pub terms: usize,
+    /// Where its coefficients lie.
+    pub grid: SplineGrid,
+    /// Power by power, the nodes of the grid.
+    pub coefficients: Vec<f64>,
+    /// The nearest and the farthest depth it was fitted over, in metres.
+    pub seen_m: [f64; 2],
+}
+
+impl DepthCorrection {
+    /// One that changes nothing yet.
+    pub fn none(quantity: CorrectedQuantity, terms: usize, grid: SplineGrid, seen_m: [f64; 2]) -> Self {
+        Self { quantity, terms, grid, coefficients: vec![0.0; terms * grid.node_count()], seen_m }
+    }
+
+    /// The corrected 1/z, in 1/m; `None` where nothing in front of the camera is left.
+    pub fn correct(&self, pixel: Pixel, inverse_depth: f64) -> Option<f64> {
+        let corrected = self.at(pixel).correct(inverse_depth);
+        (corrected.is_finite() && corrected > 0.0).then_some(corrected)
+    }
+
+    /// Whether 1/z lies within the distances it was fitted over.
+    pub fn has_seen(&self, inverse_depth: f64) -> bool {
+        inverse_depth * self.seen_m[0] <= 1.0 && inverse_depth * self.seen_m[1] >= 1.0
+    }
+
+    /// The polynomial at one pixel.
+    pub fn at(&self, pixel: Pixel) -> PixelCorrection {
+        let weights = self.grid.weights(pixel);
+        let count = self.grid.node_count();
+        let mut at = PixelCorrection { quantity: self.quantity, terms: [0.0; MAX_TERMS], seen_m: self.seen_m };
+        for (power, term) in at.terms.iter_mut().enumerate().take(self.terms) {
+            let nodes = self.coefficients.get(power * count..(power + 1) * count).unwrap_or_default();
+            let used = weights.nodes.iter().zip(&weights.weights).take(weights.len);
+            *term = used.map(|(node, weight)| nodes.get(*node).copied().unwrap_or(0.0) * weight).sum();
+        }
+        at
+    }
+}
+
+/// No correction has more terms.
+pub const MAX_TERMS: usize = 4;
+
+/// The correction of one pixel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PixelCorrection {
+    /// What the polynomial is in.
+    pub quantity: CorrectedQuantity,
+    /// Its coefficients, by power.
+    pub terms: [f64; MAX_TERMS],
+    /// The depths it holds for, in metres.
+    pub seen_m: [f64; 2],
+}
+
+impl PixelCorrection {
+    /// The corrected 1/z.
+    pub fn correct(&self, inverse_depth: f64) -> f64 {
+        let held = inverse_depth.clamp(1.0 / self.seen_m[1], 1.0 / self.seen_m[0]);
+        let polynomial = |x: f64| self.terms.iter().rev().fold(0.0, |sum, term| sum * x + term);
+        match self.quantity {
+            CorrectedQuantity::InverseDepth => inverse_depth + polynomial(held),
+            CorrectedQuantity::Depth => 1.0 / (1.0 / inverse_depth + polynomial(1.0 / held)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: ImageSize = ImageSize::new(640, 480);
+
+    #[test]
+    fn weights_add_up_to_one_and_follow_a_plane() {
+        let grid = SplineGrid { size: SIZE, cols: 8, rows: 6 };
+        for pixel in
+            [Pixel::new(-0.5, -0.5), Pixel::new(639.5, 479.5), Pixel::new(321.3, 17.0), Pixel::new(900.0, -9.0)]
+        {
+            let at = grid.weights(pixel);
+            assert!((at.weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
+            assert!(at.nodes.iter().all(|node| *node < grid.node_count()));
+            // Node i of a uniform cubic B-spline sits at cell i − 1.
+            let x: f64 = at.nodes.iter().zip(&at.weights).map(|(n, w)| ((n % 11) as f64 - 1.0) * 80.0 * w).sum();
+            assert!((x - (pixel.x.clamp(-0.5, 639.5) + 0.5)).abs() < 1e-9, "{pixel:?} {x}");
+        }
+    }
+
+    #[test]
+    fn a_stereo_correction_is_affine_in_inverse_depth_and_held_outside_what_was_seen() {
+        let grid = SplineGrid::constant(SIZE);
+        let mut correction = DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 4.0]);
+        correction.coefficients = vec![0.01, -0.02];
+        let pixel = Pixel::new(3.0, 4.0);
+        assert!((correction.correct(pixel, 1.0).unwrap() - 0.99).abs() < 1e-15);
+        assert!((correction.correct(pixel, 4.0).unwrap() - (4.0 + 0.01 - 0.04)).abs() < 1e-15);
+        assert!(correction.has_seen(1.0) && !correction.has_seen(4.0) && !correction.has_seen(0.1));
+        correction.quantity = CorrectedQuantity::Depth;
+        assert!((1.0 / correction.correct(pixel, 0.5).unwrap() - (2.0 + 0.01 - 0.04)).abs() < 1e-14);
+        correction.coefficients = vec![-9.0, 0.0];
+        assert_eq!(correction.correct(pixel, 0.5), None);
+    }
+}
