@@ -19,7 +19,7 @@
 //! | [`export`] | other programs' formats | geometry, calibration, document |
 //! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | all of the above |
-//! | [`http`] | axum | geometry, imaging, estimation, calibration, document, export, store, pipeline |
+//! | [`http`] | axum | geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!
 //! # Invariants

@@ -39,6 +39,8 @@ pub struct SensorCalibration {
     pub lens: Lens,
     /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 for a fixed one.
     pub lens_std: Vec<f64>,
+    /// Covariance of the lens parameters, row by row in the same order; empty where it is not known.
+    pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square over the used corners of the 2-D reprojection error, in pixels.
     pub rms_px: f64,
     /// Predicted 1-σ reprojection uncertainty over the image.

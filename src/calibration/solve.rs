@@ -86,6 +86,7 @@ fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
         image_size: estimate.image_size,
         lens: estimate.lens,
         lens_std: estimate.lens_std(),
+        lens_covariance: estimate.lens_covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
         rms_px: estimate.rms_px,
         uncertainty_px: summary(estimate),
         views: estimate.views.iter().map(view).collect(),

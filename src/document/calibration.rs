@@ -45,6 +45,13 @@ pub struct CalibrationDocument {
     pub elapsed_ms: Option<f64>,
 }
 
+/// Every calibration of a camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CalibrationsDocument {
+    /// Newest first.
+    pub calibrations: Vec<CalibrationDocument>,
+}
+
 /// The sensors of a calibration.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct SensorsDocument {
@@ -65,6 +72,10 @@ pub struct SensorDocument {
     pub lens: LensDocument,
     /// Standard deviation of each lens parameter.
     pub lens_std: LensStdDocument,
+    /// Covariance of the lens parameters, row by row in the order fx, fy, cx, cy, skew and the model's coefficients; left
+    /// out where it is not known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square of the used corners' reprojection errors, in pixels.
     pub rms_px: f64,
     /// Predicted 1-σ reprojection uncertainty over the image.
@@ -76,15 +87,16 @@ pub struct SensorDocument {
     pub views: Vec<ViewDocument>,
 }
 
-/// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion, in pixels.
+/// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion, in pixels; null where the
+/// views leave it without bound.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UncertaintyDocument {
     /// At the image's centre.
-    pub center: f64,
+    pub center: Option<f64>,
     /// The median over the image.
-    pub median: f64,
+    pub median: Option<f64>,
     /// The worst of the image.
-    pub worst: f64,
+    pub worst: Option<f64>,
 }
 
 /// One lens model of a comparison.
@@ -177,6 +189,7 @@ impl From<&SensorCalibration> for SensorDocument {
             image_size: [sensor.image_size.width, sensor.image_size.height],
             lens: (&sensor.lens).into(),
             lens_std: LensStdDocument::new(sensor.lens.model(), &sensor.lens_std),
+            lens_covariance: sensor.lens_covariance.clone(),
             rms_px: sensor.rms_px,
             uncertainty_px: sensor.uncertainty_px.into(),
             compared: sensor.compared.iter().map(ComparedLensDocument::from).collect(),
@@ -195,6 +208,7 @@ impl TryFrom<&SensorDocument> for SensorCalibration {
         Ok(Self {
             image_size: image_size(document.image_size)?,
             lens_std: document.lens_std.to_values(lens.model()).map_err(|e| e.inside("lens_std"))?,
+            lens_covariance: lens_covariance(&document.lens_covariance, lens.parameters().len())?,
             lens,
             rms_px: document.rms_px,
             uncertainty_px: document.uncertainty_px.into(),
@@ -202,6 +216,15 @@ impl TryFrom<&SensorDocument> for SensorCalibration {
             compared: document.compared.iter().map(ComparedLens::from).collect(),
         })
     }
+}
+
+fn lens_covariance(rows: &[Vec<f64>], parameters: usize) -> Result<Vec<Vec<f64>>, DocumentError> {
+    let square = rows.len() == parameters && rows.iter().all(|row| row.len() == parameters);
+    if rows.is_empty() || square {
+        return Ok(rows.to_vec());
+    }
+    let problem = format!("is not {parameters} rows of {parameters} numbers, one for each lens parameter");
+    Err(DocumentError::field("lens_covariance", problem))
 }
 
 /// An image size from `image_size`.
@@ -220,15 +243,23 @@ pub fn image_size([width, height]: [u32; 2]) -> Result<ImageSize, DocumentError>
 
 impl From<ProjectionUncertainty> for UncertaintyDocument {
     fn from(uncertainty: ProjectionUncertainty) -> Self {
-        let ProjectionUncertainty { center, median, worst } = uncertainty;
-        Self { center, median, worst }
+        let bounded = |uncertainty_px: f64| uncertainty_px.is_finite().then_some(uncertainty_px);
+        Self {
+            center: bounded(uncertainty.center),
+            median: bounded(uncertainty.median),
+            worst: bounded(uncertainty.worst),
+        }
     }
 }
 
 impl From<UncertaintyDocument> for ProjectionUncertainty {
     fn from(document: UncertaintyDocument) -> Self {
-        let UncertaintyDocument { center, median, worst } = document;
-        Self { center, median, worst }
+        let unbounded = |uncertainty_px: Option<f64>| uncertainty_px.unwrap_or(f64::INFINITY);
+        Self {
+            center: unbounded(document.center),
+            median: unbounded(document.median),
+            worst: unbounded(document.worst),
+        }
     }
 }
 
@@ -325,6 +356,7 @@ pub(crate) mod tests {
             image_size: ImageSize::new(640, 480),
             lens: lens.unwrap(),
             lens_std: vec![0.1, 0.1, 0.2, 0.2, 0.0, 0.01, 0.02, 1e-6, 1e-6, 0.0],
+            lens_covariance: (0..10).map(|i| (0..10).map(|j| third.powi(1 + i + j)).collect()).collect(),
             rms_px: third,
             uncertainty_px: ProjectionUncertainty { center: 0.01, median: 0.02, worst: 0.1 },
             views: vec![view("left01.jpg", true), view("left02.jpg", false)],
@@ -393,5 +425,8 @@ pub(crate) mod tests {
         sensor.views[0].camera_from_board.as_mut().unwrap().rotation.w = 2.0;
         let error = Calibration::try_from(&document).unwrap_err();
         assert_eq!(error.path(), Some("sensors.color.views[0].camera_from_board.rotation"));
+        document.sensors.color.as_mut().unwrap().lens_covariance.pop();
+        let error = Calibration::try_from(&document).unwrap_err();
+        assert_eq!(error.path(), Some("sensors.color.lens_covariance"));
     }
 }

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 /// What a camera is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum CameraState {
+pub enum CameraStateName {
     /// Being opened.
     Starting,
     /// Delivering frames.
@@ -19,18 +19,6 @@ pub enum CameraState {
     Failed,
 }
 
-impl CameraState {
-    /// Its name in documents.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Starting => "starting",
-            Self::Streaming => "streaming",
-            Self::Lost => "lost",
-            Self::Failed => "failed",
-        }
-    }
-}
-
 /// A configured camera and what it is doing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CameraDocument {
@@ -39,7 +27,7 @@ pub struct CameraDocument {
     /// What drives it: `v4l2`, `uvc`, `realsense`, `recording` or `simulator`.
     pub backend: String,
     /// What it is doing.
-    pub state: CameraState,
+    pub state: CameraStateName,
     /// Why it is in this state; null when nothing is wrong.
     pub reason: Option<String>,
     /// Its sensors, by name; empty before the first frame.
@@ -70,6 +58,8 @@ pub struct CameraSensorDocument {
 /// Which device a camera is; null where the device does not say.
 #[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 pub struct CameraIdentityDocument {
+    /// The device's own name.
+    pub model: Option<String>,
     /// The device's serial number.
     pub serial: Option<String>,
     /// Where it is connected, or the file it comes from.

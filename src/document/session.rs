@@ -227,9 +227,7 @@ impl From<&SessionRecord> for SessionDocument {
 
 /// Whether a document can say it: JSON has no number for infinity.
 fn is_finite(estimate: &RunningEstimate) -> bool {
-    let uncertainty = estimate.uncertainty_px;
-    let figures = [estimate.rms_px, uncertainty.center, uncertainty.median, uncertainty.worst];
-    figures.into_iter().chain(estimate.lens.parameters()).all(f64::is_finite)
+    estimate.lens.parameters().into_iter().chain([estimate.rms_px]).all(f64::is_finite)
 }
 
 impl SessionDocument {
@@ -339,13 +337,15 @@ pub struct SessionViewDocument {
     pub corners: u32,
     /// The corners in pixels, in the board's order.
     pub corners_px: Vec<[f64; 2]>,
-    /// Whether the newest estimate uses it; null before there is one.
+    /// Whether the session's calibration uses it; null before there is one.
     pub used: Option<bool>,
     /// Why it is not used.
     pub reason: Option<String>,
-    /// Its reprojection error in the newest estimate, in pixels.
+    /// Its reprojection error in the session's calibration, in pixels.
     pub rms_px: Option<f64>,
-    /// Where the board was, by the newest estimate.
+    /// Seen minus predicted for each corner, in pixels; null before there is a calibration, and for a view without a pose.
+    pub residuals_px: Option<Vec<[f64; 2]>>,
+    /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,
     /// Where its picture is.
     pub picture: String,

@@ -45,6 +45,16 @@ pub enum GradeName {
     Poor,
 }
 
+impl From<Grade> for GradeName {
+    fn from(grade: Grade) -> Self {
+        match grade {
+            Grade::Good => Self::Good,
+            Grade::Usable => Self::Usable,
+            Grade::Poor => Self::Poor,
+        }
+    }
+}
+
 /// A grade with its reasons, each one that a person can act on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct VerdictDocument {
@@ -56,12 +66,7 @@ pub struct VerdictDocument {
 
 impl From<&Verdict> for VerdictDocument {
     fn from(verdict: &Verdict) -> Self {
-        let grade = match verdict.grade {
-            Grade::Good => GradeName::Good,
-            Grade::Usable => GradeName::Usable,
-            Grade::Poor => GradeName::Poor,
-        };
-        Self { grade, reasons: verdict.reasons.clone() }
+        Self { grade: verdict.grade.into(), reasons: verdict.reasons.clone() }
     }
 }
 

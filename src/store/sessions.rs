@@ -207,6 +207,9 @@ pub(super) mod tests {
         let mut session = record("s1");
         session.estimate.as_mut().unwrap().uncertainty_px.worst = f64::INFINITY;
         store.begin_session(&session).unwrap();
+        assert_eq!(store.session("s1").unwrap(), Some(session.clone()));
+        session.estimate.as_mut().unwrap().rms_px = f64::NAN;
+        store.save_session(&session).unwrap();
         session.estimate = None;
         assert_eq!(store.session("s1").unwrap(), Some(session));
     }

@@ -32,7 +32,10 @@ const LAYERS: &[(&str, &[&str])] = &[
             "store",
         ],
     ),
-    ("http", &["geometry", "imaging", "estimation", "calibration", "document", "export", "store", "pipeline"]),
+    (
+        "http",
+        &["geometry", "imaging", "detection", "estimation", "calibration", "document", "export", "store", "pipeline"],
+    ),
 ];
 
 /// The layers above all others, which no layer may name.

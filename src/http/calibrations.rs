@@ -1,0 +1,136 @@
+//! Calibrations: the current one of a camera in any format, the history, approval.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::http::{HeaderName, HeaderValue};
+use axum::response::{IntoResponse, Response};
+
+use crate::calibration::calibration::Calibration;
+use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
+use crate::export::{Exported, Format, export};
+use crate::http::Shared;
+use crate::http::problem::Problem;
+use crate::http::request::{Address, Parameters};
+
+const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap";
+
+/// The camera's current calibration: the one that was approved last.
+#[utoipa::path(get, path = "/v1/cameras/{camera}/calibration", tag = "calibrations",
+    params(
+        ("camera" = String, Path, description = "its name in the configuration"),
+        ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
+    ),
+    responses(
+        (status = 200, description = "the calibration", content(
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+        (status = 404, description = "no such camera, or none approved yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn current(
+    State(shared): State<Arc<Shared>>,
+    Address(camera): Address<String>,
+    parameters: Parameters,
+) -> Result<Response, Problem> {
+    let format = format(&parameters)?;
+    shared.fleet.camera(&camera)?;
+    let asked = camera.clone();
+    let found = shared
+        .stored(move |store| store.current_calibration_id(&asked)?.map_or(Ok(None), |id| store.calibration(&id)))
+        .await?;
+    let none = || {
+        Problem::not_found(format!(
+            "camera `{camera}` has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
+        ))
+    };
+    written(&found.ok_or_else(none)?, format)
+}
+
+/// Every calibration of a camera, newest first.
+#[utoipa::path(get, path = "/v1/cameras/{camera}/calibrations", tag = "calibrations",
+    params(("camera" = String, Path, description = "its name in the configuration")),
+    responses(
+        (status = 200, description = "the calibrations", body = CalibrationsDocument),
+        (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn history(
+    State(shared): State<Arc<Shared>>,
+    Address(camera): Address<String>,
+) -> Result<Json<CalibrationsDocument>, Problem> {
+    shared.fleet.camera(&camera)?;
+    let calibrations = shared.stored(move |store| store.calibrations(&camera)).await?;
+    Ok(Json(CalibrationsDocument { calibrations: calibrations.iter().map(CalibrationDocument::from).collect() }))
+}
+
+/// One calibration, approved or not.
+#[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
+    params(
+        ("id" = String, Path, description = "the calibration's"),
+        ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
+    ),
+    responses(
+        (status = 200, description = "the calibration", content(
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+        (status = 404, description = "no such calibration", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn one(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+    parameters: Parameters,
+) -> Result<Response, Problem> {
+    let format = format(&parameters)?;
+    written(&calibration(&shared, &id).await?, format)
+}
+
+/// Makes a calibration the camera's current one: also the way back to an older one.
+#[utoipa::path(post, path = "/v1/calibrations/{id}/approve", tag = "calibrations",
+    params(("id" = String, Path, description = "the calibration's")),
+    responses(
+        (status = 200, description = "it is the camera's current one", body = CalibrationDocument),
+        (status = 404, description = "no such calibration, or its camera is not configured any more", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn approve(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<Json<CalibrationDocument>, Problem> {
+    let approved = calibration(&shared, &id).await?;
+    let none = || Problem::not_found(format!("calibration {id} is no camera's"));
+    let camera = approved.camera.clone().ok_or_else(none)?;
+    shared.stored(move |store| store.set_current(&camera, &id)).await?;
+    Ok(Json((&approved).into()))
+}
+
+/// The calibration `id`, as it was stored.
+pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration, Problem> {
+    let asked = id.to_owned();
+    let found = shared.stored(move |store| store.calibration(&asked)).await?;
+    found.ok_or_else(|| {
+        Problem::not_found(format!("there is no calibration `{id}`; see GET /v1/cameras/CAMERA/calibrations"))
+    })
+}
+
+fn format(parameters: &Parameters) -> Result<Format, Problem> {
+    Ok(parameters.one_of("format", Format::from_name, FORMATS)?.unwrap_or(Format::Json))
+}
+
+fn written(calibration: &Calibration, format: Format) -> Result<Response, Problem> {
+    let exported = export(calibration, format).map_err(|e| Problem::field("format", &e.to_string()))?;
+    let Exported { bytes, media_type, file_name, note } = exported;
+    let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
+    let mut set = |name: HeaderName, value: &str| {
+        // A name that no header can hold is one that the browser may choose itself.
+        if let Ok(value) = HeaderValue::from_str(value) {
+            response.headers_mut().insert(name, value);
+        }
+    };
+    if format != Format::Json {
+        set(CONTENT_DISPOSITION, &format!("attachment; filename=\"{file_name}\""));
+    }
+    if let Some(note) = note {
+        set(HeaderName::from_static("plumb-note"), &note);
+    }
+    Ok(response)
+}

@@ -1,0 +1,33 @@
+//! Is it alive, is it ready, what has it counted.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+
+use crate::http::Shared;
+use crate::http::problem::Problem;
+
+/// Whether the daemon is alive.
+#[utoipa::path(get, path = "/healthz", tag = "daemon", responses((status = 200, description = "alive", body = String, content_type = "text/plain")))]
+pub(super) async fn healthz() -> &'static str {
+    "ok\n"
+}
+
+/// Whether a camera is delivering.
+#[utoipa::path(get, path = "/readyz", tag = "daemon", responses(
+    (status = 200, description = "at least one camera is delivering", body = String, content_type = "text/plain"),
+    (status = 503, description = "no camera is delivering, and why", body = Problem, content_type = "application/problem+json"),
+))]
+pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static str, Problem> {
+    if shared.fleet.is_ready() {
+        return Ok("ready\n");
+    }
+    let cameras = shared.fleet.cameras();
+    let said = cameras.iter().map(|camera| match &camera.reason {
+        Some(reason) => format!("{} is {}: {reason}", camera.name, camera.state.name()),
+        None => format!("{} is {}", camera.name, camera.state.name()),
+    });
+    let said: Vec<String> = said.collect();
+    let detail = if said.is_empty() { "no camera is configured; add a [[camera]]".into() } else { said.join("; ") };
+    Err(Problem::unavailable(format!("no camera is delivering: {detail}")))
+}

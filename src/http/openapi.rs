@@ -1,0 +1,55 @@
+//! The OpenAPI 3.1 document, made of the routes' own descriptions.
+
+use utoipa::OpenApi;
+
+use crate::http::{calibrations, cameras, events, frames, health, sessions, solve, uncertainty, views};
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "Plumb",
+        description = "Finds chessboards live, calibrates cameras, and says how far to trust the numbers. \
+            Pixels: x right, y down, integer coordinates are pixel centres. Units: metres, radians, seconds, pixels."
+    ),
+    paths(
+        health::healthz,
+        health::readyz,
+        cameras::list,
+        cameras::one,
+        frames::frame,
+        frames::preview,
+        sessions::start,
+        sessions::list,
+        sessions::one,
+        sessions::stop,
+        sessions::abort,
+        views::list,
+        views::picture,
+        calibrations::current,
+        calibrations::history,
+        calibrations::one,
+        calibrations::approve,
+        uncertainty::picture,
+        solve::solve,
+        events::follow,
+    ),
+    components(schemas(
+        events::FrameEventDocument<'_>,
+        events::DetectionEventDocument<'_>,
+        events::CalibrationEventDocument<'_>,
+        events::DriftEventDocument<'_>,
+    )),
+    tags(
+        (name = "cameras", description = "the configured cameras and what they see"),
+        (name = "sessions", description = "collecting views towards a calibration"),
+        (name = "calibrations", description = "results, their history and their approval"),
+        (name = "events", description = "what happens, as it happens"),
+        (name = "daemon", description = "health and figures")
+    )
+)]
+struct Description;
+
+/// The OpenAPI document.
+pub(super) fn document() -> utoipa::openapi::OpenApi {
+    Description::openapi()
+}

@@ -1,0 +1,127 @@
+//! What a request says: its address, its query, its body. Each refusal is a [`Problem`].
+
+use std::time::Duration;
+
+use axum::extract::rejection::PathRejection;
+use axum::extract::{FromRequestParts, Path, Query, Request};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, StatusCode};
+use futures_util::StreamExt;
+use serde::de::DeserializeOwned;
+
+use crate::document::reading::from_json;
+use crate::http::problem::Problem;
+
+/// The largest body of an ordinary request, in bytes.
+pub(super) const SMALL_BODY: usize = 1 << 20;
+/// The largest problem to solve, in bytes.
+pub(super) const LARGE_BODY: usize = 64 << 20;
+/// So much of a body that is too large is read and thrown away, so that its sender gets to read the refusal.
+const DRAINED: usize = 256 << 20;
+/// How long a body may take to arrive.
+const BODY_TIME: Duration = Duration::from_secs(60);
+
+/// The changing parts of the address, decoded.
+pub(super) struct Address<T>(pub(super) T);
+
+impl<T, S> FromRequestParts<S> for Address<T>
+where
+    T: DeserializeOwned + Send,
+    S: Send + Sync,
+{
+    type Rejection = Problem;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let refused = |error: PathRejection| Problem::not_found(format!("no such address: {error}"));
+        Path::from_request_parts(parts, state).await.map(|Path(parts)| Self(parts)).map_err(refused)
+    }
+}
+
+/// The query's parameters; those that nobody asks for are ignored.
+pub(super) struct Parameters(Vec<(String, String)>);
+
+impl<S: Send + Sync> FromRequestParts<S> for Parameters {
+    type Rejection = Problem;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let Query(pairs) = Query::from_request_parts(parts, state)
+            .await
+            .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, format!("the query cannot be read: {error}")))?;
+        Ok(Self(pairs))
+    }
+}
+
+impl Parameters {
+    /// The last value given for `name`.
+    pub(super) fn text(&self, name: &str) -> Option<&str> {
+        self.0.iter().rev().find(|(given, _)| given == name).map(|(_, value)| value.as_str())
+    }
+
+    /// `name` as true or false.
+    pub(super) fn flag(&self, name: &str, default: bool) -> Result<bool, Problem> {
+        match self.text(name) {
+            None => Ok(default),
+            Some("true" | "1" | "") => Ok(true),
+            Some("false" | "0") => Ok(false),
+            Some(other) => Err(Problem::field(name, &format!("`{other}` is neither true nor false"))),
+        }
+    }
+
+    /// `name` as one of several names.
+    pub(super) fn one_of<T>(
+        &self,
+        name: &str,
+        from_name: impl Fn(&str) -> Option<T>,
+        known: &str,
+    ) -> Result<Option<T>, Problem> {
+        let unknown = |given: &str| Problem::field(name, &format!("`{given}` is not known; give one of {known}"));
+        self.text(name).map(|given| from_name(given).ok_or_else(|| unknown(given))).transpose()
+    }
+}
+
+/// The body as a document of at most `limit` bytes.
+///
+/// # Errors
+/// 415 for another media type than JSON, 413 for more than `limit`, 408 for one that does not come to its end, 400 for
+/// what is not JSON, 422 for a field that cannot be.
+pub(super) async fn document<T: DeserializeOwned>(request: Request, limit: usize) -> Result<T, Problem> {
+    json_only(request.headers())?;
+    let body = tokio::time::timeout(BODY_TIME, body(request, limit));
+    let too_slow =
+        || Problem::new(StatusCode::REQUEST_TIMEOUT, "the body did not arrive within a minute; send it again");
+    let body = body.await.map_err(|_| too_slow())??;
+    Ok(from_json(&body)?)
+}
+
+fn json_only(headers: &HeaderMap) -> Result<(), Problem> {
+    let Some(given) = headers.get(CONTENT_TYPE) else { return Ok(()) };
+    let given = String::from_utf8_lossy(given.as_bytes());
+    let essence = given.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
+    if essence == "application/json" || (essence.starts_with("application/") && essence.ends_with("+json")) {
+        return Ok(());
+    }
+    let detail = format!("the body is `{given}`; send JSON with the header `Content-Type: application/json`");
+    Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail))
+}
+
+async fn body(request: Request, limit: usize) -> Result<Vec<u8>, Problem> {
+    let mut chunks = request.into_body().into_data_stream();
+    let mut body = Vec::new();
+    let mut length = 0_usize;
+    while let Some(chunk) = chunks.next().await {
+        let cut = |error: axum::Error| Problem::new(StatusCode::BAD_REQUEST, format!("the body was cut off: {error}"));
+        let chunk = chunk.map_err(cut)?;
+        length += chunk.len();
+        if length <= limit {
+            body.extend_from_slice(&chunk);
+        } else if length > DRAINED {
+            break;
+        } else {
+            body = Vec::new();
+        }
+    }
+    if length > limit {
+        let detail = format!("the body is larger than {limit} bytes, the most that is read here; send less");
+        return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, detail));
+    }
+    Ok(body)
+}

@@ -1,0 +1,79 @@
+//! The flat list of routes: what can be asked, and which file answers.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::http::{HeaderName, HeaderValue, Method, Uri, header};
+use axum::middleware::{Next, from_fn, from_fn_with_state};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa_swagger_ui::SwaggerUi;
+
+use crate::http::problem::Problem;
+use crate::http::{
+    Shared, access, calibrations, cameras, events, frames, health, openapi, page, sessions, solve, uncertainty, views,
+};
+
+pub(super) fn router(shared: Arc<Shared>) -> Router {
+    Router::new()
+        .route("/", get(page::index))
+        .route("/page/{file}", get(page::file))
+        .route("/healthz", get(health::healthz))
+        .route("/readyz", get(health::readyz))
+        .route("/v1/cameras", get(cameras::list))
+        .route("/v1/cameras/{camera}", get(cameras::one))
+        .route("/v1/cameras/{camera}/frame.jpg", get(frames::frame))
+        .route("/v1/cameras/{camera}/preview.mjpg", get(frames::preview))
+        .route("/v1/cameras/{camera}/sessions", post(sessions::start))
+        .route("/v1/cameras/{camera}/calibration", get(calibrations::current))
+        .route("/v1/cameras/{camera}/calibrations", get(calibrations::history))
+        .route("/v1/sessions", get(sessions::list))
+        .route("/v1/sessions/{id}", get(sessions::one).delete(sessions::abort))
+        .route("/v1/sessions/{id}/stop", post(sessions::stop))
+        .route("/v1/sessions/{id}/views", get(views::list))
+        .route("/v1/sessions/{id}/views/{picture}", get(views::picture))
+        .route("/v1/calibrations/{id}", get(calibrations::one))
+        .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::picture))
+        .route("/v1/calibrations/{id}/approve", post(calibrations::approve))
+        .route("/v1/solve", post(solve::solve))
+        .route("/v1/events", get(events::follow))
+        .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi::document()))
+        .fallback(no_route)
+        .method_not_allowed_fallback(no_method)
+        .layer(from_fn_with_state(Arc::clone(&shared), access::check))
+        .layer(from_fn(careful))
+        .layer(CatchPanicLayer::custom(|_: Box<dyn Any + Send>| {
+            Problem::broken("a fault in the daemon; its log says more").into_response()
+        }))
+        .with_state(shared)
+}
+
+async fn no_route(uri: Uri) -> Problem {
+    Problem::not_found(format!("there is nothing at {}; /docs lists what there is", uri.path()))
+}
+
+async fn no_method(method: Method, uri: Uri) -> Problem {
+    Problem::method_not_allowed(format!("{method} cannot be used at {}; /docs lists what can", uri.path()), None)
+}
+
+/// Headers that every answer carries: what the daemon says now may be otherwise in a moment, and no other site may show
+/// it in a frame.
+async fn careful(request: axum::extract::Request, next: Next) -> Response {
+    let mut response = next.run(request).await;
+    let fixed = [
+        (header::CACHE_CONTROL, "no-store"),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::X_FRAME_OPTIONS, "DENY"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    for (name, value) in fixed {
+        set_default(&mut response, name, HeaderValue::from_static(value));
+    }
+    response
+}
+
+fn set_default(response: &mut Response, name: HeaderName, value: HeaderValue) {
+    response.headers_mut().entry(name).or_insert(value);
+}

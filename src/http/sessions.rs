@@ -1,0 +1,149 @@
+//! Calibration sessions: start, watch, stop, abort.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Request, State};
+use axum::http::StatusCode;
+use axum::http::header::LOCATION;
+use axum::response::IntoResponse;
+
+use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::document::session::{SessionDocument, SessionsDocument, StartDocument};
+use crate::http::Shared;
+use crate::http::problem::Problem;
+use crate::http::request::{Address, Parameters, SMALL_BODY, document};
+use crate::pipeline::session_request::EndError;
+use crate::store::Store;
+
+/// Starts a session: the camera looks for the board and keeps the views that teach something new.
+#[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", tag = "sessions",
+    params(("camera" = String, Path, description = "its name in the configuration")),
+    request_body = StartDocument,
+    responses(
+        (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "the camera is in a session already", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn start(
+    State(shared): State<Arc<Shared>>,
+    Address(camera): Address<String>,
+    request: Request,
+) -> Result<impl IntoResponse, Problem> {
+    shared.fleet.camera(&camera)?;
+    let start: StartDocument = document(request, SMALL_BODY).await?;
+    let record = shared.fleet.start_session(&camera, SessionRequest::try_from(&start)?).await?;
+    let location = format!("/v1/sessions/{}", record.id);
+    Ok((StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(&record))))
+}
+
+/// Every session, newest first.
+#[utoipa::path(get, path = "/v1/sessions", tag = "sessions",
+    params(("camera" = Option<String>, Query, description = "only this camera's")),
+    responses((status = 200, description = "the sessions", body = SessionsDocument)))]
+pub(super) async fn list(
+    State(shared): State<Arc<Shared>>,
+    parameters: Parameters,
+) -> Result<Json<SessionsDocument>, Problem> {
+    let stored = shared.stored(Store::sessions).await?;
+    let live = shared.fleet.live_sessions();
+    let wanted = |camera: &str| parameters.text("camera").is_none_or(|wanted| wanted == camera);
+    let newest = |record: &SessionRecord| {
+        let live = live.iter().find(|live| live.id == record.id);
+        live.map_or_else(|| record.into(), |live| SessionDocument::from(live.as_ref()))
+    };
+    let sessions = stored.iter().filter(|record| wanted(&record.camera)).map(newest).collect();
+    Ok(Json(SessionsDocument { sessions }))
+}
+
+/// One session.
+#[utoipa::path(get, path = "/v1/sessions/{id}", tag = "sessions",
+    params(("id" = String, Path, description = "the session's")),
+    responses(
+        (status = 200, description = "the session", body = SessionDocument),
+        (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn one(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<Json<SessionDocument>, Problem> {
+    Ok(Json((&session(&shared, &id).await?).into()))
+}
+
+/// Stops collecting and solves. Waits for the result unless told otherwise. Too few views: the session's state is
+/// `failed`, its `reason` says why, and its views stay.
+#[utoipa::path(post, path = "/v1/sessions/{id}/stop", tag = "sessions",
+    params(
+        ("id" = String, Path, description = "the session's"),
+        ("wait" = Option<bool>, Query, description = "whether to wait for the result; true when left out"),
+    ),
+    responses(
+        (status = 200, description = "solved, or failed and why", body = SessionDocument),
+        (status = 202, description = "solving (`wait=false`)", body = SessionDocument),
+        (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it is over already", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn stop(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+    parameters: Parameters,
+) -> Result<impl IntoResponse, Problem> {
+    let wait = parameters.flag("wait", true)?;
+    let solving = shared.fleet.stop_session(&id).await;
+    let solving = or_stored(&shared, &id, solving).await?;
+    if !wait {
+        return Ok((StatusCode::ACCEPTED, Json(SessionDocument::from(&solving))));
+    }
+    let over = match shared.fleet.session_over(&id).await {
+        Ok(over) => SessionDocument::from(over.as_ref()),
+        // A newer session of its camera has begun since: it is over, and stored.
+        Err(EndError::UnknownSession { .. }) => (&session(&shared, &id).await?).into(),
+        Err(error) => return Err(error.into()),
+    };
+    Ok((StatusCode::OK, Json(over)))
+}
+
+/// Gives a session up. Its views stay.
+#[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions",
+    params(("id" = String, Path, description = "the session's")),
+    responses(
+        (status = 200, description = "aborted", body = SessionDocument),
+        (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it is over already", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn abort(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<Json<SessionDocument>, Problem> {
+    let aborted = shared.fleet.abort_session(&id).await;
+    Ok(Json((&or_stored(&shared, &id, aborted).await?).into()))
+}
+
+/// The session as it stands: live, else as it was stored.
+pub(super) async fn session(shared: &Shared, id: &str) -> Result<SessionRecord, Problem> {
+    if let Some(live) = shared.fleet.live_session(id) {
+        return Ok(live.as_ref().clone());
+    }
+    let asked = id.to_owned();
+    let stored = shared.stored(move |store| store.session(&asked)).await?;
+    stored.ok_or_else(|| EndError::UnknownSession { id: id.to_owned() }.into())
+}
+
+/// The fleet knows the newest session of each camera; an older one is over, which is another refusal than unknown.
+async fn or_stored(
+    shared: &Shared,
+    id: &str,
+    ended: Result<SessionRecord, EndError>,
+) -> Result<SessionRecord, Problem> {
+    match ended {
+        Err(EndError::UnknownSession { .. }) => {
+            let record = session(shared, id).await?;
+            Err(EndError::Over { id: record.id, state: record.state }.into())
+        }
+        ended => Ok(ended?),
+    }
+}

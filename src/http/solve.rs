@@ -1,0 +1,61 @@
+//! The stateless solve: correspondences in, a calibration out.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::Json;
+use axum::extract::{Request, State};
+
+use crate::calibration::calibration::Calibration;
+use crate::calibration::solve::solve_views;
+use crate::document::calibration::CalibrationDocument;
+use crate::document::problem::{Method, ProblemDocument};
+use crate::document::time;
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::CameraProblem;
+use crate::http::problem::Problem;
+use crate::http::request::{LARGE_BODY, document};
+use crate::http::{Shared, on_a_blocking_thread};
+
+/// Calibrates from given correspondences; nothing is stored.
+#[utoipa::path(post, path = "/v1/solve", tag = "calibrations", request_body = ProblemDocument,
+    responses(
+        (status = 200, description = "the calibration", body = CalibrationDocument),
+        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a field that cannot be, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn solve(
+    State(shared): State<Arc<Shared>>,
+    request: Request,
+) -> Result<Json<CalibrationDocument>, Problem> {
+    let document: ProblemDocument = document(request, LARGE_BODY).await?;
+    let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
+    let _place = shared.solves.acquire().await.map_err(|_| stopping())?;
+    Ok(Json(on_a_blocking_thread(move || solved(&document)).await??))
+}
+
+fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
+    if document.method != Method::Calibrate {
+        return Err(Problem::field("method", "only `calibrate` is solved here"));
+    }
+    let problem = CameraProblem::try_from(document)?;
+    let options = CameraOptions { lens: document.lens.unwrap_or_default().into(), ..CameraOptions::default() };
+    let started = Instant::now();
+    let solved = solve_views(&problem, &options).map_err(|e| Problem::field("views", &e.to_string()))?;
+    let elapsed = started.elapsed();
+    let calibration = Calibration {
+        id: ulid::Ulid::generate().to_string(),
+        camera: None,
+        session: None,
+        created_at_ns: time::utc_ns(jiff::Timestamp::now()),
+        target: None,
+        color: Some(solved.sensor),
+        infrared: None,
+        extrinsics: Vec::new(),
+        checks: solved.checks,
+        verdict: solved.verdict,
+    };
+    Ok(CalibrationDocument { elapsed_ms: Some(elapsed.as_secs_f64() * 1e3), ..CalibrationDocument::from(&calibration) })
+}
