@@ -3,8 +3,12 @@
 //! [`FrameSource::next_frame`] is the whole of it: a blocking call with a timeout, made from one thread that owns the
 //! source. Supervision (states, opening again, back-off) is above it, in the pipeline.
 
+pub mod device_list;
 mod error;
+pub mod mode;
 mod replay;
+#[cfg(target_os = "linux")]
+pub mod v4l2;
 
 use std::time::Duration;
 
@@ -38,6 +42,27 @@ pub trait FrameSource: Send {
     /// [`CaptureError`] when the device refuses; it goes on as before.
     fn calibrating(&mut self, _on: bool) -> Result<(), CaptureError> {
         Ok(())
+    }
+
+    /// What of focus, zoom or exposure is no longer as a session held it, in words: the calibration may no longer hold.
+    fn moved_since_calibrating(&self) -> Option<String> {
+        None
+    }
+}
+
+/// Opens a source, and opens it again after it was lost.
+pub trait SourceOpener: Send {
+    /// Opens it; the same device every time, wherever it is plugged in by then.
+    ///
+    /// # Errors
+    /// [`CaptureError::Lost`] when it is not there now and may come by itself, [`CaptureError::Failed`] when a person has
+    /// to act.
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError>;
+}
+
+impl<F: FnMut() -> Result<Box<dyn FrameSource>, CaptureError> + Send> SourceOpener for F {
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
+        self()
     }
 }
 

@@ -1,0 +1,166 @@
+//! A configured Linux camera: opened, and after a loss found again by what it is, not by where it was.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use v4l::Device;
+
+use crate::capture::mode::ModeRequest;
+use crate::capture::v4l2::controls::Controls;
+use crate::capture::v4l2::device_node::{DeviceNode, kernel_has_video, video_nodes};
+use crate::capture::v4l2::holder::holders_of;
+use crate::capture::v4l2::identity::{DeviceIdentity, find_by_request, is_stable};
+use crate::capture::v4l2::kernel;
+use crate::capture::v4l2::mode::{ModeError, set_mode};
+use crate::capture::v4l2::source::{Opened, Source};
+use crate::capture::{CaptureError, FrameSource, SourceOpener};
+
+/// Which device, and how it is to be set.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CameraOptions {
+    /// A path, a serial number, or a device's name or place as `plumb devices` lists them.
+    pub device: PathBuf,
+    /// Size, format and rate; default: as the device has them.
+    pub mode: ModeRequest,
+    /// Controls by name, set when it is opened and given back when it is closed; default: none.
+    pub controls: BTreeMap<String, i64>,
+    /// Hold focus, exposure, gain and white balance still while a session collects; default: not.
+    pub lock: bool,
+}
+
+/// A Linux camera that may come and go.
+#[derive(Debug)]
+pub struct Camera {
+    options: CameraOptions,
+    identity: Option<DeviceIdentity>,
+    /// The number of the next frame set: it goes on rising when the device is opened again.
+    next_sequence: Arc<AtomicU64>,
+}
+
+impl Camera {
+    /// A camera that is not opened yet.
+    pub fn new(options: CameraOptions) -> Self {
+        Self { options, identity: None, next_sequence: Arc::default() }
+    }
+
+    fn open_source(&mut self) -> Result<Source, CaptureError> {
+        let node = self.node()?;
+        let device = open_device(&node.path)?;
+        let failed = |problem: &str| failed(&node.path, problem);
+        let lost = |error: &io::Error| lost(&node.path, error);
+        let capability = kernel::capability(&device).map_err(|error| lost(&error))?;
+        if !capability.streams_video() {
+            return Err(self.gives_no_video(&node, capability.is_multiplanar()));
+        }
+        let mode = set_mode(&device, &self.options.mode).map_err(|error| match error {
+            ModeError::Unfit(problem) => failed(&problem),
+            ModeError::Device(error) => lost(&error),
+        })?;
+        let mut controls = Controls::read(&device);
+        if let Err(problem) = controls.set(&device, &self.options.controls) {
+            controls.restore(&device);
+            return Err(failed(&problem));
+        }
+        let identity = self.identity.insert(DeviceIdentity::of(&node)).words();
+        let (lock, next_sequence) = (self.options.lock, Arc::clone(&self.next_sequence));
+        let opened = Opened { device, mode, controls, node, identity, driver: capability.driver, lock, next_sequence };
+        Source::start(opened)
+    }
+
+    /// The node that the device has now.
+    fn node(&self) -> Result<DeviceNode, CaptureError> {
+        let nodes = video_nodes();
+        let request = &self.options.device;
+        let known = self.identity.as_ref().filter(|_| !is_stable(request));
+        let found = match known {
+            Some(identity) => identity.find(&nodes),
+            None => find_by_request(request, &nodes),
+        };
+        let absent = || {
+            let device = known.map_or_else(|| request.display().to_string(), DeviceIdentity::words);
+            CaptureError::Lost { device, reason: absence(&nodes) }
+        };
+        found.cloned().ok_or_else(absent)
+    }
+
+    fn gives_no_video(&self, node: &DeviceNode, multiplanar: bool) -> CaptureError {
+        let lost = |reason: &str| CaptureError::Lost { device: node.path.display().to_string(), reason: reason.into() };
+        if multiplanar {
+            return failed(&node.path, "gives its pictures in several planes, which Plumb does not read");
+        }
+        if node.index > 0 {
+            return failed(&node.path, "gives no pictures but what accompanies them; use the device's first node");
+        }
+        // A loopback device is a camera only while a program feeds it.
+        lost("it gives no video at present; start the program that feeds it")
+    }
+}
+
+impl SourceOpener for Camera {
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
+        Ok(Box::new(self.open_source()?))
+    }
+}
+
+/// Opens a node, and says what to do where that is refused.
+pub(super) fn open_device(node: &Path) -> Result<Device, CaptureError> {
+    Device::with_path(node).map_err(|error| lost(node, &error))
+}
+
+/// What an error of an open or opening device means.
+pub(super) fn lost(node: &Path, error: &io::Error) -> CaptureError {
+    let device = node.display().to_string();
+    let lost = |reason: String| CaptureError::Lost { device: device.clone(), reason };
+    match error.raw_os_error() {
+        Some(libc::EACCES | libc::EPERM) => failed(
+            node,
+            "permission denied; add the user to the group video (`sudo usermod -aG video $USER`) and log in again",
+        ),
+        Some(libc::EBUSY) => match holders_of(node) {
+            Some(holders) => lost(format!("in use by {holders}; close that first")),
+            None => lost("in use by another process that this user cannot see; close that first".to_owned()),
+        },
+        Some(libc::ENODEV | libc::ENXIO | libc::ENOENT) => lost("it was unplugged".to_owned()),
+        _ => lost(format!("the driver answers: {error}")),
+    }
+}
+
+fn failed(node: &Path, problem: &str) -> CaptureError {
+    CaptureError::Failed { reason: format!("{}: {problem}", node.display()) }
+}
+
+/// Why a device is not among `nodes`.
+fn absence(nodes: &[DeviceNode]) -> String {
+    if !kernel_has_video() {
+        return "the kernel has no video devices at all; plug the camera in, or load its driver".to_owned();
+    }
+    let names: Vec<String> = nodes.iter().map(|node| format!("{} ({})", node.path.display(), node.name)).collect();
+    match names.is_empty() {
+        true => "no camera is plugged in".to_owned(),
+        false => format!("it is not plugged in; there are {}", names.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn system_errors_are_told_with_what_to_do() {
+        let told = |code| lost(Path::new("/dev/video9"), &io::Error::from_raw_os_error(code)).to_string();
+        assert_eq!(told(libc::ENODEV), "/dev/video9 was lost: it was unplugged");
+        assert!(told(libc::EACCES).contains("group video"));
+        assert!(told(libc::EBUSY).contains("in use by"));
+        assert!(told(libc::EIO).starts_with("/dev/video9 was lost: the driver answers: "));
+    }
+
+    #[test]
+    fn a_device_that_is_not_there_may_still_come() {
+        let options = CameraOptions { device: "/dev/video-none".into(), ..CameraOptions::default() };
+        let error = Camera::new(options).open_source().map(|_| ()).unwrap_err();
+        assert!(matches!(error, CaptureError::Lost { .. }), "{error}");
+    }
+}

@@ -1,0 +1,24 @@
+//! Linux video devices: `kind = "v4l2"`.
+//!
+//! | file | concept |
+//! | --- | --- |
+//! | `device_node` | the nodes there are, and which device each belongs to, from sysfs |
+//! | `identity` | finding one device again after it was unplugged, whatever its node is called by then |
+//! | `mode` | pixel format, size and rate: what is offered, what is chosen, what was got |
+//! | `controls` | focus, exposure, gain …: set, held still while calibrating, given back |
+//! | `source` | the stream of frames |
+//! | `holder` | which process has a device open |
+//! | `kernel` | the system calls that the `v4l` crate lacks or answers with a panic |
+
+mod camera;
+mod controls;
+mod device_node;
+mod holder;
+mod identity;
+mod kernel;
+mod listing;
+mod mode;
+mod source;
+
+pub use camera::{Camera, CameraOptions};
+pub use listing::list_devices;

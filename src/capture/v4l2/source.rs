@@ -1,0 +1,267 @@
+//! The stream of frames of an open device: mapped buffers, and never a wait without an end.
+
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use v4l::Device;
+use v4l::buffer::{Flags, Metadata, Type};
+use v4l::io::traits::CaptureStream;
+use v4l::prelude::MmapStream;
+
+use crate::capture::v4l2::camera::lost;
+use crate::capture::v4l2::controls::Controls;
+use crate::capture::v4l2::device_node::DeviceNode;
+use crate::capture::v4l2::mode::{Layout, Mode};
+use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
+use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+use crate::imaging::timestamp::{DeviceTime, HostTime};
+
+/// Buffers between the driver and the reader: at 30 frames a second the reader may be 100 ms late.
+const BUFFERS: u32 = 4;
+/// How long to leave a driver alone that says a frame is ready and then has none.
+const RESPITE: Duration = Duration::from_millis(2);
+
+/// An open device, set and ready to stream.
+pub(super) struct Opened {
+    pub device: Device,
+    pub mode: Mode,
+    pub controls: Controls,
+    pub node: DeviceNode,
+    pub identity: String,
+    pub driver: String,
+    pub lock: bool,
+    pub next_sequence: Arc<AtomicU64>,
+}
+
+/// A streaming device.
+pub(super) struct Source {
+    opened: Opened,
+    /// `None` only while it is being closed.
+    stream: Option<MmapStream<'static>>,
+    /// Whether the stream has handed out a buffer that goes back with the next call.
+    holds_buffer: bool,
+    counter: FrameCounter,
+    losses: Losses,
+}
+
+impl Source {
+    /// Starts streaming; no frame has been waited for.
+    pub fn start(opened: Opened) -> Result<Self, CaptureError> {
+        let stream = MmapStream::with_buffers(&opened.device, Type::VideoCapture, BUFFERS);
+        let counter = FrameCounter::new(opened.next_sequence.load(Ordering::Relaxed));
+        let mut source = Self { opened, stream: None, holds_buffer: false, counter, losses: Losses::default() };
+        let mut stream = stream.map_err(|error| source.lost(&error))?;
+        // Waiting is done in `is_ready`; the stream itself never waits, so that this only queues and starts.
+        stream.set_timeout(Duration::ZERO);
+        match CaptureStream::next(&mut stream).map(|_| ()) {
+            Ok(()) => source.holds_buffer = true,
+            Err(error) if is_not_yet(&error) => {}
+            Err(error) => {
+                source.stream = Some(stream);
+                return Err(source.lost(&error));
+            }
+        }
+        source.stream = Some(stream);
+        Ok(source)
+    }
+
+    /// Waits for a frame, at most for `timeout`.
+    fn is_ready(&self, timeout: Duration) -> Result<bool, CaptureError> {
+        let milliseconds = i32::try_from(timeout.as_millis()).unwrap_or(i32::MAX);
+        match self.opened.device.handle().poll(libc::POLLIN, milliseconds) {
+            Ok(ready) => Ok(ready > 0),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => Ok(false),
+            Err(error) => Err(self.lost(&error)),
+        }
+    }
+
+    /// The frame that is ready; `None` when it is of no use.
+    fn take(&mut self) -> Result<Option<FrameSet>, CaptureError> {
+        let Some(stream) = &mut self.stream else { return Ok(None) };
+        if !self.holds_buffer {
+            // The first buffer can only be taken without its content.
+            return match CaptureStream::dequeue(stream) {
+                Ok(_) => {
+                    self.holds_buffer = true;
+                    Ok(None)
+                }
+                Err(error) => self.not_taken(&error),
+            };
+        }
+        self.holds_buffer = false;
+        let outcome = CaptureStream::next(stream).map(|(bytes, metadata)| {
+            let frame = frame_of(bytes, metadata, &self.opened.mode);
+            (frame, *metadata)
+        });
+        let (frame, metadata) = match outcome {
+            Ok(taken) => taken,
+            Err(error) => return self.not_taken(&error),
+        };
+        self.holds_buffer = true;
+        let missed = self.counter.count(metadata.sequence);
+        self.losses.missed += missed;
+        self.opened.next_sequence.store(self.counter.next, Ordering::Relaxed);
+        let Some(frame) = frame else {
+            self.losses.damaged += 1;
+            return Ok(None);
+        };
+        let sequence = self.counter.next - 1;
+        let device_time = device_time(&metadata);
+        Ok(Some(FrameSet { sequence, host_time: now(), device_time, name: None, frames: vec![frame] }))
+    }
+
+    fn not_taken(&self, error: &io::Error) -> Result<Option<FrameSet>, CaptureError> {
+        if is_not_yet(error) {
+            thread::sleep(RESPITE);
+            return Ok(None);
+        }
+        Err(self.lost(error))
+    }
+
+    fn lost(&self, error: &io::Error) -> CaptureError {
+        lost(&self.opened.node.path, error)
+    }
+}
+
+impl FrameSource for Source {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if self.is_ready(left)?
+                && let Some(set) = self.take()?
+            {
+                return Ok(set);
+            }
+            if Instant::now() >= deadline {
+                return Err(CaptureError::TimedOut { waited: timeout });
+            }
+        }
+    }
+
+    fn description(&self) -> SourceDescription {
+        let Opened { mode, node, identity, driver, .. } = &self.opened;
+        SourceDescription {
+            kind: "v4l2",
+            identity: identity.clone(),
+            fps: mode.fps,
+            model: Some(node.name.clone()),
+            serial: node.serial().map(str::to_owned),
+            bus: Some(node.bus.clone()),
+            mode: Some(format!("{}, {driver}, {mode}", node.path.display())),
+            ..SourceDescription::default()
+        }
+    }
+
+    fn losses(&self) -> Losses {
+        self.losses
+    }
+
+    fn calibrating(&mut self, on: bool) -> Result<(), CaptureError> {
+        let Opened { device, controls, lock, .. } = &mut self.opened;
+        match (*lock, on) {
+            (true, true) => controls.hold(device),
+            (true, false) => controls.release(device),
+            (false, _) => {}
+        }
+        Ok(())
+    }
+
+    fn moved_since_calibrating(&self) -> Option<String> {
+        self.opened.controls.moved(&self.opened.device)
+    }
+}
+
+impl Drop for Source {
+    fn drop(&mut self) {
+        self.opened.controls.restore(&self.opened.device);
+        let stream = self.stream.take();
+        // The stream panics when the driver refuses to stop; a camera must not take the daemon down with it.
+        let _ = catch_unwind(AssertUnwindSafe(|| drop(stream)));
+    }
+}
+
+/// Nothing to take at this moment.
+fn is_not_yet(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+}
+
+/// A buffer's content as a frame; `None` when it was flagged as damaged, or cannot hold what it should.
+fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
+    let used = buffer.get(..metadata.bytesused as usize)?;
+    if metadata.flags.contains(Flags::ERROR) || used.is_empty() {
+        return None;
+    }
+    let Layout { format, shift, .. } = mode.layout;
+    let whole = match format {
+        PixelFormat::Jpeg => used.starts_with(&[0xff, 0xd8]),
+        PixelFormat::Nv12 => used.len() >= mode.stride * mode.size.height as usize * 3 / 2,
+        _ => used.len() >= mode.stride * mode.size.height as usize,
+    };
+    let bytes = if shift == 0 { Arc::from(used) } else { shifted_up(used, shift) };
+    whole.then_some(Frame { sensor: SensorKind::Color, size: mode.size, format, stride: mode.stride, bytes })
+}
+
+/// 16-bit samples that fill only the lower bits, moved up to fill them all.
+fn shifted_up(samples: &[u8], shift: u32) -> Arc<[u8]> {
+    samples.chunks_exact(2).flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << shift).to_le_bytes()).collect()
+}
+
+fn now() -> HostTime {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    HostTime { utc_ns: i64::try_from(since.as_nanos()).unwrap_or(i64::MAX) }
+}
+
+fn device_time(metadata: &Metadata) -> Option<DeviceTime> {
+    let monotonic = metadata.flags.contains(Flags::TIMESTAMP_MONOTONIC);
+    let time = metadata.timestamp;
+    monotonic.then_some(DeviceTime { monotonic_ns: time.sec * 1_000_000_000 + time.usec * 1000 })
+}
+
+/// Turns the driver's 32-bit count, which begins anew with every opening, into one that only rises.
+#[derive(Debug)]
+struct FrameCounter {
+    next: u64,
+    last: Option<u32>,
+}
+
+impl FrameCounter {
+    fn new(next: u64) -> Self {
+        Self { next, last: None }
+    }
+
+    /// Counts a frame; how many before it are missing.
+    fn count(&mut self, sequence: u32) -> u64 {
+        let ahead = self.last.map_or(1, |last| sequence.wrapping_sub(last));
+        self.last = Some(sequence);
+        // A count that stands still, or jumps back, is none.
+        let missed = if (1..1 << 31).contains(&ahead) { u64::from(ahead - 1) } else { 0 };
+        self.next += missed + 1;
+        missed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_counted_and_numbers_only_rise() {
+        let mut counter = FrameCounter::new(100);
+        let steps = [(7, 0, 101), (8, 0, 102), (11, 2, 105), (11, 0, 106), (3, 0, 107), (4, 0, 108)];
+        for (sequence, missed, next) in steps {
+            assert_eq!((counter.count(sequence), counter.next), (missed, next));
+        }
+        let mut counter = FrameCounter { next: 0, last: Some(u32::MAX) };
+        assert_eq!(counter.count(1), 1, "0 was missed");
+    }
+
+    #[test]
+    fn samples_of_ten_bits_fill_sixteen() {
+        assert_eq!(&*shifted_up(&[0xff, 0x03, 0x01, 0x00], 6), [0xc0, 0xff, 0x40, 0x00]);
+    }
+}
