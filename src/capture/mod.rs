@@ -66,6 +66,14 @@ impl<F: FnMut() -> Result<Box<dyn FrameSource>, CaptureError> + Send> SourceOpen
     }
 }
 
+/// What each backend sees on this machine.
+pub fn list_devices() -> Vec<device_list::DeviceListing> {
+    vec![
+        #[cfg(target_os = "linux")]
+        v4l2::list_devices(),
+    ]
+}
+
 /// Frames that never came out of [`FrameSource::next_frame`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Losses {

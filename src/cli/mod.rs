@@ -7,6 +7,7 @@
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
 pub mod calibration_output;
+pub mod devices;
 pub mod export;
 pub mod failure;
 pub mod files;
@@ -37,12 +38,14 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Solve(solve::Args),
+    Devices(devices::Args),
     Export(export::Args),
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Solve(args) => solve::run(&args),
+        Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),
     }
 }

@@ -119,7 +119,8 @@ pub(super) fn lost(node: &Path, error: &io::Error) -> CaptureError {
             node,
             "permission denied; add the user to the group video (`sudo usermod -aG video $USER`) and log in again",
         ),
-        Some(libc::EBUSY) => match holders_of(node) {
+        // The attempt that was refused has the node open itself.
+        Some(libc::EBUSY) => match holders_of(node, 1) {
             Some(holders) => lost(format!("in use by {holders}; close that first")),
             None => lost("in use by another process that this user cannot see; close that first".to_owned()),
         },

@@ -31,7 +31,7 @@ fn listed(node: &DeviceNode) -> Option<ListedDevice> {
         serial: node.serial().map(str::to_owned),
         bus: Some(node.bus.clone()),
         firmware: node.usb.as_ref().and_then(|usb| usb.release.clone()),
-        in_use_by: holders_of(&node.path),
+        in_use_by: holders_of(&node.path, 0),
         ..ListedDevice::default()
     };
     let opened = match open_device(&node.path) {

@@ -234,10 +234,10 @@ mod tests {
     fn a_mode_says_what_differs_from_the_request() {
         let mut mode =
             Mode { layout: LAYOUTS[9], size: ImageSize::new(1280, 720), stride: 0, fps: Some(29.97), differs: None };
-        assert_eq!(mode.to_string(), "1280×720 MJPG at 29.97 frames a second");
-        mode.differs = Some("asked for 1920×1080".to_owned());
+        assert_eq!(mode.to_string(), "1280x720 MJPG at 29.97 frames a second");
+        mode.differs = Some("asked for 1920x1080".to_owned());
         mode.fps = Some(30.0);
-        assert_eq!(mode.to_string(), "1280×720 MJPG at 30 frames a second (asked for 1920×1080)");
+        assert_eq!(mode.to_string(), "1280x720 MJPG at 30 frames a second (asked for 1920x1080)");
     }
 
     #[test]

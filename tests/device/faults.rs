@@ -1,0 +1,100 @@
+//! What goes wrong with real devices, made to go wrong.
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use plumb::capture::{CaptureError, SourceOpener};
+
+use crate::guest::{PATIENCE, VIVID, camera, frames_until_error, options, press};
+
+pub fn a_camera_in_use_is_told_with_its_holder() -> String {
+    let mut holder = Command::new("v4l2-ctl");
+    holder.args(["-d", VIVID, "--stream-mmap", "--stream-count=100000"]);
+    let mut holder = holder.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let mut waiting = camera(options(VIVID, Some("YUYV")));
+    let deadline = Instant::now() + PATIENCE;
+    let error = loop {
+        // The other program takes a moment to begin.
+        match waiting.open() {
+            Err(error) => break error,
+            Ok(_) => assert!(Instant::now() < deadline, "never busy"),
+        }
+    };
+    let expected = format!("in use by v4l2-ctl (process {})", holder.id());
+    assert!(error.to_string().contains(&expected), "{error}");
+    assert!(matches!(error, CaptureError::Lost { .. }), "it may be free again by itself");
+    holder.kill().unwrap();
+    holder.wait().unwrap();
+    waiting.open().unwrap().next_frame(PATIENCE).unwrap();
+    error.to_string()
+}
+
+/// Each of vivid's faults: what is told, and that the camera gives frames again afterwards.
+pub fn each_injected_fault_is_told_and_survived() -> String {
+    let mut told = Vec::new();
+    for at_start in ["inject_vidioc_reqbufs_error", "inject_vidioc_qbuf_error", "inject_vidioc_streamon_error"] {
+        let mut camera = camera(options(VIVID, Some("YUYV")));
+        press(VIVID, &format!("{at_start}=1"));
+        let error = camera.open().map(|_| ()).unwrap_err();
+        assert!(error.to_string().contains("the driver answers: "), "{at_start}: {error}");
+        assert!(matches!(error, CaptureError::Lost { .. }), "{at_start}");
+        camera.open().unwrap().next_frame(PATIENCE).unwrap();
+    }
+    let mut opener = camera(options(VIVID, Some("YUYV")));
+    let mut source = opener.open().unwrap();
+    for _ in 0..3 {
+        press(VIVID, "inject_v4l2_buf_flag_error=1");
+        source.next_frame(PATIENCE).unwrap();
+        source.next_frame(PATIENCE).unwrap();
+    }
+    let damaged = source.losses().damaged;
+    assert!((1..=3).contains(&damaged), "{damaged} damaged frames");
+    told.push(format!("{damaged} of 3 damaged frames counted"));
+    press(VIVID, "percentage_of_dropped_buffers=50");
+    for _ in 0..20 {
+        source.next_frame(PATIENCE).unwrap();
+    }
+    press(VIVID, "percentage_of_dropped_buffers=0");
+    let missed = source.losses().missed;
+    assert!(missed >= 5, "{missed} missed frames");
+    told.push(format!("{missed} missed frames counted"));
+    press(VIVID, "inject_fatal_streaming_error=1");
+    let (_, error) = frames_until_error(&mut *source);
+    assert!(matches!(error, CaptureError::Lost { .. }), "{error}");
+    told.push(error.to_string());
+    drop(source);
+    let mut source = opener.open().unwrap();
+    source.next_frame(PATIENCE).unwrap();
+    press(VIVID, "disconnect=1");
+    let (_, error) = frames_until_error(&mut *source);
+    assert_eq!(error.to_string(), format!("{VIVID} was lost: it was unplugged"));
+    drop(source);
+    opener.open().unwrap().next_frame(PATIENCE).unwrap();
+    told.join("; ")
+}
+
+/// A device that gives nothing: the wait is as long as was asked for, and costs nothing.
+pub fn a_stalled_device_never_blocks() -> String {
+    let mut slow = options(VIVID, Some("YUYV"));
+    slow.mode.fps = Some(1.0);
+    let mut source = camera(slow).open().unwrap();
+    source.next_frame(PATIENCE).unwrap();
+    let wait = Duration::from_millis(50);
+    let (began, busy) = (Instant::now(), processor_time());
+    let mut timeouts = 0;
+    while timeouts < 10 {
+        let timed_out = CaptureError::TimedOut { waited: wait };
+        timeouts += usize::from(source.next_frame(wait).is_err_and(|error| error == timed_out));
+    }
+    let (elapsed, busy) = (began.elapsed(), processor_time() - busy);
+    assert!(elapsed < PATIENCE, "10 waits of 50 ms took {elapsed:?}");
+    assert!(busy < elapsed / 2, "{busy:?} of {elapsed:?} were spent computing");
+    format!("10 waits of 50 ms: {} ms, of which {} ms computing", elapsed.as_millis(), busy.as_millis())
+}
+
+fn processor_time() -> Duration {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
+    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+    let ticks: u64 = fields[11..13].iter().map(|field| field.parse::<u64>().unwrap()).sum();
+    Duration::from_millis(ticks * 10)
+}

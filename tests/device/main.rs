@@ -1,0 +1,52 @@
+//! Real devices: this machine boots a small one with a real V4L2 stack, which runs the scenarios below and tells what it
+//! measured. `cargo test --test device [NAME…]`; with names, only the scenarios whose names contain one of them.
+
+#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, clippy::exit, reason = "a test program")]
+
+mod enumeration;
+mod faults;
+mod formats;
+mod guest;
+mod replug;
+mod small_machine;
+
+use std::panic::catch_unwind;
+use std::process::ExitCode;
+use std::time::Instant;
+
+/// Each returns what it measured, in a line, and panics when something is not as it must be.
+const SCENARIOS: &[(&str, fn() -> String)] = &[
+    ("enumeration", enumeration::every_camera_is_listed_with_its_names_and_formats),
+    ("formats", formats::every_format_gives_the_same_picture),
+    ("mode", formats::what_cannot_be_had_is_told),
+    ("controls", formats::controls_are_set_held_and_given_back),
+    ("busy", faults::a_camera_in_use_is_told_with_its_holder),
+    ("injected_faults", faults::each_injected_fault_is_told_and_survived),
+    ("stall", faults::a_stalled_device_never_blocks),
+    ("replug", replug::two_hundred_rounds_leave_nothing_behind),
+];
+
+fn main() -> ExitCode {
+    let names: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    if std::env::args().any(|argument| argument == "--list") {
+        return ExitCode::SUCCESS;
+    }
+    if std::env::var_os("SMALL_MACHINE_GUEST").is_none() {
+        return small_machine::run_this_program(&names);
+    }
+    let mut failed = 0;
+    for (name, scenario) in
+        SCENARIOS.iter().filter(|(name, _)| names.is_empty() || names.iter().any(|n| name.contains(n)))
+    {
+        let began = Instant::now();
+        let outcome = catch_unwind(scenario);
+        let seconds = began.elapsed().as_secs_f64();
+        if let Ok(measured) = outcome {
+            println!("device {name} ... ok ({seconds:.1} s) {measured}");
+        } else {
+            println!("device {name} ... FAILED ({seconds:.1} s)");
+            failed += 1;
+        }
+    }
+    ExitCode::from(failed)
+}
