@@ -6,26 +6,34 @@ use crate::detection::refine::corner_model::UNKNOWNS;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cholesky {
     lower: [[f64; UNKNOWNS]; UNKNOWNS],
+    /// 1/Lᵢᵢ.
+    inverse: [f64; UNKNOWNS],
 }
 
 impl Cholesky {
-    /// Factors the matrix whose lower triangle is given; `None` unless it is positive definite.
-    pub fn new(matrix: &[[f64; UNKNOWNS]; UNKNOWNS]) -> Option<Self> {
+    /// Factors the matrix whose lower triangle is given, its diagonal first made larger by the fraction `damping`; `None`
+    /// unless it is positive definite.
+    pub fn new(matrix: &[[f64; UNKNOWNS]; UNKNOWNS], damping: f64) -> Option<Self> {
         let mut lower = [[0.0; UNKNOWNS]; UNKNOWNS];
+        let mut inverse = [0.0; UNKNOWNS];
         for row in 0..UNKNOWNS {
             for col in 0..=row {
                 let dot: f64 = (0..col).map(|k| lower[row][k] * lower[col][k]).sum();
                 let rest = matrix[row][col] - dot;
                 if row > col {
-                    lower[row][col] = rest / lower[col][col];
-                } else if rest > 1e-9 * matrix[row][row] && rest.is_finite() {
+                    lower[row][col] = rest * inverse[col];
+                    continue;
+                }
+                let rest = rest + damping * matrix[row][row];
+                if rest > 1e-9 * matrix[row][row] && rest.is_finite() {
                     lower[row][row] = rest.sqrt();
+                    inverse[row] = 1.0 / lower[row][row];
                 } else {
                     return None;
                 }
             }
         }
-        Some(Self { lower })
+        Some(Self { lower, inverse })
     }
 
     /// The solution x of A·x = `right`.
@@ -33,12 +41,21 @@ impl Cholesky {
         let mut x = *right;
         for row in 0..UNKNOWNS {
             let dot: f64 = (0..row).map(|k| self.lower[row][k] * x[k]).sum();
-            x[row] = (x[row] - dot) / self.lower[row][row];
+            x[row] = (x[row] - dot) * self.inverse[row];
         }
         for row in (0..UNKNOWNS).rev() {
             let dot: f64 = (row + 1..UNKNOWNS).map(|k| self.lower[k][row] * x[k]).sum();
-            x[row] = (x[row] - dot) / self.lower[row][row];
+            x[row] = (x[row] - dot) * self.inverse[row];
         }
         x
+    }
+
+    /// Covariance of the last two unknowns, the block of the inverse: xx, xy, yy.
+    pub fn last_covariance(&self) -> [f64; 3] {
+        let last = UNKNOWNS - 1;
+        let (a, c) = (self.inverse[last - 1], self.inverse[last]);
+        // The inverse of the factor's last block is [[a, 0], [b, c]].
+        let b = -self.lower[last][last - 1] * a * c;
+        [a * a + b * b, b * c, c * c]
     }
 }

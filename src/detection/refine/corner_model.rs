@@ -6,7 +6,10 @@
 //! (level + amplitude·t + bend·(1 − t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
 
 /// How many unknowns [`CornerModel`] has, in the order of [`CornerModel::moved_by`].
-pub(super) const UNKNOWNS: usize = 11;
+pub(super) const UNKNOWNS: usize = 9;
+/// The first of the two unknowns that move the corner: the last ones, so that what is left of them when all others are
+/// eliminated is a factor's corner.
+pub(super) const SHIFT: usize = UNKNOWNS - 2;
 
 /// One corner, in the pixels of its window and relative to the window's origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,28 +50,26 @@ impl CornerModel {
         [(shift[0] * b[1] - shift[1] * a[1]) / det, (a[0] * shift[1] - b[0] * shift[0]) / det]
     }
 
-    /// The model after a step in the unknowns: shift of each edge along its normal, gradient x and y, turn of each edge
-    /// (radians), sharpness of each edge, level, amplitude, bend. Steps beyond what the linearisation can promise are
-    /// cut short.
+    /// The model after a step in the unknowns: turn of each edge (radians), sharpness of each edge, level, amplitude,
+    /// bend, shift of each edge along its normal. Steps beyond what the linearisation can promise are cut short.
     pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
         let mut moved = *self;
-        let reach = 0.5 + 1.0 / self.sharpness[0].min(self.sharpness[1]);
-        let [dx, dy] = self.center_move([step[0], step[1]]);
-        let short = (reach / dx.hypot(dy).max(1e-12)).min(1.0);
-        moved.center = [self.center[0] + short * dx, self.center[1] + short * dy];
-        moved.gradient = [self.gradient[0] + step[2], self.gradient[1] + step[3]];
         for edge in 0..2 {
-            let turn = step[4 + edge].clamp(-0.25, 0.25);
+            let turn = step[edge].clamp(-0.25, 0.25);
             let [x, y] = self.along[edge];
             let turned = [x - turn * y, y + turn * x];
-            let length = turned[0].hypot(turned[1]);
-            moved.along[edge] = [turned[0] / length, turned[1] / length];
+            let unit = 1.0 / length(turned);
+            moved.along[edge] = turned.map(|v| v * unit);
             let sharpness = self.sharpness[edge];
-            moved.sharpness[edge] = (sharpness + step[6 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
+            moved.sharpness[edge] = (sharpness + step[2 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
         }
-        moved.level += step[8];
-        moved.amplitude += step[9];
-        moved.bend += step[10];
+        moved.level += step[4];
+        moved.amplitude += step[5];
+        moved.bend += step[6];
+        let reach = 0.5 + 1.0 / self.sharpness[0].min(self.sharpness[1]);
+        let [dx, dy] = self.center_move([step[SHIFT], step[SHIFT + 1]]);
+        let short = (reach / length([dx, dy]).max(1e-12)).min(1.0);
+        moved.center = [self.center[0] + short * dx, self.center[1] + short * dy];
         moved
     }
 
@@ -87,4 +88,9 @@ impl CornerModel {
             ..*self
         }
     }
+}
+
+/// A vector's length; `hypot` without its care for the largest and smallest numbers.
+pub(super) fn length([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
 }

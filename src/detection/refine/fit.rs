@@ -1,8 +1,8 @@
 //! Fitting the corner model to its samples: Levenberg and Marquardt's method on weighted squares.
 
 use crate::detection::refine::cholesky::Cholesky;
-use crate::detection::refine::corner_model::{CornerModel, UNKNOWNS};
-use crate::detection::refine::normal_equations::{Columns, Noise, NormalEquations, linearise};
+use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::normal_equations::{Columns, Noise, NormalEquations, Residuals, linearise};
 use crate::detection::refine::samples::Samples;
 
 /// How to fit.
@@ -10,10 +10,9 @@ use crate::detection::refine::samples::Samples;
 pub(super) struct FitOptions {
     /// Linearisations at most.
     pub iterations: usize,
-    /// Stop when a step moves the corner by less than this, in samples.
+    /// Stop when a step moves the corner by less than this, in standard deviations of the blur: what is then left to go is
+    /// its square.
     pub enough: f64,
-    /// Whether the gradient of the light is fitted, or left as the model has it.
-    pub fit_gradient: bool,
 }
 
 /// A fitted corner.
@@ -21,10 +20,26 @@ pub(super) struct FitOptions {
 pub(super) struct Fit {
     /// The model.
     pub model: CornerModel,
-    /// The last linearisation.
-    pub equations: NormalEquations,
+    /// How well it fits, before the last step.
+    pub residuals: Residuals,
+    /// Mean square of the residuals after the last step, in units of the noise: as far as the linearisation can tell, and
+    /// corrected for the unknowns and for the outliers' loss of weight.
+    pub mean_square: f64,
+    /// The same as grey levels.
+    pub residual_rms: f64,
     /// Covariance of the corner's position per unit of noise: xx, xy, yy, in squared samples.
     pub covariance: [f64; 3],
+    /// How far the last step moved the corner, in samples.
+    pub last_step: f64,
+}
+
+impl Fit {
+    /// Standard deviation of the corner's position per axis, in samples. The noise is taken from this fit's own residuals, so
+    /// that what the model does not explain makes the corner less certain.
+    pub fn position_std(&self) -> f64 {
+        let [xx, _, yy] = self.covariance;
+        ((xx + yy) / 2.0 * self.mean_square).sqrt()
+    }
 }
 
 /// Fits from `start`; `None` where the samples do not determine a corner.
@@ -36,69 +51,45 @@ pub(super) fn fit(
     columns: &mut Columns,
 ) -> Option<Fit> {
     let mut model = start;
-    let mut damping = 1e-3;
-    let mut best: Option<(CornerModel, NormalEquations)> = None;
-    for _ in 0..options.iterations {
-        let equations = linearise(samples, &model, noise, columns);
-        let cost = equations.squares / equations.effective.max(1.0);
-        match &best {
-            Some((_, known)) if cost > 1.02 * known.squares / known.effective.max(1.0) => damping *= 10.0,
-            _ => {
-                best = Some((model, equations));
-                damping *= 0.3;
-            }
+    let mut damping = 1e-4;
+    let mut best = start;
+    let mut equations = NormalEquations::default();
+    let mut next = NormalEquations::default();
+    for iteration in 1..=options.iterations {
+        linearise(samples, &model, noise, columns, &mut next);
+        if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square() {
+            damping *= 10.0;
+        } else {
+            damping *= 0.3;
+            best = model;
+            std::mem::swap(&mut equations, &mut next);
         }
-        let (from, equations) = best.as_ref()?;
-        let step = solve(equations, damping, options.fit_gradient)?;
-        model = from.moved_by(&step);
-        let moved = (model.center[0] - from.center[0]).hypot(model.center[1] - from.center[1]);
-        if moved < options.enough {
-            break;
-        }
-    }
-    let (_, equations) = best?;
-    let covariance = position_covariance(&equations, &model, options.fit_gradient)?;
-    let finite = model.center.iter().all(|v| v.is_finite());
-    finite.then_some(Fit { model, equations, covariance })
-}
-
-fn prepared(equations: &NormalEquations, damping: f64, fit_gradient: bool) -> [[f64; UNKNOWNS]; UNKNOWNS] {
-    let mut normal = equations.normal;
-    for (k, row) in normal.iter_mut().enumerate() {
-        row[k] *= 1.0 + damping;
-    }
-    if !fit_gradient {
-        for k in [2, 3] {
-            for other in 0..UNKNOWNS {
-                normal[k.max(other)][k.min(other)] = 0.0;
-            }
-            normal[k][k] = 1.0;
+        let factor = Cholesky::new(&equations.normal, damping)?;
+        let step = factor.solve(&equations.gradient);
+        model = best.moved_by(&step);
+        let last_step = length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
+        let sharpness = best.sharpness[0].max(best.sharpness[1]);
+        if last_step * sharpness < options.enough || iteration == options.iterations {
+            let explained: f64 = step.iter().zip(&equations.gradient).map(|(s, g)| s * g).sum();
+            let residuals = equations.residuals;
+            let mean_square = noise.corrected(&residuals, (residuals.squares - explained).max(0.0));
+            return Some(Fit {
+                model,
+                residuals,
+                mean_square,
+                residual_rms: (mean_square * noise.variance()).sqrt(),
+                covariance: position_covariance(&factor, &model),
+                last_step,
+            });
         }
     }
-    normal
+    None
 }
 
-fn solve(equations: &NormalEquations, damping: f64, fit_gradient: bool) -> Option<[f64; UNKNOWNS]> {
-    let mut right = equations.gradient;
-    if !fit_gradient {
-        right[2] = 0.0;
-        right[3] = 0.0;
-    }
-    Some(Cholesky::new(&prepared(equations, damping, fit_gradient))?.solve(&right))
-}
-
-fn position_covariance(equations: &NormalEquations, model: &CornerModel, fit_gradient: bool) -> Option<[f64; 3]> {
-    let factor = Cholesky::new(&prepared(equations, 0.0, fit_gradient))?;
-    let shifts = [0, 1].map(|k| {
-        let mut unit = [0.0; UNKNOWNS];
-        unit[k] = 1.0;
-        let column = factor.solve(&unit);
-        [column[0], column[1]]
-    });
-    // Columns of the map from shifts of the edges to moves of the corner.
+/// The covariance of the shifts of the edges, as moves of the corner.
+fn position_covariance(factor: &Cholesky, model: &CornerModel) -> [f64; 3] {
+    let [aa, ab, bb] = factor.last_covariance();
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
-    let moves = |i: usize, j: usize| {
-        a[i] * (shifts[0][0] * a[j] + shifts[0][1] * b[j]) + b[i] * (shifts[1][0] * a[j] + shifts[1][1] * b[j])
-    };
-    Some([moves(0, 0), moves(0, 1), moves(1, 1)])
+    let moves = |i: usize, j: usize| a[i] * a[j] * aa + (a[i] * b[j] + b[i] * a[j]) * ab + b[i] * b[j] * bb;
+    [moves(0, 0), moves(0, 1), moves(1, 1)]
 }

@@ -11,7 +11,7 @@ const ERF_P: f32 = 0.327_591_1;
 const ERF: [f32; 5] = [0.254_829_6, -0.284_496_74, 1.421_413_7, -1.453_152, 1.061_405_4];
 
 /// For `u` in standard deviations across an edge: (erf(u/√2), exp(−u²/2)/√(2π)), that is twice the normal distribution
-/// less one, and the normal density. Absolute error below 1e-6.
+/// less one, and the normal density. Absolute error below 5e-6.
 #[inline(always)]
 pub(super) fn edge_profile<S: Simd>(simd: S, u: S::f32s) -> (S::f32s, S::f32s) {
     let of = |value: f32| simd.splat_f32s(value);
@@ -66,8 +66,8 @@ mod tests {
             let at =
                 |i: i32| density(h * f64::from(i)) * if i == 0 || i == n { 1.0 } else { f64::from(2 + 2 * (i % 2)) };
             let integral = 2.0 * h / 3.0 * (0..=n).map(at).sum::<f64>();
-            assert!((f64::from(step) - integral).abs() < 2e-6, "step at {u}: {step} for {integral}");
-            assert!((f64::from(bell) - density(f64::from(u))).abs() < 2e-6, "bell at {u}");
+            assert!((f64::from(step) - integral).abs() < 5e-6, "step at {u}: {step} for {integral}");
+            assert!((f64::from(bell) - density(f64::from(u))).abs() < 5e-6, "bell at {u}");
         }
     }
 }

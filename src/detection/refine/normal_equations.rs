@@ -20,6 +20,20 @@ pub(super) struct Noise {
     pub tolerance: f64,
 }
 
+impl Noise {
+    /// Mean variance over black and white.
+    pub fn variance(&self) -> f64 {
+        (self.black * self.black + self.white * self.white) / 2.0
+    }
+
+    /// Mean of `squares`, a sum as in `residuals`, in units of the noise. With weights w = (1 + x²/k²)⁻² the mean of w·x² over
+    /// normal x is less than that of w by the factor 1 − 4/k² to first order in 1/k².
+    pub fn corrected(&self, residuals: &Residuals, squares: f64) -> f64 {
+        let loss = 4.0 * self.variance() / (self.tolerance * self.tolerance);
+        squares / (residuals.effective - UNKNOWNS as f64).max(1.0) * (1.0 + loss)
+    }
+}
+
 /// The sums of a linearisation. Weights are 1/σ² of the noise, less for the window's border and for outliers.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct NormalEquations {
@@ -27,6 +41,13 @@ pub(super) struct NormalEquations {
     pub normal: [[f64; UNKNOWNS]; UNKNOWNS],
     /// Sums of derivative times residual (seen less modelled).
     pub gradient: [f64; UNKNOWNS],
+    /// What is left.
+    pub residuals: Residuals,
+}
+
+/// How well a model fits.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Residuals {
     /// Sum of the residuals' squares, in units of the noise.
     pub squares: f64,
     /// Sum of the weights of the window and of outliers, without the noise's: the number of samples in effect.
@@ -47,8 +68,9 @@ pub(super) fn linearise(
     model: &CornerModel,
     noise: &Noise,
     columns: &mut Columns,
-) -> NormalEquations {
-    pulp::Arch::new().dispatch(Linearise { samples, model, noise, columns })
+    equations: &mut NormalEquations,
+) {
+    pulp::Arch::new().dispatch(Linearise { samples, model, noise, columns, equations });
 }
 
 struct Linearise<'a> {
@@ -56,19 +78,19 @@ struct Linearise<'a> {
     model: &'a CornerModel,
     noise: &'a Noise,
     columns: &'a mut Columns,
+    equations: &'a mut NormalEquations,
 }
 
 impl WithSimd for Linearise<'_> {
-    type Output = NormalEquations;
+    type Output = ();
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> NormalEquations {
-        let length = self.samples.x.len();
-        self.columns.lanes.resize(length * COLUMNS, 0.0);
-        let mut equations = NormalEquations::default();
-        derivatives(simd, self.samples, self.model, self.noise, &mut self.columns.lanes, &mut equations);
-        products(simd, &self.columns.lanes, length, &mut equations);
-        equations
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { samples, model, noise, columns, equations } = self;
+        let length = samples.x.len();
+        columns.lanes.resize(length * COLUMNS, 0.0);
+        equations.residuals = derivatives(simd, samples, model, noise, &mut columns.lanes);
+        products(simd, &columns.lanes, length, equations);
     }
 }
 
@@ -80,8 +102,7 @@ fn derivatives<S: Simd>(
     model: &CornerModel,
     noise: &Noise,
     columns: &mut [f32],
-    equations: &mut NormalEquations,
-) {
+) -> Residuals {
     let of = |value: f64| simd.splat_f32s(value as f32);
     let mul = |a, b| simd.mul_f32s(a, b);
     let mul_add = |a, b, c| simd.mul_add_f32s(a, b, c);
@@ -140,7 +161,7 @@ fn derivatives<S: Simd>(
             let o = 1 - k;
             let bracket = mul_add(rho_half, u[o], mul(mul(rho2_third, u[k]), hermite[o]));
             let bracket = simd.negate_mul_add_f32s(u[k], series, bracket);
-            slope[k] = mul_add(mul(simd.add_f32s(f[k], f[k]), one), p[o], mul(bells, bracket));
+            slope[k] = mul_add(simd.add_f32s(f[k], f[k]), p[o], mul(bells, bracket));
         }
         let light = mul_add(gradient[0], x, mul_add(gradient[1], y, one));
         let off = simd.negate_mul_add_f32s(t, t, one);
@@ -156,19 +177,16 @@ fn derivatives<S: Simd>(
         let by_u = [mul(by_t, slope[0]), mul(by_t, slope[1])];
         let by_d = [mul(by_u[0], sharpness[0]), mul(by_u[1], sharpness[1])];
         let lit = mul(light, trust);
-        let shade = mul(grey, trust);
-        out[0][i] = simd.neg_f32s(by_d[0]);
-        out[1][i] = simd.neg_f32s(by_d[1]);
-        out[2][i] = mul(shade, x);
-        out[3][i] = mul(shade, y);
-        out[4][i] = simd.neg_f32s(mul(by_d[0], s[0]));
-        out[5][i] = simd.neg_f32s(mul(by_d[1], s[1]));
-        out[6][i] = mul(by_u[0], d[0]);
-        out[7][i] = mul(by_u[1], d[1]);
-        out[8][i] = lit;
-        out[9][i] = mul(lit, t);
-        out[10][i] = mul(lit, off);
-        out[11][i] = mul(residual, trust);
+        out[0][i] = simd.neg_f32s(mul(by_d[0], s[0]));
+        out[1][i] = simd.neg_f32s(mul(by_d[1], s[1]));
+        out[2][i] = mul(by_u[0], d[0]);
+        out[3][i] = mul(by_u[1], d[1]);
+        out[4][i] = lit;
+        out[5][i] = mul(lit, t);
+        out[6][i] = mul(lit, off);
+        out[7][i] = simd.neg_f32s(by_d[0]);
+        out[8][i] = simd.neg_f32s(by_d[1]);
+        out[9][i] = mul(residual, trust);
         // Where the pattern is flat, what is left is noise.
         let square = mul(mul(residual, residual), mul(doubt, doubt));
         for (side, sums) in flat.iter_mut().enumerate() {
@@ -179,45 +197,69 @@ fn derivatives<S: Simd>(
             sums[1] = simd.add_f32s(sums[1], count);
         }
     }
-    equations.effective = f64::from(simd.reduce_sum_f32s(effective));
-    for (side, sums) in flat.iter().enumerate() {
-        let side = if sign > 0.0 { side } else { 1 - side };
-        equations.flat[side] = (f64::from(simd.reduce_sum_f32s(sums[0])), f64::from(simd.reduce_sum_f32s(sums[1])));
+    let flat =
+        flat.map(|sums| sums.map(|sum| f64::from(simd.reduce_sum_f32s(sum)))).map(|[squares, count]| (squares, count));
+    Residuals {
+        squares: 0.0,
+        effective: f64::from(simd.reduce_sum_f32s(effective)),
+        flat: if sign > 0.0 { flat } else { [flat[1], flat[0]] },
     }
 }
 
-/// Sums of products of the columns.
+/// Sums of products of the columns: blocks of 4 × 2 sums keep the lanes busy and fit the registers.
 #[inline(always)]
 fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut NormalEquations) {
-    let column = |k: usize| S::as_simd_f32s(&columns[k * length..(k + 1) * length]).0;
-    for rows in 0..COLUMNS / 4 {
-        for others in 0..=rows {
-            let a: [&[S::f32s]; 4] = std::array::from_fn(|k| column(4 * rows + k));
-            for half in 0..2 {
-                let b: [&[S::f32s]; 2] = std::array::from_fn(|k| column(4 * others + 2 * half + k));
-                let mut sums = [[simd.splat_f32s(0.0); 2]; 4];
-                for i in 0..length / S::F32_LANES {
-                    for (sums, a) in sums.iter_mut().zip(&a) {
-                        for (sum, b) in sums.iter_mut().zip(&b) {
-                            *sum = simd.mul_add_f32s(a[i], b[i], *sum);
-                        }
-                    }
-                }
-                for (r, sums) in sums.iter().enumerate() {
-                    for (c, sum) in sums.iter().enumerate() {
-                        let (row, col) = (4 * rows + r, 4 * others + 2 * half + c);
-                        equations.put(row, col, f64::from(simd.reduce_sum_f32s(*sum)));
-                    }
-                }
+    for col in [0, 2] {
+        block::<S, 4, 2>(simd, columns, length, [0, col], equations);
+    }
+    for col in [0, 2, 4, 6] {
+        block::<S, 4, 2>(simd, columns, length, [4, col], equations);
+    }
+    for col in [0, 4] {
+        block::<S, 2, 4>(simd, columns, length, [8, col], equations);
+    }
+    block::<S, 2, 2>(simd, columns, length, [8, 8], equations);
+}
+
+/// Sums of products of R columns from `first[0]` on with C columns from `first[1]` on.
+#[inline(always)]
+fn block<S: Simd, const R: usize, const C: usize>(
+    simd: S,
+    columns: &[f32],
+    length: usize,
+    first: [usize; 2],
+    equations: &mut NormalEquations,
+) {
+    let lanes = length / S::F32_LANES;
+    let column = |k: usize| &S::as_simd_f32s(&columns[k * length..(k + 1) * length]).0[..lanes];
+    let a: [&[S::f32s]; R] = std::array::from_fn(|k| column(first[0] + k));
+    let b: [&[S::f32s]; C] = std::array::from_fn(|k| column(first[1] + k));
+    let mut sums = [[simd.splat_f32s(0.0); C]; R];
+    for i in 0..lanes {
+        for r in 0..R {
+            for c in 0..C {
+                sums[r][c] = simd.mul_add_f32s(a[r][i], b[c][i], sums[r][c]);
             }
         }
+    }
+    for (r, sums) in sums.iter().enumerate() {
+        for (c, sum) in sums.iter().enumerate() {
+            equations.put(first[0] + r, first[1] + c, f64::from(simd.reduce_sum_f32s(*sum)));
+        }
+    }
+}
+
+impl Residuals {
+    /// Their mean square, in units of the noise.
+    pub fn mean_square(&self) -> f64 {
+        self.squares / self.effective.max(1.0)
     }
 }
 
 impl NormalEquations {
     fn put(&mut self, row: usize, col: usize, sum: f64) {
         match (row, col) {
-            (UNKNOWNS, UNKNOWNS) => self.squares = sum,
+            (UNKNOWNS, UNKNOWNS) => self.residuals.squares = sum,
             (UNKNOWNS, col) => self.gradient[col] = sum,
             (row, UNKNOWNS) => self.gradient[row] = sum,
             (row, col) if col <= row => self.normal[row][col] = sum,

@@ -1,0 +1,38 @@
+//! The noise of a picture's pixels, from what is left of the first fits where the pattern is flat.
+
+/// Noise where the pattern is black and where it is white, over all corners of a board.
+#[derive(Debug, Default)]
+pub(super) struct PooledNoise {
+    /// Variances of single pixels, one for each corner: black, white.
+    variances: [Vec<f64>; 2],
+}
+
+/// Rounding to whole grey levels alone makes this much variance.
+const ROUNDING: f64 = 1.0 / 12.0;
+
+impl PooledNoise {
+    /// Forgets all corners.
+    pub fn clear(&mut self) {
+        self.variances.iter_mut().for_each(Vec::clear);
+    }
+
+    /// Takes one corner's residuals where the pattern is flat: sum of squares and count, black then white, of samples that
+    /// are averages of `bin` × `bin` pixels.
+    pub fn take(&mut self, flat: [(f64, f64); 2], bin: usize) {
+        for (variances, (squares, count)) in self.variances.iter_mut().zip(flat) {
+            if count > 6.0 {
+                variances.push(squares / (count - 1.5) * (bin * bin) as f64);
+            }
+        }
+    }
+
+    /// Standard deviation of single pixels in grey levels, black then white: the median over the corners. Light's own noise
+    /// grows with the light, and a camera's gamma turns that about, so that either may be the larger.
+    pub fn of_pixels(&mut self) -> [f64; 2] {
+        let [black, white] = self.variances.each_mut().map(|variances| {
+            let middle = variances.len() / 2;
+            (middle < variances.len()).then(|| *variances.select_nth_unstable_by(middle, f64::total_cmp).1)
+        });
+        [black.or(white), white.or(black)].map(|variance| variance.unwrap_or(4.0).max(ROUNDING).sqrt())
+    }
+}

@@ -1,0 +1,55 @@
+//! Which pixels a corner is fitted to.
+
+use crate::detection::refine::corner_model::length;
+
+/// Variance of a square pixel's own width.
+pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
+
+/// Where to gather samples.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Window {
+    /// The window's origin, in image pixels.
+    pub origin: [f64; 2],
+    /// From the corner to its neighbours along the two edges, in image pixels.
+    pub axes: [[f64; 2]; 2],
+    /// Half the window's extent along each axis, as a fraction of the axis.
+    pub extent: [f64; 2],
+    /// Only what lies within this many image pixels of one of the axes.
+    pub strip_px: f64,
+    /// Side of the squares of image pixels that are averaged into one sample: 1, 2 or 4.
+    pub bin: usize,
+}
+
+impl Window {
+    /// A window that ends short of the next edges and reaches no more than `reach` samples along each axis, in bins that
+    /// keep what the blur leaves of the picture.
+    pub fn new(origin: [f64; 2], axes: [[f64; 2]; 2], blur_px: f64, reach: f64) -> Self {
+        let sigma = sigma_px(blur_px);
+        let area = (axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0]).abs();
+        let lengths = axes.map(length);
+        // The distance from the corner to the next edge that runs along the other axis.
+        let room = [area / lengths[1], area / lengths[0]];
+        let fraction = room.map(|room| (1.0 - 2.3 * sigma / room).clamp(0.45, 0.85));
+        let wanted = f64::max(fraction[0] * lengths[0], fraction[1] * lengths[1]);
+        let bin = match sigma {
+            s if s > 3.0 && wanted > 2.0 * reach => 4,
+            s if s > 1.5 && wanted > reach => 2,
+            _ => 1,
+        };
+        let most = lengths.map(|cell| f64::max(reach * bin as f64, 3.0 * sigma) / cell);
+        let extent = [fraction[0].min(most[0]), fraction[1].min(most[1])];
+        Self { origin, axes, extent, strip_px: f64::INFINITY, bin }
+    }
+
+    /// The same window along edges whose directions are known by now, without the pixels that are far from both edges:
+    /// they tell black and white, of which there is enough, and nothing of where the edges are.
+    pub fn along_edges(self, along: [[f64; 2]; 2], blur_px: f64) -> Self {
+        let axes = [0, 1].map(|k| along[k].map(|v| v * length(self.axes[k])));
+        Self { axes, strip_px: 2.7 * sigma_px(blur_px) + 0.3, ..self }
+    }
+}
+
+/// Standard deviation across an edge, the pixel's own width counted.
+fn sigma_px(blur_px: f64) -> f64 {
+    (blur_px * blur_px + PIXEL_VARIANCE).sqrt()
+}
