@@ -6,16 +6,20 @@
 //!
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
+pub mod calibrate;
 pub mod calibration_output;
+pub mod detect;
 pub mod devices;
 pub mod export;
 pub mod failure;
 pub mod files;
+pub mod gather;
 pub mod in_order;
 pub mod length;
 pub mod lens_name;
 pub mod output;
 pub mod progress;
+pub mod search;
 pub mod solve;
 pub mod sources;
 
@@ -37,6 +41,8 @@ struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Detect(detect::Args),
+    Calibrate(calibrate::Args),
     Solve(solve::Args),
     Devices(devices::Args),
     Export(export::Args),
@@ -44,6 +50,8 @@ enum Command {
 
 fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
+        Command::Detect(args) => detect::run(&args),
+        Command::Calibrate(args) => calibrate::run(&args),
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),

@@ -2,7 +2,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
 
+mod bad_input;
+mod cli;
 mod decoding;
 mod layering;
 mod lens_conformance;
+mod program;
 mod shared_data;

@@ -1,0 +1,171 @@
+//! `plumb detect`: which pictures show the board, and where its corners are.
+
+use std::io::{self, BufRead};
+
+use serde::Serialize;
+
+use crate::cli::in_order::{all_cores, in_order};
+use crate::cli::search::{Looked, searcher};
+use crate::cli::sources::FrameSets;
+use crate::cli::{Failure, output};
+use crate::detection::board_detection::DetectOptions;
+use crate::geometry::board::BoardSize;
+
+/// Finds a chessboard in each image.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and along a column.
+    #[arg(long)]
+    board: BoardSize,
+    /// Print a line of JSON for each image, in the order given.
+    #[arg(long)]
+    json: bool,
+    /// Also answer with part of a board where the whole is not seen.
+    #[arg(long)]
+    allow_partial: bool,
+    /// Search each image N times; elapsed_ms is the fastest.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    repeat: u32,
+    /// How many images to search at once; all cores unless given.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input, a line each.
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<String>,
+}
+
+/// What the command prints for an image.
+#[derive(Debug, Serialize)]
+struct ImageLine {
+    path: String,
+    width: Option<u32>,
+    height: Option<u32>,
+    found: bool,
+    partial: bool,
+    cols: u32,
+    rows: u32,
+    corners: Vec<[f64; 2]>,
+    indices: Vec<[i32; 2]>,
+    orientation_ambiguous: bool,
+    /// Of part of a board: whether its indices count from the board's first corner, or only among themselves.
+    position_known: bool,
+    reason: Option<String>,
+    elapsed_ms: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When images could not be read, after all others have been searched.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let options = DetectOptions { allow_partial: args.allow_partial };
+    let mut unread = Unread::default();
+    in_order(
+        FrameSets::new(paths(&args.paths)),
+        args.threads.map_or_else(all_cores, usize::from),
+        || searcher(args.board, options, args.repeat),
+        |looked| {
+            let line = match looked {
+                Ok(looked) => ImageLine::of(args.board, looked),
+                Err(unreadable) => {
+                    unread.count(&unreadable.reason);
+                    ImageLine { reason: Some(unreadable.reason), ..ImageLine::nothing(args.board, unreadable.path) }
+                }
+            };
+            print(args, &line)
+        },
+    )?;
+    unread.into_result()
+}
+
+/// The paths, those on standard input in the place of `-`.
+fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
+    given.iter().flat_map(|path| -> Box<dyn Iterator<Item = String> + Send> {
+        if path == "-" {
+            let lines = io::BufReader::new(io::stdin()).lines();
+            Box::new(lines.map_while(Result::ok).filter(|line| !line.is_empty()))
+        } else {
+            Box::new(std::iter::once(path.clone()))
+        }
+    })
+}
+
+impl ImageLine {
+    fn of(board: BoardSize, looked: Looked) -> Self {
+        let size = looked.frame.image_size;
+        let nothing = Self {
+            width: Some(size.width),
+            height: Some(size.height),
+            elapsed_ms: looked.elapsed_ms,
+            ..Self::nothing(board, looked.path)
+        };
+        match looked.answer {
+            Err(no_board) => Self { reason: Some(no_board.to_string()), ..nothing },
+            Ok(detection) => Self {
+                found: true,
+                partial: detection.partial,
+                corners: detection.corners.iter().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
+                indices: detection.corners.iter().map(|corner| [corner.index.col, corner.index.row]).collect(),
+                orientation_ambiguous: detection.orientation_ambiguous,
+                position_known: detection.position_known,
+                ..nothing
+            },
+        }
+    }
+
+    fn nothing(board: BoardSize, path: String) -> Self {
+        Self {
+            path,
+            width: None,
+            height: None,
+            found: false,
+            partial: false,
+            cols: board.cols,
+            rows: board.rows,
+            corners: Vec::new(),
+            indices: Vec::new(),
+            orientation_ambiguous: board.orientation_ambiguous(),
+            position_known: false,
+            reason: None,
+            elapsed_ms: 0.0,
+        }
+    }
+}
+
+fn print(args: &Args, line: &ImageLine) -> Result<(), Failure> {
+    if args.json {
+        return output::print_json(line);
+    }
+    let ImageLine { path, corners, reason, elapsed_ms, .. } = line;
+    let part = if line.partial { "part of a" } else { "a" };
+    output::print_line(&match reason {
+        // A reason that is about the file names it.
+        Some(reason) if line.width.is_none() => reason.clone(),
+        Some(reason) => format!("{path}: no board: {reason}"),
+        None => format!("{path}: {part} {} board, {} corners, {elapsed_ms:.2} ms", args.board, corners.len()),
+    })
+}
+
+/// Images that could not be read: how many, and the first one's reason.
+#[derive(Debug, Default)]
+struct Unread {
+    count: usize,
+    first: Option<String>,
+}
+
+impl Unread {
+    fn count(&mut self, reason: &str) {
+        self.count += 1;
+        self.first.get_or_insert_with(|| reason.to_owned());
+    }
+
+    fn into_result(self) -> Result<(), Failure> {
+        match (self.first, self.count) {
+            (None, _) => Ok(()),
+            (Some(reason), 1) => Err(Failure::failed(reason)),
+            (Some(reason), count) => {
+                Err(Failure::failed(format!("{count} images could not be read; the first: {reason}")))
+            }
+        }
+    }
+}

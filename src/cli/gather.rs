@@ -1,0 +1,134 @@
+//! From looked-at pictures to the views of a calibration.
+
+use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::calibration::CalibratedView;
+use crate::calibration::session::Session;
+use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::calibration::view::View;
+use crate::cli::Failure;
+use crate::cli::search::Looked;
+use crate::cli::sources::Unreadable;
+use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::geometry::board::Chessboard;
+use crate::geometry::pixel::ImageSize;
+
+/// What the pictures amount to. A picture that was chosen by hand (a file, one of a folder) is a view if the board is seen
+/// in it; frames of a recording go through a session, which keeps the sharp, still and different ones, as it would live.
+#[derive(Debug)]
+pub struct Gathered {
+    target: Chessboard,
+    /// The first picture's name and size.
+    size: Option<(String, ImageSize)>,
+    /// Every picture in order: a view, or why it is none. Frames of a recording that its session did not keep are left out.
+    pictures: Vec<Result<BoardView, (String, String)>>,
+    session: Option<(String, Session)>,
+    looked: usize,
+    first_reason: Option<String>,
+}
+
+impl Gathered {
+    /// Nothing yet.
+    pub fn new(target: Chessboard) -> Self {
+        Self { target, size: None, pictures: Vec::new(), session: None, looked: 0, first_reason: None }
+    }
+
+    /// Takes the next picture.
+    ///
+    /// # Errors
+    /// When its size is not that of the pictures before it.
+    pub fn add(&mut self, looked: Result<Looked, Unreadable>) -> Result<(), Failure> {
+        self.looked += 1;
+        match looked {
+            Ok(looked) => {
+                self.check_size(&looked)?;
+                self.note_reason(looked.answer.as_ref().err().map(|no_board| format!("{}: {no_board}", looked.path)));
+                if looked.recording.is_some() { self.observe(&looked) } else { self.take(looked) }
+            }
+            Err(Unreadable { path, reason }) => {
+                self.end_recording();
+                self.note_reason(Some(reason.clone()));
+                self.pictures.push(Err((path, reason)));
+            }
+        }
+        Ok(())
+    }
+
+    /// The problem that the views pose, and the pictures that are no views, each with its place among all.
+    ///
+    /// # Errors
+    /// When the board was seen in none.
+    pub fn finish(mut self) -> Result<(CameraProblem, Vec<(usize, CalibratedView)>), Failure> {
+        self.end_recording();
+        let (mut views, mut others) = (Vec::new(), Vec::new());
+        for (place, picture) in self.pictures.into_iter().enumerate() {
+            match picture {
+                Ok(view) => views.push(view),
+                Err((name, reason)) => others.push((place, unused(name, reason))),
+            }
+        }
+        let first = self.first_reason.unwrap_or_default();
+        match self.size {
+            Some((_, image_size)) if !views.is_empty() => Ok((CameraProblem { image_size, views }, others)),
+            _ if self.looked == 1 => Err(Failure::failed(first)),
+            _ => Err(Failure::failed(format!(
+                "no {} board was seen in any of {} pictures; the first: {first}",
+                self.target.size, self.looked
+            ))),
+        }
+    }
+
+    fn check_size(&mut self, looked: &Looked) -> Result<(), Failure> {
+        let size = looked.frame.image_size;
+        let (first, expected) = self.size.get_or_insert_with(|| (looked.path.clone(), size));
+        if *expected == size {
+            return Ok(());
+        }
+        Err(Failure::failed(format!(
+            "{} is {size}, but {first} is {expected}: calibrate each size of picture by itself",
+            looked.path
+        )))
+    }
+
+    fn note_reason(&mut self, reason: Option<String>) {
+        if self.first_reason.is_none() {
+            self.first_reason = reason;
+        }
+    }
+
+    fn take(&mut self, looked: Looked) {
+        self.end_recording();
+        let name = looked.path;
+        self.pictures.push(match looked.answer {
+            Ok(detection) => {
+                let view = View { number: 0, frame: looked.frame, detection };
+                Ok(BoardView { name, ..view.to_board_view(&self.target) })
+            }
+            Err(no_board) => Err((name, no_board.to_string())),
+        });
+    }
+
+    fn observe(&mut self, looked: &Looked) {
+        let path = looked.recording.as_deref().unwrap_or_default();
+        if self.session.as_ref().is_some_and(|(open, _)| open != path) {
+            self.end_recording();
+        }
+        let (_, session) = self.session.get_or_insert_with(|| {
+            let request = SessionRequest { target: self.target, lens: LensChoice::Auto, finish: None };
+            let record = SessionRecord::begin("", "", request, looked.frame.host_time_ns);
+            (path.to_owned(), Session::begin(record, &AdmissionOptions::default()))
+        });
+        session.observe(&looked.frame, looked.answer.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())));
+    }
+
+    fn end_recording(&mut self) {
+        let Some((path, session)) = self.session.take() else { return };
+        let record = session.record();
+        let kept = session.views();
+        tracing::info!("{path}: {} of {} frames kept as views", kept.len(), record.frames_seen);
+        self.pictures.extend(kept.iter().map(|view| Ok(view.to_board_view(&self.target))));
+    }
+}
+
+fn unused(name: String, reason: String) -> CalibratedView {
+    CalibratedView { name, used: false, reason: Some(reason), rms_px: None, camera_from_board: None }
+}

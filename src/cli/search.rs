@@ -1,0 +1,66 @@
+//! Looking for a board in frame sets: what `plumb detect` prints and `plumb calibrate` gathers.
+
+use std::time::Instant;
+
+use crate::calibration::view::FrameFacts;
+use crate::cli::sources::{SourcedFrames, Unreadable};
+use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
+use crate::detection::detector::Detector;
+use crate::geometry::board::BoardSize;
+use crate::imaging::decode::luma;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::gray::GrayImage;
+
+/// A picture that was looked at.
+#[derive(Debug)]
+pub struct Looked {
+    /// Its path; for a frame of a recording with its number.
+    pub path: String,
+    /// The recording it is part of.
+    pub recording: Option<String>,
+    /// What there is to know about it besides what is seen in it.
+    pub frame: FrameFacts,
+    /// What is seen in it.
+    pub answer: Result<Detection, NoBoard>,
+    /// What the search took, the fastest of all repeats, in milliseconds; without decoding.
+    pub elapsed_ms: f64,
+}
+
+/// A function that looks for `board` in the picture of a frame set, `repeat` times over. It keeps its buffers.
+pub fn searcher(
+    board: BoardSize,
+    options: DetectOptions,
+    repeat: u32,
+) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<Looked, Unreadable> {
+    let (mut detector, mut image) = (Detector::new(board), GrayImage::default());
+    move |frames| {
+        let frames = frames?;
+        let path = frames.path();
+        read_luma(&frames, &mut image)
+            .map_err(|reason| Unreadable { reason: format!("{path}: {reason}"), path: path.clone() })?;
+        let frame = FrameFacts {
+            sequence: frames.set.sequence,
+            name: frames.set.name,
+            host_time_ns: frames.set.host_time.utc_ns,
+            device_time_ns: frames.set.device_time.map(|time| time.monotonic_ns),
+            image_size: image.size(),
+        };
+        let mut search = || {
+            let started = Instant::now();
+            let answer = detector.find_board(image.view(), &options);
+            (answer, started.elapsed().as_secs_f64() * 1000.0)
+        };
+        let (answer, mut elapsed_ms) = search();
+        for _ in 1..repeat {
+            elapsed_ms = elapsed_ms.min(search().1);
+        }
+        Ok(Looked { path, recording: frames.recording, frame, answer, elapsed_ms })
+    }
+}
+
+/// The luma of the colour picture, else of the infrared one.
+fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
+    let picture = [SensorKind::Color, SensorKind::Infrared].into_iter().find_map(|sensor| frames.set.frame(sensor));
+    let picture = picture.ok_or("it holds depth alone, in which no board can be seen; give pictures")?;
+    luma(picture, image).map_err(|error| error.to_string())
+}

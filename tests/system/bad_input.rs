@@ -1,0 +1,156 @@
+//! Bad input: each with its one clear line and the right exit code, and nothing gathered is lost.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use image::{GrayImage, ImageFormat, Luma};
+
+use crate::program::plumb;
+
+/// A folder with one file of every kind that can be wrong.
+struct BadFiles {
+    folder: tempfile::TempDir,
+}
+
+impl BadFiles {
+    fn new() -> Self {
+        let files = Self { folder: tempfile::tempdir().unwrap() };
+        let grey = GrayImage::from_fn(320, 240, |x, y| Luma([(x / 2 + y / 4) as u8]));
+        let jpeg = encoded(&grey, ImageFormat::Jpeg);
+        files.write("grey.jpg", &jpeg);
+        files.write("cut.jpg", &jpeg[..jpeg.len() / 2]);
+        files.write("empty.png", b"");
+        files.write("dot.png", &encoded(&GrayImage::new(1, 1), ImageFormat::Png));
+        files.write("huge.png", &png_header(20_000, 10_000));
+        files.write("words.png", b"no picture at all");
+        files.write("cut.mcap", b"\x89MCAP0\r\n\x01\x20\x00\x00");
+        files.write("words.mcap", b"no recording at all");
+        files.write("nothing/readme.txt", b"no pictures here");
+        files.write("small/other.png", &encoded(&GrayImage::new(64, 48), ImageFormat::Png));
+        let point =
+            |pixel: &str| format!(r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":[{pixel}]}}]}}"#);
+        files.write("nan.json", point("[1,NaN]").as_bytes());
+        files.write("few.json", point("[1,2]").as_bytes());
+        files.write("fields.json", br#"{"image_size":[640,480],"views":[{"object":[[0,0,0]]}]}"#);
+        files.write("size.json", br#"{"image_size":[0,480],"views":[]}"#);
+        files.write("syntax.json", br#"{"image_size":[640,480],"#);
+        files
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn write(&self, name: &str, bytes: &[u8]) {
+        let path = self.path(name);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+
+    /// `words`, with `@name` as the path of the file `name`.
+    fn arguments(&self, words: &str) -> Vec<String> {
+        let path = |word: &str| word.strip_prefix('@').map(|name| self.path(name).display().to_string());
+        words.split_whitespace().map(|word| path(word).unwrap_or_else(|| word.to_owned())).collect()
+    }
+}
+
+fn encoded(picture: &GrayImage, format: ImageFormat) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, format).unwrap();
+    bytes.into_inner()
+}
+
+/// A PNG that ends after its header.
+fn png_header(width: u32, height: u32) -> Vec<u8> {
+    let mut header = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR".to_vec();
+    header.extend(width.to_be_bytes());
+    header.extend(height.to_be_bytes());
+    header.extend(b"\x08\x00\x00\x00\x00\0\0\0\0");
+    header
+}
+
+/// Command, exit code, and words that the one line must hold.
+const TABLE: &[(&str, i32, &[&str])] = &[
+    ("", 2, &["a command is missing", "--help"]),
+    ("calibrat", 2, &["calibrat", "--help"]),
+    ("detect @grey.jpg", 2, &["--board"]),
+    ("detect --board 9x6", 2, &["PATH"]),
+    ("detect --board 9 @grey.jpg", 2, &["`9`", "COLSxROWS", "9x6"]),
+    ("detect --board 2x2 @grey.jpg", 2, &["2x2", "3 to 100", "inner corners"]),
+    ("detect --board 9x6 --repeat 0 @grey.jpg", 2, &["--repeat"]),
+    ("detect --board 9x6 --json @gone.jpg", 1, &["gone.jpg", "cannot be read", "check the path"]),
+    ("detect --board 9x6 --json @cut.jpg", 1, &["cut.jpg", "cut off"]),
+    ("detect --board 9x6 --json @empty.png", 1, &["empty.png", "0 bytes"]),
+    ("detect --board 9x6 --json @huge.png", 1, &["huge.png", "20000x10000", "120 megapixels"]),
+    ("detect --board 9x6 --json @words.png", 1, &["words.png", "not a picture"]),
+    ("detect --board 9x6 --json @nothing", 1, &["nothing", "no pictures in this folder"]),
+    ("detect --board 9x6 --json @*.bmp", 1, &["*.bmp", "no file has such a name"]),
+    ("detect --board 9x6 --json @cut.jpg @empty.png", 1, &["2 images could not be read", "cut.jpg"]),
+    ("calibrate --board 9x6 @grey.jpg", 2, &["--square"]),
+    ("calibrate --board 9x6 --square 25 @grey.jpg", 2, &["`25`", "25mm"]),
+    ("calibrate --board 9x6 --square 50m @grey.jpg", 2, &["50 m", "25mm"]),
+    ("calibrate --board 2x2 --square 25mm @grey.jpg", 2, &["2x2", "3 to 100"]),
+    ("calibrate --board 9x6 --square 25mm --lens fisheye @grey.jpg", 2, &["fisheye", "kannala_brandt"]),
+    ("calibrate --board 9x6 --square 25mm --json --format ros @grey.jpg", 2, &["--out"]),
+    ("calibrate --board 9x6 --square 25mm @gone.jpg @grey.jpg", 1, &["gone.jpg", "no such file", "check the path"]),
+    ("calibrate --board 9x6 --square 25mm @nothing", 1, &["nothing", "no pictures in this folder"]),
+    ("calibrate --board 9x6 --square 25mm @cut.mcap", 1, &["cut.mcap"]),
+    ("calibrate --board 9x6 --square 25mm @words.mcap", 1, &["words.mcap"]),
+    ("calibrate --board 9x6 --square 25mm @cut.jpg", 1, &["cut.jpg", "cut off"]),
+    ("calibrate --board 9x6 --square 25mm @empty.png", 1, &["empty.png", "0 bytes"]),
+    ("calibrate --board 9x6 --square 25mm @dot.png", 1, &["dot.png", "1x1", "too small"]),
+    ("calibrate --board 9x6 --square 25mm @huge.png", 1, &["huge.png", "120 megapixels"]),
+    ("calibrate --board 9x6 --square 25mm @grey.jpg", 1, &["grey.jpg", "board"]),
+    ("calibrate --board 9x6 --square 25mm @grey.jpg @grey.jpg", 1, &["no 9x6 board", "any of 2 pictures", "grey.jpg"]),
+    ("calibrate --board 9x6 --square 25mm @grey.jpg @small", 1, &["64x48", "320x240", "each size"]),
+    ("solve", 2, &["PROBLEM.json"]),
+    ("solve @gone.json", 1, &["gone.json", "cannot be read"]),
+    ("solve @nan.json", 1, &["nan.json", "views[0].image[0][1]", "NaN", "finite"]),
+    ("solve @few.json", 1, &["few.json", "view"]),
+    ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
+    ("solve @size.json", 1, &["size.json", "image_size"]),
+    ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),
+    ("export --calibration @gone.json --format ros", 1, &["gone.json", "cannot be read"]),
+    ("export --calibration @few.json --format ros", 1, &["few.json", "id", "missing"]),
+    ("export --calibration @few.json --format matlab", 2, &["matlab", "kalibr"]),
+];
+
+#[test]
+fn each_has_its_one_line_and_its_exit_code() {
+    let files = BadFiles::new();
+    for (words, code, fragments) in TABLE {
+        let finished = plumb(files.arguments(words));
+        let line = one_line(words, &finished.stderr);
+        assert_eq!(finished.code, Some(*code), "`plumb {words}`: {line}");
+        for fragment in *fragments {
+            assert!(line.contains(fragment), "`plumb {words}` does not say `{fragment}`: {line}");
+        }
+    }
+}
+
+/// The line, which must be the only one, of a length that a person reads.
+fn one_line<'a>(words: &str, stderr: &'a str) -> &'a str {
+    let lines: Vec<&str> = stderr.lines().collect();
+    let [line] = lines.as_slice() else { panic!("`plumb {words}` says not one line: {stderr}") };
+    assert!(line.starts_with("plumb: ") && line.len() < 500, "`plumb {words}`: {line}");
+    line
+}
+
+#[test]
+fn a_bad_picture_among_good_ones_costs_only_itself() {
+    let files = BadFiles::new();
+    let finished = plumb(files.arguments("detect --board 9x6 --json @cut.jpg @grey.jpg @gone.jpg @dot.png"));
+    assert_eq!(finished.code, Some(1));
+    let lines: Vec<serde_json::Value> =
+        finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let names: Vec<&str> = lines.iter().map(|line| file_name(line["path"].as_str().unwrap())).collect();
+    assert_eq!(names, ["cut.jpg", "grey.jpg", "gone.jpg", "dot.png"]);
+    for line in &lines {
+        assert!(line["found"] == false && line["reason"].is_string(), "{line}");
+    }
+    assert_eq!((&lines[1]["width"], &lines[1]["height"]), (&320.into(), &240.into()));
+}
+
+fn file_name(path: &str) -> &str {
+    Path::new(path).file_name().unwrap().to_str().unwrap()
+}
