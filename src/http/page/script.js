@@ -1,0 +1,426 @@
+"use strict";
+// All state is the daemon's: this page shows what it is told, and a reload loses nothing. The form's last values are the
+// only thing kept in the browser.
+
+const $ = (id) => document.getElementById(id);
+const SVG = "http://www.w3.org/2000/svg";
+const FORMATS = ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"];
+const REASONS = {
+  no_board: "no board", partial: "partly out of view", blurred: "blurred", moving: "moving",
+  too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
+};
+const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
+
+let camera = null;      // the newest camera document
+let session = null;     // the session that is shown
+let result = null;      // the calibration that is shown
+let views = [];         // the views of the session that is shown
+let events = null;
+let flashTimer = 0;
+let viewsOf = null;
+let audio = null;
+
+async function ask(path, options) {
+  const response = await fetch(path, options);
+  const type = response.headers.get("content-type") || "";
+  const body = type.includes("json") ? await response.json() : null;
+  if (!response.ok) throw new Error((body && body.detail) || `${response.status} ${response.statusText}`);
+  return body;
+}
+const at = (strings, ...values) => String.raw({ raw: strings }, ...values.map(encodeURIComponent));
+const show = (id, on) => { $(id).hidden = !on; };
+const px = (value) => (value == null ? "–" : `${value.toFixed(value < 0.1 ? 3 : value < 10 ? 2 : 0)} px`);
+const when = (text) => new Date(text).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
+
+function say(id, text, tone) {
+  const place = $(id);
+  if (place.textContent !== (text || "")) place.textContent = text || "";
+  if (tone !== undefined) place.className = tone;
+  place.hidden = !text;
+}
+
+function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key in made) made[key] = value; else made.setAttribute(key, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+function drawn(name, attributes) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  return made;
+}
+
+// ---- the camera and its picture
+
+async function begin() {
+  let cameras = [];
+  try {
+    cameras = (await ask("/v1/cameras")).cameras;
+  } catch (error) {
+    say("placeholder", `The daemon does not answer: ${error.message}`);
+    setTimeout(begin, 2000);
+    return;
+  }
+  if (!cameras.length) {
+    say("placeholder", "No camera is configured. Add a [[camera]] to the configuration and start again.");
+    show("start-form", false);
+    return;
+  }
+  const wanted = decodeURIComponent(location.hash.slice(1));
+  camera = cameras.find((one) => one.name === wanted) || cameras.find((one) => one.session) || cameras[0];
+  $("cameras").replaceChildren(...cameras.map((one) => {
+    const link = element("a", { href: at`#${one.name}` }, one.name);
+    if (one.name === camera.name) link.setAttribute("aria-current", "page");
+    return link;
+  }));
+  showCamera();
+  showPicture();
+  follow();
+  await showNewest();
+}
+
+async function showNewest() {
+  const { sessions } = await ask(at`/v1/sessions?camera=${camera.name}`);
+  await setSession(sessions[0] || null);
+  showHistory();
+}
+
+function showCamera() {
+  const sensor = camera.sensors.color || Object.values(camera.sensors)[0];
+  const good = camera.state === "streaming";
+  say("state", camera.state, `pill ${good ? "good" : camera.state === "failed" ? "poor" : "usable"}`);
+  const size = sensor ? `${sensor.image_size[0]} × ${sensor.image_size[1]}` : "";
+  const rate = camera.fps ? `${camera.fps.toFixed(1)} fps` : "";
+  const dropped = camera.dropped_frames ? `${camera.dropped_frames} dropped` : "";
+  say("figures", [camera.backend, size, rate, dropped].filter(Boolean).join(" · "));
+  say("camera-reason", camera.reason);
+  if (sensor) $("overlay").setAttribute("viewBox", `-0.5 -0.5 ${sensor.image_size[0]} ${sensor.image_size[1]}`);
+}
+
+function showPicture() {
+  const picture = $("picture");
+  picture.alt = `live picture of camera ${camera.name}`;
+  picture.onload = () => show("placeholder", false);
+  picture.onerror = () => {
+    say("placeholder", "no picture at the moment");
+    setTimeout(() => { picture.src = at`/v1/cameras/${camera.name}/preview.mjpg?overlay=false&` + `at=${Date.now()}`; }, 1500);
+  };
+  picture.src = at`/v1/cameras/${camera.name}/preview.mjpg?overlay=false`;
+}
+
+function layer(name) {
+  let group = $("overlay").querySelector(`g.${name}s`);
+  if (!group) $("overlay").append(group = drawn("g", { class: `${name}s` }));
+  return group;
+}
+
+function showCorners(detection) {
+  const group = layer("corner");
+  if (!$("show-corners").checked || !detection || !detection.found) { group.replaceChildren(); return; }
+  const radius = $("overlay").viewBox.baseVal.width / 160;
+  const line = drawn("polyline", { class: "board", points: detection.corners.map((c) => c.join()).join(" ") });
+  group.replaceChildren(line, ...detection.corners.map(([cx, cy], i) =>
+    drawn("circle", { class: i ? "corner" : "corner first", cx, cy, r: i ? radius : radius * 1.6 })));
+}
+
+function showCoverage() {
+  const group = layer("cell");
+  const collecting = session && session.state === "collecting";
+  if (!$("show-coverage").checked || !collecting) { group.replaceChildren(); return; }
+  const { x, y, width, height } = $("overlay").viewBox.baseVal;
+  const cells = session.coverage.cells;
+  const [high, wide] = [height / cells.length, width / cells[0].length];
+  const parts = [];
+  cells.forEach((row, i) => row.forEach((count, j) => {
+    const place = { x: x + j * wide, y: y + i * high, width: wide, height: high };
+    parts.push(drawn("rect", { class: "grid", ...place }));
+    if (count) parts.push(drawn("rect", { class: "cell", "fill-opacity": Math.min(0.06 + count / 400, 0.28), ...place }));
+  }));
+  group.replaceChildren(...parts);
+}
+
+function showWish() {
+  const group = layer("wish");
+  const outline = session && session.state === "collecting" ? session.guidance.outline_px : [];
+  group.replaceChildren(...(outline.length ? [drawn("polygon", { class: "wish", points: outline.map((p) => p.join()).join(" ") })] : []));
+}
+
+// ---- what happens
+
+function follow() {
+  if (events) events.close();
+  events = new EventSource(at`/v1/events?camera=${camera.name}`);
+  events.onopen = () => { if (!$("link").hidden) { show("link", false); refresh(); } };
+  events.onerror = () => show("link", true);
+  const on = (name, act) => events.addEventListener(name, (event) => act(JSON.parse(event.data)));
+  on("camera", (document) => { camera = document; showCamera(); });
+  on("detection", (detection) => { showCorners(detection); showLast(detection); });
+  on("session", (document) => { if (!session || document.id >= session.id) setSession(document); });
+  on("calibration", () => { refreshCamera().then(showHistory); });
+}
+
+async function refresh() {
+  await refreshCamera();
+  await showNewest();
+  showPicture();
+}
+
+async function refreshCamera() {
+  camera = await ask(at`/v1/cameras/${camera.name}`);
+  showCamera();
+  showApproval();
+}
+
+function showLast(detection) {
+  if (!session || detection.session !== session.id || session.state !== "collecting") return;
+  if (detection.kept_view != null) {
+    say("last", `View ${detection.kept_view + 1} kept.`, "last kept");
+    flash(`view ${detection.kept_view + 1} kept`);
+    beep();
+  } else {
+    const text = detection.reason || REASONS[detection.rejection] || "";
+    say("last", text && `Not kept: ${text}`, "last refused");
+  }
+  $("last").hidden = false;
+}
+
+function flash(text) {
+  say("flash", text);
+  $("stage").classList.add("kept");
+  clearTimeout(flashTimer);
+  flashTimer = setTimeout(() => { show("flash", false); $("stage").classList.remove("kept"); }, 700);
+}
+
+function beep() {
+  if (!$("sound").checked) return;
+  audio = audio || new AudioContext();
+  const [tone, volume] = [audio.createOscillator(), audio.createGain()];
+  tone.frequency.value = 880;
+  volume.gain.setValueAtTime(0.15, audio.currentTime);
+  volume.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + 0.18);
+  tone.connect(volume).connect(audio.destination);
+  tone.start();
+  tone.stop(audio.currentTime + 0.18);
+}
+
+// ---- the session
+
+async function setSession(document) {
+  const before = session;
+  session = document;
+  const running = session && (session.state === "collecting" || session.state === "solving");
+  show("start-form", !running && !(session && session.state === "finished"));
+  show("session", Boolean(running || (session && session.state === "failed")));
+  showCoverage();
+  showWish();
+  const message = running && session.state === "collecting" ? session.guidance.message : "";
+  say("guidance", message);
+  if (!running) { showCorners(null); say("last", ""); }
+  if (session) showNumbers(running);
+  if (!session || session.state !== "finished") { result = null; show("result", false); }
+  const changed = !before || !session || before.id !== session.id || before.state !== session.state;
+  if (session && (changed || before.views_kept !== session.views_kept)) showViews();
+  if (!session) show("kept", false);
+  if (session && session.state === "finished" && (changed || !result)) await showResult(session.calibration);
+}
+
+function showNumbers(running) {
+  const titles = { collecting: "Collecting", solving: "Solving…", failed: "No calibration", aborted: "Given up", finished: "Done" };
+  say("session-title", titles[session.state]);
+  const estimate = session.estimate;
+  const set = (id, text) => { if ($(id).textContent !== text) $(id).textContent = text; };
+  set("n-views", String(session.views_kept));
+  set("n-coverage", `${Math.round(session.coverage.fraction * 100)} %`);
+  set("n-rms", px(estimate && estimate.rms_px));
+  set("n-uncertainty", px(estimate && estimate.uncertainty_px.median));
+  say("session-reason", session.reason);
+  $("session-reason").classList.toggle("error", session.state === "failed");
+  const counts = Object.entries(session.rejected).filter(([, count]) => count);
+  $("rejected").replaceChildren(...counts.map(([kind, count]) => element("li", {}, `${REASONS[kind] || kind} ${count}`)));
+  showGoal(estimate);
+  show("stop", running);
+  show("abort", running);
+  $("stop").disabled = session.state === "solving";
+  $("abort").disabled = session.state === "solving";
+  showClock();
+}
+
+function showGoal(estimate) {
+  const goal = session.finish && session.finish.uncertainty_px;
+  show("goal-bar", Boolean(goal));
+  if (!goal) return;
+  const now = estimate && estimate.uncertainty_px.median;
+  // From 10 px to the goal, in equal steps of the ratio.
+  const part = now ? 1 - Math.log(Math.max(now / goal, 1)) / Math.log(Math.max(10 / goal, 2)) : 0;
+  $("progress").value = Math.min(1, Math.max(0, part));
+  const least = session.finish.min_views ? `, at least ${session.finish.min_views} views` : "";
+  $("goal-text").textContent = `goal: uncertainty below ${goal} px${least}`;
+}
+
+function showClock() {
+  if (!session) return;
+  const end = session.finished_at ? new Date(session.finished_at) : new Date();
+  const seconds = Math.max(0, Math.round((end - new Date(session.started_at)) / 1000));
+  $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} · ${session.target.cols}×${session.target.rows}, ${+(session.target.square_m * 1000).toFixed(3)} mm`;
+}
+
+async function showViews() {
+  const id = session.id;
+  const found = (await ask(at`/v1/sessions/${id}/views`)).views;
+  if (!session || session.id !== id) return;
+  views = found;
+  show("kept", views.length > 0);
+  const list = $("views");
+  if (viewsOf !== id) { list.replaceChildren(); viewsOf = id; }
+  views.forEach((view, i) => {
+    const item = list.children[i] || list.appendChild(viewItem(view, i));
+    const button = item.firstChild;
+    const said = view.used === false ? "not used" : view.rms_px == null ? "" : px(view.rms_px);
+    button.className = view.used === false ? "unused" : "";
+    button.lastChild.lastChild.textContent = said;
+    button.setAttribute("aria-label", `view ${view.n + 1}, ${view.name}${said && `, ${said}`}`);
+  });
+}
+
+function viewItem(view, i) {
+  const picture = element("img", { src: view.picture, alt: "", loading: "lazy" });
+  const words = element("span", {}, element("b", {}, String(view.n + 1)), element("i", {}));
+  return element("li", {}, element("button", { type: "button", onclick: () => showLarge(i) }, picture, words));
+}
+
+function showLarge(i) {
+  const view = views[i];
+  const [picture, words] = $("large").children;
+  picture.src = view.picture;
+  picture.alt = `view ${view.n + 1}`;
+  const fit = view.rms_px == null ? "" : `, rms ${px(view.rms_px)}`;
+  words.textContent = `View ${view.n + 1}: ${view.name}, ${view.corners} corners${fit}${view.reason ? `. Not used: ${view.reason}` : ""}`;
+  $("large").showModal();
+}
+
+// ---- the result
+
+async function showResult(id) {
+  try {
+    result = await ask(at`/v1/calibrations/${id}`);
+  } catch (error) {
+    say("session-error", error.message);
+    return;
+  }
+  const sensor = result.sensors.color || result.sensors.infrared;
+  const { grade, reasons } = result.verdict;
+  say("verdict", VERDICTS[grade], "");
+  $("verdict").dataset.grade = grade;
+  $("verdict").style.color = `var(--${grade})`;
+  say("result-what", `${when(result.created_at)} · ${sensor.image_size.join(" × ")} · ${sensor.views.filter((view) => view.used).length} of ${sensor.views.length} views`);
+  $("reasons").replaceChildren(...reasons.map((reason) => element("li", {}, reason)));
+  const numbers = [
+    ["rms", px(sensor.rms_px)], ["uncertainty", px(sensor.uncertainty_px.median)], ["worst", px(sensor.uncertainty_px.worst)],
+    ["held out", px(result.checks.held_out_rms_px)], ["coverage", `${Math.round(result.checks.coverage * 100)} %`],
+    ["lens", sensor.lens.model],
+  ];
+  $("result-numbers").replaceChildren(...numbers.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value))));
+  $("heat").src = at`/v1/calibrations/${id}/uncertainty.png`;
+  const rows = Object.entries(sensor.lens).filter(([name]) => name !== "model").map(([name, value]) =>
+    element("tr", {}, element("td", {}, name), element("td", {}, value.toFixed(6)), element("td", {}, sensor.lens_std[name] ? sensor.lens_std[name].toPrecision(2) : "fixed")));
+  $("lens-table").tBodies[0].replaceChildren(...rows);
+  $("downloads").replaceChildren(...FORMATS.map((format) =>
+    element("a", { href: at`/v1/calibrations/${id}?format=${format}`, download: format === "json" ? `${result.camera}.json` : "" }, format)));
+  say("result-error", "");
+  show("result", true);
+  showApproval();
+}
+
+function showApproval() {
+  const current = Boolean(result && camera.calibration === result.id);
+  show("current", current);
+  show("approve", Boolean(result) && !current);
+}
+
+async function showHistory() {
+  const { calibrations } = await ask(at`/v1/cameras/${camera.name}/calibrations`);
+  show("past", calibrations.length > 0);
+  $("history").tBodies[0].replaceChildren(...calibrations.map((one) => {
+    const sensor = one.sensors.color || one.sensors.infrared;
+    const grade = element("span", { className: `pill ${one.verdict.grade}` }, one.verdict.grade);
+    const current = one.id === camera.calibration ? element("span", { className: "pill good" }, "current") : "";
+    const open = element("button", { className: "small", type: "button", onclick: () => openResult(one) }, "show");
+    return element("tr", {}, element("td", {}, when(one.created_at)), element("td", {}, grade, " ", current),
+      element("td", {}, sensor ? sensor.lens.model : "–"), element("td", {}, px(sensor && sensor.rms_px)),
+      element("td", {}, px(sensor && sensor.uncertainty_px.median)), element("td", {}, open));
+  }));
+}
+
+async function openResult(calibration) {
+  if (session && (session.state === "collecting" || session.state === "solving")) {
+    location.assign(at`/v1/calibrations/${calibration.id}`);
+    return;
+  }
+  if (calibration.session) await setSession(await ask(at`/v1/sessions/${calibration.session}`));
+  await showResult(calibration.id);
+  $("panel").focus();
+}
+
+// ---- what the person does
+
+async function press(button, errorPlace, act) {
+  button.disabled = true;
+  say(errorPlace, "");
+  try {
+    await act();
+  } catch (error) {
+    say(errorPlace, error.message);
+  } finally {
+    button.disabled = false;
+  }
+}
+
+$("start-form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const form = { cols: $("cols").value, rows: $("rows").value, square: $("square").value, lens: $("lens").value, finish: $("finish").checked, goal: $("goal").value };
+  localStorage.setItem("plumb", JSON.stringify(form));
+  const target = { kind: "chessboard", cols: +form.cols, rows: +form.rows, square_m: +form.square / 1000 };
+  const body = { target, lens: form.lens };
+  if (form.finish) body.finish = { uncertainty_px: +form.goal, min_views: 10 };
+  press($("start"), "start-error", async () => {
+    const started = await ask(at`/v1/cameras/${camera.name}/sessions`, {
+      method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
+    });
+    await setSession(started);
+    $("stop").focus();
+  });
+});
+
+$("stop").addEventListener("click", () => press($("stop"), "session-error", async () => {
+  await setSession(await ask(at`/v1/sessions/${session.id}/stop?wait=false`, { method: "POST" }));
+}));
+$("abort").addEventListener("click", () => press($("abort"), "session-error", async () => {
+  await setSession(await ask(at`/v1/sessions/${session.id}`, { method: "DELETE" }));
+}));
+$("approve").addEventListener("click", () => press($("approve"), "result-error", async () => {
+  await ask(at`/v1/calibrations/${result.id}/approve`, { method: "POST" });
+  await refreshCamera();
+  await showHistory();
+}));
+$("again").addEventListener("click", () => {
+  show("result", false);
+  show("start-form", true);
+  $("cols").focus();
+});
+for (const id of ["show-corners", "show-coverage"]) {
+  $(id).addEventListener("change", () => { showCoverage(); showCorners(null); });
+}
+window.addEventListener("hashchange", () => { session = null; result = null; begin(); });
+setInterval(() => { if (session && session.state === "collecting") showClock(); }, 1000);
+setInterval(() => { if (camera && !document.hidden) refreshCamera().catch(() => {}); }, 5000);
+
+try {
+  const form = JSON.parse(localStorage.getItem("plumb")) || {};
+  for (const id of ["cols", "rows", "square", "lens", "goal"]) if (form[id]) $(id).value = form[id];
+  $("finish").checked = Boolean(form.finish);
+} catch { /* nothing kept */ }
+begin();
