@@ -1,8 +1,7 @@
 //! A small window laid over the image along two edges: is this where four chessboard squares meet, and where exactly?
 //!
 //! The window is a parallelogram whose sides follow the board's edges, so a slanted board looks square in it. Six by six
-//! samples are compared with the pattern sign(a·b), and a bilinear saddle c₀ + c₁a + c₂b + c₄ab is fitted to them by
-//! least squares; its saddle point (−c₂/c₄, −c₁/c₄) is the corner.
+//! samples are compared with the pattern sign(a·b); where the pattern changes sign along each side is the corner.
 
 use nalgebra::Vector2;
 
@@ -25,7 +24,7 @@ pub(super) struct Window {
 /// What a window shows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Cross {
-    /// The saddle point, in pixels.
+    /// Where the edges cross, in pixels.
     pub center: Vec2,
     /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either polarity.
     pub score: f32,
@@ -34,8 +33,6 @@ pub(super) struct Cross {
 }
 
 const OFFSETS: [f32; 6] = [-1.0, -0.6, -0.2, 0.2, 0.6, 1.0];
-const SUM_A2: f32 = 6.0 * 2.8;
-const SUM_A2B2: f32 = 2.8 * 2.8;
 
 impl Window {
     /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
@@ -64,38 +61,28 @@ impl Window {
     pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
         let inside = self.inside(image, 1.0)?;
         let (bytes, stride) = (image.bytes(), image.stride());
-        let (mut sum, mut squares, mut sum_a, mut sum_b, mut sum_ab, mut matched) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
-        for &j in &OFFSETS {
-            let row = inside.center + inside.b * j;
-            let (mut line, mut line_a, mut line_sign) = (0.0f32, 0.0f32, 0.0f32);
-            for &i in &OFFSETS {
-                let value = bilinear(bytes, stride, row.x + inside.a.x * i, row.y + inside.a.y * i);
-                line += value;
-                line_a += i * value;
-                line_sign += if i > 0.0 { value } else { -value };
+        let (mut sum, mut squares) = (0.0, 0.0);
+        let (mut rows, mut columns) = ([0.0f32; 6], [0.0f32; 6]);
+        for (row, &b) in rows.iter_mut().zip(&OFFSETS) {
+            let middle = inside.center + inside.b * b;
+            for (column, &a) in columns.iter_mut().zip(&OFFSETS) {
+                let value = bilinear(bytes, stride, middle.x + inside.a.x * a, middle.y + inside.a.y * a);
+                sum += value;
                 squares += value * value;
+                *row += value.copysign(a);
+                *column += value.copysign(b);
             }
-            sum += line;
-            sum_a += line_a;
-            sum_b += j * line;
-            sum_ab += j * line_a;
-            matched += if j > 0.0 { line_sign } else { -line_sign };
         }
         let spread = (squares - sum * sum / 36.0).max(0.0);
-        if spread < 18.0 || sum_ab == 0.0 {
+        if spread < 18.0 {
             return None;
         }
-        let c4 = sum_ab / SUM_A2B2;
-        let shift_a = (-(sum_b / SUM_A2) / c4).clamp(-1.0, 1.0);
-        let shift_b = (-(sum_a / SUM_A2) / c4).clamp(-1.0, 1.0);
-        Some(Cross {
-            center: self.center + self.a * shift_a + self.b * shift_b,
-            score: matched.abs() / (36.0 * spread).sqrt(),
-            contrast: matched / 18.0,
-        })
+        let matched = rows[3] + rows[4] + rows[5] - rows[0] - rows[1] - rows[2];
+        let center = self.center + self.a * edge_offset(&columns) + self.b * edge_offset(&rows);
+        Some(Cross { center, score: matched.abs() / (36.0 * spread).sqrt(), contrast: matched / 18.0 })
     }
 
-    /// Looks, moves to the saddle point, and looks again, `times` in all.
+    /// Looks, moves to where the edges cross, and looks again, `times` in all.
     pub(super) fn settle(mut self, image: GrayView<'_>, times: usize) -> Option<Cross> {
         let mut cross = self.look(image)?;
         for _ in 1..times {
@@ -122,6 +109,30 @@ impl Window {
             0.0
         })
     }
+}
+
+/// How far along the window the edge across it lies, from the contrast across the other edge at each of [`OFFSETS`].
+///
+/// The contrast k(t) changes sign at the edge. Its even part tells the edge's offset δ, but light that changes over the
+/// window adds a constant g to it: even(t) = g − k′(t)·δ, solved by least squares. Where blur fills the window, k′ is
+/// constant too and the two cannot be told apart; then g is taken as small.
+fn edge_offset(k: &[f32; 6]) -> f32 {
+    const SMALL: f32 = 0.3;
+    let even = [3, 4, 5].map(|n: usize| 0.5 * (k[n] + k[5 - n]));
+    let odd = [3, 4, 5].map(|n: usize| 0.5 * (k[n] - k[5 - n]));
+    let slope = [(odd[1] + odd[0]) / 0.8, (odd[2] - odd[0]) / 0.8, (odd[2] - odd[1]) / 0.4];
+    let (mut s1, mut s2, mut e1, mut se) = (0.0, 0.0, 0.0, 0.0);
+    for (s, e) in slope.into_iter().zip(even) {
+        s1 += s;
+        s2 += s * s;
+        e1 += e;
+        se += s * e;
+    }
+    let determinant = (3.0 + SMALL) * s2 - s1 * s1;
+    if determinant <= 0.0 {
+        return 0.0;
+    }
+    ((s1 * e1 - (3.0 + SMALL) * se) / determinant).clamp(-1.0, 1.0)
 }
 
 /// Brightness between pixels; (`x`, `y`) must lie in 0 … size − 1.

@@ -5,7 +5,7 @@ use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::ends::seen_ends;
 use super::grid::{Bounds, Grid, Node};
-use super::growth::{Growth, settle};
+use super::growth::{Growth, WIDE, settle};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
@@ -18,7 +18,11 @@ use crate::imaging::gray::GrayView;
 
 /// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`] lines each way.
 const LEAST_PART: usize = 12;
-const LEAST_LINE: i32 = 3;
+const LEAST_LINE: u32 = 3;
+/// Grids that are judged on one level.
+const MOST_GRIDS: usize = 10;
+/// Longest side of a square that is looked for on any but the coarsest level, in pixels.
+const MOST_STEP: f32 = 36.0;
 /// Range of brightness that is no picture at all, in grey levels.
 const LEAST_RANGE: u8 = 8;
 
@@ -33,7 +37,6 @@ pub struct Detector {
     used: Vec<bool>,
     growth: Growth,
     grid: Grid,
-    trial: Grid,
     part: Grid,
     guesses: Vec<GridCorner>,
     blurs: Vec<f64>,
@@ -55,6 +58,7 @@ struct Seen {
     largest: usize,
     size: (u32, u32),
     other: Option<(u32, u32)>,
+    too_large: bool,
 }
 
 impl Detector {
@@ -69,7 +73,6 @@ impl Detector {
             used: Vec::new(),
             growth: Growth::default(),
             grid: Grid::default(),
-            trial: Grid::default(),
             part: Grid::default(),
             guesses: Vec::new(),
             blurs: Vec::new(),
@@ -96,88 +99,169 @@ impl Detector {
         let coarsest = coarsest_level(image.size(), longer);
         self.pyramid.build(image, coarsest);
         let mut seen = Seen::default();
-        let mut best_part: Option<(usize, Placement)> = None;
+        let mut best: Option<(usize, Placement)> = None;
         for level in (0..=coarsest).rev() {
             let view = self.pyramid.level(image, level);
             self.response.compute(view);
             self.candidates.search(view, &self.response);
-            self.neighbourhood.fill(&self.candidates.found, view.width(), view.height());
-            self.used.clear();
-            self.used.resize(self.candidates.found.len(), false);
             seen.candidates = seen.candidates.max(self.candidates.found.len());
-            let reach = (view.width().max(view.height()) >> (coarsest - level)) as f32 / (shorter - 1) as f32;
-            for first in 0..self.candidates.found.len() {
-                if self.used[first] || !self.grow_from(image, level, first, reach) {
-                    continue;
-                }
-                match self.judge(image, level, &mut seen) {
-                    Found::Whole(placement) => {
-                        std::mem::swap(&mut self.grid, &mut self.part);
-                        return self.report(image, placement, options);
-                    }
-                    Found::Part(placement) => {
-                        let count = self.grid.members.len();
-                        if best_part.is_none_or(|(most, _)| count > most) {
-                            best_part = Some((count, placement));
-                            self.part.copy_from(&self.grid);
-                        }
-                    }
-                    Found::Other { cols, rows } => seen.other = seen.other.or(Some((cols, rows))),
-                    Found::Nothing => {}
-                }
+            // Larger squares than these were looked for on the level above.
+            let widest = view.width().max(view.height()) as f32 / (shorter - 1) as f32;
+            let reach = if level == coarsest { widest } else { widest.min(MOST_STEP) };
+            match self.search_level(image, level, reach, &mut best, &mut seen) {
+                Some(placement) => return self.report(image, placement, options),
+                None if seen.too_large || best.is_some_and(|(count, _)| 3 * count > self.board.corner_count()) => break,
+                None => {}
             }
         }
-        match best_part {
+        match best {
             Some((_, placement)) if options.allow_partial => self.report(image, placement, options),
             Some((seen, _)) => Err(NoBoard::Incomplete { seen, board: self.board }),
             None => Err(self.reason(image, coarsest, &seen)),
         }
     }
 
-    /// Grows a grid from candidate `first`; true if it is one worth judging. Its candidates seed no other.
+    /// Grows grids from the candidates of `level`; a whole board is left in `part`, else the best part so far.
+    fn search_level(
+        &mut self,
+        image: GrayView<'_>,
+        level: usize,
+        reach: f32,
+        best: &mut Option<(usize, Placement)>,
+        seen: &mut Seen,
+    ) -> Option<Placement> {
+        let view = self.pyramid.level(image, level);
+        self.neighbourhood.fill(&self.candidates.found, view.width(), view.height());
+        self.used.clear();
+        self.used.resize(self.candidates.found.len(), false);
+        if best.is_some() {
+            self.spend(level, true);
+        }
+        let mut grids = 0;
+        for first in 0..self.candidates.found.len() {
+            if grids == MOST_GRIDS || seen.too_large {
+                break;
+            }
+            if self.used[first] || !self.grow_from(image, level, first, reach) {
+                continue;
+            }
+            grids += 1;
+            self.spend(level, false);
+            match self.judge(image, level, seen) {
+                Found::Whole(placement) => {
+                    std::mem::swap(&mut self.grid, &mut self.part);
+                    return Some(placement);
+                }
+                Found::Part(placement) => {
+                    let count = self.grid.members.len();
+                    if best.is_none_or(|(most, _)| count > most) {
+                        *best = Some((count, placement));
+                        std::mem::swap(&mut self.grid, &mut self.part);
+                    }
+                }
+                Found::Other { cols, rows } => seen.other = seen.other.or(Some((cols, rows))),
+                Found::Nothing => {}
+            }
+        }
+        None
+    }
+
+    /// Grows a grid from candidate `first`; true if it is one worth judging.
     fn grow_from(&mut self, image: GrayView<'_>, level: usize, first: usize, reach: f32) -> bool {
         let view = self.pyramid.level(image, level);
         let candidates = &self.candidates.found;
         let Some(seed) = self.neighbourhood.seed(candidates, first, reach) else { return false };
         let radius = self.board.cols.max(self.board.rows) as i32 + 2;
-        self.growth.start(view, candidates, &seed, radius, &mut self.trial);
-        if self.trial.members.len() < 6 {
-            return false;
+        self.growth.start(view, candidates, &seed, radius, &mut self.grid);
+        self.grid.members.len() >= 6
+    }
+
+    /// The candidates of `level` that are corners of the grid, or of the best part (kept at level 0), seed no other.
+    fn spend(&mut self, level: usize, of_part: bool) {
+        let (grid, scale) = if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
+        let offset = Vec2::repeat(0.5);
+        for (used, candidate) in self.used.iter_mut().zip(&self.candidates.found) {
+            let p = (candidate.pixel + offset) * scale - offset;
+            *used = *used || near(grid, p, 6.0 * scale * scale);
         }
-        for (used, candidate) in self.used.iter_mut().zip(candidates) {
-            *used = *used || near(&self.trial, candidate.pixel);
-        }
-        std::mem::swap(&mut self.grid, &mut self.trial);
-        true
     }
 
     /// Judges the grid found on `level`, and follows it to the image itself.
     fn judge(&mut self, image: GrayView<'_>, level: usize, seen: &mut Seen) -> Found {
+        if let Some(bounds) = self.grid.bounds()
+            && self.exceeds_board(bounds)
+        {
+            seen.too_large = true;
+            return Found::Other { cols: larger(bounds), rows: smaller(bounds) };
+        }
         for finer in (0..level).rev() {
             self.grid.descend();
             let view = self.pyramid.level(image, finer);
             resettle(view, &mut self.grid);
-            self.grid.forget_attempts();
-            self.growth.grow(view, &mut self.grid);
+            if !self.is_whole() {
+                self.grid.forget_attempts();
+                self.growth.grow(view, &mut self.grid);
+            }
         }
+        self.bridge(image);
         if !verify(image, &mut self.grid) {
             return Found::Nothing;
         }
         let Some(bounds) = self.grid.bounds() else { return Found::Nothing };
         let count = self.grid.members.len();
-        let (width, height) = (bounds.width(), bounds.height());
         if count > seen.largest {
             seen.largest = count;
-            seen.size = (width.max(height) as u32, width.min(height) as u32);
+            seen.size = (larger(bounds), smaller(bounds));
         }
         let ends = seen_ends(image, &self.grid, bounds);
-        let whole = count == self.board.corner_count() && whole_shape(bounds, self.board);
         match place(&self.grid, bounds, ends, self.board) {
-            Some(placement) if whole => Found::Whole(placement),
-            Some(placement) if count >= LEAST_PART && width.min(height) >= LEAST_LINE => Found::Part(placement),
+            Some(placement) if self.is_whole() => Found::Whole(placement),
+            Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => Found::Part(placement),
             Some(_) => Found::Nothing,
-            None => Found::Other { cols: width.max(height) as u32, rows: width.min(height) as u32 },
+            None => Found::Other { cols: larger(bounds), rows: smaller(bounds) },
         }
+    }
+
+    /// Looks for the rest of a board of which a good part is found, across what covers it.
+    fn bridge(&mut self, image: GrayView<'_>) {
+        for _ in 0..3 {
+            let Some(bounds) = self.grid.bounds() else { return };
+            let count = self.grid.members.len();
+            if count < LEAST_PART || self.is_whole() || self.exceeds_board(bounds) {
+                return;
+            }
+            let (longer, shorter) =
+                (self.board.cols.max(self.board.rows) as i32, self.board.cols.min(self.board.rows) as i32);
+            let lying = bounds.width() >= bounds.height();
+            let room = |length: i32, has: i32| (length - has).clamp(0, 3);
+            let (room_i, room_j) = if bounds.width() > shorter || (lying && bounds.height() <= shorter) {
+                (room(longer, bounds.width()), room(shorter, bounds.height()))
+            } else {
+                (room(shorter, bounds.width()), room(longer, bounds.height()))
+            };
+            let wider =
+                Bounds { i: (bounds.i.0 - room_i, bounds.i.1 + room_i), j: (bounds.j.0 - room_j, bounds.j.1 + room_j) };
+            self.growth.bridge(image, &mut self.grid, wider);
+            if self.grid.members.len() == count {
+                return;
+            }
+        }
+    }
+
+    /// Fewer corners are not believed to be part of the board.
+    fn least_part(&self) -> usize {
+        LEAST_PART.max((self.board.corner_count() * 3 / 10).min(2 * LEAST_PART))
+    }
+
+    fn is_whole(&self) -> bool {
+        self.grid.members.len() == self.board.corner_count()
+            && self.grid.bounds().is_some_and(|bounds| whole_shape(bounds, self.board))
+    }
+
+    /// Whether no board of the size looked for can have so many corners, even if a line on each side is none of its own.
+    fn exceeds_board(&self, bounds: Bounds) -> bool {
+        let (cols, rows) = (self.board.cols, self.board.rows);
+        larger(bounds) > cols.max(rows) + 2 || smaller(bounds) > cols.min(rows) + 2
     }
 
     /// The corners of `part`, exactly, in the board's order.
@@ -210,7 +294,7 @@ impl Detector {
             }
         }
         let partial = corners.len() < self.board.corner_count();
-        if partial && (!options.allow_partial || corners.len() < LEAST_PART) {
+        if partial && (!options.allow_partial || corners.len() < self.least_part()) {
             return Err(NoBoard::Incomplete { seen: corners.len(), board: self.board });
         }
         self.blurs.sort_unstable_by(f64::total_cmp);
@@ -252,9 +336,17 @@ fn whole_shape(bounds: Bounds, board: BoardSize) -> bool {
     shape == (cols, rows) || shape == (rows, cols)
 }
 
-/// Whether `p` is one of the corners of `grid`.
-fn near(grid: &Grid, p: Vec2) -> bool {
-    grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < 6.0))
+fn larger(bounds: Bounds) -> u32 {
+    bounds.width().max(bounds.height()) as u32
+}
+
+fn smaller(bounds: Bounds) -> u32 {
+    bounds.width().min(bounds.height()) as u32
+}
+
+/// Whether `p` is one of the corners of `grid`, up to the square of a distance.
+fn near(grid: &Grid, p: Vec2, most: f32) -> bool {
+    grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < most))
 }
 
 /// Lets each corner settle where `image`, a finer level, shows it.
@@ -262,7 +354,7 @@ fn resettle(image: GrayView<'_>, grid: &mut Grid) {
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
         let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) else { continue };
-        if let Some(settled) = settle(image, node.pixel, steps)
+        if let Some(settled) = settle(image, node.pixel, steps, WIDE)
             && settled.contrast * grid.polarity(i, j) > 0.3 * node.contrast.abs()
             && (settled.pixel - node.pixel).norm() < 3.0
         {

@@ -15,8 +15,9 @@ const BEYOND: f32 = 1.3;
 /// Two squares alternate if they differ by this share of the contrast; they are alike below [`ALIKE`].
 const ALTERNATE: f32 = 0.5;
 const ALIKE: f32 = 0.3;
-/// Pairs of neighbouring squares that must show the end.
-const LEAST_PAIRS: u32 = 2;
+/// Pairs of neighbouring squares beyond which it is all one: one with the colour of one of them, as a board's margin has,
+/// counts 2, another 1.
+const LEAST_WEIGHT: u32 = 2;
 
 /// Which sides of `grid` are seen to be ends of the board.
 pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> Ends {
@@ -34,46 +35,73 @@ fn side(
     at: impl Fn(i32) -> (i32, i32),
     axis: (i32, i32),
 ) -> bool {
+    let outward = (axis.0 * outward, axis.1 * outward);
     let mut previous: Option<Outside> = None;
     let (mut ended, mut continued) = (0, 0);
-    for along in least..most {
-        let outside = outside_of(image, grid, at(along), at(along + 1), (axis.0 * outward, axis.1 * outward));
+    // The squares at the corners of the board count too, hence one more on each side.
+    for along in least - 1..=most {
+        let outside = Outside::look(image, grid, at(along), at(along + 1), outward);
         if let (Some(p), Some(q)) = (previous, outside) {
-            // Signs alternate from square to square, so the difference of neighbours times the sign is the contrast.
-            let contrast = 0.5 * (p.contrast + q.contrast);
-            let within = (p.within - q.within) * p.sign;
-            let beyond = (p.beyond - q.beyond) * p.sign;
-            if within > ALTERNATE * contrast {
-                ended += u32::from(beyond.abs() < ALIKE * contrast);
-                continued += u32::from(beyond < -ALTERNATE * contrast);
-            }
+            let (weight, goes_on) = p.compare(&q);
+            ended += weight;
+            continued += u32::from(goes_on);
         }
         previous = outside;
     }
-    ended >= LEAST_PAIRS && ended > 3 * continued
+    ended >= LEAST_WEIGHT && ended > 3 * continued
 }
 
 /// One square outside the line of corners, and what lies beyond it.
 #[derive(Debug, Clone, Copy)]
 struct Outside {
     within: f32,
-    beyond: f32,
+    /// `None` where that is outside the image.
+    beyond: Option<f32>,
     /// 1 if the square must be bright, −1 if dark.
     sign: f32,
     contrast: f32,
 }
 
-fn outside_of(image: GrayView<'_>, grid: &Grid, p: (i32, i32), q: (i32, i32), outward: (i32, i32)) -> Option<Outside> {
-    let (a, b) = (grid.get(p.0, p.1)?, grid.get(q.0, q.1)?);
-    let out = |at: (i32, i32), from: Vec2| Some(grid.predict(at.0 + outward.0, at.1 + outward.1)? - from);
-    let middle = (a.pixel + b.pixel) * 0.5;
-    let step = (out(p, a.pixel)? + out(q, b.pixel)?) * 0.5;
-    // The square beyond the line, by its least corner.
-    let square = (p.0.min(p.0 + outward.0), p.1.min(p.1 + outward.1));
-    Some(Outside {
-        within: sample(image, middle + step * WITHIN)?,
-        beyond: sample(image, middle + step * BEYOND)?,
-        sign: grid.polarity(square.0, square.1),
-        contrast: 0.5 * (a.contrast.abs() + b.contrast.abs()),
-    })
+impl Outside {
+    /// Looks at the square outward of the corners `p` and `q`, of which at least one must be known.
+    fn look(image: GrayView<'_>, grid: &Grid, p: (i32, i32), q: (i32, i32), outward: (i32, i32)) -> Option<Self> {
+        let known = grid.get(p.0, p.1).or_else(|| grid.get(q.0, q.1))?;
+        let place = |at: (i32, i32)| grid.pixel(at.0, at.1).or_else(|| grid.predict(at.0, at.1));
+        let (a, b) = (place(p)?, place(q)?);
+        let out = |at: (i32, i32), from: Vec2| Some(grid.predict(at.0 + outward.0, at.1 + outward.1)? - from);
+        let step = match (out(p, a), out(q, b)) {
+            (Some(first), Some(second)) => (first + second) * 0.5,
+            (first, second) => first.or(second)?,
+        };
+        let middle = (a + b) * 0.5;
+        // The square beyond the line, by its least corner.
+        let square = (p.0.min(p.0 + outward.0), p.1.min(p.1 + outward.1));
+        Some(Self {
+            within: sample(image, middle + step * WITHIN)?,
+            beyond: sample(image, middle + step * BEYOND),
+            sign: grid.polarity(square.0, square.1),
+            contrast: known.contrast.abs(),
+        })
+    }
+
+    /// How much this square and the next show that the board ends, and whether they show that it goes on.
+    fn compare(&self, next: &Self) -> (u32, bool) {
+        // Signs alternate from square to square, so the difference of neighbours times the sign is the contrast.
+        let contrast = 0.5 * (self.contrast + next.contrast);
+        if (self.within - next.within) * self.sign <= ALTERNATE * contrast {
+            return (0, false);
+        }
+        let same = |square: &Self, value: f32| (value - square.within).abs() < ALIKE * contrast;
+        match (self.beyond, next.beyond) {
+            (Some(p), Some(q)) => {
+                let as_margin = same(self, p) || same(next, q);
+                let alike = (p - q).abs() < ALIKE * contrast;
+                let goes_on = (q - p) * self.sign > ALTERNATE * contrast;
+                (if !alike { 0 } else { 1 + u32::from(as_margin) }, goes_on)
+            }
+            (Some(p), None) => (u32::from(same(self, p)), false),
+            (None, Some(q)) => (u32::from(same(next, q)), false),
+            (None, None) => (0, false),
+        }
+    }
 }

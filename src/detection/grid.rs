@@ -17,6 +17,8 @@ pub(super) struct Node {
     pub pixel: Vec2,
     /// Bright less dark around it, in grey levels.
     pub contrast: f32,
+    /// The same very near to it: less, the more blur there is.
+    pub near_contrast: f32,
     /// How well it looks like a corner, to 1.
     pub score: f32,
 }
@@ -215,7 +217,7 @@ mod tests {
     use super::*;
 
     fn node(x: f32, y: f32) -> Node {
-        Node { pixel: Vec2::new(x, y), contrast: 100.0, score: 1.0 }
+        Node { pixel: Vec2::new(x, y), contrast: 100.0, near_contrast: 90.0, score: 1.0 }
     }
 
     #[test]

@@ -7,22 +7,55 @@ use std::collections::VecDeque;
 
 use super::candidates::Candidate;
 use super::cross::{Vec2, Window};
-use super::grid::{Grid, Node};
+use super::grid::{Bounds, Grid, Node};
+use super::perspective::Perspective;
 use super::seeds::Seed;
 use crate::imaging::gray::GrayView;
 
-/// Least correlation with a chessboard corner.
-const LEAST_SCORE: f32 = 0.62;
-/// Least contrast, as a share of the neighbours'.
-const LEAST_CONTRAST: f32 = 0.3;
 /// Least alternation of the four squares, as a share of the contrast found.
 const LEAST_ALTERNATION: f32 = 0.3;
 /// How far a corner may lie from where it was predicted, in steps of the grid.
 const MOST_OFF: f32 = 0.3;
-/// Part of the way to the neighbours that a window reaches.
-const REACH: f32 = 0.4;
-/// Most pixels a window reaches.
-const MOST_REACH_PX: f32 = 16.0;
+/// The same where no neighbour is known.
+const MOST_OFF_FAR: f32 = 0.2;
+/// Part of the way to the neighbours that counts as very near.
+const NEAR: f32 = 0.16;
+/// Least contrast very near a corner, as a share of the neighbours'.
+const LEAST_NEAR_CONTRAST: f32 = 0.5;
+/// Least correlation with a chessboard corner very near it.
+const LEAST_NEAR_SCORE: f32 = 0.65;
+/// Least pixels a window reaches.
+const LEAST_REACH_PX: f32 = 2.0;
+
+/// Least correlation of a narrower window for its corner to be believed.
+const LEAST_NARROW_SCORE: f32 = 0.6;
+/// Least contrast of a narrower window, as a share of the widest's: where it is less, blur fills the window.
+const LEAST_NARROW_CONTRAST: f32 = 0.6;
+
+/// A window's size, and what it must show.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct WindowSize {
+    /// Part of the way to the neighbours that it reaches.
+    reach: f32,
+    /// Most pixels it reaches.
+    most_px: f32,
+    /// Least correlation with a chessboard corner.
+    least_score: f32,
+    /// Least contrast, as a share of the neighbours'.
+    least_contrast: f32,
+    /// How far off the expected place the corner may be, in steps.
+    most_off: f32,
+}
+
+/// As large as squares allow.
+pub(super) const WIDE: WindowSize =
+    WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.3 };
+/// Beside something that covers the rest of the squares, and very close beside it.
+const NARROW: WindowSize =
+    WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
+const CLOSE: WindowSize =
+    WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.5, most_off: 0.1 };
+const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
 
 /// Grows grids; its queue is kept from grid to grid.
 #[derive(Debug, Default)]
@@ -43,7 +76,14 @@ impl Growth {
         grid.clear(radius, seed.bright);
         for (&candidate, (i, j)) in seed.corners.iter().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
             let Candidate { pixel, contrast, .. } = candidates[candidate];
-            grid.set(i, j, Node { pixel, contrast, score: 0.5 });
+            grid.set(i, j, Node { pixel, contrast, near_contrast: 0.0, score: 0.5 });
+        }
+        for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let settled =
+                grid.get(i, j).zip(grid.steps(i, j)).and_then(|(n, steps)| settle(image, n.pixel, steps, WIDE));
+            if let Some(node) = settled {
+                grid.set(i, j, node);
+            }
         }
         self.grow(image, grid);
     }
@@ -59,9 +99,27 @@ impl Growth {
             if !grid.attempt(i, j) {
                 continue;
             }
-            if let Some(node) = look(image, grid, i, j) {
+            if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image)) {
                 grid.set(i, j, node);
                 self.push_around(i, j);
+            }
+        }
+    }
+
+    /// Looks, within `bounds`, at the places that growing did not reach, and grows on from what is found there.
+    pub(super) fn bridge(&mut self, image: GrayView<'_>, grid: &mut Grid, bounds: Bounds) {
+        let Some(mut perspective) = Perspective::fit(grid) else { return };
+        for j in bounds.j.0..=bounds.j.1 {
+            for i in bounds.i.0..=bounds.i.1 {
+                if grid.get(i, j).is_some() {
+                    continue;
+                }
+                let Some(place) = Place::by_perspective(&perspective, grid, i, j) else { continue };
+                let Some(node) = place.look(image) else { continue };
+                grid.set(i, j, node);
+                self.grow(image, grid);
+                let Some(fitted) = Perspective::fit(grid) else { return };
+                perspective = fitted;
             }
         }
     }
@@ -71,49 +129,104 @@ impl Growth {
     }
 }
 
-/// Looks where the grid says the corner (i, j) must be.
-fn look(image: GrayView<'_>, grid: &Grid, i: i32, j: i32) -> Option<Node> {
-    let expected = grid.predict(i, j)?;
-    let steps = grid.steps(i, j)?;
-    let node = settle(image, expected, steps)?;
-    let polarity = grid.polarity(i, j);
-    let near = contrast_near(grid, i, j);
-    let off = in_steps(node.pixel - expected, steps)?;
-    let fits = node.score >= LEAST_SCORE
-        && node.contrast * polarity >= LEAST_CONTRAST * near
-        && off.x.abs() <= MOST_OFF
-        && off.y.abs() <= MOST_OFF;
-    (fits && alternates(image, &node, steps, polarity)).then_some(node)
+/// Where a corner must be, and how it must look.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    expected: Vec2,
+    steps: [Vec2; 2],
+    polarity: f32,
+    contrast: [f32; 2],
+    /// How far off it may be, in steps.
+    most_off: f32,
+}
+
+impl Place {
+    fn by_neighbours(grid: &Grid, i: i32, j: i32) -> Option<Self> {
+        Some(Self {
+            expected: grid.predict(i, j)?,
+            steps: grid.steps(i, j)?,
+            polarity: grid.polarity(i, j),
+            contrast: contrast_near(grid, i, j, 1),
+            most_off: MOST_OFF,
+        })
+    }
+
+    fn by_perspective(perspective: &Perspective, grid: &Grid, i: i32, j: i32) -> Option<Self> {
+        Some(Self {
+            expected: perspective.predict(grid, i, j)?,
+            steps: perspective.steps(i, j)?,
+            polarity: grid.polarity(i, j),
+            contrast: contrast_near(grid, i, j, 3),
+            most_off: MOST_OFF_FAR,
+        })
+    }
+
+    fn look(&self, image: GrayView<'_>) -> Option<Node> {
+        WINDOWS.into_iter().find_map(|size| {
+            let node = settle(image, self.expected, self.steps, size)?;
+            let off = in_steps(node.pixel - self.expected, self.steps)?;
+            let most = self.most_off.min(size.most_off);
+            let fits = node.score >= size.least_score
+                && node.contrast * self.polarity >= size.least_contrast * self.contrast[0]
+                && node.near_contrast * self.polarity >= LEAST_NEAR_CONTRAST * self.contrast[1]
+                && off.x.abs() <= most
+                && off.y.abs() <= most;
+            let alternates = |reach, contrast| alternates(image, &node, self, reach, contrast);
+            (fits && alternates(size.reach, node.contrast) && alternates(NEAR, node.near_contrast)).then_some(node)
+        })
+    }
 }
 
 /// The corner at `expected`, wherever exactly it settles, in the image.
-pub(super) fn settle(image: GrayView<'_>, expected: Vec2, [u, v]: [Vec2; 2]) -> Option<Node> {
-    let window = |center| Window::on_board(center, u, v, REACH, MOST_REACH_PX).inside(image, 0.25);
-    let first = window(expected)?.look(image)?;
-    let second = window(first.center)?.look(image)?;
-    let last = window(second.center)?.look(image)?;
-    Some(Node { pixel: last.center, contrast: last.contrast, score: last.score })
+pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size: WindowSize) -> Option<Node> {
+    let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
+    let first = window(expected, size.reach)?.look(image)?;
+    let second = window(first.center, size.reach)?.look(image)?;
+    // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
+    let mut center = second.center;
+    for part in [0.6, 0.35, 0.2] {
+        match window(center, part * size.reach).and_then(|window| window.look(image)) {
+            Some(cross)
+                if cross.score > LEAST_NARROW_SCORE && cross.contrast / second.contrast > LEAST_NARROW_CONTRAST =>
+            {
+                center = cross.center;
+            }
+            _ => break,
+        }
+    }
+    let near = window(center, NEAR)?.look(image)?;
+    if near.score < LEAST_NEAR_SCORE {
+        return None;
+    }
+    let near_contrast = near.contrast;
+    Some(Node { pixel: center, contrast: second.contrast, near_contrast, score: second.score })
 }
 
-fn alternates(image: GrayView<'_>, node: &Node, [u, v]: [Vec2; 2], polarity: f32) -> bool {
-    let window = Window::on_board(node.pixel, u, v, 0.33, f32::MAX).inside(image, 0.1);
+fn window(center: Vec2, [u, v]: [Vec2; 2], reach: f32, most_px: f32) -> Window {
+    let shortest = u.norm().min(v.norm()).max(1e-3);
+    Window::on_board(center, u, v, reach.max(LEAST_REACH_PX / shortest), most_px)
+}
+
+fn alternates(image: GrayView<'_>, node: &Node, place: &Place, reach: f32, contrast: f32) -> bool {
+    let window = window(node.pixel, place.steps, 0.8 * reach, f32::MAX).inside(image, 0.1);
     window
         .and_then(|window| window.alternation(image))
-        .is_some_and(|depth| depth * polarity >= LEAST_ALTERNATION * node.contrast.abs())
+        .is_some_and(|depth| depth * place.polarity >= LEAST_ALTERNATION * contrast.abs())
 }
 
-/// Mean contrast of the known corners about (i, j).
-fn contrast_near(grid: &Grid, i: i32, j: i32) -> f32 {
-    let (mut sum, mut count) = (0.0, 0.0);
-    for dj in -1..=1 {
-        for di in -1..=1 {
+/// Mean contrast of the known corners up to `reach` lines from (i, j), and the same very near to them.
+fn contrast_near(grid: &Grid, i: i32, j: i32, reach: i32) -> [f32; 2] {
+    let (mut wide, mut near, mut count) = (0.0, 0.0, 0.0);
+    for dj in -reach..=reach {
+        for di in -reach..=reach {
             if let Some(node) = grid.get(i + di, j + dj) {
-                sum += node.contrast.abs();
+                wide += node.contrast.abs();
+                near += node.near_contrast.abs();
                 count += 1.0;
             }
         }
     }
-    sum / f32::max(count, 1.0)
+    [wide, near].map(|sum| sum / f32::max(count, 1.0))
 }
 
 /// `vector` in units of the steps `u` and `v`.

@@ -11,6 +11,7 @@ mod edges;
 mod ends;
 mod grid;
 mod growth;
+mod perspective;
 mod placement;
 mod pyramid;
 pub mod refine;

@@ -31,6 +31,7 @@ pub(super) struct Neighbourhood {
     down: usize,
     starts: Vec<u32>,
     members: Vec<u32>,
+    known: Vec<Option<[Option<usize>; 4]>>,
 }
 
 impl Neighbourhood {
@@ -47,6 +48,8 @@ impl Neighbourhood {
         for i in 1..self.starts.len() {
             self.starts[i] += self.starts[i - 1];
         }
+        self.known.clear();
+        self.known.resize(candidates.len(), None);
         self.members.clear();
         self.members.resize(candidates.len(), 0);
         for (index, candidate) in candidates.iter().enumerate().rev() {
@@ -66,43 +69,51 @@ impl Neighbourhood {
     }
 
     /// The square that starts at candidate `first`, if its neighbours close one within `reach` pixels a side.
-    pub(super) fn seed(&self, candidates: &[Candidate], first: usize, reach: f32) -> Option<Seed> {
-        let [f, s] = candidates[first].edges;
-        for (along_i, along_j, bright) in [(f, s, true), (s, -f, false), (-f, -s, true), (-s, f, false)] {
-            let Some(a) = self.nearest(candidates, first, along_i, reach) else { continue };
-            let Some(b) = self.nearest(candidates, first, along_j, reach) else { continue };
-            let fourth = self.nearest(candidates, a, edge_along(&candidates[a], along_j), reach);
-            if fourth.is_some() && fourth == self.nearest(candidates, b, edge_along(&candidates[b], along_i), reach) {
-                return fourth.map(|d| Seed { corners: [first, a, b, d], bright });
+    pub(super) fn seed(&mut self, candidates: &[Candidate], first: usize, reach: f32) -> Option<Seed> {
+        let links = self.links(candidates, first, reach);
+        for quarter in 0..4 {
+            let (Some(a), Some(b)) = (links[quarter], links[(quarter + 1) % 4]) else { continue };
+            let along_i = direction(&candidates[first], quarter);
+            let along_j = direction(&candidates[first], (quarter + 1) % 4);
+            let fourth = self.links(candidates, a, reach)[nearest_direction(&candidates[a], along_j)];
+            let again = self.links(candidates, b, reach)[nearest_direction(&candidates[b], along_i)];
+            if fourth.is_some() && fourth == again {
+                return fourth.map(|d| Seed { corners: [first, a, b, d], bright: quarter % 2 == 0 });
             }
         }
         None
     }
 
-    fn nearest(&self, candidates: &[Candidate], from: usize, direction: Vec2, reach: f32) -> Option<usize> {
+    /// The nearest neighbours of `from` along its edges: +first, +second, −first, −second.
+    fn links(&mut self, candidates: &[Candidate], from: usize, reach: f32) -> [Option<usize>; 4] {
+        if let Some(links) = self.known[from] {
+            return links;
+        }
         let origin = &candidates[from];
         let (bx, by) = self.bin_of(origin.pixel);
-        let mut best: Option<(f32, usize)> = None;
+        let mut best = [(reach, None); 4];
         for ring in 0..=(reach / BIN) as usize + 1 {
-            if best.is_some_and(|(distance, _)| distance < (ring as f32 - 1.0) * BIN) {
+            if best.iter().all(|&(distance, _)| distance < (ring as f32 - 1.0) * BIN) {
                 break;
             }
             self.visit_ring(bx, by, ring, |index| {
                 let other = &candidates[index];
                 let step = other.pixel - origin.pixel;
-                let along = step.dot(&direction);
-                let off = (step.x * direction.y - step.y * direction.x).abs();
-                if along < LEAST_STEP || along > reach || off > OFF_EDGE * along || !opposite_colours(origin, other) {
-                    return;
-                }
+                let quarter = nearest_direction(origin, step);
+                let way = direction(origin, quarter);
+                let along = step.dot(&way);
+                let off = (step.x * way.y - step.y * way.x).abs();
                 // A little off the edge is worth a little more way.
                 let distance = along + off;
-                if best.is_none_or(|(least, _)| distance < least) {
-                    best = Some((distance, index));
+                let nearer = along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
+                if nearer && opposite_colours(origin, other) {
+                    best[quarter] = (distance, Some(index));
                 }
             });
         }
-        best.map(|(_, index)| index)
+        let links = best.map(|(_, index)| index);
+        self.known[from] = Some(links);
+        links
     }
 
     fn visit_ring(&self, bx: usize, by: usize, ring: usize, mut visit: impl FnMut(usize)) {
@@ -130,11 +141,17 @@ impl Neighbourhood {
     }
 }
 
-/// The edge of `candidate` that leads most nearly along `direction`.
-fn edge_along(candidate: &Candidate, direction: Vec2) -> Vec2 {
-    let [f, s] = candidate.edges;
-    let (along_f, along_s) = (f.dot(&direction), s.dot(&direction));
-    if along_f.abs() > along_s.abs() { f * along_f.signum() } else { s * along_s.signum() }
+/// One of the four ways along the edges of `candidate`.
+fn direction(candidate: &Candidate, quarter: usize) -> Vec2 {
+    let edge = candidate.edges[quarter % 2];
+    if quarter < 2 { edge } else { -edge }
+}
+
+/// Which of the four ways leads most nearly along `step`.
+fn nearest_direction(candidate: &Candidate, step: Vec2) -> usize {
+    let along = candidate.edges.map(|edge| edge.dot(&step));
+    let edge = usize::from(along[1].abs() > along[0].abs());
+    if along[edge] > 0.0 { edge } else { edge + 2 }
 }
 
 /// Neighbours on a board share their edges' directions, with the bright wedges where the other has the dark ones.

@@ -9,6 +9,8 @@ use crate::imaging::gray::GrayView;
 const LEAST_HELD: f32 = 0.75;
 /// How far a corner may lie from where its neighbours put it, in steps.
 const MOST_OFF: f32 = 0.22;
+/// A grid with more misplaced corners than this is none.
+const MOST_MISPLACED: usize = 12;
 
 /// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe any of it.
 pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
@@ -23,23 +25,26 @@ pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
     total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32
 }
 
-/// Drops corners most of whose edges do not hold, until there is none.
+/// Drops corners most of whose edges do not hold. Each drop takes an edge from others, so it goes round a few times.
 fn drop_loose(image: GrayView<'_>, grid: &mut Grid) {
-    loop {
-        let loose = grid.members.iter().copied().find(|&(i, j)| {
+    for _ in 0..4 {
+        let before = grid.members.len();
+        for index in (0..before).rev() {
+            let (i, j) = grid.members[index];
             let EdgeCount { held, seen } = count_edges(image, grid, i, j);
-            seen > 0 && 2 * held < seen
-        });
-        match loose {
-            Some((i, j)) => grid.remove(i, j),
-            None => return,
+            if seen > 0 && 2 * held < seen {
+                grid.remove(i, j);
+            }
+        }
+        if grid.members.len() == before {
+            return;
         }
     }
 }
 
 /// Drops the corner that lies farthest from its neighbours' prediction, until all lie near.
 fn drop_misplaced(grid: &mut Grid) {
-    loop {
+    for _ in 0..MOST_MISPLACED {
         let off = |&(i, j): &(i32, i32)| {
             let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
             Some((off.x.abs().max(off.y.abs()), (i, j)))
