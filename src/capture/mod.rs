@@ -7,6 +7,7 @@ pub mod device_list;
 mod error;
 pub mod mode;
 mod replay;
+mod simulated;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 
@@ -14,6 +15,7 @@ use std::time::Duration;
 
 pub use error::CaptureError;
 pub use replay::{Pace, Replay, ReplayOptions};
+pub use simulated::Simulated;
 
 use crate::imaging::frame::FrameSet;
 

@@ -20,6 +20,7 @@ pub mod lens_name;
 pub mod output;
 pub mod progress;
 pub mod search;
+pub mod simulate;
 pub mod solve;
 pub mod sources;
 
@@ -46,6 +47,7 @@ enum Command {
     Solve(solve::Args),
     Devices(devices::Args),
     Export(export::Args),
+    Simulate(simulate::Args),
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
@@ -55,6 +57,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
     }
 }
 

@@ -16,4 +16,5 @@ pub mod reading;
 pub mod session;
 pub mod target;
 pub mod time;
+pub mod truth;
 pub mod verdict;

@@ -5,11 +5,17 @@
 //! before its error.
 
 mod folder;
+mod mcap_reader;
+mod mcap_writer;
+mod messages;
 mod natural_order;
+mod records;
 
 use std::path::{Path, PathBuf};
 
 pub use folder::Folder;
+pub use mcap_reader::{McapReader, metadata};
+pub use mcap_writer::McapWriter;
 pub use natural_order::natural_order;
 
 use crate::imaging::frame::FrameSet;
@@ -40,6 +46,47 @@ pub enum RecordingError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// An MCAP file that ends too early.
+    #[error(
+        "{}: the recording was cut off: {frame_sets} whole frames could be read, what follows is lost; copy it again, or go on with these",
+        path.display()
+    )]
+    Cut {
+        /// The file.
+        path: PathBuf,
+        /// How many frame sets were read.
+        frame_sets: usize,
+    },
+    /// An MCAP file whose bytes contradict themselves, or that holds images in a form that Plumb does not read.
+    #[error("{}: cannot be read after {frame_sets} frames ({reason}): copy or record it again", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// How many frame sets were read.
+        frame_sets: usize,
+        /// What was met.
+        reason: String,
+    },
+    /// An MCAP file without images of a camera.
+    #[error(
+        "{}: no frames in this recording: it needs Foxglove images on topics like /front/color, /front/infrared or /front/depth",
+        path.display()
+    )]
+    NoFrames {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An MCAP file of more than one camera.
+    #[error(
+        "{}: holds several cameras ({} and {}): record each into a file of its own",
+        path.display(), cameras[0], cameras[1]
+    )]
+    SeveralCameras {
+        /// The file.
+        path: PathBuf,
+        /// Two of them.
+        cameras: [String; 2],
+    },
     /// A file that is no recording.
     #[error("{}: not a recording: give an .mcap file or a folder of images", path.display())]
     NotARecording {
@@ -53,6 +100,8 @@ pub enum RecordingError {
 pub enum Recording {
     /// Pictures in a folder.
     Folder(Folder),
+    /// An MCAP file.
+    Mcap(Box<McapReader>),
 }
 
 impl Recording {
@@ -67,7 +116,7 @@ impl Recording {
         if path.is_dir() {
             return Ok(Self::Folder(Folder::open(path, fps)?));
         }
-        Err(RecordingError::NotARecording { path: path.to_owned() })
+        Ok(Self::Mcap(Box::new(McapReader::open(path)?)))
     }
 
     /// The next frames taken together; `None` after the last.
@@ -77,6 +126,7 @@ impl Recording {
     pub fn next_frame_set(&mut self) -> Result<Option<FrameSet>, RecordingError> {
         match self {
             Self::Folder(folder) => folder.next_frame_set(),
+            Self::Mcap(file) => file.next_frame_set(),
         }
     }
 
@@ -90,6 +140,7 @@ impl Recording {
                 folder.rewind();
                 Ok(())
             }
+            Self::Mcap(file) => file.rewind(),
         }
     }
 
@@ -97,6 +148,7 @@ impl Recording {
     pub fn frame_set_count(&self) -> Option<usize> {
         match self {
             Self::Folder(folder) => Some(folder.frame_set_count()),
+            Self::Mcap(file) => file.frame_set_count(),
         }
     }
 }

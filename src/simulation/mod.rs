@@ -1,1 +1,28 @@
-//! A rendered world with exact truth: board, camera, motion, blur, noise. Pure; uses geometry and imaging.
+//! A rendered world with exact truth: a chessboard that is carried about before one camera or several.
+//!
+//! ```text
+//! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ PictureSensor::develop ──▶ picture
+//!   │                        ▲ BoardPattern: exact area integrals of the squares
+//!   └── FrameTruth           ▲ Background, Optics (blur), rays of any Lens
+//! ```
+//!
+//! Every pixel is an integral: the squares over its quarters exactly (polygon areas, no point samples), the optical blur
+//! over a finer grid than the pixels, the exposure over several poses. What is true of a picture is therefore known to about a
+//! thousandth of a pixel, and everything random comes from a seed: same world, same bytes.
+
+mod background;
+mod board_pattern;
+mod light_filter;
+mod noise;
+mod picture_sensor;
+mod rays;
+mod renderer;
+mod walk;
+mod world;
+
+pub use background::Background;
+pub use board_pattern::{BoardPattern, Shade};
+pub use picture_sensor::PictureSensor;
+pub use renderer::Renderer;
+pub use walk::{Walk, WalkOptions};
+pub use world::{FrameTruth, SimulatedFrame, World, WorldOptions};

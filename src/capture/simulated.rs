@@ -1,0 +1,101 @@
+//! A simulated camera as a source: frames of a rendered world at the pace of a real one.
+
+use std::thread;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use crate::capture::{CaptureError, FrameSource, Pace, SourceDescription};
+use crate::imaging::frame::FrameSet;
+use crate::imaging::timestamp::{DeviceTime, HostTime};
+use crate::simulation::{World, WorldOptions};
+
+/// A camera that needs no hardware: a board carried about without end.
+///
+/// At the recorded pace a frame comes when it is due; frames that were due while nobody asked are dropped, as a camera
+/// drops them. At the fastest, every frame comes, with the times it would have had.
+#[derive(Debug)]
+pub struct Simulated {
+    world: World,
+    options: WorldOptions,
+    pace: Pace,
+    started: Option<(Instant, i64)>,
+    next: u64,
+}
+
+impl Simulated {
+    /// Starts the world that `options` describe.
+    pub fn new(options: &WorldOptions, pace: Pace) -> Self {
+        Self { world: World::new(options), options: options.clone(), pace, started: None, next: 0 }
+    }
+
+    /// The world's clock: when frame 0 was due, on this machine's clock and in UTC.
+    fn start(&mut self) -> (Instant, i64) {
+        *self.started.get_or_insert_with(|| {
+            let utc_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+            (Instant::now(), utc_ns)
+        })
+    }
+}
+
+impl FrameSource for Simulated {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        let (started, utc_ns) = self.start();
+        let interval_s = 1.0 / self.options.fps;
+        if self.pace == Pace::Recorded {
+            let newest = (started.elapsed().as_secs_f64() / interval_s) as u64;
+            self.next = self.next.max(newest);
+            let due = started + Duration::from_secs_f64(self.next as f64 * interval_s);
+            let wait = due.saturating_duration_since(Instant::now());
+            thread::sleep(wait.min(timeout));
+            if wait > timeout {
+                return Err(CaptureError::TimedOut { waited: timeout });
+            }
+        }
+        let index = self.next;
+        self.next += 1;
+        let since_ns = (index as f64 * interval_s * 1e9).round() as i64;
+        Ok(FrameSet {
+            sequence: index,
+            host_time: HostTime { utc_ns: utc_ns + since_ns },
+            device_time: Some(DeviceTime { monotonic_ns: since_ns }),
+            name: None,
+            frames: self.world.frame(index).into_frames(),
+        })
+    }
+
+    fn description(&self) -> SourceDescription {
+        SourceDescription {
+            kind: "simulator",
+            identity: format!("seed {}", self.options.seed),
+            fps: Some(self.options.fps),
+            frame_set_count: None,
+            waits: self.pace == Pace::Fastest,
+            ..SourceDescription::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pixel::ImageSize;
+
+    #[test]
+    fn every_frame_comes_at_the_fastest_and_the_same_again() {
+        let options = WorldOptions::new(3, ImageSize::new(160, 120));
+        let mut sources = [(); 2].map(|()| Simulated::new(&options, Pace::Fastest));
+        for index in 0..5 {
+            let [a, b] = sources.each_mut().map(|source| source.next_frame(Duration::ZERO).unwrap());
+            assert_eq!((a.sequence, a.device_time), (index, b.device_time));
+            assert_eq!(a.frames[0].bytes, b.frames[0].bytes);
+        }
+    }
+
+    #[test]
+    fn no_frame_comes_before_it_is_due() {
+        let options = WorldOptions { fps: 1.0 / 3600.0, ..WorldOptions::new(3, ImageSize::new(64, 48)) };
+        let mut source = Simulated::new(&options, Pace::Recorded);
+        assert_eq!(source.next_frame(Duration::ZERO).unwrap().sequence, 0);
+        let early = source.next_frame(Duration::ZERO).unwrap_err();
+        assert_eq!(early, CaptureError::TimedOut { waited: Duration::ZERO });
+    }
+}

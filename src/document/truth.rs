@@ -1,0 +1,103 @@
+//! What is true of a simulated recording: beside it as `….truth.json`, and inside it as the metadata record
+//! [`RECORD`], whose keys are this document's and whose values are their JSON.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use crate::document::calibration::ExtrinsicsDocument;
+use crate::document::error::DocumentError;
+use crate::document::lens::LensDocument;
+use crate::document::pose::PoseDocument;
+use crate::document::reading::{from_json, to_json};
+use crate::document::target::TargetDocument;
+
+/// The metadata record's name.
+pub const RECORD: &str = "plumb.truth";
+
+/// What is true of a simulated recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthDocument {
+    /// What everything random followed from.
+    pub seed: u64,
+    /// The board.
+    pub target: TargetDocument,
+    /// Each sensor's true lens, by the sensor's name.
+    pub sensors: BTreeMap<String, TrueSensorDocument>,
+    /// Where the sensors truly are relative to each other, with standard deviations of 0.
+    pub extrinsics: Vec<ExtrinsicsDocument>,
+    /// Each frame, in the recording's order.
+    pub frames: Vec<TrueFrameDocument>,
+}
+
+/// A sensor as it truly is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrueSensorDocument {
+    /// Width and height, in pixels.
+    pub image_size: [u32; 2],
+    /// The lens.
+    pub lens: LensDocument,
+}
+
+/// A frame as it truly is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrueFrameDocument {
+    /// The frame's sequence number.
+    pub sequence: u64,
+    /// Where the board was in the middle of the colour sensor's exposure.
+    pub camera_from_board: PoseDocument,
+    /// How far the board's image moved during the exposure at most, in pixels; null where part of it was out of view.
+    pub motion_px: Option<f64>,
+}
+
+impl TruthDocument {
+    /// The metadata record: each key with its JSON.
+    ///
+    /// # Errors
+    /// [`DocumentError`] never happens for a document without NaN.
+    pub fn to_record(&self) -> Result<BTreeMap<String, String>, DocumentError> {
+        let whole: BTreeMap<String, serde_json::Value> = from_json(to_json(self)?.as_bytes())?;
+        whole.into_iter().map(|(key, value)| Ok((key, to_json(&value)?))).collect()
+    }
+
+    /// From the metadata record.
+    ///
+    /// # Errors
+    /// [`DocumentError`] when a key is missing, unknown or damaged.
+    pub fn from_record(record: &BTreeMap<String, String>) -> Result<Self, DocumentError> {
+        let mut whole = serde_json::Map::new();
+        for (key, value) in record {
+            whole.insert(key.clone(), from_json(value.as_bytes()).map_err(|error| error.inside(key))?);
+        }
+        from_json(to_json(&whole)?.as_bytes())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::pose::RotationDocument;
+    use crate::document::target::TargetKind;
+
+    #[test]
+    fn a_truth_survives_its_record_to_the_bit() {
+        let rotation = RotationDocument { w: 1.0, x: 0.0, y: 0.0, z: 0.0 };
+        let pose = PoseDocument { rotation, translation: [1.0 / 3.0, -0.1, 0.7] };
+        let truth = TruthDocument {
+            seed: u64::MAX,
+            target: TargetDocument { kind: TargetKind::Chessboard, cols: 9, rows: 6, square_m: 0.1 / 3.0 },
+            sensors: BTreeMap::new(),
+            extrinsics: Vec::new(),
+            frames: vec![TrueFrameDocument { sequence: 3, camera_from_board: pose, motion_px: None }],
+        };
+        let record = truth.to_record().unwrap();
+        assert_eq!(record["seed"], u64::MAX.to_string());
+        assert_eq!(TruthDocument::from_record(&record), Ok(truth));
+        let mut damaged = record.clone();
+        damaged.remove("frames");
+        assert_eq!(TruthDocument::from_record(&damaged).unwrap_err().path(), Some("frames"));
+    }
+}

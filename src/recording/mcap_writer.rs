@@ -1,0 +1,121 @@
+//! Writes frame sets as MCAP with the Foxglove schemas.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::MessageHeader;
+
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::recording::RecordingError;
+use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens};
+
+/// An MCAP file being written: one topic a sensor, chunks of about a megabyte, indexed when finished.
+///
+/// Frames are stored as they came; a recording that ends without [`Self::finish`] can be read up to its last whole chunk.
+pub struct McapWriter {
+    path: PathBuf,
+    camera: String,
+    writer: mcap::Writer<BufWriter<File>>,
+}
+
+impl std::fmt::Debug for McapWriter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("McapWriter").field("path", &self.path).field("camera", &self.camera).finish_non_exhaustive()
+    }
+}
+
+impl McapWriter {
+    /// Begins the file at `path`, in place of any that is there, for the frames of `camera`.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`] when the system refuses.
+    pub fn create(path: &Path, camera: &str) -> Result<Self, RecordingError> {
+        let refused = |source| RecordingError::Io { path: path.to_owned(), source };
+        let file = BufWriter::new(File::create(path).map_err(refused)?);
+        // Pictures are compressed already; a chunk of them gains nothing.
+        let options = mcap::WriteOptions::new().compression(None).library(concat!("plumb ", env!("CARGO_PKG_VERSION")));
+        let writer = options.create(file).map_err(|error| write_error(path, error))?;
+        Ok(Self { path: path.to_owned(), camera: camera.to_owned(), writer })
+    }
+
+    /// Appends the frames of `set`: logged at its host time, published at its device time where it has one.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`] when the system refuses, as on a full disk.
+    pub fn write(&mut self, set: &FrameSet) -> Result<(), RecordingError> {
+        let log_time = set.host_time.utc_ns.max(0).unsigned_abs();
+        let publish_time = set.device_time.map_or(log_time, |time| time.monotonic_ns.max(0).unsigned_abs());
+        for frame in &set.frames {
+            let topic = Topic::Frames { camera: self.camera.clone(), sensor: frame.sensor };
+            let Some(message) = encode_frame(frame, &self.frame_id(frame.sensor), set.host_time.utc_ns) else {
+                continue;
+            };
+            self.append(&topic, &message, set.sequence as u32, [log_time, publish_time])?;
+        }
+        Ok(())
+    }
+
+    /// Notes what the device tells of a sensor's lens.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn write_lens(
+        &mut self,
+        sensor: SensorKind,
+        size: ImageSize,
+        lens: &Lens,
+        utc_ns: i64,
+    ) -> Result<(), RecordingError> {
+        let topic = Topic::Calibration { camera: self.camera.clone(), sensor };
+        let Some(message) = encode_lens(lens, size, &self.frame_id(sensor), utc_ns) else { return Ok(()) };
+        self.append(&topic, &message, 0, [utc_ns.max(0).unsigned_abs(); 2])
+    }
+
+    /// Writes the metadata record `name`.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), RecordingError> {
+        let record = mcap::records::Metadata { name: name.to_owned(), metadata };
+        self.writer.write_metadata(&record).map_err(|error| write_error(&self.path, error))
+    }
+
+    /// Writes the index and closes the file.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        self.writer.finish().map(|_| ()).map_err(|error| write_error(&self.path, error))
+    }
+
+    fn frame_id(&self, sensor: SensorKind) -> String {
+        format!("{}_{}", self.camera, sensor.name())
+    }
+
+    fn append(
+        &mut self,
+        topic: &Topic,
+        message: &Encoded,
+        sequence: u32,
+        [log_time, publish_time]: [u64; 2],
+    ) -> Result<(), RecordingError> {
+        let path = &self.path;
+        let failed = |error| write_error(path, error);
+        let schema = self.writer.add_schema(message.schema, "protobuf", &message.descriptor).map_err(failed)?;
+        let channel = self.writer.add_channel(schema, &topic.name(), "protobuf", &BTreeMap::new()).map_err(failed)?;
+        let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time };
+        self.writer.write_to_known_channel(&header, &message.bytes).map_err(failed)
+    }
+}
+
+fn write_error(path: &Path, error: mcap::McapError) -> RecordingError {
+    let source = match error {
+        mcap::McapError::Io(source) => source,
+        other => std::io::Error::other(other.to_string()),
+    };
+    RecordingError::Io { path: path.to_owned(), source }
+}

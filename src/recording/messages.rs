@@ -1,0 +1,191 @@
+//! Frames as Foxglove messages: which schema, which topic, which encoding.
+
+use foxglove::bytes::Bytes;
+use foxglove::messages::{CameraCalibration, CompressedImage, RawImage, Timestamp};
+use foxglove::{Decode, Encode};
+
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::decode::file_size;
+use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+
+pub(super) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
+pub(super) const RAW_IMAGE: &str = "foxglove.RawImage";
+pub(super) const CAMERA_CALIBRATION: &str = "foxglove.CameraCalibration";
+
+/// A message that can be written: its schema's name and descriptor, and its bytes.
+#[derive(Debug, Clone)]
+pub(super) struct Encoded {
+    pub schema: &'static str,
+    pub descriptor: Vec<u8>,
+    pub bytes: Vec<u8>,
+}
+
+/// What a topic carries.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Topic {
+    /// `/<camera>/<sensor>`: its frames.
+    Frames { camera: String, sensor: SensorKind },
+    /// `/<camera>/<sensor>/calibration`: what the device says of its lens.
+    Calibration { camera: String, sensor: SensorKind },
+}
+
+impl Topic {
+    /// What the topic `name` carries; `None` for any that Plumb does not know.
+    pub(super) fn parse(name: &str) -> Option<Self> {
+        let name = name.strip_prefix('/').unwrap_or(name);
+        if let Some(sensor) = name.strip_suffix("/calibration") {
+            let (camera, sensor) = sensor.rsplit_once('/')?;
+            return Some(Self::Calibration { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? });
+        }
+        let (camera, sensor) = name.rsplit_once('/')?;
+        Some(Self::Frames { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? })
+    }
+
+    /// Its name.
+    pub(super) fn name(&self) -> String {
+        match self {
+            Self::Frames { camera, sensor } => format!("/{camera}/{}", sensor.name()),
+            Self::Calibration { camera, sensor } => format!("/{camera}/{}/calibration", sensor.name()),
+        }
+    }
+
+    /// Whose it is.
+    pub(super) fn camera(&self) -> &str {
+        match self {
+            Self::Frames { camera, .. } | Self::Calibration { camera, .. } => camera,
+        }
+    }
+}
+
+/// The frame's message, taken at `utc_ns`.
+pub(super) fn encode_frame(frame: &Frame, frame_id: &str, utc_ns: i64) -> Option<Encoded> {
+    let timestamp = Some(timestamp(utc_ns));
+    let data = Bytes::copy_from_slice(&frame.bytes);
+    let frame_id = frame_id.to_owned();
+    match frame.format {
+        PixelFormat::Jpeg | PixelFormat::Png => encoded(
+            COMPRESSED_IMAGE,
+            &CompressedImage { timestamp, frame_id, data, format: frame.format.name().into() },
+        ),
+        _ => {
+            let ImageSize { width, height } = frame.size;
+            let (encoding, step) = (frame.format.name().to_owned(), u32::try_from(frame.stride).ok()?);
+            encoded(RAW_IMAGE, &RawImage { timestamp, frame_id, width, height, encoding, step, data })
+        }
+    }
+}
+
+/// The message that says what a device tells of its lens.
+pub(super) fn encode_lens(lens: &Lens, size: ImageSize, frame_id: &str, utc_ns: i64) -> Option<Encoded> {
+    let m = lens.matrix;
+    let distortion_model = match lens.model() {
+        LensModel::Pinhole | LensModel::Radial | LensModel::Brown => "plumb_bob",
+        LensModel::Rational => "rational_polynomial",
+        LensModel::KannalaBrandt => "kannala_brandt",
+    };
+    let mut d = lens.distortion.coefficients();
+    if distortion_model == "plumb_bob" {
+        d.resize(5, 0.0);
+    }
+    let message = CameraCalibration {
+        timestamp: Some(timestamp(utc_ns)),
+        frame_id: frame_id.to_owned(),
+        width: size.width,
+        height: size.height,
+        distortion_model: distortion_model.to_owned(),
+        d,
+        k: vec![m.fx, m.skew, m.cx, 0.0, m.fy, m.cy, 0.0, 0.0, 1.0],
+        r: vec![1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        p: vec![m.fx, m.skew, m.cx, 0.0, 0.0, m.fy, m.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    };
+    encoded(CAMERA_CALIBRATION, &message)
+}
+
+/// The frame that a message of `schema` holds; why not, in a few words.
+pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Result<Frame, String> {
+    match schema {
+        COMPRESSED_IMAGE => {
+            let message = CompressedImage::decode(bytes).map_err(|error| error.to_string())?;
+            let format = match message.format.to_ascii_lowercase().as_str() {
+                "png" => PixelFormat::Png,
+                text if text.contains("jpeg") || text.contains("jpg") => PixelFormat::Jpeg,
+                other => return Err(format!("images compressed as `{other}`, not jpeg or png")),
+            };
+            let size = file_size(&message.data).unwrap_or(ImageSize::new(0, 0));
+            Ok(Frame { sensor, size, format, stride: 0, bytes: message.data.as_ref().into() })
+        }
+        RAW_IMAGE => {
+            let message = RawImage::decode(bytes).map_err(|error| error.to_string())?;
+            let format = match message.encoding.as_str() {
+                "mono8" | "8UC1" => PixelFormat::Mono8,
+                "yuyv" | "yuv422_yuy2" => PixelFormat::Yuyv,
+                "rgb8" => PixelFormat::Rgb8,
+                "16UC1" | "mono16" => PixelFormat::Depth16,
+                other => return Err(format!("raw images encoded as `{other}`, not mono8, yuyv, rgb8 or 16UC1")),
+            };
+            let size = ImageSize::new(message.width, message.height);
+            Ok(Frame { sensor, size, format, stride: message.step as usize, bytes: message.data.as_ref().into() })
+        }
+        other => Err(format!("messages of schema `{other}`, not {COMPRESSED_IMAGE} or {RAW_IMAGE}")),
+    }
+}
+
+/// The lens that a camera calibration message states; `None` if it states none that Plumb has.
+pub(super) fn decode_lens(bytes: &[u8]) -> Option<(ImageSize, Lens)> {
+    let message = CameraCalibration::decode(bytes).ok()?;
+    let [fx, skew, cx, _, fy, cy, ..] = message.k[..] else { return None };
+    let model = match message.distortion_model.as_str() {
+        "plumb_bob" => LensModel::Brown,
+        "rational_polynomial" => LensModel::Rational,
+        "kannala_brandt" | "equidistant" => LensModel::KannalaBrandt,
+        "" if message.d.iter().all(|d| *d == 0.0) => LensModel::Pinhole,
+        _ => return None,
+    };
+    let parameters: Vec<f64> = [fx, fy, cx, cy, skew].into_iter().chain(message.d.iter().copied()).collect();
+    let lens = Lens::from_parameters(model, parameters.get(..5 + model.coefficient_names().len())?)?;
+    (fx > 0.0 && fy > 0.0).then_some((ImageSize::new(message.width, message.height), lens))
+}
+
+fn encoded<T: Encode>(schema: &'static str, message: &T) -> Option<Encoded> {
+    let mut bytes = Vec::with_capacity(message.encoded_len().unwrap_or_default());
+    message.encode(&mut bytes).ok()?;
+    Some(Encoded { schema, descriptor: T::get_schema()?.data.into_owned(), bytes })
+}
+
+fn timestamp(utc_ns: i64) -> Timestamp {
+    let utc_ns = utc_ns.max(0);
+    let seconds = u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX);
+    Timestamp::new_checked(seconds, (utc_ns % 1_000_000_000) as u32).unwrap_or(Timestamp::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::camera_matrix::CameraMatrix;
+
+    #[test]
+    fn topics_are_the_contract_s() {
+        for name in ["/front/color", "/a/b/depth", "/front/infrared/calibration"] {
+            assert_eq!(Topic::parse(name).unwrap().name(), name);
+        }
+        for name in ["/front/colour", "/color", "", "/front/color/info"] {
+            assert_eq!(Topic::parse(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_lens_survives() {
+        let matrix = CameraMatrix { fx: 500.0, fy: 501.0, cx: 320.0, cy: 239.0, skew: 0.1 };
+        for model in [LensModel::Brown, LensModel::Rational, LensModel::KannalaBrandt] {
+            let mut parameters = vec![500.0, 501.0, 320.0, 239.0, 0.1];
+            parameters.extend((0..model.coefficient_names().len()).map(|k| 0.01 * k as f64));
+            let lens = Lens::from_parameters(model, &parameters).unwrap();
+            let message = encode_lens(&lens, ImageSize::new(640, 480), "front_color", 5).unwrap();
+            assert_eq!(decode_lens(&message.bytes), Some((ImageSize::new(640, 480), lens)));
+        }
+        let pinhole = encode_lens(&Lens::pinhole(matrix), ImageSize::new(8, 6), "", 0).unwrap();
+        assert_eq!(decode_lens(&pinhole.bytes).unwrap().1.matrix, matrix);
+        assert_eq!(decode_lens(b"no message"), None);
+    }
+}

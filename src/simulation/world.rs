@@ -1,0 +1,161 @@
+//! A camera, a board that is carried about before it, and the pictures this gives.
+
+use std::sync::Arc;
+
+use rand::RngExt;
+
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::{Brown, Distortion, DistortionModel, Lens};
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
+use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+use crate::imaging::gray::GrayImage;
+use crate::simulation::background::Background;
+use crate::simulation::board_pattern::BoardPattern;
+use crate::simulation::noise::{Purpose, stream};
+use crate::simulation::picture_sensor::PictureSensor;
+use crate::simulation::renderer::Renderer;
+use crate::simulation::walk::{Walk, WalkOptions};
+
+/// What is simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldOptions {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Frames a second.
+    pub fps: f64,
+    /// The camera.
+    pub sensor: PictureSensor,
+    /// The board.
+    pub board: Chessboard,
+    /// How it is carried.
+    pub walk: WalkOptions,
+    /// Rectangles on the wall behind it.
+    pub clutter: usize,
+}
+
+impl WorldOptions {
+    /// An ordinary camera with images of `size`, whose lens depends on the seed, at 15 frames a second, and a board of 9×6 inner
+    /// corners with squares of 25 mm.
+    pub fn new(seed: u64, size: ImageSize) -> Self {
+        let board = Chessboard { size: BoardSize { cols: 9, rows: 6 }, square_m: 0.025 };
+        let sensor = PictureSensor::new(size, ordinary_lens(seed, size));
+        Self { seed, fps: 15.0, sensor, board, walk: WalkOptions::default(), clutter: 24 }
+    }
+}
+
+/// A lens as cheap cameras have it: some 60° wide, barrel distortion, a principal point a few pixels off.
+fn ordinary_lens(seed: u64, size: ImageSize) -> Lens {
+    let mut rng = stream(seed, Purpose::Lens, 0);
+    let width = f64::from(size.width);
+    let center = size.center();
+    let fx = width * rng.random_range(0.8..0.95);
+    let matrix = CameraMatrix {
+        fx,
+        fy: fx * rng.random_range(0.997..1.003),
+        cx: center.x + width * rng.random_range(-0.015..0.015),
+        cy: center.y + width * rng.random_range(-0.015..0.015),
+        skew: 0.0,
+    };
+    let k1 = rng.random_range(-0.28..-0.12);
+    let k2 = 0.4 * k1 * k1 + rng.random_range(0.02..0.06);
+    let tangential = [rng.random_range(-8e-4..8e-4), rng.random_range(-8e-4..8e-4)];
+    let brown = Brown::from_coefficients([k1, k2, tangential[0], tangential[1], 0.0]);
+    Lens { matrix, distortion: Distortion::Brown(brown) }
+}
+
+/// A picture with what is true of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SimulatedFrame {
+    /// What the sensor gives.
+    pub image: GrayImage,
+    /// What is true.
+    pub truth: FrameTruth,
+}
+
+impl SimulatedFrame {
+    /// What a camera without compression sends: mono8.
+    pub fn into_frames(self) -> Vec<Frame> {
+        let size = self.image.size();
+        let (format, stride) = (PixelFormat::Mono8, size.width as usize);
+        let bytes = Arc::from(self.image.into_pixels());
+        vec![Frame { sensor: SensorKind::Color, size, format, stride, bytes }]
+    }
+}
+
+/// What is true of a picture.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrameTruth {
+    /// Counts the pictures from 0.
+    pub index: u64,
+    /// The middle of the exposure, in seconds from the first picture's.
+    pub time_s: f64,
+    /// Where the board was in the middle of the exposure.
+    pub camera_from_board: Pose,
+    /// How far the board's image moved during the exposure at most, in pixels.
+    pub motion_px: f64,
+}
+
+/// A simulated camera: any picture of its walk, from its number alone.
+#[derive(Debug, Clone)]
+pub struct World {
+    seed: u64,
+    fps: f64,
+    walk: Walk,
+    renderer: Renderer,
+}
+
+impl World {
+    /// The world that `options` describe.
+    pub fn new(options: &WorldOptions) -> Self {
+        let pattern = BoardPattern::new(options.board);
+        let sensor = &options.sensor;
+        let walk = Walk::new(options.seed, pattern, sensor.lens, sensor.size, &options.walk);
+        let background = Background::new(options.seed, options.clutter);
+        let renderer = Renderer::new(sensor.clone(), pattern, &background);
+        Self { seed: options.seed, fps: options.fps, walk, renderer }
+    }
+
+    /// The camera.
+    pub fn sensor(&self) -> &PictureSensor {
+        self.renderer.sensor()
+    }
+
+    /// The board.
+    pub fn board(&self) -> Chessboard {
+        self.renderer.pattern().board
+    }
+
+    /// What is true of the `index`-th picture.
+    pub fn truth(&mut self, index: u64) -> FrameTruth {
+        let time_s = index as f64 / self.fps;
+        let half_s = 0.5 * self.sensor().exposure_s;
+        // The walk begins half an exposure before the first picture's middle.
+        let [before, camera_from_board, after] =
+            [0.0, half_s, 2.0 * half_s].map(|since_s| self.walk.camera_from_board(time_s + since_s));
+        FrameTruth { index, time_s, camera_from_board, motion_px: self.renderer.motion_px([&before, &after]) }
+    }
+
+    /// The `index`-th picture.
+    pub fn frame(&mut self, index: u64) -> SimulatedFrame {
+        const STEP_PX: f64 = 0.6;
+        const MOST_STEPS: f64 = 40.0;
+        let truth = self.truth(index);
+        let steps = (truth.motion_px / STEP_PX).ceil().clamp(1.0, MOST_STEPS) as usize;
+        let exposure_s = self.sensor().exposure_s;
+        let camera_from_board: Vec<Pose> = (0..steps)
+            .map(|step| truth.time_s + exposure_s * (step as f64 + 0.5) / steps as f64)
+            .map(|time_s| self.walk.camera_from_board(time_s))
+            .collect();
+        let light = self.renderer.light(&camera_from_board);
+        SimulatedFrame { image: self.sensor().develop(&light, self.seed, index), truth }
+    }
+
+    /// Where the board's inner corners are in a picture, row by row; `None` for those outside the lens's view.
+    pub fn corners(&self, truth: &FrameTruth) -> Vec<Option<Pixel>> {
+        let corners = self.board().corners_in_board();
+        let lens = &self.sensor().lens;
+        corners.iter().map(|corner| lens.pixel_from_point(&(truth.camera_from_board * *corner))).collect()
+    }
+}
