@@ -9,10 +9,12 @@ use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 use tokio::sync::watch;
 
+use crate::geometry::pixel::Pixel;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::{Shared, on_a_blocking_thread};
-use crate::imaging::decode;
+use crate::imaging::decode::{self, DecodeError};
+use crate::imaging::draw::{self, Pen};
 use crate::imaging::frame::{PixelFormat, SensorKind};
 use crate::pipeline::live_frame::LiveFrame;
 
@@ -52,7 +54,8 @@ pub(super) async fn frame(
         Some(live) => live,
         None => return Err(no_frame(&shared, &camera)),
     };
-    let jpeg = picture(&camera, live, look).await?;
+    let wish = wish(&shared, &camera, look);
+    let jpeg = picture(&camera, live, look, wish).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
@@ -79,22 +82,28 @@ pub(super) async fn preview(
     // The newest frame is shown at once, and not only the next one.
     frames.mark_changed();
     let stopped = shared.stopped();
-    let parts = futures_util::stream::unfold((frames, camera), move |(mut frames, camera)| async move {
-        let part = next_part(&mut frames, &camera, look).await?;
-        Some((Ok::<_, std::convert::Infallible>(part), (frames, camera)))
-    });
+    let parts =
+        futures_util::stream::unfold((frames, shared, camera), move |(mut frames, shared, camera)| async move {
+            let part = next_part(&mut frames, &shared, &camera, look).await?;
+            Some((Ok::<_, std::convert::Infallible>(part), (frames, shared, camera)))
+        });
     let body = Body::from_stream(parts.take_until(stopped));
     let media_type = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
 }
 
 /// The next frame that can be shown; a slow viewer skips those in between.
-async fn next_part(frames: &mut watch::Receiver<Option<Arc<LiveFrame>>>, camera: &str, look: Look) -> Option<Bytes> {
+async fn next_part(
+    frames: &mut watch::Receiver<Option<Arc<LiveFrame>>>,
+    shared: &Shared,
+    camera: &str,
+    look: Look,
+) -> Option<Bytes> {
     loop {
         frames.changed().await.ok()?;
         let live = frames.borrow_and_update().clone();
         let Some(live) = live else { continue };
-        if let Ok(jpeg) = picture(camera, live, look).await {
+        if let Ok(jpeg) = picture(camera, live, look, wish(shared, camera, look)).await {
             let head = format!("--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
             return Some([head.as_bytes(), &jpeg, b"\r\n"].concat().into());
         }
@@ -122,21 +131,37 @@ fn no_frame(shared: &Shared, camera: &str) -> Problem {
     Problem::conflict(format!("camera `{camera}` has given no frame yet: {said}"))
 }
 
-async fn picture(camera: &str, live: Arc<LiveFrame>, look: Look) -> Result<Vec<u8>, Problem> {
-    let frame = live.frame_set.frame(look.sensor);
-    if frame.is_none() {
+/// Where the running session wants the board next, where that is to be drawn.
+fn wish(shared: &Shared, camera: &str, look: Look) -> Vec<Pixel> {
+    let shown = look.overlay && look.sensor == SensorKind::Color && !look.undistorted;
+    let session = shown.then(|| shared.fleet.camera(camera).ok()?.session).flatten();
+    let record = session.and_then(|id| shared.fleet.live_session(&id));
+    record.map(|record| record.guidance.outline_px.clone()).unwrap_or_default()
+}
+
+async fn picture(camera: &str, live: Arc<LiveFrame>, look: Look, wish: Vec<Pixel>) -> Result<Vec<u8>, Problem> {
+    if live.frame_set.frame(look.sensor).is_none() {
         let detail = format!("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", look.sensor.name());
         return Err(Problem::not_found(detail));
     }
-    on_a_blocking_thread(move || draw(&live, look)).await?
+    on_a_blocking_thread(move || drawn(&live, look, &wish)).await?
 }
 
-fn draw(live: &LiveFrame, look: Look) -> Result<Vec<u8>, Problem> {
+fn drawn(live: &LiveFrame, look: Look, wish: &[Pixel]) -> Result<Vec<u8>, Problem> {
     let frame = live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
-    let plain = !look.overlay && !look.undistorted;
+    let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
+    let seen = seen.filter(|_| look.overlay && look.sensor == SensorKind::Color);
+    let plain = seen.is_none() && wish.is_empty() && !look.undistorted;
     if plain && frame.format == PixelFormat::Jpeg {
         return Ok(frame.bytes.to_vec());
     }
-    let picture = decode::rgb(frame).map_err(|e| Problem::conflict(format!("the newest frame cannot be read: {e}")))?;
+    let unreadable = |e: DecodeError| Problem::conflict(format!("the newest frame cannot be read: {e}"));
+    let mut picture = decode::rgb(frame).map_err(unreadable)?;
+    let pen = Pen::fitting(&picture, draw::WISHED);
+    draw::draw_polygon(&mut picture, wish, Pen { width_px: 2.0 * pen.width_px, ..pen });
+    if let Some(detection) = seen {
+        let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
+        draw::draw_corners(&mut picture, &corners);
+    }
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }

@@ -2,6 +2,7 @@
 
 pub mod decode;
 pub mod depth_image;
+pub mod draw;
 pub mod frame;
 pub mod gray;
 mod jpeg;

@@ -1,0 +1,184 @@
+//! Drawing over a picture: what was found in it, and where the board should be next. Edges are smoothed; what lies
+//! outside the picture is left out.
+
+use image::{Rgb, RgbImage};
+
+use crate::geometry::pixel::Pixel;
+
+/// A colour.
+pub type Color = Rgb<u8>;
+
+/// Where corners were found.
+pub const FOUND: Color = Rgb([77, 255, 157]);
+/// The first corner.
+pub const FIRST: Color = Rgb([255, 93, 122]);
+/// Where the board should be.
+pub const WISHED: Color = Rgb([255, 216, 77]);
+
+/// How a line is drawn.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pen {
+    /// Its colour.
+    pub color: Color,
+    /// Its width, in pixels.
+    pub width_px: f64,
+}
+
+impl Pen {
+    /// A pen whose lines are as wide, compared with the picture, as one of 1.5 px is in a picture 640 px wide.
+    pub fn fitting(picture: &RgbImage, color: Color) -> Self {
+        let longer_side = f64::from(picture.width().max(picture.height()));
+        Self { color, width_px: (longer_side / 640.0 * 1.5).max(1.0) }
+    }
+}
+
+/// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around each, the first one in
+/// another colour and larger. Every corner that is not a number is left out.
+pub fn draw_corners(picture: &mut RgbImage, corners: &[Pixel]) {
+    let pen = Pen::fitting(picture, FOUND);
+    let thin = Pen { width_px: pen.width_px * 0.6, ..pen };
+    for pair in corners.windows(2) {
+        draw_line(picture, pair[0], pair[1], thin);
+    }
+    for (i, corner) in corners.iter().enumerate() {
+        let (pen, radius) = match i {
+            0 => (Pen { color: FIRST, ..pen }, 4.0),
+            _ => (pen, 2.7),
+        };
+        draw_ring(picture, *corner, radius * pen.width_px, pen);
+    }
+}
+
+/// Draws the outline of a polygon.
+pub fn draw_polygon(picture: &mut RgbImage, corners: &[Pixel], pen: Pen) {
+    let next = corners.iter().cycle().skip(1);
+    for (from, to) in corners.iter().zip(next) {
+        draw_line(picture, *from, *to, pen);
+    }
+}
+
+/// Draws a line from `from` to `to`.
+pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
+    if !(from.is_finite() && to.is_finite()) {
+        return;
+    }
+    let along = to.to_vector() - from.to_vector();
+    let length2 = along.norm_squared();
+    let distance = |x: f64, y: f64| {
+        let part = if length2 > 0.0 { ((x - from.x) * along.x + (y - from.y) * along.y) / length2 } else { 0.0 };
+        let part = part.clamp(0.0, 1.0);
+        (x - from.x - part * along.x).hypot(y - from.y - part * along.y)
+    };
+    let reach = pen.width_px / 2.0 + 1.0;
+    let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+    // Only the pixels near the line are looked at: row by row for a steep one, column by column for a flat one.
+    let steep = along.y.abs() > along.x.abs();
+    let (first, last, limit) = if steep { (from.y, to.y, height) } else { (from.x, to.x, width) };
+    let slope = match (steep, length2 > 0.0) {
+        (_, false) => 0.0,
+        (true, true) => along.x / along.y,
+        (false, true) => along.y / along.x,
+    };
+    // Across a line at 45 degrees its reach is longer by √2.
+    let across = reach * std::f64::consts::SQRT_2;
+    for major in range(first.min(last) - reach, first.max(last) + reach, limit) {
+        let on_line = f64::from(major).clamp(first.min(last), first.max(last));
+        let middle = if steep { from.x + slope * (on_line - from.y) } else { from.y + slope * (on_line - from.x) };
+        for minor in range(middle - across, middle + across, if steep { width } else { height }) {
+            let (x, y) = if steep { (minor, major) } else { (major, minor) };
+            let coverage = pen.width_px / 2.0 + 0.5 - distance(f64::from(x), f64::from(y));
+            blend(picture, x, y, pen.color, coverage);
+        }
+    }
+}
+
+/// Draws a circle line around `center`.
+pub fn draw_ring(picture: &mut RgbImage, center: Pixel, radius_px: f64, pen: Pen) {
+    if !center.is_finite() {
+        return;
+    }
+    let reach = radius_px + pen.width_px / 2.0 + 1.0;
+    let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+    for y in range(center.y - reach, center.y + reach, height) {
+        for x in range(center.x - reach, center.x + reach, width) {
+            let distance = (f64::from(x) - center.x).hypot(f64::from(y) - center.y);
+            let coverage = pen.width_px / 2.0 + 0.5 - (distance - radius_px).abs();
+            blend(picture, x, y, pen.color, coverage);
+        }
+    }
+}
+
+/// The whole numbers from `first` to `last` that lie in a picture of `length`.
+fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
+    let first = first.ceil().clamp(0.0, length);
+    let last = (last.floor() + 1.0).clamp(first, length);
+    first as u32..last as u32
+}
+
+fn blend(picture: &mut RgbImage, x: u32, y: u32, color: Color, coverage: f64) {
+    let coverage = coverage.clamp(0.0, 1.0);
+    let Some(pixel) = picture.get_pixel_mut_checked(x, y).filter(|_| coverage > 0.0) else { return };
+    for (channel, wanted) in pixel.0.iter_mut().zip(color.0) {
+        let mixed = f64::from(*channel) + (f64::from(wanted) - f64::from(*channel)) * coverage;
+        *channel = mixed.round() as u8;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PEN: Pen = Pen { color: Rgb([255, 255, 255]), width_px: 1.0 };
+
+    fn lit(picture: &RgbImage) -> Vec<(u32, u32)> {
+        picture.enumerate_pixels().filter(|(_, _, pixel)| pixel.0[0] > 127).map(|(x, y, _)| (x, y)).collect()
+    }
+
+    #[test]
+    fn a_line_lights_the_pixels_it_runs_through() {
+        for (to, expected) in [
+            (Pixel::new(5.0, 2.0), vec![(2, 2), (3, 2), (4, 2), (5, 2)]),
+            (Pixel::new(2.0, 5.0), vec![(2, 2), (2, 3), (2, 4), (2, 5)]),
+            (Pixel::new(4.0, 4.0), vec![(2, 2), (3, 3), (4, 4)]),
+            (Pixel::new(2.0, 2.0), vec![(2, 2)]),
+        ] {
+            let mut picture = RgbImage::new(8, 8);
+            draw_line(&mut picture, Pixel::new(2.0, 2.0), to, PEN);
+            assert_eq!(lit(&picture), expected);
+            let mut backwards = RgbImage::new(8, 8);
+            draw_line(&mut backwards, to, Pixel::new(2.0, 2.0), PEN);
+            assert_eq!(backwards, picture);
+        }
+    }
+
+    #[test]
+    fn a_line_is_the_same_steep_or_flat() {
+        let mut flat = RgbImage::new(40, 40);
+        draw_line(&mut flat, Pixel::new(3.0, 5.0), Pixel::new(33.0, 21.0), Pen { width_px: 3.0, ..PEN });
+        let mut steep = RgbImage::new(40, 40);
+        draw_line(&mut steep, Pixel::new(5.0, 3.0), Pixel::new(21.0, 33.0), Pen { width_px: 3.0, ..PEN });
+        assert!(flat.enumerate_pixels().all(|(x, y, pixel)| steep.get_pixel(y, x) == pixel));
+    }
+
+    #[test]
+    fn what_lies_outside_is_left_out() {
+        let mut picture = RgbImage::new(4, 4);
+        let far =
+            [Pixel::new(-1e9, -1e9), Pixel::new(1e9, -7.0), Pixel::new(f64::NAN, 1.0), Pixel::new(2.0, f64::INFINITY)];
+        draw_polygon(&mut picture, &far[2..], PEN);
+        draw_line(&mut picture, far[0], far[1], PEN);
+        draw_corners(&mut picture, &far);
+        assert_eq!(lit(&picture), []);
+        draw_line(&mut picture, Pixel::new(-100.0, 1.0), Pixel::new(100.0, 1.0), PEN);
+        assert_eq!(lit(&picture), [(0, 1), (1, 1), (2, 1), (3, 1)]);
+        draw_ring(&mut RgbImage::new(0, 0), Pixel::new(0.0, 0.0), 3.0, PEN);
+    }
+
+    #[test]
+    fn the_first_corner_stands_out() {
+        let mut picture = RgbImage::new(640, 480);
+        draw_corners(&mut picture, &[Pixel::new(100.0, 100.0), Pixel::new(200.0, 100.0)]);
+        assert_eq!(picture.get_pixel(100, 94), &FIRST);
+        assert_eq!(picture.get_pixel(200, 96), &FOUND);
+    }
+}
