@@ -44,6 +44,7 @@ pub mod calibration;
 pub mod capture;
 pub mod cli;
 pub mod config;
+pub mod daemon;
 pub mod detection;
 pub mod document;
 pub mod estimation;

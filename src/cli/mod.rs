@@ -20,6 +20,7 @@ pub mod lens_name;
 pub mod output;
 pub mod progress;
 pub mod search;
+pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
@@ -44,6 +45,7 @@ struct Arguments {
 enum Command {
     Detect(detect::Args),
     Calibrate(calibrate::Args),
+    Serve(serve::Args),
     Solve(solve::Args),
     Devices(devices::Args),
     Export(export::Args),
@@ -54,6 +56,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Detect(args) => detect::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
+        Command::Serve(args) => serve::run(&args),
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),

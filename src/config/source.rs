@@ -2,7 +2,7 @@
 //!
 //! | kind | keys |
 //! | --- | --- |
-//! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands) |
+//! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is) or `path` of a .bag file |
 //! | `recording` | `path`; `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
@@ -15,6 +15,7 @@ use std::path::PathBuf;
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::capture::mode::ModeRequest;
 use crate::config::{ConfigError, Place};
 use crate::geometry::pixel::ImageSize;
 
@@ -26,16 +27,18 @@ pub enum SourceConfig {
         /// Its path; one under `/dev/v4l/by-id` stays with the device.
         device: PathBuf,
         /// What to ask it for.
-        mode: StreamMode,
+        mode: ModeRequest,
         /// Its controls by name, set when it is opened.
         controls: BTreeMap<String, i64>,
+        /// Whether focus, exposure, gain and white balance are held still while a session collects.
+        lock: bool,
     },
     /// A USB camera through the system's own interface.
     Uvc {
         /// Which one.
         camera: UvcSelector,
         /// What to ask it for.
-        mode: StreamMode,
+        mode: ModeRequest,
     },
     /// A RealSense camera.
     Realsense {
@@ -70,6 +73,11 @@ pub enum SourceConfig {
 }
 
 impl SourceConfig {
+    /// Whether its silence means that the device is lost; frames on disk and rendered ones come when they come.
+    pub fn may_stall(&self) -> bool {
+        matches!(self, Self::V4l2 { .. } | Self::Uvc { .. } | Self::Realsense { .. })
+    }
+
     /// The name of its kind.
     pub fn kind(&self) -> &'static str {
         match self {
@@ -80,17 +88,6 @@ impl SourceConfig {
             Self::Simulator { .. } => "simulator",
         }
     }
-}
-
-/// What a device is asked for; what is not said stays as the device has it.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct StreamMode {
-    /// The size of its images.
-    pub size: Option<ImageSize>,
-    /// Its pixel format as a four-character code, as in `MJPG`.
-    pub format: Option<String>,
-    /// Frames a second.
-    pub fps: Option<f64>,
 }
 
 /// Which USB camera.
@@ -120,6 +117,7 @@ pub(crate) struct WrittenSource {
     format: Option<Spanned<String>>,
     fps: Option<Spanned<f64>>,
     controls: Option<Spanned<BTreeMap<String, i64>>>,
+    lock: Option<Spanned<bool>>,
 }
 
 const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
@@ -135,10 +133,11 @@ impl WrittenSource {
     pub(crate) fn check(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
         match self.kind.get_ref().as_str() {
             "v4l2" => {
-                self.takes_only(&["device", "width", "height", "format", "fps", "controls"], place)?;
+                self.takes_only(&["device", "width", "height", "format", "fps", "controls", "lock"], place)?;
                 let device = self.needed("device", self.device.as_ref(), span, place)?;
                 let controls = self.controls.as_ref().map(|c| c.get_ref().clone()).unwrap_or_default();
-                Ok(SourceConfig::V4l2 { device, mode: self.mode(place)?, controls })
+                let lock = self.lock.as_ref().is_some_and(|lock| *lock.get_ref());
+                Ok(SourceConfig::V4l2 { device, mode: self.mode(place)?, controls, lock })
             }
             "uvc" => {
                 self.takes_only(&["index", "name", "width", "height", "format", "fps"], place)?;
@@ -220,7 +219,7 @@ impl WrittenSource {
         }
     }
 
-    fn mode(&self, place: &Place) -> Result<StreamMode, ConfigError> {
+    fn mode(&self, place: &Place) -> Result<ModeRequest, ConfigError> {
         let size = match (&self.width, &self.height) {
             (None, None) => None,
             (Some(width), Some(height)) => {
@@ -239,7 +238,7 @@ impl WrittenSource {
                 return Err(place.refuse(&side.span(), "camera.source.width", "missing: height is given"));
             }
         };
-        Ok(StreamMode { size, format: self.format.as_ref().map(|f| f.get_ref().clone()), fps: self.fps(place)? })
+        Ok(ModeRequest { size, format: self.format.as_ref().map(|f| f.get_ref().clone()), fps: self.fps(place)? })
     }
 
     fn fps(&self, place: &Place) -> Result<Option<f64>, ConfigError> {
@@ -268,6 +267,7 @@ impl WrittenSource {
             ("format", self.format.as_ref().map(Spanned::span)),
             ("fps", self.fps.as_ref().map(Spanned::span)),
             ("controls", self.controls.as_ref().map(Spanned::span)),
+            ("lock", self.lock.as_ref().map(Spanned::span)),
         ];
         for (key, span) in given {
             if let (Some(span), false) = (span, allowed.contains(&key)) {
@@ -302,7 +302,7 @@ mod tests {
         let recording = SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
         assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));
         assert_eq!(source("{ kind = \"realsense\" }"), Ok(SourceConfig::Realsense { serial: None }));
-        let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: StreamMode::default() };
+        let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: ModeRequest::default() };
         assert_eq!(source("{ kind = \"uvc\", index = 0 }"), Ok(uvc));
     }
 
@@ -311,9 +311,12 @@ mod tests {
         let text = "{ kind = \"v4l2\", device = \"/dev/v4l/by-id/x\", width = 1280, height = 720, format = \"MJPG\", \
                     fps = 30, controls = { focus_auto = 0 } }";
         let mode =
-            StreamMode { size: Some(ImageSize::new(1280, 720)), format: Some("MJPG".to_owned()), fps: Some(30.0) };
+            ModeRequest { size: Some(ImageSize::new(1280, 720)), format: Some("MJPG".to_owned()), fps: Some(30.0) };
         let controls = BTreeMap::from([("focus_auto".to_owned(), 0)]);
-        assert_eq!(source(text), Ok(SourceConfig::V4l2 { device: "/dev/v4l/by-id/x".into(), mode, controls }));
+        assert_eq!(
+            source(text),
+            Ok(SourceConfig::V4l2 { device: "/dev/v4l/by-id/x".into(), mode, controls, lock: false })
+        );
     }
 
     #[test]

@@ -8,8 +8,9 @@ use tokio::sync::{mpsc, watch};
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session_record::SessionRecord;
 use crate::calibration::view::View;
+use crate::capture::SourceOpener;
 use crate::pipeline::camera_status::CameraStatus;
-use crate::pipeline::capture_thread::{Capture, SourceOpener, Supervision};
+use crate::pipeline::capture_thread::{Capture, Supervision};
 use crate::pipeline::detect_thread::Detect;
 use crate::pipeline::event::EventLog;
 use crate::pipeline::fleet::FleetError;
@@ -30,7 +31,7 @@ pub struct CameraPlan {
     /// The kind of its source, as in the configuration.
     pub kind: String,
     /// Opens the source.
-    pub open: SourceOpener,
+    pub open: Box<dyn SourceOpener>,
     /// Whether silence means that the device is lost; not so for frames on disk.
     pub may_stall: bool,
 }

@@ -11,7 +11,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
+use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
@@ -20,9 +20,6 @@ use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::{Captured, CapturedFrame, Message};
 use crate::pipeline::search::Search;
-
-/// Opens a camera's source; called again whenever it was lost, so it must find the device by what stays the same.
-pub type SourceOpener = Box<dyn FnMut() -> Result<Box<dyn FrameSource>, CaptureError> + Send>;
 
 /// How a camera is watched over.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,7 +67,7 @@ enum End {
 
 pub(super) struct Capture {
     pub(super) camera: Arc<LiveCamera>,
-    pub(super) open: SourceOpener,
+    pub(super) open: Box<dyn SourceOpener>,
     pub(super) supervision: Supervision,
     /// A silent source is a lost one.
     pub(super) may_stall: bool,
@@ -100,7 +97,7 @@ impl Capture {
 
     fn open_and_deliver(&mut self) -> End {
         let opened_for = self.camera.search.get();
-        match (self.open)() {
+        match self.open.open() {
             Ok(mut source) => {
                 self.camera.metrics.opened.with_label_values(&[&self.camera.name]).inc();
                 let description = source.description();

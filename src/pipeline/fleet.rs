@@ -2,6 +2,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{oneshot, watch};
 
@@ -67,6 +68,10 @@ pub enum ApproveError {
     Store(#[from] StoreError),
 }
 
+/// How long threads have to end.
+const LAST_WAIT: Duration = Duration::from_millis(700);
+const GLANCE: Duration = Duration::from_millis(2);
+
 /// All cameras, live. Reading never waits on a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
@@ -105,7 +110,8 @@ impl Fleet {
         Ok(fleet)
     }
 
-    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second.
+    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second: a
+    /// thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
         for camera in &self.cameras {
             camera.stop.set();
@@ -114,10 +120,11 @@ impl Fleet {
             let _ = camera.messages.try_send(Message::Wake);
         }
         let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
-        for thread in threads.drain(..) {
-            // A thread that panicked has nothing more to end.
-            let _ = thread.join();
+        let until = Instant::now() + LAST_WAIT;
+        while threads.iter().any(|thread| !thread.is_finished()) && Instant::now() < until {
+            std::thread::sleep(GLANCE);
         }
+        threads.clear();
     }
 
     /// Makes a calibration its camera's current one.

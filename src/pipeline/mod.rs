@@ -30,4 +30,4 @@ mod stop_signal;
 mod view_picture;
 
 pub use camera_threads::{CameraPlan, FleetOptions};
-pub use capture_thread::{SourceOpener, Supervision};
+pub use capture_thread::Supervision;

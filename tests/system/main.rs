@@ -4,6 +4,7 @@
 
 mod bad_input;
 mod cli;
+mod config_examples;
 mod decoding;
 mod layering;
 mod lens_conformance;

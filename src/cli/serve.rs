@@ -1,0 +1,33 @@
+//! `plumb serve`: the daemon.
+
+use std::path::{Path, PathBuf};
+
+use crate::cli::Failure;
+use crate::config::{Config, Overrides};
+use crate::daemon;
+
+/// The configuration that is used where none is given and it is there.
+const USUAL_FILE: &str = "plumb.toml";
+
+/// Runs the daemon: cameras, calibration sessions, HTTP.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The configuration, TOML; plumb.toml of this folder, if it is there, unless given.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Where to listen, louder than the configuration: 127.0.0.1:8600 if neither says.
+    #[arg(long, value_name = "ADDR")]
+    listen: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration that cannot be is a usage error; an address or a store that is not to be had a failure.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let usual = Path::new(USUAL_FILE);
+    let file = args.config.clone().or_else(|| usual.exists().then(|| usual.to_owned()));
+    let overrides = Overrides { listen: args.listen.clone() };
+    let config = Config::load(file.as_deref(), &overrides).map_err(Failure::usage)?;
+    daemon::run(&config, file).map_err(Failure::failed)
+}

@@ -1,0 +1,119 @@
+//! The daemon: starts in order (address, store, cameras, HTTP), ends in reverse.
+//!
+//! Nothing is begun that a later step may refuse for a reason that could be known before: the address is taken first,
+//! so that a second daemon neither opens the store nor a camera.
+
+pub mod sources;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::runtime::Runtime;
+
+use crate::config::Config;
+use crate::daemon::sources::plan_of;
+use crate::http::{self, Service};
+use crate::pipeline::FleetOptions;
+use crate::pipeline::fleet::{Fleet, FleetError};
+use crate::store::{Store, StoreError};
+
+/// Why the daemon did not run.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// The address is not to be had.
+    #[error("cannot listen on {address}: {source}; stop whoever has it (another plumb?), or give another --listen")]
+    Listen {
+        /// What was asked for.
+        address: SocketAddr,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The store cannot be used.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The cameras cannot be set going.
+    #[error(transparent)]
+    Fleet(#[from] FleetError),
+    /// The system refused what every program needs.
+    #[error("{what}: {source}")]
+    System {
+        /// What was attempted.
+        what: &'static str,
+        /// What the system said.
+        source: std::io::Error,
+    },
+}
+
+/// Threads that answer requests; frames and solves have their own.
+const HTTP_THREADS: usize = 2;
+/// What a request may still be computing when everything else has ended.
+const LAST_WAIT: Duration = Duration::from_millis(100);
+
+/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from.
+///
+/// # Errors
+/// [`DaemonError`] when it cannot start.
+pub fn run(config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(HTTP_THREADS)
+        .thread_name("http")
+        .enable_all()
+        .build()
+        .map_err(|source| DaemonError::System { what: "the threads for HTTP could not be started", source })?;
+    let outcome = run_on(&runtime, config, file);
+    runtime.shutdown_timeout(LAST_WAIT);
+    outcome
+}
+
+fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
+    // Before anything is begun, so that a signal that comes early ends it as cleanly as a late one.
+    let stop = runtime.block_on(async { asked_to_stop() })?;
+    let address = config.listen;
+    let listener =
+        runtime.block_on(TcpListener::bind(address)).map_err(|source| DaemonError::Listen { address, source })?;
+    let store = Arc::new(Store::open(&config.store_path)?);
+    let plans = config.cameras.iter().map(plan_of).collect();
+    let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
+    let fleet = Arc::new(Fleet::start(plans, Arc::clone(&store), &options)?);
+    if config.cameras.is_empty() {
+        tracing::warn!("no camera is configured; give a file with [[camera]] tables with --config");
+    }
+    let listening = listener.local_addr().unwrap_or(address);
+    tracing::info!(file = file.map(|file| file.display().to_string()), "listening on http://{listening}");
+    let token = config.token.as_ref().map(|token| token.reveal().to_owned());
+    let service = Service { fleet: Arc::clone(&fleet), store, token };
+    let served = runtime.block_on(http::serve(listener, service, stop));
+    tracing::info!("stopping");
+    fleet.shutdown();
+    served.map_err(|source| DaemonError::System { what: "HTTP ended", source })
+}
+
+/// Resolves with the first signal to end.
+fn asked_to_stop() -> Result<impl Future<Output = ()>, DaemonError> {
+    let failed = |source| DaemonError::System { what: "signals could not be listened to", source };
+    #[cfg(unix)]
+    {
+        use tokio::signal::unix::{SignalKind, signal};
+        let mut interrupt = signal(SignalKind::interrupt()).map_err(failed)?;
+        let mut terminate = signal(SignalKind::terminate()).map_err(failed)?;
+        Ok(async move {
+            tokio::select! {
+                _ = interrupt.recv() => {}
+                _ = terminate.recv() => {}
+            }
+        })
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = failed;
+        Ok(async {
+            // Without signals it runs until it is ended otherwise.
+            if tokio::signal::ctrl_c().await.is_err() {
+                std::future::pending::<()>().await;
+            }
+        })
+    }
+}

@@ -1,0 +1,56 @@
+//! From a configured source to what opens it: one arm a kind.
+
+use std::path::Path;
+
+#[cfg(target_os = "linux")]
+use crate::capture::v4l2;
+use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SourceOpener};
+use crate::config::{CameraConfig, SourceConfig};
+use crate::geometry::pixel::ImageSize;
+use crate::pipeline::CameraPlan;
+use crate::simulation::WorldOptions;
+
+/// How the camera is set going.
+pub fn plan_of(camera: &CameraConfig) -> CameraPlan {
+    CameraPlan {
+        name: camera.name.clone(),
+        kind: camera.source.kind().to_owned(),
+        open: opener_of(&camera.source),
+        may_stall: camera.source.may_stall(),
+    }
+}
+
+/// What opens the source, also again after it was lost.
+pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
+    match source.clone() {
+        SourceConfig::Recording { path, fastest, repeat, fps } => {
+            let pace = if fastest { Pace::Fastest } else { Pace::Recorded };
+            let options = ReplayOptions { pace, repeat, fps };
+            Box::new(move || open_recording(&path, &options))
+        }
+        SourceConfig::Simulator { seed, size, fps } => Box::new(move || Ok(simulator(seed, size, fps))),
+        #[cfg(target_os = "linux")]
+        SourceConfig::V4l2 { device, mode, controls, lock } => {
+            let options = v4l2::CameraOptions { device, mode, controls, lock };
+            Box::new(v4l2::Camera::new(options))
+        }
+        #[cfg(not(target_os = "linux"))]
+        SourceConfig::V4l2 { .. } => not_built("v4l2, which only Linux has; use kind = \"uvc\""),
+        SourceConfig::Uvc { .. } => not_built("uvc"),
+        SourceConfig::Realsense { .. } | SourceConfig::RealsenseBag { .. } => not_built("realsense"),
+    }
+}
+
+fn open_recording(path: &Path, options: &ReplayOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
+    let replay = Replay::open(path, options).map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
+    Ok(Box::new(replay))
+}
+
+fn simulator(seed: u64, size: ImageSize, fps: f64) -> Box<dyn FrameSource> {
+    let options = WorldOptions { fps, ..WorldOptions::new(seed, size) };
+    Box::new(Simulated::new(&options, Pace::Recorded))
+}
+
+fn not_built(kind: &'static str) -> Box<dyn SourceOpener> {
+    Box::new(move || Err(CaptureError::Failed { reason: format!("this plumb was built without {kind}") }))
+}
