@@ -5,7 +5,10 @@
 
 pub mod device_list;
 mod error;
+mod frame_counter;
+mod host_clock;
 pub mod mode;
+pub mod realsense;
 mod replay;
 mod simulated;
 #[cfg(target_os = "linux")]
@@ -17,6 +20,7 @@ pub use error::CaptureError;
 pub use replay::{Pace, Replay, ReplayOptions};
 pub use simulated::Simulated;
 
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
 
 /// What yields frames.
@@ -73,6 +77,7 @@ pub fn list_devices() -> Vec<device_list::DeviceListing> {
     vec![
         #[cfg(target_os = "linux")]
         v4l2::list_devices(),
+        realsense::list_devices(),
     ]
 }
 
@@ -104,6 +109,8 @@ pub struct SourceDescription {
     pub serial: Option<String>,
     /// Where it is plugged in.
     pub bus: Option<String>,
+    /// What it tells of its own lenses and depths.
+    pub factory: FactoryCalibration,
     /// What it was set to, and how that differs from what was asked for, in words.
     pub mode: Option<String>,
 }

@@ -3,6 +3,7 @@
 pub mod decode;
 pub mod depth_image;
 pub mod draw;
+pub mod factory;
 pub mod frame;
 pub mod gray;
 mod jpeg;

@@ -5,20 +5,22 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use v4l::Device;
 use v4l::buffer::{Flags, Metadata, Type};
 use v4l::io::traits::CaptureStream;
 use v4l::prelude::MmapStream;
 
+use crate::capture::frame_counter::FrameCounter;
+use crate::capture::host_clock::now;
 use crate::capture::v4l2::camera::lost;
 use crate::capture::v4l2::controls::Controls;
 use crate::capture::v4l2::device_node::DeviceNode;
 use crate::capture::v4l2::mode::{Layout, Mode};
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
-use crate::imaging::timestamp::{DeviceTime, HostTime};
+use crate::imaging::timestamp::DeviceTime;
 
 /// Buffers between the driver and the reader: at 30 frames a second the reader may be 100 ms late.
 const BUFFERS: u32 = 4;
@@ -102,14 +104,14 @@ impl Source {
             Err(error) => return self.not_taken(&error),
         };
         self.holds_buffer = true;
-        let missed = self.counter.count(metadata.sequence);
+        let missed = self.counter.count_32(metadata.sequence);
         self.losses.missed += missed;
-        self.opened.next_sequence.store(self.counter.next, Ordering::Relaxed);
+        self.opened.next_sequence.store(self.counter.next(), Ordering::Relaxed);
         let Some(frame) = frame else {
             self.losses.damaged += 1;
             return Ok(None);
         };
-        let sequence = self.counter.next - 1;
+        let sequence = self.counter.next() - 1;
         let device_time = device_time(&metadata);
         Ok(Some(FrameSet { sequence, host_time: now(), device_time, name: None, frames: vec![frame] }))
     }
@@ -211,54 +213,15 @@ fn shifted_up(samples: &[u8], shift: u32) -> Arc<[u8]> {
     samples.chunks_exact(2).flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << shift).to_le_bytes()).collect()
 }
 
-fn now() -> HostTime {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    HostTime { utc_ns: i64::try_from(since.as_nanos()).unwrap_or(i64::MAX) }
-}
-
 fn device_time(metadata: &Metadata) -> Option<DeviceTime> {
     let monotonic = metadata.flags.contains(Flags::TIMESTAMP_MONOTONIC);
     let time = metadata.timestamp;
     monotonic.then_some(DeviceTime { monotonic_ns: time.sec * 1_000_000_000 + time.usec * 1000 })
 }
 
-/// Turns the driver's 32-bit count, which begins anew with every opening, into one that only rises.
-#[derive(Debug)]
-struct FrameCounter {
-    next: u64,
-    last: Option<u32>,
-}
-
-impl FrameCounter {
-    fn new(next: u64) -> Self {
-        Self { next, last: None }
-    }
-
-    /// Counts a frame; how many before it are missing.
-    fn count(&mut self, sequence: u32) -> u64 {
-        let ahead = self.last.map_or(1, |last| sequence.wrapping_sub(last));
-        self.last = Some(sequence);
-        // A count that stands still, or jumps back, is none.
-        let missed = if (1..1 << 31).contains(&ahead) { u64::from(ahead - 1) } else { 0 };
-        self.next += missed + 1;
-        missed
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn gaps_are_counted_and_numbers_only_rise() {
-        let mut counter = FrameCounter::new(100);
-        let steps = [(7, 0, 101), (8, 0, 102), (11, 2, 105), (11, 0, 106), (3, 0, 107), (4, 0, 108)];
-        for (sequence, missed, next) in steps {
-            assert_eq!((counter.count(sequence), counter.next), (missed, next));
-        }
-        let mut counter = FrameCounter { next: 0, last: Some(u32::MAX) };
-        assert_eq!(counter.count(1), 1, "0 was missed");
-    }
 
     #[test]
     fn samples_of_ten_bits_fill_sixteen() {

@@ -1,0 +1,129 @@
+//! A configured RealSense camera: opened by serial number, again and again.
+
+use std::collections::HashSet;
+use std::ffi::CString;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+
+use realsense_rust::config::Config;
+use realsense_rust::context::Context;
+use realsense_rust::device::Device;
+use realsense_rust::kind::{Rs2CameraInfo, Rs2Format, Rs2StreamKind};
+use realsense_rust::pipeline::InactivePipeline;
+
+use crate::capture::realsense::bag_file::check_bag;
+use crate::capture::realsense::source::{Opened, Source};
+use crate::capture::realsense::{CameraOptions, Origin};
+use crate::capture::{CaptureError, FrameSource, SourceOpener};
+
+/// Frames a second where none are asked for.
+const USUAL_FPS: usize = 30;
+/// After so many openings without a frame the device is reset.
+const BARREN_LIMIT: u32 = 3;
+
+/// A RealSense camera that may come and go.
+#[derive(Debug)]
+pub struct Camera {
+    options: CameraOptions,
+    /// The device that was opened first, where none was named.
+    serial: Option<String>,
+    next_sequence: Arc<AtomicU64>,
+    /// How often in a row it was opened and gave nothing.
+    barren: Arc<AtomicU32>,
+}
+
+impl Camera {
+    /// A camera that is not opened yet.
+    pub fn new(options: CameraOptions) -> Self {
+        Self { options, serial: None, next_sequence: Arc::default(), barren: Arc::default() }
+    }
+
+    fn open_source(&mut self) -> Result<Source, CaptureError> {
+        let context = Context::new().map_err(|error| failed(&format!("librealsense2 does not start: {error}")))?;
+        let (config, name) = match self.options.origin.clone() {
+            Origin::Bag(path) => (bag_config(&path)?, path.display().to_string()),
+            Origin::Serial(serial) => self.device_config(&context, Some(serial))?,
+            Origin::OnlyDevice => self.device_config(&context, self.serial.clone())?,
+        };
+        let pipeline = InactivePipeline::try_from(&context).map_err(|error| failed(&error.to_string()))?;
+        let unresolved = |error| match &self.options.origin {
+            Origin::Bag(_) => failed(&format!("{name}: the library cannot play it: {error}")),
+            _ => CaptureError::Lost {
+                device: name.clone(),
+                reason: format!("it does not start: {error}; is another program using it?"),
+            },
+        };
+        let pipeline = pipeline.start(Some(config)).map_err(unresolved)?;
+        self.barren.fetch_add(1, Ordering::Relaxed);
+        let is_bag = matches!(self.options.origin, Origin::Bag(_));
+        let (next_sequence, barren) = (Arc::clone(&self.next_sequence), Arc::clone(&self.barren));
+        Ok(Source::new(Opened { context, pipeline, name, is_bag, next_sequence, barren }))
+    }
+
+    /// How to start the device with this serial number, or the only one.
+    fn device_config(&mut self, context: &Context, serial: Option<String>) -> Result<(Config, String), CaptureError> {
+        let wanted = serial.clone().unwrap_or_else(|| "the RealSense camera".to_owned());
+        let lost = |reason: String| CaptureError::Lost { device: wanted.clone(), reason };
+        let mut devices = context.query_devices(HashSet::new());
+        let serials: Vec<String> = devices.iter().filter_map(|d| told(d, Rs2CameraInfo::SerialNumber)).collect();
+        let Some(serial) = serial.or_else(|| serials.first().cloned()) else {
+            return Err(lost("no RealSense camera is plugged in".to_owned()));
+        };
+        if self.options.origin == Origin::OnlyDevice && self.serial.is_none() && serials.len() > 1 {
+            let problem =
+                format!("several RealSense cameras are plugged in: write serial = one of {}", serials.join(", "));
+            return Err(failed(&problem));
+        }
+        let Some(at) = serials.iter().position(|found| *found == serial) else {
+            let others = if serials.is_empty() { "no RealSense camera is".to_owned() } else { serials.join(", ") };
+            return Err(lost(format!("it is not plugged in; {others} there")));
+        };
+        if self.barren.load(Ordering::Relaxed) >= BARREN_LIMIT {
+            self.barren.store(0, Ordering::Relaxed);
+            devices.swap_remove(at).hardware_reset();
+            return Err(lost(format!("it gave no frame {BARREN_LIMIT} times; it was reset")));
+        }
+        let config = self.stream_config(&serial).map_err(|problem| failed(&problem))?;
+        self.serial = Some(serial.clone());
+        Ok((config, serial))
+    }
+
+    fn stream_config(&self, serial: &str) -> Result<Config, String> {
+        let (width, height) = self.options.mode.size.map_or((0, 0), |size| (size.width as usize, size.height as usize));
+        let fps = self.options.mode.fps.map_or(USUAL_FPS, |fps| fps.round() as usize);
+        let number = CString::new(serial).map_err(|_| format!("{serial:?} is no serial number"))?;
+        let mut config = Config::new();
+        let enabled = config
+            .enable_device_from_serial(&number)
+            .and_then(|c| c.enable_stream(Rs2StreamKind::Color, None, width, height, Rs2Format::Rgb8, fps))
+            .and_then(|c| c.enable_stream(Rs2StreamKind::Infrared, Some(1), width, height, Rs2Format::Y8, fps))
+            .and_then(|c| c.enable_stream(Rs2StreamKind::Depth, None, width, height, Rs2Format::Z16, fps))
+            .map(|_| ());
+        enabled.map_err(|error| error.to_string())?;
+        Ok(config)
+    }
+}
+
+impl SourceOpener for Camera {
+    fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
+        Ok(Box::new(self.open_source()?))
+    }
+}
+
+fn bag_config(path: &Path) -> Result<Config, CaptureError> {
+    check_bag(path)?;
+    let mut config = Config::new();
+    let enabled = config.enable_device_from_file(path, false).map(|_| ());
+    enabled.map_err(|error| failed(&format!("{}: {error}", path.display())))?;
+    Ok(config)
+}
+
+/// What a device tells of itself.
+pub(super) fn told(device: &Device, what: Rs2CameraInfo) -> Option<String> {
+    device.info(what).map(|text| text.to_string_lossy().into_owned())
+}
+
+fn failed(reason: &str) -> CaptureError {
+    CaptureError::Failed { reason: reason.to_owned() }
+}

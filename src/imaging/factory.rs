@@ -1,0 +1,57 @@
+//! What a device states about its own sensors, as it left the factory: kept as stated, beside what Plumb finds.
+
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
+
+/// Everything that a device states; empty for one that states nothing.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct FactoryCalibration {
+    /// One entry a sensor that states anything.
+    pub sensors: Vec<FactorySensor>,
+}
+
+impl FactoryCalibration {
+    /// What is stated of `sensor`.
+    pub fn sensor(&self, sensor: SensorKind) -> Option<&FactorySensor> {
+        self.sensors.iter().find(|stated| stated.sensor == sensor)
+    }
+
+    /// `to_from_from`: takes coordinates in the frame of `from` to that of `to`, where both are stated against colour.
+    pub fn to_from_from(&self, to: SensorKind, from: SensorKind) -> Option<Pose> {
+        let color_from_to = self.sensor(to)?.color_from_sensor?;
+        let color_from_from = self.sensor(from)?.color_from_sensor?;
+        Some(color_from_to.inverse() * color_from_from)
+    }
+}
+
+/// What is stated of one sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FactorySensor {
+    /// Which sensor.
+    pub sensor: SensorKind,
+    /// The size that the lens is stated for.
+    pub image_size: ImageSize,
+    /// The numbers as stated.
+    pub stated: StatedLens,
+    /// The same as a lens, where a model of Plumb's says the same.
+    pub lens: Option<Lens>,
+    /// From this sensor's frame to the colour sensor's.
+    pub color_from_sensor: Option<Pose>,
+    /// Metres per unit of depth.
+    pub depth_unit_m: Option<f64>,
+}
+
+/// A lens in the device's own terms.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StatedLens {
+    /// The device's name for the model.
+    pub model: String,
+    /// Focal length in pixels along x and y.
+    pub focal_px: [f64; 2],
+    /// Principal point in pixels.
+    pub principal_px: [f64; 2],
+    /// The model's coefficients in the device's order.
+    pub coefficients: Vec<f64>,
+}
