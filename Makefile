@@ -1,18 +1,19 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: demo test lint rust-test python-test build system-packages python
+.PHONY: demo test lint rust-test python-test device-test build system-packages python
 .DEFAULT_GOAL := build
 
 VENV := target/venv
 CARGO_TEST_SECONDS := 1200
 PYTHON_TEST_SECONDS := 300
+DEVICE_TEST_SECONDS := 600
 export CARGO_TERM_COLOR ?= auto
 
 build: system-packages
 	cargo build --release
 
 # Everything that must hold, in the order in which a failure is cheapest.
-test: rust-test python-test
+test: rust-test python-test device-test
 
 # One build serves the unit tests, the system tests, and the Python checks that run the same binary.
 rust-test: system-packages
@@ -23,6 +24,12 @@ rust-test: system-packages
 python-test: system-packages python
 	cargo build
 	PLUMB=target/debug/plumb timeout --kill-after=10 $(PYTHON_TEST_SECONDS) $(VENV)/bin/python -m pytest -q tests/python
+
+# Real cameras: a small machine with a real V4L2 stack, and the RealSense library itself.
+device-test: system-packages python
+	timeout --kill-after=10 $(DEVICE_TEST_SECONDS) cargo test --test device
+	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
+	timeout --kill-after=10 $(DEVICE_TEST_SECONDS) cargo test --features realsense --test realsense
 
 lint:
 	cargo fmt --check

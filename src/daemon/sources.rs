@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::capture::realsense::{self, Origin};
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
 use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SourceOpener};
@@ -37,7 +38,8 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
         #[cfg(not(target_os = "linux"))]
         SourceConfig::V4l2 { .. } => not_built("v4l2, which only Linux has; use kind = \"uvc\""),
         SourceConfig::Uvc { .. } => not_built("uvc"),
-        SourceConfig::Realsense { .. } | SourceConfig::RealsenseBag { .. } => not_built("realsense"),
+        SourceConfig::Realsense { serial } => realsense_camera(serial.map_or(Origin::OnlyDevice, Origin::Serial)),
+        SourceConfig::RealsenseBag { path } => realsense_camera(Origin::Bag(path)),
     }
 }
 
@@ -49,6 +51,11 @@ fn open_recording(path: &Path, options: &ReplayOptions) -> Result<Box<dyn FrameS
 fn simulator(seed: u64, size: ImageSize, fps: f64) -> Box<dyn FrameSource> {
     let options = WorldOptions { fps, ..WorldOptions::new(seed, size) };
     Box::new(Simulated::new(&options, Pace::Recorded))
+}
+
+fn realsense_camera(origin: Origin) -> Box<dyn SourceOpener> {
+    let options = realsense::CameraOptions { origin, ..realsense::CameraOptions::default() };
+    Box::new(realsense::Camera::new(options))
 }
 
 fn not_built(kind: &'static str) -> Box<dyn SourceOpener> {

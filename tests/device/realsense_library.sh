@@ -10,9 +10,17 @@ set -euo pipefail
 HOME_DIR=${REALSENSE_HOME:-${XDG_CACHE_HOME:-$HOME/.cache}/plumb-realsense}
 WHEEL=pyrealsense2==2.56.5.9235
 VERSION=2.56.5
+PACKAGES=(patchelf libusb-1.0-0 libudev1)
 
 make_library() {
-  local work=$HOME_DIR/work object
+  local work=$HOME_DIR/work object package missing=()
+  for package in "${PACKAGES[@]}"; do
+    [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
+  done
+  if [ ${#missing[@]} -gt 0 ]; then
+    apt-get update -qq || true
+    DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=900 install -y --no-install-recommends "${missing[@]}"
+  fi
   rm -rf "$work"; mkdir -p "$work/wheel" "$HOME_DIR/lib"
   python3 -m pip download --quiet --disable-pip-version-check --no-deps --only-binary=:all: --python-version 3.11 -d "$work" "$WHEEL"
   (cd "$work/wheel" && python3 -m zipfile -e ../*.whl .)
@@ -24,7 +32,6 @@ make_library() {
     awk '{ if ($1 ~ /_Type$|^PyExc_|Struct$/) print "char " $1 "[4096] __attribute__((aligned(16)));"; else print "void " $1 "(void) { abort(); }" }' |
     { echo '#include <stdlib.h>'; cat; } >"$work/stub.c"
   gcc -shared -fPIC -w -o "$HOME_DIR/lib/libplumb_no_python.so" "$work/stub.c"
-  command -v patchelf >/dev/null || DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=900 install -y patchelf
   # One change a run: patchelf 0.14 confuses several.
   patchelf --set-soname librealsense2.so "$HOME_DIR/lib/librealsense2.so"
   patchelf --set-rpath '$ORIGIN' "$HOME_DIR/lib/librealsense2.so"
