@@ -1,46 +1,45 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: demo test lint rust-test python-test device-test build system-packages python
+.PHONY: build demo test lint rust-test device-test python-test
 .DEFAULT_GOAL := build
 
 VENV := target/venv
-CARGO_TEST_SECONDS := 1200
-PYTHON_TEST_SECONDS := 300
-DEVICE_TEST_SECONDS := 600
-export CARGO_TERM_COLOR ?= auto
+PACKAGES := tests/setup/system-packages
 
-build: system-packages
+build:
+	$(PACKAGES) build
 	cargo build --release
 
-# Everything that must hold, in the order in which a failure is cheapest.
+# The daemon on the bundled recording, a calibration over HTTP, and the live page until Ctrl-C.
+demo:
+	$(PACKAGES) build demo
+	cargo build --release
+	/usr/bin/python3 demo/calibrate.py target/release/plumb
+
+# Everything that must hold. One build serves the unit tests, the system tests, and the checks that run the same binary.
 test: rust-test python-test device-test
 
-# One build serves the unit tests, the system tests, and the Python checks that run the same binary.
-rust-test: system-packages
-	timeout --kill-after=10 $(CARGO_TEST_SECONDS) cargo test --all-targets
-	timeout --kill-after=10 $(CARGO_TEST_SECONDS) cargo test --doc
+rust-test:
+	$(PACKAGES) build test
+	timeout --kill-after=10 1200 cargo test --lib --bins --tests
 
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings.
-python-test: system-packages python
+python-test: $(VENV)/installed
 	cargo build
-	PLUMB=target/debug/plumb timeout --kill-after=10 $(PYTHON_TEST_SECONDS) $(VENV)/bin/python -m pytest -q tests/python
+	PLUMB=target/debug/plumb timeout --kill-after=10 300 $(VENV)/bin/python -m pytest -q tests/python
 
-# Real cameras: a small machine with a real V4L2 stack, and the RealSense library itself.
-device-test: system-packages python
-	timeout --kill-after=10 $(DEVICE_TEST_SECONDS) cargo test --test device
+# Real cameras: a small machine with a real V4L2 stack, and the RealSense library itself. Says so where none can be made.
+device-test: $(VENV)/installed
+	timeout --kill-after=10 600 cargo test --test device
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
-	timeout --kill-after=10 $(DEVICE_TEST_SECONDS) cargo test --features realsense --test realsense
+	timeout --kill-after=10 600 cargo test --features realsense --test realsense
 
 lint:
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
 
-system-packages:
-	@tests/setup/system-packages
-
-python: $(VENV)/installed
-
-$(VENV)/installed: tests/python/requirements.txt | system-packages
+$(VENV)/installed: tests/python/requirements.txt
+	$(PACKAGES) test
 	/usr/bin/python3 -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --disable-pip-version-check --requirement $<
 	touch $@
