@@ -13,6 +13,8 @@ pub(super) const MOST: usize = 700;
 const TILE: usize = 4;
 /// Weaker responses are noise even in an image of low contrast.
 const LEAST_RESPONSE: u8 = 4;
+/// Least correlation with a chessboard corner, before and after moving to where its edges cross.
+const LEAST_FIRST_SCORE: f32 = 0.35;
 const LEAST_SCORE: f32 = 0.45;
 
 /// A place that looks like a chessboard corner.
@@ -113,7 +115,12 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
 fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
     let edges = ring_edges(image, x, y)?;
-    let cross = Window { center, a: edges[0] * 3.0, b: edges[1] * 3.0 }.settle(image, 2)?;
+    let window = Window { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
+    let first = window.look(image)?;
+    if first.score < LEAST_FIRST_SCORE {
+        return None;
+    }
+    let cross = Window { center: first.center, ..window }.look(image)?;
     if cross.score < LEAST_SCORE || cross.contrast < 3.0 || (cross.center - center).norm() > 2.5 {
         return None;
     }

@@ -32,8 +32,6 @@ pub(super) struct Cross {
     pub contrast: f32,
 }
 
-const OFFSETS: [f32; 6] = [-1.0, -0.6, -0.2, 0.2, 0.6, 1.0];
-
 impl Window {
     /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
     /// `most_px` pixels.
@@ -60,18 +58,17 @@ impl Window {
     /// Looks at the window once. `None` if it leaves the image or is flat.
     pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
         let inside = self.inside(image, 1.0)?;
-        let (bytes, stride) = (image.bytes(), image.stride());
+        let mut line = FixedLine::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
         let (mut sum, mut squares) = (0.0, 0.0);
         let (mut rows, mut columns) = ([0.0f32; 6], [0.0f32; 6]);
-        for (row, &b) in rows.iter_mut().zip(&OFFSETS) {
-            let middle = inside.center + inside.b * b;
-            for (column, &a) in columns.iter_mut().zip(&OFFSETS) {
-                let value = bilinear(bytes, stride, middle.x + inside.a.x * a, middle.y + inside.a.y * a);
+        for (j, row) in rows.iter_mut().enumerate() {
+            let values = line.next_six();
+            for (column, value) in columns.iter_mut().zip(values) {
                 sum += value;
                 squares += value * value;
-                *row += value.copysign(a);
-                *column += value.copysign(b);
+                *column += if j < 3 { -value } else { value };
             }
+            *row = values[3] + values[4] + values[5] - values[0] - values[1] - values[2];
         }
         let spread = (squares - sum * sum / 36.0).max(0.0);
         if spread < 18.0 {
@@ -80,16 +77,6 @@ impl Window {
         let matched = rows[3] + rows[4] + rows[5] - rows[0] - rows[1] - rows[2];
         let center = self.center + self.a * edge_offset(&columns) + self.b * edge_offset(&rows);
         Some(Cross { center, score: matched.abs() / (36.0 * spread).sqrt(), contrast: matched / 18.0 })
-    }
-
-    /// Looks, moves to where the edges cross, and looks again, `times` in all.
-    pub(super) fn settle(mut self, image: GrayView<'_>, times: usize) -> Option<Cross> {
-        let mut cross = self.look(image)?;
-        for _ in 1..times {
-            self.center = cross.center;
-            cross = self.look(image)?;
-        }
-        Some(cross)
     }
 
     /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the smaller of the bright
@@ -111,7 +98,58 @@ impl Window {
     }
 }
 
-/// How far along the window the edge across it lies, from the contrast across the other edge at each of [`OFFSETS`].
+/// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place them, 8 to interpolate.
+struct FixedLine<'a> {
+    bytes: &'a [u8],
+    stride: usize,
+    start: [i64; 2],
+    along: [i64; 2],
+    down: [i64; 2],
+}
+
+impl<'a> FixedLine<'a> {
+    /// All that will be sampled must lie in 0 … size − 1.
+    fn start(image: GrayView<'a>, start: Vec2, along: Vec2, down: Vec2) -> Self {
+        let fixed = |v: Vec2| [(v.x * 65536.0) as i64, (v.y * 65536.0) as i64];
+        Self {
+            bytes: image.bytes(),
+            stride: image.stride(),
+            start: fixed(start),
+            along: fixed(along),
+            down: fixed(down),
+        }
+    }
+
+    /// Six samples along, then one step down.
+    #[inline]
+    fn next_six(&mut self) -> [f32; 6] {
+        let [mut x, mut y] = self.start;
+        let values = std::array::from_fn(|_| {
+            let value = self.at(x, y);
+            x += self.along[0];
+            y += self.along[1];
+            value
+        });
+        self.start[0] += self.down[0];
+        self.start[1] += self.down[1];
+        values
+    }
+
+    #[inline]
+    fn at(&self, x: i64, y: i64) -> f32 {
+        let at = (y >> 16).max(0) as usize * self.stride + (x >> 16).max(0) as usize;
+        let (fx, fy) = (((x >> 8) & 255) as i32, ((y >> 8) & 255) as i32);
+        let upper = self.bytes.get(at..at + 2).map_or([0, 0], |p| [i32::from(p[0]), i32::from(p[1])]);
+        let below = at + self.stride;
+        // Past the image's last row or column nothing is read with any weight.
+        let lower = self.bytes.get(below..below + 2).map_or(upper, |p| [i32::from(p[0]), i32::from(p[1])]);
+        let across = |p: [i32; 2]| p[0] * 256 + (p[1] - p[0]) * fx;
+        let (top, bottom) = (across(upper), across(lower));
+        (top * 256 + (bottom - top) * fy) as f32 * (1.0 / 65536.0)
+    }
+}
+
+/// How far along the window the edge across it lies, from the contrast across the other edge at six places, −1 to 1.
 ///
 /// The contrast k(t) changes sign at the edge. Its even part tells the edge's offset δ, but light that changes over the
 /// window adds a constant g to it: even(t) = g − k′(t)·δ, solved by least squares. Where blur fills the window, k′ is
@@ -178,8 +216,13 @@ mod tests {
         let (a, b) = (Vec2::new(0.9, 0.3), Vec2::new(-0.1, 1.0));
         let truth = Vec2::new(19.3, 20.6);
         let image = slanted_cross(truth, a, b);
-        let window = Window { center: Vec2::new(20.5, 19.9), a: a * 2.5, b: b * 2.5 };
-        let cross = window.settle(image.view(), 6).expect("a cross");
+        let mut window = Window { center: Vec2::new(20.5, 19.9), a: a * 2.5, b: b * 2.5 };
+        let mut look = || {
+            let cross = window.look(image.view()).expect("a cross");
+            window.center = cross.center;
+            cross
+        };
+        let cross = [look(), look(), look(), look()][3];
         assert!((cross.center - truth).norm() < 0.1, "{cross:?}");
         assert!(cross.score > 0.85 && cross.contrast > 100.0, "{cross:?}");
     }

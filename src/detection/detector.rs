@@ -4,8 +4,8 @@ use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex
 use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::ends::seen_ends;
-use super::grid::{Bounds, Grid, Node};
-use super::growth::{Growth, WIDE, settle};
+use super::grid::{Bounds, Grid};
+use super::growth::{Growth, WINDOWS, sharpen};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
@@ -194,16 +194,7 @@ impl Detector {
             seen.too_large = true;
             return Found::Other { cols: larger(bounds), rows: smaller(bounds) };
         }
-        for finer in (0..level).rev() {
-            self.grid.descend();
-            let view = self.pyramid.level(image, finer);
-            resettle(view, &mut self.grid);
-            if !self.is_whole() {
-                self.grid.forget_attempts();
-                self.growth.grow(view, &mut self.grid);
-            }
-        }
-        self.bridge(image);
+        self.follow(image, level);
         if !verify(image, &mut self.grid) {
             return Found::Nothing;
         }
@@ -220,6 +211,28 @@ impl Detector {
             Some(_) => Found::Nothing,
             None => Found::Other { cols: larger(bounds), rows: smaller(bounds) },
         }
+    }
+
+    /// Takes the grid from `level` to the image itself, and looks for more of the board on the way if some is missing.
+    fn follow(&mut self, image: GrayView<'_>, level: usize) {
+        for finer in (0..level).rev() {
+            self.grid.descend();
+            if self.is_whole() {
+                continue;
+            }
+            let view = self.pyramid.level(image, finer);
+            sharpen_all(view, &mut self.grid);
+            self.grid.forget_attempts();
+            self.growth.grow(view, &mut self.grid, if finer == 0 { &WINDOWS } else { &WINDOWS[..1] });
+        }
+        if level == 0 && !self.is_whole() {
+            self.grid.forget_attempts();
+            self.growth.grow(image, &mut self.grid, &WINDOWS);
+        }
+        if level > 0 {
+            sharpen_all(image, &mut self.grid);
+        }
+        self.bridge(image);
     }
 
     /// Looks for the rest of a board of which a good part is found, across what covers it.
@@ -349,16 +362,13 @@ fn near(grid: &Grid, p: Vec2, most: f32) -> bool {
     grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < most))
 }
 
-/// Lets each corner settle where `image`, a finer level, shows it.
-fn resettle(image: GrayView<'_>, grid: &mut Grid) {
+/// Moves each corner to where `image`, a finer level, shows it.
+fn sharpen_all(image: GrayView<'_>, grid: &mut Grid) {
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
-        let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) else { continue };
-        if let Some(settled) = settle(image, node.pixel, steps, WIDE)
-            && settled.contrast * grid.polarity(i, j) > 0.3 * node.contrast.abs()
-            && (settled.pixel - node.pixel).norm() < 3.0
-        {
-            grid.set(i, j, Node { score: settled.score.max(node.score), ..settled });
+        if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
+            let moved = sharpen(image, &node, steps);
+            grid.set(i, j, moved);
         }
     }
 }

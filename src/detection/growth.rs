@@ -48,14 +48,14 @@ pub(super) struct WindowSize {
 }
 
 /// As large as squares allow.
-pub(super) const WIDE: WindowSize =
+const WIDE: WindowSize =
     WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.3 };
 /// Beside something that covers the rest of the squares, and very close beside it.
 const NARROW: WindowSize =
     WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
 const CLOSE: WindowSize =
     WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.5, most_off: 0.1 };
-const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
+pub(super) const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
 
 /// Grows grids; its queue is kept from grid to grid.
 #[derive(Debug, Default)]
@@ -85,11 +85,11 @@ impl Growth {
                 grid.set(i, j, node);
             }
         }
-        self.grow(image, grid);
+        self.grow(image, grid, &WINDOWS[..1]);
     }
 
-    /// Grows `grid` as far as `image` shows corners.
-    pub(super) fn grow(&mut self, image: GrayView<'_>, grid: &mut Grid) {
+    /// Grows `grid` as far as `image` shows corners in windows of these `sizes`.
+    pub(super) fn grow(&mut self, image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize]) {
         self.queue.clear();
         for index in 0..grid.members.len() {
             let (i, j) = grid.members[index];
@@ -99,7 +99,7 @@ impl Growth {
             if !grid.attempt(i, j) {
                 continue;
             }
-            if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image)) {
+            if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes)) {
                 grid.set(i, j, node);
                 self.push_around(i, j);
             }
@@ -115,9 +115,9 @@ impl Growth {
                     continue;
                 }
                 let Some(place) = Place::by_perspective(&perspective, grid, i, j) else { continue };
-                let Some(node) = place.look(image) else { continue };
+                let Some(node) = place.look(image, &WINDOWS) else { continue };
                 grid.set(i, j, node);
-                self.grow(image, grid);
+                self.grow(image, grid, &WINDOWS);
                 let Some(fitted) = Perspective::fit(grid) else { return };
                 perspective = fitted;
             }
@@ -161,13 +161,12 @@ impl Place {
         })
     }
 
-    fn look(&self, image: GrayView<'_>) -> Option<Node> {
-        WINDOWS.into_iter().find_map(|size| {
+    fn look(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
+        sizes.iter().find_map(|&size| {
             let node = settle(image, self.expected, self.steps, size)?;
             let off = in_steps(node.pixel - self.expected, self.steps)?;
             let most = self.most_off.min(size.most_off);
-            let fits = node.score >= size.least_score
-                && node.contrast * self.polarity >= size.least_contrast * self.contrast[0]
+            let fits = node.contrast * self.polarity >= size.least_contrast * self.contrast[0]
                 && node.near_contrast * self.polarity >= LEAST_NEAR_CONTRAST * self.contrast[1]
                 && off.x.abs() <= most
                 && off.y.abs() <= most;
@@ -182,6 +181,9 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
     let first = window(expected, size.reach)?.look(image)?;
     let second = window(first.center, size.reach)?.look(image)?;
+    if second.score < size.least_score {
+        return None;
+    }
     // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
     let mut center = second.center;
     for part in [0.6, 0.35, 0.2] {
@@ -200,6 +202,22 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     }
     let near_contrast = near.contrast;
     Some(Node { pixel: center, contrast: second.contrast, near_contrast, score: second.score })
+}
+
+/// The corner of `node`, found on a coarser level and taken to this one, where `image` shows it.
+pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2]) -> Node {
+    let mut center = node.pixel;
+    for reach in [0.25, 0.15, 0.08] {
+        match window(center, steps, reach, WIDE.most_px).inside(image, 0.25).and_then(|window| window.look(image)) {
+            Some(cross)
+                if cross.score > LEAST_NARROW_SCORE && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>
+            {
+                center = cross.center;
+            }
+            _ => break,
+        }
+    }
+    Node { pixel: center, ..*node }
 }
 
 fn window(center: Vec2, [u, v]: [Vec2; 2], reach: f32, most_px: f32) -> Window {

@@ -14,36 +14,37 @@ const MOST_MISPLACED: usize = 12;
 
 /// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe any of it.
 pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
-    drop_loose(image, grid);
-    drop_misplaced(grid);
-    let mut total = EdgeCount::default();
-    for &(i, j) in &grid.members {
-        let count = count_edges(image, grid, i, j);
-        total.held += count.held;
-        total.seen += count.seen;
-    }
-    total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32
+    let total = drop_loose(image, grid);
+    let believed = total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32;
+    believed && drop_misplaced(grid)
 }
 
 /// Drops corners most of whose edges do not hold. Each drop takes an edge from others, so it goes round a few times.
-fn drop_loose(image: GrayView<'_>, grid: &mut Grid) {
+/// Returns what the last round counted.
+fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
+    let mut total = EdgeCount::default();
     for _ in 0..4 {
         let before = grid.members.len();
+        total = EdgeCount::default();
         for index in (0..before).rev() {
             let (i, j) = grid.members[index];
             let EdgeCount { held, seen } = count_edges(image, grid, i, j);
             if seen > 0 && 2 * held < seen {
                 grid.remove(i, j);
+            } else {
+                total.held += held;
+                total.seen += seen;
             }
         }
         if grid.members.len() == before {
-            return;
+            break;
         }
     }
+    total
 }
 
-/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near.
-fn drop_misplaced(grid: &mut Grid) {
+/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False if too many must go.
+fn drop_misplaced(grid: &mut Grid) -> bool {
     for _ in 0..MOST_MISPLACED {
         let off = |&(i, j): &(i32, i32)| {
             let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
@@ -52,7 +53,8 @@ fn drop_misplaced(grid: &mut Grid) {
         let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
             Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
-            _ => return,
+            _ => return true,
         }
     }
+    false
 }
