@@ -13,6 +13,8 @@ pub(super) const MOST: usize = 700;
 const TILE: usize = 4;
 /// Weaker responses are noise even in an image of low contrast.
 const LEAST_RESPONSE: u8 = 4;
+/// Responses below the strongest divided by this are not looked at.
+const LEAST_SHARE: usize = 32;
 /// Least correlation with a chessboard corner, before and after moving to where its edges cross.
 const LEAST_FIRST_SCORE: f32 = 0.35;
 const LEAST_SCORE: f32 = 0.45;
@@ -33,6 +35,7 @@ pub(super) struct Candidate {
 #[derive(Debug, Default)]
 pub(super) struct CandidateSearch {
     tiles: Vec<(u8, u32, u32)>,
+    sorted: Vec<(u8, u32, u32)>,
     maxima: Vec<u8>,
     /// What was found last, in raster order of tiles.
     pub found: Vec<Candidate>,
@@ -43,7 +46,7 @@ impl CandidateSearch {
     pub(super) fn search(&mut self, image: GrayView<'_>, response: &Response) {
         self.collect_tiles(response);
         self.found.clear();
-        for &(value, x, y) in &self.tiles {
+        for &(value, x, y) in &self.sorted {
             if self.found.len() == MOST {
                 break;
             }
@@ -72,20 +75,31 @@ impl CandidateSearch {
                 }
             }
         }
+        self.keep_strongest(response, &mut counts);
+    }
+
+    /// Leaves the strongest tiles, strongest first and equal ones in raster order, with the place of their maximum.
+    fn keep_strongest(&mut self, response: &Response, counts: &mut [usize; 256]) {
+        let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
+        let least = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE);
         let mut kept = 0;
-        let least = (usize::from(LEAST_RESPONSE)..256).rev().find(|&v| {
-            kept += counts[v];
-            kept > MOST_TILES
-        });
-        let least = least.map_or(LEAST_RESPONSE, |v| (v + 1).min(255) as u8);
-        self.tiles.retain(|tile| tile.0 >= least);
-        self.tiles.truncate(MOST_TILES);
-        for tile in &mut self.tiles {
-            let (x, y) = (tile.1 as usize, tile.2 as usize);
-            let at = (0..TILE * TILE).find(|i| response.row(y + i / TILE)[x + i % TILE] == tile.0).unwrap_or(0);
-            (tile.1, tile.2) = ((x + at % TILE) as u32, (y + at / TILE) as u32);
+        for value in (0..256).rev() {
+            let count = if value < least { 0 } else { counts[value] };
+            counts[value] = kept;
+            kept = (kept + count).min(MOST_TILES);
         }
-        self.tiles.sort_unstable_by_key(|&(value, x, y)| (std::cmp::Reverse(value), y, x));
+        self.sorted.clear();
+        self.sorted.resize(kept, (0, 0, 0));
+        for &(value, x, y) in &self.tiles {
+            let slot = &mut counts[value as usize];
+            if usize::from(value) < least || *slot >= kept {
+                continue;
+            }
+            let (left, top) = (x as usize, y as usize);
+            let at = (0..TILE * TILE).find(|i| response.row(top + i / TILE)[left + i % TILE] == value).unwrap_or(0);
+            self.sorted[*slot] = (value, x + (at % TILE) as u32, y + (at / TILE) as u32);
+            *slot += 1;
+        }
     }
 }
 

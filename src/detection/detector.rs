@@ -229,9 +229,7 @@ impl Detector {
             self.grid.forget_attempts();
             self.growth.grow(image, &mut self.grid, &WINDOWS);
         }
-        if level > 0 {
-            sharpen_all(image, &mut self.grid);
-        }
+        sharpen_all(image, &mut self.grid);
         self.bridge(image);
     }
 

@@ -10,6 +10,32 @@ const LARGEST_RADIUS: i32 = 104;
 /// How often a place is looked at in vain.
 const MOST_ATTEMPTS: u8 = 4;
 
+/// Steps along a line that tell of the step at a place: how far off, on which parallel line, starting where; nearest first.
+const STEPS_NEARBY: [(i32, i32, i32); 22] = [
+    (0, 0, 0),
+    (0, 0, -1),
+    (1, 1, 0),
+    (1, 1, -1),
+    (1, -1, 0),
+    (1, -1, -1),
+    (1, 0, 1),
+    (1, 0, -2),
+    (2, 2, 0),
+    (2, 2, -1),
+    (2, -2, 0),
+    (2, -2, -1),
+    (2, 1, 1),
+    (2, 1, -2),
+    (2, -1, 1),
+    (2, -1, -2),
+    (2, 0, 2),
+    (2, 0, -3),
+    (3, 2, 1),
+    (3, 2, -2),
+    (3, -2, 1),
+    (3, -2, -2),
+];
+
 /// A corner of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Node {
@@ -156,19 +182,19 @@ impl Grid {
         if let (Some(p), Some(q)) = (self.pixel(i - di, j - dj), self.pixel(i + di, j + dj)) {
             return Some((q - p) * 0.5);
         }
-        let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
-        for side in -2i32..=2 {
-            for start in -3i32..=2 {
-                let (pi, pj) = (i + start * di + side * dj, j + start * dj + side * di);
-                if let (Some(p), Some(q)) = (self.pixel(pi, pj), self.pixel(pi + di, pj + dj)) {
-                    let off = (start as f32 + 0.5).abs() + side.abs() as f32;
-                    let w = 1.0 / (off * off * off * off);
-                    sum += (q - p) * w;
-                    weight += w;
-                }
+        let (mut sum, mut count, mut within) = (Vec2::zeros(), 0.0, 9);
+        for (off, side, start) in STEPS_NEARBY {
+            if off > within {
+                break;
+            }
+            let (pi, pj) = (i + start * di + side * dj, j + start * dj + side * di);
+            if let (Some(p), Some(q)) = (self.pixel(pi, pj), self.pixel(pi + di, pj + dj)) {
+                sum += q - p;
+                count += 1.0;
+                within = off;
             }
         }
-        (weight > 0.0).then(|| sum / weight)
+        (count > 0.0).then(|| sum / count)
     }
 
     /// Where the corner (i, j) must be, from its known neighbours: along lines and across squares.

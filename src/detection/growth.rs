@@ -185,29 +185,19 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
         return None;
     }
     // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
-    let mut center = second.center;
-    for part in [0.6, 0.35, 0.2] {
-        match window(center, part * size.reach).and_then(|window| window.look(image)) {
-            Some(cross)
-                if cross.score > LEAST_NARROW_SCORE && cross.contrast / second.contrast > LEAST_NARROW_CONTRAST =>
-            {
-                center = cross.center;
-            }
-            _ => break,
-        }
-    }
-    let near = window(center, NEAR)?.look(image)?;
+    let near = window(second.center, NEAR)?.look(image)?;
     if near.score < LEAST_NEAR_SCORE {
         return None;
     }
-    let near_contrast = near.contrast;
-    Some(Node { pixel: center, contrast: second.contrast, near_contrast, score: second.score })
+    let sharp = near.contrast / second.contrast > LEAST_NARROW_CONTRAST;
+    let pixel = if sharp { near.center } else { second.center };
+    Some(Node { pixel, contrast: second.contrast, near_contrast: near.contrast, score: second.score })
 }
 
 /// The corner of `node`, found on a coarser level and taken to this one, where `image` shows it.
 pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2]) -> Node {
     let mut center = node.pixel;
-    for reach in [0.25, 0.15, 0.08] {
+    for reach in [0.2, 0.1] {
         match window(center, steps, reach, WIDE.most_px).inside(image, 0.25).and_then(|window| window.look(image)) {
             Some(cross)
                 if cross.score > LEAST_NARROW_SCORE && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>
