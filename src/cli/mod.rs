@@ -24,6 +24,7 @@ pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
+pub mod undistort;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -50,6 +51,7 @@ enum Command {
     Devices(devices::Args),
     Export(export::Args),
     Simulate(simulate::Args),
+    Undistort(undistort::Args),
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
@@ -61,6 +63,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Undistort(args) => undistort::run(&args),
     }
 }
 

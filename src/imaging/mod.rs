@@ -9,4 +9,6 @@ pub mod gray;
 mod jpeg;
 pub mod picture_file;
 pub mod pixel_format;
+pub mod remap;
 pub mod timestamp;
+pub mod undistort;

@@ -1,0 +1,165 @@
+//! `plumb undistort`: pictures as a lens without distortion would have taken them.
+
+use std::collections::BTreeSet;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
+use serde::Serialize;
+
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::sources::{FrameSets, SourcedFrames};
+use crate::cli::{Failure, output, progress};
+use crate::document::lens::LensDocument;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::decode;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::remap::Interpolation;
+use crate::imaging::undistort::{UndistortOptions, Undistortion};
+
+/// Writes undistorted images
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// The folder to write to; made if it is not there. Results are PNG files with the pictures' names
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// 0: every pixel of a result is seen; 1: everything that was seen is in the result
+    #[arg(long, default_value_t = 0.0)]
+    balance: f64,
+    /// Print one JSON document: the lens that the results look as if taken with, and each picture's result
+    #[arg(long)]
+    json: bool,
+    /// Pictures, folders, quoted globs or recordings
+    #[arg(required = true, value_name = "IMAGE")]
+    images: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    image_size: [u32; 2],
+    lens: LensDocument,
+    seen_fraction: f64,
+    written: Vec<Written>,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    path: String,
+    out: String,
+}
+
+/// Undistorts every picture; one that cannot be is told at the end, and the others are written.
+///
+/// # Errors
+/// A failure for a calibration that cannot be read, and when any picture could not be undistorted.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    if !(0.0..=1.0).contains(&args.balance) {
+        return Err(Failure::usage(format!("--balance {}: give a number from 0 to 1", args.balance)));
+    }
+    let calibration = read_calibration(&args.calibration)?;
+    let file = args.calibration.display();
+    let color = calibration.color.ok_or_else(|| Failure::failed(format!("{file}: calibrates no picture sensor")))?;
+    let options = UndistortOptions { balance: args.balance, size: None };
+    let undistortion = Undistortion::new(&color.lens, color.image_size, &options);
+    std::fs::create_dir_all(&args.out)
+        .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
+    let mut written = Vec::new();
+    let mut failures = Vec::new();
+    let mut taken = BTreeSet::new();
+    let spinner = progress::spinner("undistorting");
+    for frames in FrameSets::new(args.images.iter().cloned()) {
+        let outcome = match frames {
+            Ok(frames) => undistorted(&frames, &undistortion, &args.out, &mut taken),
+            Err(unreadable) => Err(unreadable.reason),
+        };
+        match outcome {
+            Ok(one) => written.push(one),
+            Err(line) => failures.push(line),
+        }
+        spinner.inc(1);
+    }
+    spinner.finish_and_clear();
+    tell(args, &undistortion.lens, color.image_size, undistortion.map.seen_fraction(), written, &failures)
+}
+
+fn tell(
+    args: &Args,
+    lens: &Lens,
+    size: ImageSize,
+    seen_fraction: f64,
+    written: Vec<Written>,
+    failures: &[String],
+) -> Result<(), Failure> {
+    let count = written.len();
+    if args.json {
+        let image_size = [size.width, size.height];
+        output::print_json(&Report { image_size, lens: lens.into(), seen_fraction, written })?;
+    } else if count > 0 {
+        output::print_line(&format!("{}: {count} undistorted pictures", args.out.display()))?;
+    }
+    match failures {
+        [] => Ok(()),
+        [one] => Err(Failure::failed(one)),
+        [first, ..] => {
+            let all = failures.len() + count;
+            Err(Failure::failed(format!(
+                "{} of {all} pictures could not be undistorted; the first: {first}",
+                failures.len()
+            )))
+        }
+    }
+}
+
+/// Undistorts one picture into `folder`; why not, in one line.
+fn undistorted(
+    frames: &SourcedFrames,
+    undistortion: &Undistortion,
+    folder: &Path,
+    taken: &mut BTreeSet<PathBuf>,
+) -> Result<Written, String> {
+    let path = frames.path();
+    let frame = frames.set.frame(SensorKind::Color).ok_or_else(|| format!("{path}: no picture in this frame set"))?;
+    let picture = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
+    let size = ImageSize::new(picture.width(), picture.height());
+    let flat = undistortion.map.rgb(&picture, Interpolation::Bicubic).ok_or_else(|| {
+        let expected = undistortion.map.source_size();
+        format!("{path}: {size} pixels, but the calibration is for {expected}; give pictures of the calibrated camera")
+    })?;
+    let out = folder.join(file_name(frames));
+    if !taken.insert(out.clone()) {
+        return Err(format!("{path}: {} was written from another picture of that name; rename one", out.display()));
+    }
+    let png = png(flat).map_err(|error| format!("{path}: {error}"))?;
+    write_file(&out, &png).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    Ok(Written { path, out: out.display().to_string() })
+}
+
+/// The picture's name with the ending .png; for a frame of a recording the recording's name and the sequence number.
+fn file_name(frames: &SourcedFrames) -> String {
+    let stem = |path: &str| Path::new(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    match (&frames.set.name, &frames.recording) {
+        (Some(name), _) => format!("{}.png", stem(name)),
+        (None, recording) => {
+            format!("{}-{:06}.png", stem(recording.as_deref().unwrap_or("frame")), frames.set.sequence)
+        }
+    }
+}
+
+/// A PNG file: grey for a picture without colours.
+fn png(picture: RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let grey = picture.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    let picture = if grey {
+        let values = picture.pixels().map(|pixel| pixel[0]).collect();
+        GrayImage::from_raw(picture.width(), picture.height(), values)
+            .map_or(DynamicImage::ImageRgb8(picture), DynamicImage::ImageLuma8)
+    } else {
+        DynamicImage::ImageRgb8(picture)
+    };
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_to(&mut bytes, ImageFormat::Png)?;
+    Ok(bytes.into_inner())
+}
