@@ -93,23 +93,16 @@ impl Lattice {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }
 
-    /// What the board tells about the corner at `index`. The bend is the mean of that of the corners around: it changes little
-    /// over a board, and the mean of nine has a third of the noise of one.
+    /// What the board tells about the corner at `index`. The bend is the mean of those of the corners around, the smallest and
+    /// the largest left out: it changes little over a board, and so has a third of the noise of one corner's, and does not
+    /// believe a corner that went astray.
     pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
-        let mut sums = [0.0; 2];
-        let mut counts = [0.0; 2];
-        for slot in AROUND.iter().filter_map(|step| self.slot(index, *step)) {
-            for axis in 0..2 {
-                if let Some(bend) = self.bends[slot][axis] {
-                    sums[axis] += bend;
-                    counts[axis] += 1.0;
-                }
-            }
-        }
+        let around = || AROUND.iter().filter_map(|step| self.slot(index, *step));
+        let curvature = [0, 1].map(|axis| trimmed_mean(around().filter_map(|slot| self.bends[slot][axis])));
         let light = self.slot(index, [0, 0]).map_or([0.0; 2], |slot| self.lights[slot]);
         let det = axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0];
         Surroundings {
-            curvature: [0, 1].map(|axis| sums[axis] / f64::max(counts[axis], 1.0)),
+            curvature,
             light_gradient: [
                 (light[0] * axes[1][1] - light[1] * axes[0][1]) / det,
                 (light[1] * axes[0][0] - light[0] * axes[1][0]) / det,
@@ -155,4 +148,16 @@ fn slope([before, behind, here, ahead, beyond]: [Option<f64>; 5]) -> f64 {
     let central = || Some((ahead? - behind?) / 2.0);
     let back = || one_sided(behind, before).map(|slope| -slope);
     central().or_else(|| one_sided(ahead, beyond)).or_else(back).unwrap_or(0.0)
+}
+
+/// The mean without the smallest and the largest, where there are more than three; 0 where there is none.
+fn trimmed_mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut sum, mut count, mut least, mut most) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
+    for value in values {
+        sum += value;
+        count += 1.0;
+        least = value.min(least);
+        most = value.max(most);
+    }
+    if count > 3.0 { (sum - least - most) / (count - 2.0) } else { sum / f64::max(count, 1.0) }
 }

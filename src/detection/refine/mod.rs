@@ -83,7 +83,11 @@ const SECOND_REACH: f64 = 11.5;
 const FEWEST_SAMPLES: usize = 30;
 /// Fits are repeated with a larger window while the blur turns out this much wider than the window was made for.
 const WIDER: f64 = 1.4;
-const MOST_WINDOWS: usize = 4;
+/// And with the window at the corner when that is this many samples from the window's middle.
+const RECENTER: f64 = 2.0;
+const MOST_WINDOWS: usize = 5;
+/// The share of samples that agree with the model, at a corner in plain view.
+const MOST_AGREE: f64 = 0.7;
 
 impl Refiner {
     /// A refiner with empty buffers.
@@ -124,22 +128,31 @@ impl Refiner {
         }
     }
 
-    /// The first fit of a corner, in a window whose size follows the blur.
+    /// The first fit of a corner: in a small window, whose size follows the blur and which moves with the corner. Where that
+    /// shows no corner the guess may be far off: a window of larger bins sees farther.
     fn fit_alone(&mut self, image: GrayView<'_>, corner: &GridCorner, blur_px: f64) -> Option<Fitted> {
         let axes = axes_of(corner)?;
-        let mut blur_px = blur_px.max(0.7);
-        let mut fitted = None;
+        let guess = [corner.pixel.x, corner.pixel.y];
+        let (mut origin, mut blur_px, mut coarser) = (guess, blur_px.max(0.7), 1);
+        let mut best = None;
         for _ in 0..MOST_WINDOWS {
-            let window = Window::new([corner.pixel.x, corner.pixel.y], axes, blur_px, FIRST_REACH);
-            let first = self.fit_in(image, window, blur_px)?;
-            let seen = first.blur_px();
-            fitted = Some(first);
-            if seen < WIDER * blur_px {
-                break;
+            let window = Window::new(origin, axes, blur_px, FIRST_REACH * coarser as f64).coarsened(coarser);
+            let Some(first) = self.fit_in(image, window, blur_px).filter(Fitted::has_settled) else {
+                (origin, coarser) = (guess, 2 * coarser);
+                continue;
+            };
+            let (center, seen) = (first.center(), first.blur_px());
+            let stayed = length([center[0] - origin[0], center[1] - origin[1]]) < RECENTER * window.bin as f64;
+            if coarser == 1 {
+                best = Some(first);
+                if seen < WIDER * blur_px && stayed {
+                    break;
+                }
+                blur_px = blur_px.max(seen);
             }
-            blur_px = seen;
+            (origin, coarser) = (center, 1);
         }
-        fitted
+        best
     }
 
     fn fit_in(&mut self, image: GrayView<'_>, window: Window, blur_px: f64) -> Option<Fitted> {
@@ -170,7 +183,15 @@ impl Refiner {
         start.gradient = around.light_gradient.map(|g| g * bin);
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise { black, white, tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs() };
-        self.fit(window, start, &noise, &FitOptions { iterations: 4, enough: 0.05 })
+        let options = FitOptions { iterations: 4, enough: 0.05 };
+        let second = self.fit(window, start, &noise, &options)?;
+        if second.agreeing > MOST_AGREE {
+            return Some(second);
+        }
+        // Much that disagrees may be another corner's or a hand's, or the start was too far off for so narrow a tolerance.
+        let patient = Noise { tolerance: noise.tolerance + 0.3 * start.amplitude.abs(), ..noise };
+        let start = self.fit(window, start, &patient, &FitOptions { iterations: 8, ..options })?.fit.model;
+        self.fit(window, start, &noise, &options)
     }
 
     fn gather(&mut self, image: GrayView<'_>, window: &Window) -> Option<()> {
@@ -222,14 +243,18 @@ impl Fitted {
         Known { at: self.center(), along: model.along, white }
     }
 
+    /// Whether the fit has come to rest at something that explains most of what is seen.
+    fn has_settled(&self) -> bool {
+        self.agreeing > 0.4 && self.fit.last_step < 0.3
+    }
+
     /// Whether this may be the corner that was asked for.
     fn may_be_corner(&self, corner: &GridCorner) -> bool {
         let [x, y] = self.center();
         let cell = self.window.axes.map(length).into_iter().fold(f64::INFINITY, f64::min);
         let moved = length([x - corner.pixel.x, y - corner.pixel.y]);
         let model = &self.fit.model;
-        moved < (0.4 * cell).clamp(1.0, 3.0)
-            && self.agreeing > 0.3
+        moved < (0.4 * cell).min(f64::max(3.0, 0.08 * cell))
             && model.amplitude.abs() > 1.0
             && model.correlation().abs() < 0.985
     }

@@ -41,6 +41,11 @@ impl Window {
         Self { origin, axes, extent, strip_px: f64::INFINITY, bin }
     }
 
+    /// The same window in bins `times` as large, but no larger than can be gathered.
+    pub fn coarsened(self, times: usize) -> Self {
+        Self { bin: (times * self.bin).min(4), ..self }
+    }
+
     /// The same window along edges whose directions are known by now, without the pixels that are far from both edges:
     /// they tell black and white, of which there is enough, and nothing of where the edges are.
     pub fn along_edges(self, along: [[f64; 2]; 2], blur_px: f64) -> Self {
