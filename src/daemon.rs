@@ -3,6 +3,7 @@
 //! Nothing is begun that a later step may refuse for a reason that could be known before: the address is taken first,
 //! so that a second daemon neither opens the store nor a camera.
 
+mod reload;
 pub mod sources;
 
 use std::net::SocketAddr;
@@ -14,6 +15,7 @@ use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 
 use crate::config::Config;
+use crate::daemon::reload::Reload;
 use crate::daemon::sources::plan_of;
 use crate::http::{self, Service};
 use crate::pipeline::FleetOptions;
@@ -52,7 +54,8 @@ const HTTP_THREADS: usize = 2;
 /// What a request may still be computing when everything else has ended.
 const LAST_WAIT: Duration = Duration::from_millis(100);
 
-/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from.
+/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from, and what SIGHUP reads
+/// again.
 ///
 /// # Errors
 /// [`DaemonError`] when it cannot start.
@@ -81,6 +84,8 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     if config.cameras.is_empty() {
         tracing::warn!("no camera is configured; give a file with [[camera]] tables with --config");
     }
+    let reload = Reload { fleet: Arc::clone(&fleet), file: file.clone(), config: config.clone() };
+    runtime.block_on(async { reload.with_each_hangup() })?;
     let listening = listener.local_addr().unwrap_or(address);
     tracing::info!(file = file.map(|file| file.display().to_string()), "listening on http://{listening}");
     let token = config.token.as_ref().map(|token| token.reveal().to_owned());

@@ -138,7 +138,7 @@ pub struct AdmissionOptions {
     pub blur_limit: f64,
     /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
     pub speed_limit: f64,
-    /// How many steps ([`Placement::steps_to`]) away from every kept view. Default: 1.
+    /// How many steps ([`Placement::steps_to`]) away from every kept view. Default: 0.6.
     pub novelty_steps: f64,
     /// The most views of a session. Default: 150.
     pub view_limit: u32,
@@ -146,7 +146,7 @@ pub struct AdmissionOptions {
 
 impl Default for AdmissionOptions {
     fn default() -> Self {
-        Self { blur_limit: 0.0025, speed_limit: 0.4, novelty_steps: 1.0, view_limit: 150 }
+        Self { blur_limit: 0.0025, speed_limit: 0.4, novelty_steps: 0.6, view_limit: 150 }
     }
 }
 

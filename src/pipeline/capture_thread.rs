@@ -49,6 +49,8 @@ impl Default for Supervision {
 const POLL: Duration = Duration::from_millis(200);
 /// How soon a waiting thread sees that a session began.
 const GLANCE: Duration = Duration::from_millis(20);
+/// How often a device is asked whether it still stands as the last session held it.
+const MOVED_CHECK: Duration = Duration::from_secs(2);
 const LONGEST_PACE: Duration = Duration::from_secs(1);
 
 /// Why a source is no longer read.
@@ -57,8 +59,8 @@ enum End {
     Stopped,
     /// To be opened again at once.
     Again,
-    /// Gave its last frame, for this session.
-    Ended { search: Option<Arc<Search>>, waits: bool },
+    /// Gave its last frame, for this session; `cut` says what ended it early.
+    Ended { search: Option<Arc<Search>>, waits: bool, cut: Option<String> },
     /// Gone; may come back.
     Lost(String),
     /// Needs a person.
@@ -83,7 +85,7 @@ impl Capture {
             match end {
                 End::Stopped => return,
                 End::Again => {}
-                End::Ended { search, waits } => self.rest(search.as_ref(), waits),
+                End::Ended { search, waits, cut } => self.rest(search.as_ref(), waits, cut),
                 End::Lost(reason) => {
                     self.camera.metrics.lost.with_label_values(&[&self.camera.name]).inc();
                     let retry = self.retry;
@@ -127,10 +129,13 @@ impl Capture {
     ) -> End {
         let opened = Instant::now();
         let mut held_for: Option<Arc<Search>> = None;
+        // When it was last known to stand as a session held it.
+        let mut held: Option<Instant> = None;
         let mut pace = Pace::default();
         let mut counted = Losses::default();
         let mut silence = Duration::ZERO;
         let mut delivered = false;
+        let mut cut: Option<String> = None;
         loop {
             if self.camera.stop.is_set() {
                 return End::Stopped;
@@ -138,6 +143,7 @@ impl Capture {
             let search = self.camera.search.get();
             if held_for.is_some() != search.is_some() {
                 self.hold_still(source, search.is_some());
+                held = Some(Instant::now());
             }
             held_for.clone_from(&search);
             if description.waits && search.is_some() && search != opened_for {
@@ -151,6 +157,10 @@ impl Capture {
                     delivered = true;
                     if opened.elapsed() > self.supervision.longest_retry {
                         self.retry = self.supervision.first_retry;
+                    }
+                    if search.is_none() && held.is_some_and(|since| since.elapsed() > MOVED_CHECK) {
+                        self.tell_moved(source);
+                        held = Some(Instant::now());
                     }
                     if description.waits && search.is_none() && self.keep_pace(&mut pace, &frame_set) {
                         continue;
@@ -168,7 +178,11 @@ impl Capture {
                 }
                 Err(CaptureError::Ended) if !delivered => return End::Failed("the recording holds no frames".into()),
                 Err(CaptureError::Ended) if description.waits && search.is_none() => return End::Again,
-                Err(CaptureError::Ended) => return End::Ended { search, waits: description.waits },
+                Err(CaptureError::Ended) => return End::Ended { search, waits: description.waits, cut },
+                // A recording that is cut short has ended there.
+                Err(CaptureError::Failed { reason }) if delivered && !self.may_stall && cut.is_none() => {
+                    cut = Some(reason);
+                }
                 Err(CaptureError::Failed { reason }) => return End::Failed(reason),
                 Err(error @ CaptureError::Lost { .. }) => return End::Lost(error.to_string()),
             }
@@ -184,6 +198,11 @@ impl Capture {
         if let Err(error) = source.calibrating(on) {
             tracing::warn!(camera = self.camera.name, "the device does not hold still for a calibration: {error}");
         }
+    }
+
+    /// Shows what has moved since the last session: the calibration may no longer hold.
+    fn tell_moved(&self, source: &dyn FrameSource) {
+        self.camera.set_state(CameraState::Streaming, source.moved_since_calibrating().as_deref());
     }
 
     fn count_losses(&self, losses: Losses, counted: &mut Losses) {
@@ -255,9 +274,10 @@ impl Capture {
 
     /// After the last frame: waits for another session to begin; a replay that waits is also shown again when the session
     /// is over.
-    fn rest(&self, ended_for: Option<&Arc<Search>>, waits: bool) {
-        let reason = "the recording has ended";
-        let end = Captured::End { search: ended_for.cloned(), reason: reason.to_owned() };
+    fn rest(&self, ended_for: Option<&Arc<Search>>, waits: bool, cut: Option<String>) {
+        let cut = cut.map(|cut| format!(": {cut}")).unwrap_or_default();
+        let reason = format!("the recording has ended{cut}");
+        let end = Captured::End { search: ended_for.cloned(), reason: reason.clone() };
         if self.camera.slot.put_waiting(end).is_err() {
             return;
         }

@@ -1,6 +1,6 @@
 //! All cameras of the daemon as one live object: the only thing that the layers above talk to.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -75,9 +75,16 @@ const GLANCE: Duration = Duration::from_millis(2);
 /// All cameras, live. Reading never waits on a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
-    cameras: Vec<Arc<LiveCamera>>,
+    cameras: RwLock<Vec<RunningCamera>>,
     shared: SharedParts,
-    threads: Mutex<Vec<JoinHandle<()>>>,
+    options: FleetOptions,
+}
+
+/// A camera with the threads that work for it.
+#[derive(Debug)]
+struct RunningCamera {
+    camera: Arc<LiveCamera>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Fleet {
@@ -89,42 +96,44 @@ impl Fleet {
         let metrics = Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
         // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in JavaScript.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
-        let mut unfinished = store.unfinished_sessions()?;
         let shared = SharedParts { events, metrics: Arc::new(metrics), store };
-        let mut fleet = Self { cameras: Vec::new(), shared, threads: Mutex::default() };
+        let fleet = Self { cameras: RwLock::default(), shared, options: options.clone() };
+        // A fleet that is dropped half started ends the threads that it has.
+        fleet.replace_cameras(&[], plans)?;
+        for (record, _) in fleet.shared.store.unfinished_sessions()? {
+            if fleet.link(&record.camera).is_err() {
+                let SessionRecord { id, camera, .. } = record;
+                tracing::warn!(session = id, camera, "unfinished session of a camera that is not configured");
+            }
+        }
+        Ok(fleet)
+    }
+
+    /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that were left unfinished. The
+    /// others do not notice. Blocks for less than a second.
+    ///
+    /// # Errors
+    /// [`FleetError`]; cameras before the one that failed are running then.
+    pub fn replace_cameras(&self, stopped: &[String], plans: Vec<CameraPlan>) -> Result<(), FleetError> {
+        let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
+        let (leaving, staying) =
+            cameras.drain(..).partition(|running: &RunningCamera| stopped.contains(&running.camera.name));
+        *cameras = staying;
+        stop(leaving);
+        let mut unfinished = self.shared.store.unfinished_sessions()?;
         for plan in plans {
             let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
             let left = left.map(|at| unfinished.remove(at));
-            // A fleet that is dropped half started ends the threads that it has.
-            let (camera, threads) = start_camera(plan, left, &fleet.shared, options)?;
-            fleet.cameras.push(camera);
-            fleet.threads.get_mut().unwrap_or_else(PoisonError::into_inner).extend(threads);
+            let (camera, threads) = start_camera(plan, left, &self.shared, &self.options)?;
+            cameras.push(RunningCamera { camera, threads });
         }
-        for (record, _) in unfinished {
-            tracing::warn!(
-                session = record.id,
-                camera = record.camera,
-                "unfinished session of a camera that is not configured"
-            );
-        }
-        Ok(fleet)
+        Ok(())
     }
 
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second: a
     /// thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
-        for camera in &self.cameras {
-            camera.stop.set();
-            camera.slot.close();
-            // A full queue wakes its thread anyway.
-            let _ = camera.messages.try_send(Message::Wake);
-        }
-        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
-        let until = Instant::now() + LAST_WAIT;
-        while threads.iter().any(|thread| !thread.is_finished()) && Instant::now() < until {
-            std::thread::sleep(GLANCE);
-        }
-        threads.clear();
+        stop(self.cameras.write().unwrap_or_else(PoisonError::into_inner).drain(..).collect());
     }
 
     /// Makes a calibration its camera's current one.
@@ -152,7 +161,7 @@ impl Fleet {
 
     /// Every camera, in the order of the configuration.
     pub fn cameras(&self) -> Vec<CameraStatus> {
-        self.cameras.iter().map(|camera| camera.status.borrow().clone()).collect()
+        self.running().iter().map(|running| running.camera.status.borrow().clone()).collect()
     }
 
     /// One camera.
@@ -160,12 +169,14 @@ impl Fleet {
     /// # Errors
     /// [`UnknownCamera`].
     pub fn camera(&self, name: &str) -> Result<CameraStatus, UnknownCamera> {
-        Ok(self.link(name)?.status.borrow().clone())
+        let camera = self.link(name)?;
+        let status = camera.status.borrow().clone();
+        Ok(status)
     }
 
     /// Whether any camera delivers.
     pub fn is_ready(&self) -> bool {
-        self.cameras.iter().any(|camera| camera.status.borrow().state == CameraState::Streaming)
+        self.running().iter().any(|running| running.camera.status.borrow().state == CameraState::Streaming)
     }
 
     /// A camera's newest frame with what was seen in it, now and as it changes; `None` before the first.
@@ -178,12 +189,14 @@ impl Fleet {
 
     /// The newest session of each camera since the daemon started, running or over. Older ones are in the store.
     pub fn live_sessions(&self) -> Vec<Arc<SessionRecord>> {
-        self.cameras.iter().filter_map(|camera| camera.session.borrow().clone()).collect()
+        self.running().iter().filter_map(|running| running.camera.session.borrow().clone()).collect()
     }
 
     /// The session `id`, if it is the newest of its camera since the daemon started. Older ones are in the store.
     pub fn live_session(&self, id: &str) -> Option<Arc<SessionRecord>> {
-        self.session_link(id).and_then(|camera| camera.session.borrow().clone())
+        let camera = self.session_link(id)?;
+        let record = camera.session.borrow().clone();
+        record
     }
 
     /// Starts a session on the camera `name`; it is stored when this returns.
@@ -244,14 +257,36 @@ impl Fleet {
         answer.await.map_err(|_| EndError::Stopping)?
     }
 
-    fn link(&self, name: &str) -> Result<&Arc<LiveCamera>, UnknownCamera> {
-        let found = self.cameras.iter().find(|camera| camera.name == name);
+    fn link(&self, name: &str) -> Result<Arc<LiveCamera>, UnknownCamera> {
+        let found = self.running().iter().map(|running| &running.camera).find(|camera| camera.name == name).cloned();
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
-    fn session_link(&self, id: &str) -> Option<&Arc<LiveCamera>> {
+    fn session_link(&self, id: &str) -> Option<Arc<LiveCamera>> {
         let has = |camera: &&Arc<LiveCamera>| camera.session.borrow().as_ref().is_some_and(|record| record.id == id);
-        self.cameras.iter().find(has)
+        self.running().iter().map(|running| &running.camera).find(has).cloned()
+    }
+
+    fn running(&self) -> RwLockReadGuard<'_, Vec<RunningCamera>> {
+        self.cameras.read().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Ends the threads of `cameras`, all at once.
+fn stop(cameras: Vec<RunningCamera>) {
+    for RunningCamera { camera, .. } in &cameras {
+        camera.stop.set();
+        camera.slot.close();
+        // A full queue wakes its thread anyway.
+        let _ = camera.messages.try_send(Message::Wake);
+    }
+    let until = Instant::now() + LAST_WAIT;
+    let mut threads = cameras.iter().flat_map(|running| &running.threads);
+    while threads.clone().any(|thread| !thread.is_finished()) && Instant::now() < until {
+        std::thread::sleep(GLANCE);
+    }
+    if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
+        tracing::warn!("thread {} is stuck and left behind", stuck.thread().name().unwrap_or("without a name"));
     }
 }
 

@@ -8,5 +8,7 @@ mod config_examples;
 mod decoding;
 mod layering;
 mod lens_conformance;
+mod live_session;
 mod program;
+mod served;
 mod shared_data;
