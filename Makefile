@@ -1,6 +1,6 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: build demo test lint rust-test device-test python-test
+.PHONY: build demo test lint rust-test device-test python-test page-test
 .DEFAULT_GOAL := build
 
 VENV := target/venv
@@ -17,7 +17,7 @@ demo:
 	/usr/bin/python3 demo/calibrate.py target/release/plumb
 
 # Everything that must hold. One build serves the unit tests, the system tests, and the checks that run the same binary.
-test: rust-test python-test device-test
+test: rust-test python-test page-test device-test
 
 rust-test:
 	$(PACKAGES) build test
@@ -27,6 +27,11 @@ rust-test:
 python-test: $(VENV)/installed
 	cargo build
 	PLUMB=target/debug/plumb timeout --kill-after=10 300 $(VENV)/bin/python -m pytest -q tests/python
+
+# The live page, driven in a real browser.
+page-test: $(VENV)/installed
+	cargo build
+	PLUMB=target/debug/plumb timeout --kill-after=10 600 $(VENV)/bin/python -m pytest -q tests/page
 
 # Real cameras: a small machine with a real V4L2 stack, and the RealSense library itself. Says so where none can be made.
 device-test: $(VENV)/installed

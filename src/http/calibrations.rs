@@ -11,9 +11,9 @@ use axum::response::{IntoResponse, Response};
 use crate::calibration::calibration::Calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::export::{Exported, Format, export};
-use crate::http::Shared;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
+use crate::http::{Shared, on_a_blocking_thread};
 
 const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap";
 
@@ -96,11 +96,9 @@ pub(super) async fn approve(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
 ) -> Result<Json<CalibrationDocument>, Problem> {
-    let approved = calibration(&shared, &id).await?;
-    let none = || Problem::not_found(format!("calibration {id} is no camera's"));
-    let camera = approved.camera.clone().ok_or_else(none)?;
-    shared.stored(move |store| store.set_current(&camera, &id)).await?;
-    Ok(Json((&approved).into()))
+    let (fleet, approved) = (Arc::clone(&shared.fleet), id.clone());
+    on_a_blocking_thread(move || fleet.approve(&approved)).await??;
+    Ok(Json((&calibration(&shared, &id).await?).into()))
 }
 
 /// The calibration `id`, as it was stored.

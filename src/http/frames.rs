@@ -12,10 +12,13 @@ use tokio::sync::watch;
 use crate::geometry::pixel::Pixel;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
+use crate::http::undistorted::undistortion;
 use crate::http::{Shared, on_a_blocking_thread};
 use crate::imaging::decode::{self, DecodeError};
 use crate::imaging::draw::{self, Pen};
 use crate::imaging::frame::{PixelFormat, SensorKind};
+use crate::imaging::remap::Interpolation;
+use crate::imaging::undistort::Undistortion;
 use crate::pipeline::live_frame::LiveFrame;
 
 const JPEG_QUALITY: u8 = 85;
@@ -26,6 +29,7 @@ const BOUNDARY: &str = "plumb-frame";
 struct Look {
     sensor: SensorKind,
     overlay: bool,
+    guidance: bool,
     undistorted: bool,
 }
 
@@ -34,7 +38,8 @@ struct Look {
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
         ("sensor" = Option<String>, Query, description = "color (when left out), infrared or depth"),
-        ("overlay" = Option<bool>, Query, description = "draw the corners that were found and where to hold the board next; false when left out"),
+        ("overlay" = Option<bool>, Query, description = "draw the corners that were found; false when left out"),
+        ("guidance" = Option<bool>, Query, description = "draw where to hold the board next; as `overlay` when left out"),
         ("undistorted" = Option<bool>, Query, description = "through the current calibration; false when left out"),
     ),
     responses(
@@ -54,8 +59,7 @@ pub(super) async fn frame(
         Some(live) => live,
         None => return Err(no_frame(&shared, &camera)),
     };
-    let wish = wish(&shared, &camera, look);
-    let jpeg = picture(&camera, live, look, wish).await?;
+    let jpeg = picture(&shared, &camera, live, look).await?;
     Ok(([(CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
 }
 
@@ -64,7 +68,8 @@ pub(super) async fn frame(
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
         ("sensor" = Option<String>, Query, description = "color (when left out), infrared or depth"),
-        ("overlay" = Option<bool>, Query, description = "true when left out"),
+        ("overlay" = Option<bool>, Query, description = "draw the corners that were found; true when left out"),
+        ("guidance" = Option<bool>, Query, description = "draw where to hold the board next; as `overlay` when left out"),
         ("undistorted" = Option<bool>, Query, description = "through the current calibration; false when left out"),
     ),
     responses(
@@ -87,7 +92,8 @@ pub(super) async fn preview(
             let part = next_part(&mut frames, &shared, &camera, look).await?;
             Some((Ok::<_, std::convert::Infallible>(part), (frames, shared, camera)))
         });
-    let body = Body::from_stream(parts.take_until(stopped));
+    let first = futures_util::stream::once(std::future::ready(Ok(Bytes::from(format!("--{BOUNDARY}\r\n")))));
+    let body = Body::from_stream(first.chain(parts).take_until(stopped));
     let media_type = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
 }
@@ -103,19 +109,23 @@ async fn next_part(
         frames.changed().await.ok()?;
         let live = frames.borrow_and_update().clone();
         let Some(live) = live else { continue };
-        if let Ok(jpeg) = picture(camera, live, look, wish(shared, camera, look)).await {
-            let head = format!("--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
-            return Some([head.as_bytes(), &jpeg, b"\r\n"].concat().into());
+        if let Ok(jpeg) = picture(shared, camera, live, look).await {
+            let head = format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+            // A browser shows a picture when it meets the boundary after it: it is not kept waiting for the next one.
+            let tail = format!("\r\n--{BOUNDARY}\r\n");
+            return Some([head.as_bytes(), &jpeg, tail.as_bytes()].concat().into());
         }
     }
 }
 
 fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
+    let overlay = parameters.flag("overlay", overlay)?;
     Ok(Look {
         sensor: parameters
             .one_of("sensor", SensorKind::from_name, "color, infrared, depth")?
             .unwrap_or(SensorKind::Color),
-        overlay: parameters.flag("overlay", overlay)?,
+        overlay,
+        guidance: parameters.flag("guidance", overlay)?,
         undistorted: parameters.flag("undistorted", false)?,
     })
 }
@@ -133,21 +143,31 @@ fn no_frame(shared: &Shared, camera: &str) -> Problem {
 
 /// Where the running session wants the board next, where that is to be drawn.
 fn wish(shared: &Shared, camera: &str, look: Look) -> Vec<Pixel> {
-    let shown = look.overlay && look.sensor == SensorKind::Color && !look.undistorted;
+    let shown = look.guidance && look.sensor == SensorKind::Color && !look.undistorted;
     let session = shown.then(|| shared.fleet.camera(camera).ok()?.session).flatten();
     let record = session.and_then(|id| shared.fleet.live_session(&id));
     record.map(|record| record.guidance.outline_px.clone()).unwrap_or_default()
 }
 
-async fn picture(camera: &str, live: Arc<LiveFrame>, look: Look, wish: Vec<Pixel>) -> Result<Vec<u8>, Problem> {
+async fn picture(shared: &Shared, camera: &str, live: Arc<LiveFrame>, look: Look) -> Result<Vec<u8>, Problem> {
     if live.frame_set.frame(look.sensor).is_none() {
         let detail = format!("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", look.sensor.name());
         return Err(Problem::not_found(detail));
     }
-    on_a_blocking_thread(move || drawn(&live, look, &wish)).await?
+    let wish = wish(shared, camera, look);
+    let undistortion = match look.undistorted {
+        true => Some(undistortion(shared, camera, look.sensor).await?),
+        false => None,
+    };
+    on_a_blocking_thread(move || drawn(&live, look, &wish, undistortion.as_deref())).await?
 }
 
-fn drawn(live: &LiveFrame, look: Look, wish: &[Pixel]) -> Result<Vec<u8>, Problem> {
+fn drawn(
+    live: &LiveFrame,
+    look: Look,
+    wish: &[Pixel],
+    undistortion: Option<&Undistortion>,
+) -> Result<Vec<u8>, Problem> {
     let frame = live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
     let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
     let seen = seen.filter(|_| look.overlay && look.sensor == SensorKind::Color);
@@ -162,6 +182,11 @@ fn drawn(live: &LiveFrame, look: Look, wish: &[Pixel]) -> Result<Vec<u8>, Proble
     if let Some(detection) = seen {
         let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
         draw::draw_corners(&mut picture, &corners);
+    }
+    if let Some(undistortion) = undistortion {
+        let other_size =
+            || Problem::conflict("the current calibration is for pictures of another size; calibrate again");
+        picture = undistortion.map.rgb(&picture, Interpolation::Bilinear).ok_or_else(other_size)?;
     }
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }

@@ -3,6 +3,8 @@
 use std::sync::Arc;
 
 use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
 
 use crate::http::Shared;
 use crate::http::problem::Problem;
@@ -30,4 +32,10 @@ pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static
     let said: Vec<String> = said.collect();
     let detail = if said.is_empty() { "no camera is configured; add a [[camera]]".into() } else { said.join("; ") };
     Err(Problem::unavailable(format!("no camera is delivering: {detail}")))
+}
+
+/// What has been counted, as Prometheus text.
+#[utoipa::path(get, path = "/metrics", tag = "daemon", responses((status = 200, description = "Prometheus text", body = String, content_type = "text/plain")))]
+pub(super) async fn metrics(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], shared.fleet.metrics_text())
 }

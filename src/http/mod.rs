@@ -19,6 +19,7 @@ mod serve;
 mod sessions;
 mod solve;
 mod uncertainty;
+mod undistorted;
 mod views;
 
 use std::sync::Arc;
@@ -26,6 +27,7 @@ use std::sync::Arc;
 use tokio::sync::{Semaphore, watch};
 
 use crate::http::problem::Problem;
+use crate::http::undistorted::Undistortions;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Store, StoreError};
 
@@ -51,6 +53,7 @@ struct Shared {
     token: Option<String>,
     /// How many stateless solves may run at once.
     solves: Semaphore,
+    undistortions: Undistortions,
     /// Becomes true when the daemon goes down: endless answers end.
     stopping: watch::Receiver<bool>,
 }

@@ -14,6 +14,7 @@ use crate::http::{calibrations, cameras, events, frames, health, sessions, solve
     paths(
         health::healthz,
         health::readyz,
+        health::metrics,
         cameras::list,
         cameras::one,
         frames::frame,

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::reading::to_json;
-use crate::pipeline::fleet::UnknownCamera;
+use crate::pipeline::fleet::{ApproveError, UnknownCamera};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::StoreError;
 
@@ -117,6 +117,16 @@ impl From<DocumentError> for Problem {
 impl From<UnknownCamera> for Problem {
     fn from(error: UnknownCamera) -> Self {
         Self::not_found(error.to_string())
+    }
+}
+
+impl From<ApproveError> for Problem {
+    fn from(error: ApproveError) -> Self {
+        match error {
+            ApproveError::UnknownCalibration { .. } => Self::not_found(error.to_string()),
+            ApproveError::NoCamera { .. } => Self::conflict(error.to_string()),
+            ApproveError::Store(error) => error.into(),
+        }
     }
 }
 

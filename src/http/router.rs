@@ -22,6 +22,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/page/{file}", get(page::file))
         .route("/healthz", get(health::healthz))
         .route("/readyz", get(health::readyz))
+        .route("/metrics", get(health::metrics))
         .route("/v1/cameras", get(cameras::list))
         .route("/v1/cameras/{camera}", get(cameras::one))
         .route("/v1/cameras/{camera}/frame.jpg", get(frames::frame))

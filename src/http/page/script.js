@@ -101,30 +101,23 @@ function showCamera() {
   if (sensor) $("overlay").setAttribute("viewBox", `-0.5 -0.5 ${sensor.image_size[0]} ${sensor.image_size[1]}`);
 }
 
+// The corners are drawn by the daemon, into the very frame that they were found in.
 function showPicture() {
   const picture = $("picture");
+  const source = () => at`/v1/cameras/${camera.name}/preview.mjpg?overlay=${$("show-corners").checked}&guidance=false&at=${Date.now()}`;
   picture.alt = `live picture of camera ${camera.name}`;
   picture.onload = () => show("placeholder", false);
   picture.onerror = () => {
     say("placeholder", "no picture at the moment");
-    setTimeout(() => { picture.src = at`/v1/cameras/${camera.name}/preview.mjpg?overlay=false&` + `at=${Date.now()}`; }, 1500);
+    setTimeout(() => { picture.src = source(); }, 1500);
   };
-  picture.src = at`/v1/cameras/${camera.name}/preview.mjpg?overlay=false`;
+  picture.src = source();
 }
 
 function layer(name) {
   let group = $("overlay").querySelector(`g.${name}s`);
   if (!group) $("overlay").append(group = drawn("g", { class: `${name}s` }));
   return group;
-}
-
-function showCorners(detection) {
-  const group = layer("corner");
-  if (!$("show-corners").checked || !detection || !detection.found) { group.replaceChildren(); return; }
-  const radius = $("overlay").viewBox.baseVal.width / 160;
-  const line = drawn("polyline", { class: "board", points: detection.corners.map((c) => c.join()).join(" ") });
-  group.replaceChildren(line, ...detection.corners.map(([cx, cy], i) =>
-    drawn("circle", { class: i ? "corner" : "corner first", cx, cy, r: i ? radius : radius * 1.6 })));
 }
 
 function showCoverage() {
@@ -158,7 +151,7 @@ function follow() {
   events.onerror = () => show("link", true);
   const on = (name, act) => events.addEventListener(name, (event) => act(JSON.parse(event.data)));
   on("camera", (document) => { camera = document; showCamera(); });
-  on("detection", (detection) => { showCorners(detection); showLast(detection); });
+  on("detection", showLast);
   on("session", (document) => { if (!session || document.id >= session.id) setSession(document); });
   on("calibration", () => { refreshCamera().then(showHistory); });
 }
@@ -219,7 +212,7 @@ async function setSession(document) {
   showWish();
   const message = running && session.state === "collecting" ? session.guidance.message : "";
   say("guidance", message);
-  if (!running) { showCorners(null); say("last", ""); }
+  if (!running) say("last", "");
   if (session) showNumbers(running);
   if (!session || session.state !== "finished") { result = null; show("result", false); }
   const changed = !before || !session || before.id !== session.id || before.state !== session.state;
@@ -411,9 +404,8 @@ $("again").addEventListener("click", () => {
   show("start-form", true);
   $("cols").focus();
 });
-for (const id of ["show-corners", "show-coverage"]) {
-  $(id).addEventListener("change", () => { showCoverage(); showCorners(null); });
-}
+$("show-coverage").addEventListener("change", showCoverage);
+$("show-corners").addEventListener("change", showPicture);
 window.addEventListener("hashchange", () => { session = null; result = null; begin(); });
 setInterval(() => { if (session && session.state === "collecting") showClock(); }, 1000);
 setInterval(() => { if (camera && !document.hidden) refreshCamera().catch(() => {}); }, 5000);

@@ -1,0 +1,69 @@
+//! Pictures through a camera's current calibration: the maps that undistort them, kept for the next picture.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::http::problem::Problem;
+use crate::http::{Shared, on_a_blocking_thread};
+use crate::imaging::frame::SensorKind;
+use crate::imaging::undistort::{UndistortOptions, Undistortion};
+
+/// How many maps are kept; each takes some bytes for every pixel of its picture.
+const KEPT: usize = 4;
+
+/// The maps used lately, by calibration and sensor, the latest last.
+#[derive(Debug, Default)]
+pub(super) struct Undistortions(Mutex<Vec<(Key, Arc<Undistortion>)>>);
+
+type Key = (String, SensorKind);
+
+impl Undistortions {
+    fn get(&self, key: &Key) -> Option<Arc<Undistortion>> {
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().find(|(known, _)| known == key).map(|(_, undistortion)| Arc::clone(undistortion))
+    }
+
+    fn keep(&self, key: Key, undistortion: &Arc<Undistortion>) {
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.retain(|(known, _)| *known != key);
+        if kept.len() == KEPT {
+            kept.remove(0);
+        }
+        kept.push((key, Arc::clone(undistortion)));
+    }
+}
+
+/// How to undistort the pictures of a camera's sensor with its current calibration.
+///
+/// # Errors
+/// 404 for an unknown camera; 409 without a current calibration of this sensor.
+pub(super) async fn undistortion(
+    shared: &Shared,
+    camera: &str,
+    sensor: SensorKind,
+) -> Result<Arc<Undistortion>, Problem> {
+    let none = || {
+        let name = sensor.name();
+        Problem::conflict(format!(
+            "camera `{camera}` has no approved calibration of {name} to undistort with; run a session"
+        ))
+    };
+    let id = shared.fleet.camera(camera)?.calibration.ok_or_else(none)?;
+    let key = (id, sensor);
+    if let Some(known) = shared.undistortions.get(&key) {
+        return Ok(known);
+    }
+    let asked = key.0.clone();
+    let calibration = shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
+    let calibrated = match sensor {
+        SensorKind::Color => calibration.color,
+        SensorKind::Infrared => calibration.infrared,
+        SensorKind::Depth => None,
+    };
+    let calibrated = calibrated.ok_or_else(none)?;
+    let made = on_a_blocking_thread(move || {
+        Undistortion::new(&calibrated.lens, calibrated.image_size, &UndistortOptions::default())
+    });
+    let made = Arc::new(made.await?);
+    shared.undistortions.keep(key, &made);
+    Ok(made)
+}

@@ -1,0 +1,148 @@
+"""The live page as an operator uses it: a real browser on a running daemon.
+
+Start, watch, reload in the middle, stop, read the verdict. The browser is Debian's chromium through its chromedriver.
+"""
+
+import json
+import os
+import pathlib
+import re
+import subprocess
+import urllib.request
+
+import pytest
+from selenium import webdriver
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PLUMB = ROOT / os.environ.get("PLUMB", "target/debug/plumb")
+PATIENCE_S = 60
+
+
+@pytest.fixture
+def daemon(tmp_path):
+    """A daemon that replays the bundled walk as fast as a camera would give it; its address."""
+    config = tmp_path / "plumb.toml"
+    recording = ROOT / "recordings" / "walk.mcap"
+    config.write_text(
+        f'[store]\npath = "{tmp_path}/store"\n[[camera]]\nname = "front"\n'
+        f'source = {{ kind = "recording", path = "{recording}", pace = "recorded", repeat = true }}\n'
+    )
+    command = [PLUMB, "serve", "--config", config, "--listen", "127.0.0.1:0"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env={**os.environ, "RUST_LOG": "info"})
+    address = None
+    for line in process.stderr:
+        found = re.search(r"http://[\d.:]+", line)
+        if found:
+            address = found.group()
+            break
+    assert address, "the daemon did not say where it listens"
+    yield address
+    process.terminate()
+    # Its log is read on, or it would wait for its reader.
+    process.communicate(timeout=30)
+
+
+@pytest.fixture
+def browser():
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--window-size=1300,1000"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService("/usr/bin/chromedriver"))
+    yield driver
+    errors = [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
+    driver.quit()
+    assert errors == []
+
+
+def ask(address, path):
+    with urllib.request.urlopen(address + path) as response:
+        return json.load(response)
+
+
+def wait(browser, condition):
+    return WebDriverWait(browser, PATIENCE_S, poll_frequency=0.1).until(condition)
+
+
+def shown(browser, name):
+    wait(browser, lambda b: b.find_element(By.ID, name).is_displayed())
+    return browser.find_element(By.ID, name)
+
+
+def number(browser, name):
+    found = re.match(r"[\d.]+", browser.find_element(By.ID, name).text)
+    return float(found.group()) if found else None
+
+
+def start_session(browser):
+    for name, value in (("cols", "9"), ("rows", "6"), ("square", "25")):
+        field = shown(browser, name)
+        field.clear()
+        field.send_keys(value)
+    shown(browser, "start").click()
+    shown(browser, "stop")
+
+
+def test_an_operator_calibrates_and_reloads_in_the_middle(daemon, browser):
+    browser.get(daemon)
+    picture = browser.find_element(By.ID, "picture")
+    wait(browser, lambda b: b.execute_script("return arguments[0].naturalWidth", picture) == 640)
+    wait(browser, lambda b: "streaming" in b.find_element(By.ID, "state").text)
+
+    start_session(browser)
+    wait(browser, lambda b: number(b, "n-views") >= 4)
+    assert shown(browser, "guidance").text
+    wait(browser, lambda b: b.find_elements(By.CSS_SELECTOR, "#overlay .cell"))
+    wait(browser, lambda b: len(b.find_elements(By.CSS_SELECTOR, "#views li")) >= 4)
+    wait(browser, lambda b: "Not kept" in b.find_element(By.ID, "last").text)
+    session = ask(daemon, "/v1/sessions")["sessions"][0]
+
+    browser.refresh()
+    shown(browser, "stop")
+    assert not browser.find_element(By.ID, "start-form").is_displayed()
+    wait(browser, lambda b: number(b, "n-views") >= max(10, session["views_kept"]))
+    assert number(browser, "n-rms") is not None and number(browser, "n-uncertainty") is not None
+    sessions = ask(daemon, "/v1/sessions")["sessions"]
+    assert [one["id"] for one in sessions] == [session["id"]], "a reload goes on with the session that runs"
+
+    shown(browser, "stop").click()
+    verdict = shown(browser, "verdict").text
+    calibration = ask(daemon, "/v1/cameras/front/calibrations")["calibrations"][0]
+    assert verdict.split(":")[0].split(",")[0].lower() == calibration["verdict"]["grade"]
+    reasons = [item.text for item in browser.find_elements(By.CSS_SELECTOR, "#reasons li")]
+    assert [reason.lower() for reason in reasons] == [reason.lower() for reason in calibration["verdict"]["reasons"]]
+    heat = browser.find_element(By.ID, "heat")
+    wait(browser, lambda b: b.execute_script("return arguments[0].naturalWidth", heat) > 0)
+    links = [link.text for link in browser.find_elements(By.CSS_SELECTOR, "#downloads a")]
+    assert links == ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"]
+    assert len(browser.find_elements(By.CSS_SELECTOR, "#history tbody tr")) == 1
+
+    browser.refresh()
+    assert shown(browser, "verdict").text == verdict
+
+
+def test_the_keyboard_is_enough_and_errors_are_told(daemon, browser):
+    browser.get(daemon)
+    shown(browser, "cols").send_keys("7", Keys.TAB, "4", Keys.TAB, "25", Keys.ENTER)
+    stop = shown(browser, "stop")
+    wait(browser, lambda b: b.switch_to.active_element == stop)
+    # No board of this size is ever seen.
+    wait(browser, lambda b: "Not kept" in b.find_element(By.ID, "last").text)
+    browser.switch_to.active_element.send_keys(Keys.ENTER)
+    wait(browser, lambda b: b.find_element(By.ID, "session-title").text == "No calibration")
+    assert shown(browser, "session-reason").text
+    assert browser.find_element(By.ID, "start-form").is_displayed(), "one can begin again at once"
+
+
+def test_a_narrow_screen_shows_everything_without_scrolling_sideways(daemon, browser):
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True}
+    )
+    browser.get(daemon)
+    start_session(browser)
+    wait(browser, lambda b: len(b.find_elements(By.CSS_SELECTOR, "#views li")) >= 2)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 360
