@@ -6,15 +6,20 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::calibration::calibration::Extrinsics;
 use crate::cli::{Failure, output, progress};
+use crate::document::calibration::ExtrinsicsDocument;
 use crate::document::pose::PoseDocument;
 use crate::document::reading::{to_json, to_json_pretty};
-use crate::document::truth::{self, TrueFrameDocument, TrueSensorDocument, TruthDocument};
+use crate::document::truth::{self, TrueDepthDocument, TrueFrameDocument, TrueSensorDocument, TruthDocument};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::encode_jpeg;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+use crate::imaging::gray::GrayImage;
 use crate::imaging::timestamp::{DeviceTime, HostTime};
 use crate::recording::McapWriter;
-use crate::simulation::{FrameTruth, SimulatedFrame, World};
+use crate::simulation::{FrameTruth, RgbdFrame, RgbdOptions, RgbdWorld, SimulatedFrame, World};
 
 use scene::Scene;
 
@@ -59,13 +64,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 
 fn render(scene: &Scene, out: &Path) -> Result<TruthDocument, Failure> {
     let mut writer = McapWriter::create(out, CAMERA).map_err(Failure::failed)?;
-    let mut world = World::new(&scene.world);
+    let mut rendering = Rendering::new(scene);
     let mut frames = Vec::new();
     let bar = progress::bar("rendering", scene.frames as usize);
     for index in 0..scene.frames {
-        let SimulatedFrame { image, truth } = world.frame(index);
-        let set = frame_set(&truth, encode_jpeg(image.view(), scene.jpeg_quality), image.size());
-        writer.write(&set).map_err(Failure::failed)?;
+        let (truth, pictures) = rendering.frame(index);
+        writer.write(&frame_set(&truth, pictures)).map_err(Failure::failed)?;
         frames.push(TrueFrameDocument {
             sequence: index,
             camera_from_board: PoseDocument::from(&truth.camera_from_board),
@@ -74,31 +78,102 @@ fn render(scene: &Scene, out: &Path) -> Result<TruthDocument, Failure> {
         bar.inc(1);
     }
     bar.finish_and_clear();
-    let sensor = world.sensor();
-    let image_size = [sensor.size.width, sensor.size.height];
-    let color = TrueSensorDocument { image_size, lens: (&sensor.lens).into() };
-    let truth = TruthDocument {
-        seed: scene.world.seed,
-        target: world.board().into(),
-        sensors: BTreeMap::from([(SensorKind::Color.name().to_owned(), color)]),
-        extrinsics: Vec::new(),
-        frames,
-    };
+    let truth = truth_of(scene, frames);
     writer.write_metadata(truth::RECORD, truth.to_record().map_err(Failure::failed)?).map_err(Failure::failed)?;
     writer.finish().map_err(Failure::failed)?;
     Ok(truth)
 }
 
-fn frame_set(truth: &FrameTruth, jpeg: Vec<u8>, size: crate::geometry::pixel::ImageSize) -> FrameSet {
+/// The world that is rendered, with one sensor or three.
+struct Rendering {
+    kind: Kind,
+    jpeg_quality: u8,
+}
+
+enum Kind {
+    Color(Box<World>),
+    Rgbd(Box<RgbdWorld>),
+}
+
+impl Rendering {
+    fn new(scene: &Scene) -> Self {
+        let kind = match &scene.rgbd {
+            Some(rgbd) => Kind::Rgbd(Box::new(RgbdWorld::new(rgbd))),
+            None => Kind::Color(Box::new(World::new(&scene.world))),
+        };
+        Self { kind, jpeg_quality: scene.jpeg_quality }
+    }
+
+    fn frame(&mut self, index: u64) -> (FrameTruth, Vec<Frame>) {
+        let jpeg = |image: &GrayImage, sensor| {
+            file_frame(sensor, PixelFormat::Jpeg, image.size(), encode_jpeg(image.view(), self.jpeg_quality))
+        };
+        match &mut self.kind {
+            Kind::Color(world) => {
+                let SimulatedFrame { image, truth } = world.frame(index);
+                (truth, vec![jpeg(&image, SensorKind::Color)])
+            }
+            Kind::Rgbd(world) => {
+                let RgbdFrame { color, infrared, depth, truth, .. } = world.frame(index);
+                let depth = file_frame(SensorKind::Depth, PixelFormat::Png, depth.size(), depth.to_png());
+                (truth, vec![jpeg(&color, SensorKind::Color), jpeg(&infrared, SensorKind::Infrared), depth])
+            }
+        }
+    }
+}
+
+fn file_frame(sensor: SensorKind, format: PixelFormat, size: ImageSize, bytes: Vec<u8>) -> Frame {
+    Frame { sensor, size, format, stride: 0, bytes: Arc::from(bytes) }
+}
+
+fn frame_set(truth: &FrameTruth, frames: Vec<Frame>) -> FrameSet {
     let since_ns = (truth.time_s * 1e9).round() as i64;
-    let bytes = Arc::from(jpeg);
     FrameSet {
         sequence: truth.index,
         host_time: HostTime { utc_ns: START_UTC_NS + since_ns },
         device_time: Some(DeviceTime { monotonic_ns: since_ns }),
         name: None,
-        frames: vec![Frame { sensor: SensorKind::Color, size, format: PixelFormat::Jpeg, stride: 0, bytes }],
+        frames,
     }
+}
+
+fn truth_of(scene: &Scene, frames: Vec<TrueFrameDocument>) -> TruthDocument {
+    let sensor = |kind: SensorKind, size: ImageSize, lens: &Lens| {
+        let image_size = [size.width, size.height];
+        (kind.name().to_owned(), TrueSensorDocument { image_size, lens: lens.into() })
+    };
+    let color = &scene.world.sensor;
+    let mut truth = TruthDocument {
+        seed: scene.world.seed,
+        target: scene.world.board.into(),
+        sensors: BTreeMap::from([sensor(SensorKind::Color, color.size, &color.lens)]),
+        extrinsics: Vec::new(),
+        frames,
+        depth: None,
+    };
+    if let Some(RgbdOptions { infrared, depth, color_from_depth, time_offset_s, .. }) = &scene.rgbd {
+        truth.sensors.extend([
+            sensor(SensorKind::Infrared, infrared.size, &infrared.lens),
+            sensor(SensorKind::Depth, depth.size, &depth.lens),
+        ]);
+        truth.extrinsics = ["color_from_depth", "color_from_infrared"]
+            .map(|name| {
+                let (target_from_source, none) = (*color_from_depth, [0.0; 3]);
+                let name = name.to_owned();
+                let exact = Extrinsics { name, target_from_source, rotation_std: none, translation_std_m: none };
+                ExtrinsicsDocument::from(&exact)
+            })
+            .to_vec();
+        truth.depth = Some(TrueDepthDocument {
+            unit_m: depth.unit_m,
+            scale: depth.error.scale,
+            offset: depth.error.offset,
+            noise_per_m: depth.noise_per_m,
+            step_per_m: depth.step_per_m,
+            time_offset_s: *time_offset_s,
+        });
+    }
+    truth
 }
 
 fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {

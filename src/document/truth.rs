@@ -29,6 +29,30 @@ pub struct TruthDocument {
     pub extrinsics: Vec<ExtrinsicsDocument>,
     /// Each frame, in the recording's order.
     pub frames: Vec<TrueFrameDocument>,
+    /// How the depth camera measures, where there is one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<TrueDepthDocument>,
+}
+
+/// How a simulated depth camera measures: with q the inverse of the depth along the axis, in 1/m, and two fields over the
+/// picture, q' = q · (1 + scale) + offset + noise, rounded to steps; a reading is 1/q' in units, rounded, 0 where there is
+/// none. A field is the sum of its five coefficients times 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), x and y from the
+/// picture's middle in half widths.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrueDepthDocument {
+    /// Metres per unit.
+    pub unit_m: f64,
+    /// The field `scale`.
+    pub scale: [f64; 5],
+    /// The field `offset`, in 1/m.
+    pub offset: [f64; 5],
+    /// σ of the noise, in 1/m.
+    pub noise_per_m: f64,
+    /// The step, in 1/m.
+    pub step_per_m: f64,
+    /// By how much infrared and depth are taken later than the colour picture they come with, in seconds.
+    pub time_offset_s: f64,
 }
 
 /// A sensor as it truly is.
@@ -92,6 +116,14 @@ mod tests {
             sensors: BTreeMap::new(),
             extrinsics: Vec::new(),
             frames: vec![TrueFrameDocument { sequence: 3, camera_from_board: pose, motion_px: None }],
+            depth: Some(TrueDepthDocument {
+                unit_m: 0.001,
+                scale: [0.1 / 3.0; 5],
+                offset: [-0.1; 5],
+                noise_per_m: 0.002,
+                step_per_m: 0.0,
+                time_offset_s: -0.01,
+            }),
         };
         let record = truth.to_record().unwrap();
         assert_eq!(record["seed"], u64::MAX.to_string());

@@ -12,17 +12,21 @@
 
 mod background;
 mod board_pattern;
+mod depth_sensor;
 mod light_filter;
 mod noise;
 mod picture_sensor;
 mod rays;
 mod renderer;
+mod rgbd_world;
 mod walk;
 mod world;
 
 pub use background::Background;
 pub use board_pattern::{BoardPattern, Shade};
+pub use depth_sensor::{DepthError, DepthSensor};
 pub use picture_sensor::PictureSensor;
 pub use renderer::Renderer;
+pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
 pub use walk::{Walk, WalkOptions};
 pub use world::{FrameTruth, SimulatedFrame, World, WorldOptions};

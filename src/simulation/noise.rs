@@ -11,6 +11,8 @@ pub(super) enum Purpose {
     Waypoint = 2,
     Background = 3,
     Picture = 4,
+    Rig = 5,
+    Depth = 6,
 }
 
 /// The stream of `seed` for `purpose`, the `index`-th of its kind.

@@ -130,26 +130,24 @@ impl World {
     /// What is true of the `index`-th picture.
     pub fn truth(&mut self, index: u64) -> FrameTruth {
         let time_s = index as f64 / self.fps;
-        let half_s = 0.5 * self.sensor().exposure_s;
-        // The walk begins half an exposure before the first picture's middle.
-        let [before, camera_from_board, after] =
-            [0.0, half_s, 2.0 * half_s].map(|since_s| self.walk.camera_from_board(time_s + since_s));
-        FrameTruth { index, time_s, camera_from_board, motion_px: self.renderer.motion_px([&before, &after]) }
+        let Self { walk, renderer, .. } = self;
+        let (camera_from_board, motion_px) = motion(renderer, time_s, |time_s| walk.camera_from_board(time_s));
+        FrameTruth { index, time_s, camera_from_board, motion_px }
     }
 
     /// The `index`-th picture.
     pub fn frame(&mut self, index: u64) -> SimulatedFrame {
-        const STEP_PX: f64 = 0.6;
-        const MOST_STEPS: f64 = 40.0;
-        let truth = self.truth(index);
-        let steps = (truth.motion_px / STEP_PX).ceil().clamp(1.0, MOST_STEPS) as usize;
-        let exposure_s = self.sensor().exposure_s;
-        let camera_from_board: Vec<Pose> = (0..steps)
-            .map(|step| truth.time_s + exposure_s * (step as f64 + 0.5) / steps as f64)
-            .map(|time_s| self.walk.camera_from_board(time_s))
-            .collect();
-        let light = self.renderer.light(&camera_from_board);
+        let Self { walk, renderer, .. } = self;
+        let time_s = index as f64 / self.fps;
+        let Exposure { light, camera_from_board, motion_px } =
+            exposed(renderer, time_s, |time_s| walk.camera_from_board(time_s));
+        let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
         SimulatedFrame { image: self.sensor().develop(&light, self.seed, index), truth }
+    }
+
+    /// How the board is carried.
+    pub(super) fn walk_mut(&mut self) -> &mut Walk {
+        &mut self.walk
     }
 
     /// Where the board's inner corners are in a picture, row by row; `None` for those outside the lens's view.
@@ -158,4 +156,39 @@ impl World {
         let lens = &self.sensor().lens;
         corners.iter().map(|corner| lens.pixel_from_point(&(truth.camera_from_board * *corner))).collect()
     }
+}
+
+/// An exposed sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Exposure {
+    /// Light on each pixel.
+    pub light: Vec<f32>,
+    /// Where the board was in the middle.
+    pub camera_from_board: Pose,
+    /// How far its image moved at most.
+    pub motion_px: f64,
+}
+
+/// Opens the shutter at `start_s` before a board that is at `camera_from_board`(time).
+pub(super) fn exposed(
+    renderer: &mut Renderer,
+    start_s: f64,
+    mut camera_from_board: impl FnMut(f64) -> Pose,
+) -> Exposure {
+    const STEP_PX: f64 = 0.6;
+    const MOST_STEPS: f64 = 40.0;
+    let (middle_from_board, motion_px) = motion(renderer, start_s, &mut camera_from_board);
+    let steps = (motion_px / STEP_PX).ceil().clamp(1.0, MOST_STEPS) as usize;
+    let exposure_s = renderer.sensor().exposure_s;
+    let times = (0..steps).map(|step| start_s + exposure_s * (step as f64 + 0.5) / steps as f64);
+    let camera_from_board: Vec<Pose> = times.map(camera_from_board).collect();
+    Exposure { light: renderer.light(&camera_from_board), camera_from_board: middle_from_board, motion_px }
+}
+
+/// The board's pose in the middle of the exposure that begins at `start_s`, and how far its image moves meanwhile.
+fn motion(renderer: &Renderer, start_s: f64, mut camera_from_board: impl FnMut(f64) -> Pose) -> (Pose, f64) {
+    let half_s = 0.5 * renderer.sensor().exposure_s;
+    let [before, middle_from_board, after] =
+        [0.0, half_s, 2.0 * half_s].map(|since_s| camera_from_board(start_s + since_s));
+    (middle_from_board, renderer.motion_px([&before, &after]))
 }

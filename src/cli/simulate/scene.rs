@@ -28,6 +28,11 @@
 //! roll_deg = 25.0
 //! width = [0.38, 0.8]            # the card's width over the image's, farthest and nearest
 //! leaving = 0.0                  # part of the places with part of the board outside the picture
+//! [depth]                        # only if given: an infrared and a depth sensor beside the camera
+//! time_offset_ms = 0.0           # by how much they are taken later than the colour picture they come with
+//! noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth
+//! step_per_m = 0.002             # steps of inverse depth, in 1/m
+//! wall_m = 1.8                   # how far the wall behind the board is
 //! ```
 
 use std::path::Path;
@@ -39,7 +44,7 @@ use crate::document::lens::LensDocument;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
-use crate::simulation::{WalkOptions, WorldOptions};
+use crate::simulation::{RgbdOptions, WalkOptions, WorldOptions};
 
 const FRAMES: u64 = 150;
 const JPEG_QUALITY: u8 = 90;
@@ -51,6 +56,8 @@ pub(super) struct Scene {
     pub world: WorldOptions,
     pub frames: u64,
     pub jpeg_quality: u8,
+    /// The other sensors, where there are any.
+    pub rgbd: Option<RgbdOptions>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -63,6 +70,16 @@ struct WrittenScene {
     board: WrittenBoard,
     camera: WrittenCamera,
     walk: WrittenWalk,
+    depth: Option<WrittenDepth>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct WrittenDepth {
+    time_offset_ms: Option<f64>,
+    noise_per_m: Option<f64>,
+    step_per_m: Option<f64>,
+    wall_m: Option<f64>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -138,7 +155,8 @@ impl WrittenScene {
             ranged("camera.jpeg_quality", camera.jpeg_quality.map(f64::from), f64::from(JPEG_QUALITY), [1.0, 100.0])?
                 as u8;
         let frames = ranged("frames", self.frames.map(|frames| frames as f64), FRAMES as f64, [1.0, 1e6])? as u64;
-        Ok(Scene { world, frames, jpeg_quality })
+        let rgbd = self.depth.as_ref().map(|depth| depth.apply(RgbdOptions::new(world.clone()))).transpose()?;
+        Ok(Scene { world, frames, jpeg_quality, rgbd })
     }
 }
 
@@ -157,6 +175,18 @@ impl WrittenCamera {
             sensor.lens = Lens::try_from(lens).map_err(|error| format!("camera.lens: {error}"))?;
         }
         Ok(())
+    }
+}
+
+impl WrittenDepth {
+    fn apply(&self, mut rgbd: RgbdOptions) -> Result<RgbdOptions, String> {
+        let offset_ms = ranged("depth.time_offset_ms", self.time_offset_ms, 0.0, [-1000.0, 1000.0])?;
+        rgbd.time_offset_s = offset_ms * 1e-3;
+        let sensor = &mut rgbd.depth;
+        sensor.noise_per_m = ranged("depth.noise_per_m", self.noise_per_m, sensor.noise_per_m, [0.0, 1.0])?;
+        sensor.step_per_m = ranged("depth.step_per_m", self.step_per_m, sensor.step_per_m, [0.0, 1.0])?;
+        rgbd.wall[0] = ranged("depth.wall_m", self.wall_m, rgbd.wall[0], [0.1, 1000.0])?;
+        Ok(rgbd)
     }
 }
 
@@ -204,8 +234,11 @@ mod tests {
         let scene = load(&text).unwrap();
         let defaults = Scene::load(None, None).unwrap();
         assert_eq!(scene.world.walk, defaults.world.walk);
-        let sensor = crate::simulation::PictureSensor { lens: defaults.world.sensor.lens, ..scene.world.sensor };
+        let sensor =
+            crate::simulation::PictureSensor { lens: defaults.world.sensor.lens, ..scene.world.sensor.clone() };
         assert_eq!(sensor, defaults.world.sensor);
+        let world = scene.world.clone();
+        assert_eq!(scene.rgbd, Some(RgbdOptions::new(world)));
         assert_eq!((scene.frames, scene.jpeg_quality, scene.world.fps), (150, 90, 15.0));
     }
 

@@ -1,0 +1,165 @@
+//! A camera with colour, infrared and depth before a board that is carried about.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::RngExt;
+
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::{Brown, Distortion, DistortionModel, Lens};
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::gray::GrayImage;
+use crate::simulation::background::Background;
+use crate::simulation::board_pattern::BoardPattern;
+use crate::simulation::depth_sensor::{DepthError, DepthRenderer, DepthScene, DepthSensor};
+use crate::simulation::noise::{Purpose, stream};
+use crate::simulation::picture_sensor::PictureSensor;
+use crate::simulation::renderer::Renderer;
+use crate::simulation::world::{FrameTruth, World, WorldOptions, exposed};
+
+/// What is simulated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RgbdOptions {
+    /// The colour camera, the board and how it is carried.
+    pub color: WorldOptions,
+    /// The infrared camera: its lens and size are the depth camera's.
+    pub infrared: PictureSensor,
+    /// The depth camera.
+    pub depth: DepthSensor,
+    /// Where the depth and infrared camera is.
+    pub color_from_depth: Pose,
+    /// By how much infrared and depth are taken later than the colour picture they come with, in seconds.
+    pub time_offset_s: f64,
+    /// The wall behind the board in the depth camera's frame: its distance on the axis in metres, its slopes against x and y.
+    pub wall: [f64; 3],
+}
+
+impl RgbdOptions {
+    /// A stereo depth camera beside the colour camera of `color`: 25 mm and a degree apart, 640 × 480, with an error of some per
+    /// cent; lens, pose and error follow from the seed.
+    pub fn new(color: WorldOptions) -> Self {
+        let mut rng = stream(color.seed, Purpose::Rig, 0);
+        let size = ImageSize::new(640, 480);
+        let mut around = |middle: f64, spread: f64| middle + rng.random_range(-spread..spread);
+        let fx = around(575.0, 15.0);
+        let matrix =
+            CameraMatrix { fx, fy: fx * around(1.0, 0.002), cx: around(319.5, 5.0), cy: around(239.5, 5.0), skew: 0.0 };
+        let brown = Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
+        let lens = Lens { matrix, distortion: Distortion::Brown(brown) };
+        let turn = Vector3::new(around(0.0, 0.01), around(0.0, 0.015), around(0.0, 0.006));
+        let shift = Vector3::new(around(0.025, 0.003), around(0.0, 0.001), around(0.001, 0.001));
+        let error = DepthError {
+            scale: [around(0.006, 0.002), around(0.0, 0.002), around(0.0, 0.002), around(0.004, 0.002), 0.0],
+            offset: [around(0.004, 0.002), around(0.003, 0.001), around(-0.002, 0.001), around(0.006, 0.002), 0.004],
+        };
+        let depth = DepthSensor {
+            size,
+            lens,
+            unit_m: 0.001,
+            error,
+            noise_per_m: 0.0018,
+            step_per_m: 0.002,
+            disparity_px_m: 28.0,
+            holes: 20,
+            dropout: 0.002,
+        };
+        let infrared = PictureSensor {
+            blur_px: 0.9,
+            full_well_e: 3000.0,
+            vignetting: 0.4,
+            gamma: 1.0,
+            exposure_s: color.sensor.exposure_s,
+            ..PictureSensor::new(size, lens)
+        };
+        let color_from_depth = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
+        Self { color, infrared, depth, color_from_depth, time_offset_s: 0.0, wall: [1.8, 0.06, -0.03] }
+    }
+}
+
+/// Pictures that come together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RgbdFrame {
+    /// The colour camera's, grey.
+    pub color: GrayImage,
+    /// The infrared camera's.
+    pub infrared: GrayImage,
+    /// The depth camera's.
+    pub depth: DepthImage,
+    /// What is true of the colour picture.
+    pub truth: FrameTruth,
+    /// Where the board was in the middle of the infrared picture's exposure.
+    pub infrared_from_board: Pose,
+}
+
+/// A simulated camera with three sensors: any frame of its walk, from its number alone.
+#[derive(Debug, Clone)]
+pub struct RgbdWorld {
+    options: RgbdOptions,
+    color: World,
+    infrared: Renderer,
+    depth: DepthRenderer,
+}
+
+impl RgbdWorld {
+    /// The world that `options` describe.
+    pub fn new(options: &RgbdOptions) -> Self {
+        let pattern = BoardPattern::new(options.color.board);
+        let background = Background::new(options.color.seed, options.color.clutter);
+        Self {
+            color: World::new(&options.color),
+            infrared: Renderer::new(options.infrared.clone(), pattern, &background),
+            depth: DepthRenderer::new(options.depth.clone()),
+            options: options.clone(),
+        }
+    }
+
+    /// What is simulated.
+    pub fn options(&self) -> &RgbdOptions {
+        &self.options
+    }
+
+    /// The `index`-th pictures.
+    pub fn frame(&mut self, index: u64) -> RgbdFrame {
+        // The infrared picture's noise is another than the colour picture's.
+        const INFRARED: u64 = 1 << 40;
+        let color = self.color.frame(index);
+        let depth_from_color = self.options.color_from_depth.inverse();
+        let start_s = color.truth.time_s + self.options.time_offset_s;
+        let walk = self.color.walk_mut();
+        let exposure = exposed(&mut self.infrared, start_s, |time_s| depth_from_color * walk.camera_from_board(time_s));
+        let seed = self.options.color.seed;
+        let infrared = self.infrared.sensor().develop(&exposure.light, seed, INFRARED + index);
+        let pattern = self.infrared.pattern();
+        let scene = DepthScene { pattern, depth_from_board: exposure.camera_from_board, wall: self.options.wall };
+        let depth = self.depth.picture(&scene, seed, index);
+        let infrared_from_board = exposure.camera_from_board;
+        RgbdFrame { color: color.image, infrared, depth, truth: color.truth, infrared_from_board }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sensors_see_one_board_and_the_offset_is_time() {
+        let mut color = WorldOptions::new(4, ImageSize::new(320, 240));
+        color.fps = 3.0;
+        let options = RgbdOptions { time_offset_s: 0.05, ..RgbdOptions::new(color) };
+        let mut world = RgbdWorld::new(&options);
+        let mut together = RgbdWorld::new(&RgbdOptions { time_offset_s: 0.0, ..options.clone() });
+        let mut moved: f64 = 0.0;
+        for index in 0..4 {
+            let (late, frame) = (world.frame(index), together.frame(index));
+            let through_rig = options.color_from_depth * frame.infrared_from_board;
+            let apart = (through_rig.translation() - frame.truth.camera_from_board.translation()).norm();
+            assert!(apart < 1e-12 && through_rig.angle_to(&frame.truth.camera_from_board) < 1e-7, "{apart}");
+            assert_eq!((&late.color, late.truth), (&frame.color, frame.truth));
+            let shift = late.infrared_from_board.translation() - frame.infrared_from_board.translation();
+            moved = moved.max(shift.norm());
+            let seen = frame.depth.readings().iter().filter(|reading| **reading > 0).count();
+            assert!(seen * 10 > frame.depth.readings().len() * 7, "{seen} readings");
+        }
+        assert!(moved > 0.003, "{moved}");
+    }
+}
