@@ -11,7 +11,7 @@
 //! | [`imaging`] | frames, luma, decoding, undistortion | geometry |
 //! | [`detection`] | one image → a board, or why not | geometry, imaging |
 //! | [`estimation`] | correspondences → an estimate with uncertainty | geometry |
-//! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, estimation, detection |
+//! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, imaging, estimation, detection |
 //! | [`simulation`] | a rendered world with exact truth | geometry, imaging |
 //! | [`recording`] | frames on disk | geometry, imaging |
 //! | [`capture`] | where frames come from | geometry, imaging, recording, simulation |

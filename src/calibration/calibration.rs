@@ -1,5 +1,6 @@
 //! The result: an immutable calibration with its uncertainty, checks and verdict.
 
+use crate::calibration::depth_calibration::DepthCalibration;
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -22,6 +23,8 @@ pub struct Calibration {
     pub color: Option<SensorCalibration>,
     /// The infrared sensor's calibration.
     pub infrared: Option<SensorCalibration>,
+    /// The depth sensor's calibration.
+    pub depth: Option<DepthCalibration>,
     /// Where the sensors are relative to each other; empty for one sensor.
     pub extrinsics: Vec<Extrinsics>,
     /// How well it did beyond the views it was fitted to.

@@ -5,10 +5,12 @@ pub mod admission;
 #[expect(clippy::module_inception, reason = "the layer's main noun, named as the house names it")]
 pub mod calibration;
 pub mod coverage;
+pub mod depth_calibration;
 pub mod guidance;
 pub mod placement;
 pub mod session;
 pub mod session_record;
 pub mod solve;
+pub mod solve_rgbd;
 pub(crate) mod verdict;
 pub mod view;

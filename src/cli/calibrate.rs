@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::calibration::solve::solve_views;
+use crate::cli::calibrate_rgbd;
 use crate::cli::calibration_output::{OutputArgs, finished};
 use crate::cli::gather::Gathered;
 use crate::cli::in_order::{all_cores, in_order};
@@ -50,9 +51,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     for source in &args.sources {
         check_there(source)?;
     }
-    let gathered = search(args, target)?;
-    let (problem, others) = gathered.finish()?;
+    let detect = DetectOptions { allow_partial: args.allow_partial };
     let options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
+    if let [source] = args.sources.as_slice()
+        && calibrate_rgbd::has_depth(source)
+    {
+        return args.output.give(&calibrate_rgbd::calibrate(source, target, &options, detect)?, None);
+    }
+    let gathered = search(args, target, detect)?;
+    let (problem, others) = gathered.finish()?;
     let spinner = progress::spinner("solving");
     let solved = solve_views(&problem, &options);
     spinner.finish_and_clear();
@@ -64,8 +71,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.give(&calibration, None)
 }
 
-fn search(args: &Args, target: Chessboard) -> Result<Gathered, Failure> {
-    let options = DetectOptions { allow_partial: args.allow_partial };
+fn search(args: &Args, target: Chessboard, options: DetectOptions) -> Result<Gathered, Failure> {
     let mut gathered = Gathered::new(target);
     let spinner = progress::spinner("searching pictures");
     in_order(

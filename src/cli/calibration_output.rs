@@ -76,6 +76,7 @@ pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration
         target,
         color: Some(solved.sensor),
         infrared: None,
+        depth: None,
         extrinsics: Vec::new(),
         checks: solved.checks,
         verdict: solved.verdict,

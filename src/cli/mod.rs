@@ -7,7 +7,9 @@
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
 pub mod calibrate;
+mod calibrate_rgbd;
 pub mod calibration_output;
+pub mod correct;
 pub mod detect;
 pub mod devices;
 pub mod export;
@@ -46,6 +48,7 @@ struct Arguments {
 enum Command {
     Detect(detect::Args),
     Calibrate(calibrate::Args),
+    Correct(correct::Args),
     Serve(serve::Args),
     Solve(solve::Args),
     Devices(devices::Args),
@@ -58,6 +61,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Detect(args) => detect::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
+        Command::Correct(args) => correct::run(&args),
         Command::Serve(args) => serve::run(&args),
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),

@@ -6,6 +6,8 @@ use utoipa::ToSchema;
 use crate::calibration::calibration::{
     CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, SensorCalibration,
 };
+use crate::calibration::depth_calibration::DepthCalibration;
+use crate::document::depth::DepthDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensModelName, LensStdDocument};
 use crate::document::pose::{PoseDocument, RotationDocument};
@@ -61,6 +63,9 @@ pub struct SensorsDocument {
     /// The infrared picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub infrared: Option<SensorDocument>,
+    /// Distance per pixel.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth: Option<DepthDocument>,
 }
 
 /// One picture sensor.
@@ -149,6 +154,7 @@ impl From<&Calibration> for CalibrationDocument {
             sensors: SensorsDocument {
                 color: calibration.color.as_ref().map(SensorDocument::from),
                 infrared: calibration.infrared.as_ref().map(SensorDocument::from),
+                depth: calibration.depth.as_ref().map(DepthDocument::from),
             },
             extrinsics: calibration.extrinsics.iter().map(ExtrinsicsDocument::from).collect(),
             checks: calibration.checks.into(),
@@ -168,6 +174,7 @@ impl TryFrom<&CalibrationDocument> for Calibration {
         let extrinsics = |(i, extrinsics): (usize, &ExtrinsicsDocument)| {
             Extrinsics::try_from(extrinsics).map_err(|e| e.inside(&format!("extrinsics[{i}]")))
         };
+        let depth = document.sensors.depth.as_ref().map(DepthCalibration::try_from);
         Ok(Self {
             id: document.id.clone(),
             camera: document.camera.clone(),
@@ -176,6 +183,7 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             target: document.target.map(Chessboard::try_from).transpose().map_err(|e| e.inside("target"))?,
             color: sensor(&document.sensors.color, "color")?,
             infrared: sensor(&document.sensors.infrared, "infrared")?,
+            depth: depth.transpose().map_err(|e| e.inside("sensors.depth"))?,
             extrinsics: document.extrinsics.iter().enumerate().map(extrinsics).collect::<Result<_, _>>()?,
             checks: document.checks.into(),
             verdict: (&document.verdict).into(),
@@ -370,6 +378,7 @@ pub(crate) mod tests {
             target: Some(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()),
             color: Some(sensor),
             infrared: None,
+            depth: None,
             extrinsics: vec![Extrinsics {
                 name: "color_from_infrared".into(),
                 target_from_source,

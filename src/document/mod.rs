@@ -7,12 +7,14 @@
 
 pub mod calibration;
 pub mod camera;
+pub mod depth;
 pub mod detection;
 pub mod error;
 pub mod lens;
 pub mod pose;
 pub mod problem;
 pub mod reading;
+pub mod sensors_file;
 pub mod session;
 pub mod target;
 pub mod time;

@@ -8,17 +8,20 @@
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all | [`model_check`] |
+//! | colour and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
 //! | why there is no answer | [`error`] |
 
 pub mod camera;
+pub mod depth_error;
 pub mod error;
 mod joint;
 pub mod lens_choice;
 pub mod model_check;
 pub(crate) mod planar_pose;
 pub mod problem;
+pub mod rgbd;
 mod robust;
 mod robust_fit;
 mod start;

@@ -53,6 +53,7 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
         target: None,
         color: Some(solved.sensor),
         infrared: None,
+        depth: None,
         extrinsics: Vec::new(),
         checks: solved.checks,
         verdict: solved.verdict,

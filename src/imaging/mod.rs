@@ -9,6 +9,7 @@ pub mod gray;
 mod jpeg;
 pub mod picture_file;
 pub mod pixel_format;
+pub mod registration;
 pub mod remap;
 pub mod timestamp;
 pub mod undistort;

@@ -238,6 +238,7 @@ impl SessionThread {
             target: Some(record.request.target),
             color: Some(solved.sensor),
             infrared: None,
+            depth: None,
             extrinsics: Vec::new(),
             checks: solved.checks,
             verdict: solved.verdict,

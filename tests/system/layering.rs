@@ -9,7 +9,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("imaging", &["geometry"]),
     ("detection", &["geometry", "imaging"]),
     ("estimation", &["geometry"]),
-    ("calibration", &["geometry", "estimation", "detection"]),
+    ("calibration", &["geometry", "imaging", "estimation", "detection"]),
     ("simulation", &["geometry", "imaging"]),
     ("recording", &["geometry", "imaging"]),
     ("capture", &["geometry", "imaging", "recording", "simulation"]),

@@ -3,7 +3,7 @@
 //! K. Madsen, H. B. Nielsen, O. Tingleff, *Methods for non-linear least squares problems*, 2004, section 3.2, with
 //! Marquardt's scaling by the diagonal.
 
-use crate::estimation::joint::normal::{NormalEquations, linearize};
+use crate::estimation::joint::normal::{NormalEquations, Step, linearize};
 use crate::estimation::joint::{Layout, Sight, State};
 use crate::estimation::robust::Loss;
 
@@ -45,45 +45,58 @@ impl Minimum {
     }
 
     /// Walks on to the nearest minimum.
-    pub(crate) fn descend(mut self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
+    pub(crate) fn descend(self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
         let residual_count: usize = sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
-        let (mut lambda, mut growth) = (stop.lambda, 2.0);
-        for _ in 0..stop.max_steps {
-            let mean_cost = self.equations.cost / residual_count.max(1) as f64;
-            if mean_cost < EXACT * EXACT {
-                break;
-            }
-            let step = self.equations.solve(lambda);
-            let predicted = step.as_ref().map_or(f64::INFINITY, |step| step.predicted_decrease);
-            if predicted <= stop.decrease * mean_cost {
-                break;
-            }
-            let trial = step.as_ref().and_then(|step| {
-                let state = self.state.stepped(layout, &step.global, &step.instants)?;
-                let equations = linearize(layout, &state, sights, loss)?;
-                Some((state, equations))
-            });
-            self.steps += 1;
-            match trial {
-                Some((state, equations)) if equations.cost <= self.equations.cost => {
-                    let gain = (self.equations.cost - equations.cost) / predicted;
-                    (self.state, self.equations) = (state, equations);
-                    lambda =
-                        if gain > 0.75 { lambda * 0.1 } else { lambda * (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1) };
-                    if lambda < 1e-9 {
-                        lambda = 0.0;
-                    }
-                    growth = 2.0;
+        let Self { state, equations, steps } = self;
+        let linearize = |state: &State| linearize(layout, state, sights, loss);
+        let stepped = |state: &State, step: &Step| state.stepped(layout, &step.global, &step.instants);
+        let (state, equations, more) = walk((state, equations), residual_count, stop, (linearize, stepped));
+        Self { state, equations, steps: steps + more }
+    }
+}
+
+/// Walks from a state, given with its normal equations, to the nearest minimum; answers the number of linearisations too.
+pub(crate) fn walk<S>(
+    (mut state, mut equations): (S, NormalEquations),
+    residual_count: usize,
+    stop: Stop,
+    (linearize, stepped): (impl Fn(&S) -> Option<NormalEquations>, impl Fn(&S, &Step) -> Option<S>),
+) -> (S, NormalEquations, usize) {
+    let (mut lambda, mut growth, mut steps) = (stop.lambda, 2.0, 0);
+    for _ in 0..stop.max_steps {
+        let mean_cost = equations.cost / residual_count.max(1) as f64;
+        if mean_cost < EXACT * EXACT {
+            break;
+        }
+        let step = equations.solve(lambda);
+        let predicted = step.as_ref().map_or(f64::INFINITY, |step| step.predicted_decrease);
+        if predicted <= stop.decrease * mean_cost {
+            break;
+        }
+        let trial = step.as_ref().and_then(|step| {
+            let next = stepped(&state, step)?;
+            let equations = linearize(&next)?;
+            Some((next, equations))
+        });
+        steps += 1;
+        match trial {
+            Some((next, at_next)) if at_next.cost <= equations.cost => {
+                let gain = (equations.cost - at_next.cost) / predicted;
+                (state, equations) = (next, at_next);
+                lambda = if gain > 0.75 { lambda * 0.1 } else { lambda * (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1) };
+                if lambda < 1e-9 {
+                    lambda = 0.0;
                 }
-                _ => {
-                    lambda = lambda.max(1e-6) * growth;
-                    growth *= 2.0;
-                }
+                growth = 2.0;
             }
-            if lambda > 1e12 {
-                break;
+            _ => {
+                lambda = lambda.max(1e-6) * growth;
+                growth *= 2.0;
             }
         }
-        self
+        if lambda > 1e12 {
+            break;
+        }
     }
+    (state, equations, steps)
 }

@@ -16,6 +16,7 @@
 //! that a pose's rotation and translation hardly depend on each other. Cost per iteration is linear in the number of
 //! views; no result depends on threads.
 
+pub(crate) mod depth_terms;
 pub(crate) mod free_lens;
 pub(crate) mod linearize;
 pub(crate) mod minimize;

@@ -38,14 +38,8 @@ pub(crate) struct Step {
 
 /// The normal equations at `state`; `None` where a corner that takes part cannot be projected.
 pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: Loss) -> Option<NormalEquations> {
-    let empty = InstantBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], coupling: vec![[0.0; 6]; layout.len] };
-    let mut equations = NormalEquations {
-        cost: 0.0,
-        global: DMatrix::zeros(layout.len, layout.len),
-        global_gradient: DVector::zeros(layout.len),
-        instants: vec![empty; state.rig_from_board.len()],
-        residuals: sights.iter().map(|sight| vec![[0.0; 2]; sight.points.len()]).collect(),
-    };
+    let mut equations = NormalEquations::empty(layout.len, state.rig_from_board.len());
+    equations.residuals = sights.iter().map(|sight| vec![[0.0; 2]; sight.points.len()]).collect();
     let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
     for (index, sight) in sights.iter().enumerate() {
         let results = (equations.residuals[index].as_mut_slice(), &mut local);
@@ -64,6 +58,18 @@ pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: 
 }
 
 impl NormalEquations {
+    /// Those of nothing, for `global` global parameters and this many instants.
+    pub(crate) fn empty(global: usize, instants: usize) -> Self {
+        let empty = InstantBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], coupling: vec![[0.0; 6]; global] };
+        Self {
+            cost: 0.0,
+            global: DMatrix::zeros(global, global),
+            global_gradient: DVector::zeros(global),
+            instants: vec![empty; instants],
+            residuals: Vec::new(),
+        }
+    }
+
     fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
         let at = &layout.sensors[sight.sensor];
         let residual = local.columns - 1;
@@ -90,7 +96,7 @@ impl NormalEquations {
             return;
         };
         // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
-        let (by_sensor, by_board) = chain(state, sight);
+        let (by_sensor, by_board) = chain(state, (sight.sensor, sight.instant));
         let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
         let gradient = nalgebra::Vector6::from_fn(|a, _| local.product(pose + a, residual));
         let (sensor_square, board_square) = (by_sensor.transpose() * square, by_board.transpose() * square * by_board);
@@ -193,9 +199,9 @@ impl NormalEquations {
 }
 
 /// A and B of δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
-fn chain(state: &State, sight: &Sight) -> (Matrix6<f64>, Matrix6<f64>) {
-    let rotation = state.sensor_from_rig[sight.sensor].rotation_matrix();
-    let lever = rotation * state.rig_from_board[sight.instant].translation();
+pub(crate) fn chain(state: &State, (sensor, instant): (usize, usize)) -> (Matrix6<f64>, Matrix6<f64>) {
+    let rotation = state.sensor_from_rig[sensor].rotation_matrix();
+    let lever = rotation * state.rig_from_board[instant].translation();
     let mut by_sensor = Matrix6::identity();
     by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-linearize::cross(&lever));
     let mut by_board = Matrix6::zeros();

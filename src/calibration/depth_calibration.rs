@@ -1,0 +1,172 @@
+//! The depth sensor's part of a calibration: lens, correction, and how much is left of error and noise, by distance.
+
+use crate::calibration::calibration::{Grade, Verdict};
+use crate::estimation::depth_error::{JudgedTile, held_out_residuals};
+use crate::estimation::rgbd::RgbdEstimate;
+use crate::geometry::depth_camera::DepthCamera;
+
+/// A calibrated depth sensor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthCalibration {
+    /// Lens, meaning of its readings, correction.
+    pub camera: DepthCamera,
+    /// The reading that means none, besides 0 for metric depth.
+    pub invalid: Option<u16>,
+    /// Standard deviation of each lens parameter; 0 for a known one.
+    pub lens_std: Vec<f64>,
+    /// The mean error of flat surfaces, by distance, nearest first.
+    pub bias: Vec<DepthBias>,
+    /// The noise of single readings.
+    pub noise: DepthNoise,
+}
+
+/// The mean error of depth in one range of distances.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DepthBias {
+    /// From this distance, in metres.
+    pub from_m: f64,
+    /// To this one.
+    pub to_m: f64,
+    /// As the device gives it: measured − true, in metres.
+    pub before_m: f64,
+    /// Corrected by what was fitted to other views, in metres.
+    pub after_m: f64,
+    /// Root mean square over the patches of what is left, in metres.
+    pub rms_after_m: f64,
+    /// Patches of the board that tell.
+    pub patches: u32,
+}
+
+/// σ(z) = constant + quadratic · z².
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DepthNoise {
+    /// In metres.
+    pub constant_m: f64,
+    /// In 1/m.
+    pub quadratic_per_m: f64,
+}
+
+impl DepthNoise {
+    /// Standard deviation of one reading at `z_m`, in metres.
+    pub fn at(self, z_m: f64) -> f64 {
+        self.constant_m + self.quadratic_per_m * z_m * z_m
+    }
+
+    /// Least squares with neither part negative.
+    fn of(views: &[Vec<JudgedTile>]) -> Self {
+        let pairs = || {
+            views
+                .iter()
+                .flatten()
+                .map(|judged| (judged.plane.powi(-2), judged.tile.reading_std * judged.plane.powi(-2)))
+        };
+        let (mut n, mut q, mut qq, mut s, mut qs) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (z2, std) in pairs() {
+            (n, q, qq, s, qs) = (n + 1.0, q + z2, qq + z2 * z2, s + std, qs + z2 * std);
+        }
+        let determinant = n * qq - q * q;
+        let (constant, quadratic) = ((qq * s - q * qs) / determinant, (n * qs - q * s) / determinant);
+        if !(determinant > 0.0) || quadratic < 0.0 {
+            return Self { constant_m: s / f64::max(n, 1.0), quadratic_per_m: 0.0 };
+        }
+        if constant < 0.0 {
+            return Self { constant_m: 0.0, quadratic_per_m: qs / qq };
+        }
+        Self { constant_m: constant, quadratic_per_m: quadratic }
+    }
+}
+
+impl DepthCalibration {
+    /// What an estimate tells of the depth sensor.
+    pub fn of(estimate: &RgbdEstimate, invalid: Option<u16>) -> Self {
+        let std = |k: usize| estimate.depth_covariance[(k, k)].max(0.0).sqrt();
+        Self {
+            camera: estimate.depth.clone(),
+            invalid,
+            lens_std: (0..estimate.depth_covariance.nrows()).map(std).collect(),
+            bias: bias(estimate),
+            noise: DepthNoise::of(&estimate.judged),
+        }
+    }
+}
+
+/// Ranges of distance grow by this factor.
+const RANGE: f64 = 1.25;
+
+fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
+    let uncorrected = |judged: &JudgedTile| judged.tile.inverse_depth - judged.plane;
+    let after = match &estimate.depth.correction {
+        Some(correction) => held_out_residuals(&estimate.judged, correction, estimate.smoothness),
+        None => None,
+    };
+    let after =
+        after.unwrap_or_else(|| estimate.judged.iter().map(|view| view.iter().map(uncorrected).collect()).collect());
+    let mut bins: std::collections::BTreeMap<i32, (Vec<f64>, Vec<f64>)> = std::collections::BTreeMap::new();
+    for (judged, after) in estimate.judged.iter().flatten().zip(after.iter().flatten()) {
+        let bin = bins.entry((-judged.plane.ln() / RANGE.ln()).floor() as i32).or_default();
+        bin.0.push(1.0 / judged.tile.inverse_depth - 1.0 / judged.plane);
+        bin.1.push(1.0 / (judged.plane + after) - 1.0 / judged.plane);
+    }
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let rms = |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
+    bins.into_iter()
+        .map(|(bin, (before, after))| DepthBias {
+            from_m: RANGE.powi(bin),
+            to_m: RANGE.powi(bin + 1),
+            before_m: mean(&before),
+            after_m: mean(&after),
+            rms_after_m: rms(&after),
+            patches: before.len() as u32,
+        })
+        .collect()
+}
+
+/// A range in which what is left is above this part of a reading's noise is worth telling.
+const LEFT: f64 = 0.3;
+
+/// The verdict with what depth adds to it.
+pub fn judge_depth(verdict: Verdict, depth: &DepthCalibration, without_depth: usize, views: usize) -> Verdict {
+    let Verdict { mut grade, mut reasons } = verdict;
+    let mut add = |worse: Grade, reason: String| {
+        grade = grade.min(worse);
+        reasons.push(reason);
+    };
+    for axis in 0..2 {
+        let (value, std) = (depth.camera.lens.parameters()[axis], depth.lens_std[axis]);
+        if std > 0.005 * value {
+            let name = ["fx", "fy"][axis];
+            let percent = 100.0 * std / value;
+            add(
+                Grade::Usable,
+                format!(
+                    "the depth camera's {name} is known to {percent:.1} % only, by planes alone: tilt the board more, at different distances"
+                ),
+            );
+        }
+    }
+    for range in &depth.bias {
+        let noise = depth.noise.at(0.5 * (range.from_m + range.to_m));
+        if range.after_m.abs() > LEFT * noise && range.patches >= 30 {
+            let (from, to, left) = (range.from_m, range.to_m, 1000.0 * range.after_m);
+            add(
+                Grade::Usable,
+                format!(
+                    "depth is still off by {left:.1} mm on average from {from:.2} to {to:.2} m: add views there, over all of the picture"
+                ),
+            );
+        }
+    }
+    if 2 * without_depth > views {
+        add(
+            Grade::Usable,
+            format!(
+                "the depth camera did not see the board in {without_depth} of {views} views: keep it within the depth picture and its range"
+            ),
+        );
+    }
+    if let Some(correction) = &depth.camera.correction {
+        let [near, far] = correction.seen_m;
+        reasons.push(format!("depth is corrected from {near:.2} to {far:.2} m; beyond, as at the nearest of the two"));
+    }
+    Verdict { grade, reasons }
+}

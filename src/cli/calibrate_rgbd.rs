@@ -1,0 +1,261 @@
+//! `plumb calibrate` of a recording with colour and depth.
+
+use std::fs;
+use std::path::Path;
+
+use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::calibration::{Calibration, Extrinsics, Grade, Verdict};
+use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
+use crate::calibration::session::Session;
+use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, SolvedRgbd, pose_std, solve_rgbd};
+use crate::calibration::view::{FrameFacts, View};
+use crate::cli::calibration_output::finished;
+use crate::cli::sources::{FrameSets, SourcedFrames, is_recording};
+use crate::cli::{Failure, progress};
+use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
+use crate::detection::detector::Detector;
+use crate::document::sensors_file::{FILE_NAME, SensorsFile};
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::{Correspondence, LensChoice};
+use crate::geometry::board::Chessboard;
+use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::decode::luma;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::gray::GrayImage;
+
+/// Of a recording file, this many frame sets are looked at for depth.
+const LOOKED_AT: usize = 30;
+
+/// Whether `source` is a recording with depth.
+pub fn has_depth(source: &str) -> bool {
+    let path = Path::new(source);
+    if path.is_dir() {
+        return path.join("depth").is_dir();
+    }
+    let depth = |frames: &SourcedFrames| frames.set.frame(SensorKind::Depth).is_some();
+    is_recording(path)
+        && FrameSets::new(std::iter::once(source.to_owned()))
+            .take(LOOKED_AT)
+            .any(|frames| frames.is_ok_and(|f| depth(&f)))
+}
+
+/// Calibrates the colour, infrared and depth sensors of one recording.
+///
+/// # Errors
+/// When it cannot be read, what its depth means is not said, or too little is seen.
+pub fn calibrate(
+    source: &str,
+    target: Chessboard,
+    options: &CameraOptions,
+    detect: DetectOptions,
+) -> Result<Calibration, Failure> {
+    let depth = depth_sensor(source)?;
+    let mut gathered = Gathered::new(source, target, detect);
+    let spinner = progress::spinner("searching pictures");
+    for frames in FrameSets::new(std::iter::once(source.to_owned())) {
+        spinner.inc(1);
+        let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
+        gathered.add(&frames)?;
+    }
+    spinner.finish_and_clear();
+    let input = gathered.finish(depth)?;
+    let spinner = progress::spinner("solving");
+    let solved = solve_rgbd(&input, options);
+    spinner.finish_and_clear();
+    let solved = solved.map_err(|error| Failure::failed(format!("{source}: {error}")))?;
+    Ok(assemble(target, &input, solved))
+}
+
+/// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP 118).
+fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
+    let path = Path::new(source);
+    if !path.is_dir() {
+        let reading = Some(DepthReading::Metric { unit_m: 0.001 });
+        return Ok(DepthSensor { reading, invalid: Some(0), factory: None, with_infrared: true });
+    }
+    let file = path.join(FILE_NAME);
+    let named = |problem: String| Failure::failed(format!("{}: {problem}", file.display()));
+    let text = fs::read_to_string(&file).map_err(|error| {
+        named(format!("cannot be read ({error}): a folder with depth/ needs it, to say [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""))
+    })?;
+    let stated = SensorsFile::from_toml(&text).map_err(|error| named(error.to_string()))?;
+    Ok(DepthSensor {
+        reading: stated.depth.reading().map_err(|error| named(error.to_string()))?,
+        invalid: stated.depth.invalid,
+        factory: stated.factory().map_err(|error| named(error.to_string()))?,
+        with_infrared: true,
+    })
+}
+
+struct Gathered<'a> {
+    source: &'a str,
+    target: Chessboard,
+    detect: DetectOptions,
+    detector: Detector,
+    image: GrayImage,
+    color_size: Option<ImageSize>,
+    depth_size: Option<ImageSize>,
+    session: Option<Session>,
+    captures: Vec<RgbdCapture>,
+    first_reason: Option<String>,
+    looked: usize,
+}
+
+impl<'a> Gathered<'a> {
+    fn new(source: &'a str, target: Chessboard, detect: DetectOptions) -> Self {
+        Self {
+            source,
+            target,
+            detect,
+            detector: Detector::new(target.size),
+            image: GrayImage::default(),
+            color_size: None,
+            depth_size: None,
+            session: None,
+            captures: Vec::new(),
+            first_reason: None,
+            looked: 0,
+        }
+    }
+
+    fn add(&mut self, frames: &SourcedFrames) -> Result<(), Failure> {
+        self.looked += 1;
+        let path = frames.path();
+        let color = self.look(&frames.set, SensorKind::Color, &path)?;
+        if let Some((size, _)) = &color {
+            self.same_size(*size, "color", &path)?;
+        }
+        if frames.recording.is_some() && !self.keep(&frames.set, color.as_ref()) {
+            return Ok(());
+        }
+        let infrared = self.look(&frames.set, SensorKind::Infrared, &path)?;
+        let depth = match frames.set.frame(SensorKind::Depth) {
+            Some(frame) => {
+                let picture = DepthImage::from_frame(frame)
+                    .map_err(|error| Failure::failed(format!("{path}: depth: {error}")))?;
+                self.same_size(picture.size(), "depth", &path)?;
+                Some(picture)
+            }
+            None => None,
+        };
+        let color = self.corners(color);
+        let infrared = self.corners(infrared);
+        if !(color.is_empty() && infrared.is_empty()) {
+            self.captures.push(RgbdCapture { name: path, color, infrared, depth });
+        }
+        Ok(())
+    }
+
+    /// Looks for the board in one sensor's picture.
+    #[expect(clippy::type_complexity, reason = "a picture's size and what was seen in it")]
+    fn look(
+        &mut self,
+        set: &FrameSet,
+        sensor: SensorKind,
+        path: &str,
+    ) -> Result<Option<(ImageSize, Result<Detection, NoBoard>)>, Failure> {
+        let Some(frame) = set.frame(sensor) else { return Ok(None) };
+        luma(frame, &mut self.image).map_err(|error| Failure::failed(format!("{path}: {}: {error}", sensor.name())))?;
+        let seen = self.detector.find_board(self.image.view(), &self.detect);
+        if let (Err(no_board), None) = (&seen, &self.first_reason) {
+            self.first_reason = Some(format!("{path}: {}: {no_board}", sensor.name()));
+        }
+        Ok(Some((self.image.size(), seen)))
+    }
+
+    fn same_size(&mut self, size: ImageSize, sensor: &'static str, path: &str) -> Result<(), Failure> {
+        let first = if sensor == "depth" { &mut self.depth_size } else { &mut self.color_size };
+        let expected = *first.get_or_insert(size);
+        if expected == size {
+            return Ok(());
+        }
+        Err(Failure::failed(format!(
+            "{path}: its {sensor} picture is {size}, those before it are {expected}: calibrate each size by itself"
+        )))
+    }
+
+    /// Whether the session of a recording keeps this frame set.
+    fn keep(&mut self, set: &FrameSet, color: Option<&(ImageSize, Result<Detection, NoBoard>)>) -> bool {
+        let Some((image_size, seen)) = color else { return false };
+        let target = self.target;
+        let session = self.session.get_or_insert_with(|| {
+            let request = SessionRequest { target, lens: LensChoice::Auto, finish: None };
+            Session::begin(SessionRecord::begin("", "", request, set.host_time.utc_ns), &AdmissionOptions::default())
+        });
+        let frame = FrameFacts {
+            sequence: set.sequence,
+            name: set.name.clone(),
+            host_time_ns: set.host_time.utc_ns,
+            device_time_ns: set.device_time.map(|time| time.monotonic_ns),
+            image_size: *image_size,
+        };
+        let before = session.views().len();
+        session.observe(&frame, seen.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())));
+        session.views().len() > before
+    }
+
+    fn corners(&self, seen: Option<(ImageSize, Result<Detection, NoBoard>)>) -> Vec<Correspondence> {
+        let Some((image_size, Ok(detection))) = seen else { return Vec::new() };
+        let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
+        View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
+    }
+
+    fn finish(self, depth: DepthSensor) -> Result<RgbdInput, Failure> {
+        match self.color_size {
+            Some(color_size) if !self.captures.is_empty() => {
+                Ok(RgbdInput { board: self.target, color_size, depth, captures: self.captures })
+            }
+            Some(_) => Err(Failure::failed(format!(
+                "{}: no {} board was seen in any of {} frames; the first: {}",
+                self.source,
+                self.target.size,
+                self.looked,
+                self.first_reason.unwrap_or_default()
+            ))),
+            None => Err(Failure::failed(format!(
+                "{}: it has depth but no colour pictures, in which the board is seen",
+                self.source
+            ))),
+        }
+    }
+}
+
+/// One calibration of all sensors.
+fn assemble(target: Chessboard, input: &RgbdInput, solved: SolvedRgbd) -> Calibration {
+    let joint = &solved.joint;
+    let depth = DepthCalibration::of(joint, input.depth.invalid);
+    let with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
+    let (rotation_std, translation_std) = pose_std(&joint.color_from_depth_covariance);
+    let extrinsics = |name: &str| Extrinsics {
+        name: name.to_owned(),
+        target_from_source: joint.color_from_depth,
+        rotation_std: rotation_std.into(),
+        translation_std_m: translation_std.into(),
+    };
+    let std = |covariance: &nalgebra::DMatrix<f64>| covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect();
+    let mut color = solved.color;
+    color.sensor.lens = joint.color;
+    color.sensor.lens_std = std(&joint.color_covariance);
+    let mut calibration = finished(Some(target), color);
+    calibration.extrinsics = vec![extrinsics("color_from_depth")];
+    if let Some(mut infrared) = solved.infrared {
+        infrared.sensor.lens = joint.depth.lens;
+        infrared.sensor.lens_std = std(&joint.depth_covariance);
+        calibration.extrinsics.push(extrinsics("color_from_infrared"));
+        calibration.infrared = Some(infrared.sensor);
+        calibration.verdict = both(calibration.verdict, infrared.verdict);
+    }
+    calibration.verdict = judge_depth(calibration.verdict, &depth, solved.without_depth.len(), with_depth);
+    calibration.depth = Some(depth);
+    calibration
+}
+
+fn both(color: Verdict, infrared: Verdict) -> Verdict {
+    let named =
+        |sensor: &str, reasons: Vec<String>| reasons.into_iter().map(|r| format!("{sensor}: {r}")).collect::<Vec<_>>();
+    let grade: Grade = color.grade.min(infrared.grade);
+    Verdict { grade, reasons: [named("color", color.reasons), named("infrared", infrared.reasons)].concat() }
+}

@@ -1,0 +1,193 @@
+//! `plumb correct`: depth pictures without their systematic error, on request as the colour camera would see them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::sources::{FrameSets, is_recording};
+use crate::cli::{Failure, output, progress};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::{Frame, SensorKind};
+use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::registration::DepthRegistration;
+
+/// Writes corrected (and registered) depth as 16-bit PNG
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// Bring depth into this sensor's picture
+    #[arg(long, value_name = "SENSOR", value_parser = ["color"])]
+    register: Option<String>,
+    /// Metres per unit of what is written; 0 is no reading
+    #[arg(long, value_name = "METRES", default_value_t = 0.001)]
+    unit: f64,
+    /// The folder to write to; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Print one JSON document: what was written, and how much of it lies beyond the distances that were calibrated
+    #[arg(long)]
+    json: bool,
+    /// Depth pictures (16-bit PNG or PGM), folders of them, or recordings with depth
+    #[arg(required = true, value_name = "DEPTH")]
+    depth: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    unit_m: f64,
+    registered: Option<String>,
+    written: Vec<Written>,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    path: String,
+    out: String,
+    readings: usize,
+    beyond_calibrated_range: usize,
+    too_far_for_unit: usize,
+}
+
+/// Corrects every depth picture; one that cannot be is told at the end, and the others are written.
+///
+/// # Errors
+/// A failure for a calibration without depth, and when any picture could not be corrected.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    if !(args.unit > 0.0 && args.unit < 1.0) {
+        return Err(Failure::usage(format!("--unit {}: give metres per unit, as in 0.001", args.unit)));
+    }
+    let calibration = read_calibration(&args.calibration)?;
+    let file = args.calibration.display();
+    let missing = |what: &str| {
+        Failure::failed(format!("{file}: calibrates no {what}; calibrate from a recording with colour and depth"))
+    };
+    let depth = calibration.depth.ok_or_else(|| missing("depth sensor"))?;
+    let color = calibration.color.ok_or_else(|| missing("colour sensor"))?;
+    let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+    let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
+    let registration = DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth);
+    fs::create_dir_all(&args.out)
+        .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
+    let spinner = progress::spinner("correcting");
+    let (mut written, mut failures) = (Vec::new(), Vec::new());
+    let mut give = |path: String, name: String, picture: Result<DepthImage, String>| {
+        spinner.inc(1);
+        let outcome = picture.and_then(|picture| {
+            fits(&picture, depth.camera.image_size)?;
+            correct(args, (&registration, depth.invalid), (&path, &name), &picture)
+        });
+        match outcome {
+            Ok(one) => written.push(one),
+            Err(problem) => failures.push(format!("{path}: {problem}")),
+        }
+    };
+    for source in &args.depth {
+        let place = Path::new(source);
+        if place.is_dir() && !place.join("depth").is_dir() {
+            for path in pictures_in(place)? {
+                give(path.display().to_string(), stem(&path), read(&path));
+            }
+        } else if place.is_dir() || is_recording(place) {
+            for frames in FrameSets::new(std::iter::once(source.clone())) {
+                let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
+                let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
+                let name = frames.set.name.clone().unwrap_or_else(|| format!("{:06}", frames.set.sequence));
+                give(frames.path(), name, decoded(frame));
+            }
+        } else {
+            give(source.clone(), stem(place), read(place));
+        }
+    }
+    spinner.finish_and_clear();
+    tell(args, written, &failures)
+}
+
+fn correct(
+    args: &Args,
+    (registration, invalid): (&DepthRegistration, Option<u16>),
+    (path, name): (&str, &str),
+    picture: &DepthImage,
+) -> Result<Written, String> {
+    let mut corrected = registration.correct(picture, invalid, args.unit);
+    if args.register.is_some() {
+        let registered = registration.register(picture, invalid, args.unit);
+        corrected.picture = registered.picture;
+        corrected.overflowed = registered.overflowed;
+    }
+    let out = args.out.join(format!("{name}.png"));
+    write_file(&out, &corrected.picture.to_png()).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    Ok(Written {
+        path: path.to_owned(),
+        out: out.display().to_string(),
+        readings: corrected.picture.readings().iter().filter(|reading| **reading > 0).count(),
+        beyond_calibrated_range: corrected.beyond,
+        too_far_for_unit: corrected.overflowed,
+    })
+}
+
+fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), Failure> {
+    let (count, beyond) = (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
+    if args.json {
+        output::print_json(&Report { unit_m: args.unit, registered: args.register.clone(), written })?;
+    } else if count > 0 {
+        output::print_line(&format!("{}: {count} corrected depth pictures", args.out.display()))?;
+        if beyond > 0 {
+            output::print_line(&format!(
+                "{beyond} readings lie beyond the distances that were calibrated: corrected as at the nearest"
+            ))?;
+        }
+    }
+    match failures {
+        [] => Ok(()),
+        [first, ..] if failures.len() + count > 1 => Err(Failure::failed(format!(
+            "{} of {} depth pictures could not be corrected; the first: {first}",
+            failures.len(),
+            failures.len() + count
+        ))),
+        [first, ..] => Err(Failure::failed(first)),
+    }
+}
+
+fn fits(picture: &DepthImage, expected: ImageSize) -> Result<(), String> {
+    let size = picture.size();
+    if size == expected {
+        return Ok(());
+    }
+    Err(format!("{size} pixels, but the calibration is for {expected}; give depth of the calibrated camera"))
+}
+
+fn read(path: &Path) -> Result<DepthImage, String> {
+    let bytes = fs::read(path).map_err(|error| format!("cannot be read ({error}); check the path"))?;
+    decoded(&frame_from_file(SensorKind::Depth, bytes))
+}
+
+fn decoded(frame: &Frame) -> Result<DepthImage, String> {
+    DepthImage::from_frame(frame).map_err(|error| error.to_string())
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+    let refused = |error| Failure::failed(format!("{}: cannot be read ({error})", folder.display()));
+    let entries = fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;
+    let mut paths: Vec<_> = entries
+        .into_iter()
+        .map(|entry| entry.path())
+        .filter(|path| crate::imaging::picture_file::is_picture(path))
+        .collect();
+    paths.sort();
+    if paths.is_empty() {
+        return Err(Failure::failed(format!(
+            "{}: no depth pictures in this folder: it needs 16-bit .png or .pgm files",
+            folder.display()
+        )));
+    }
+    Ok(paths)
+}

@@ -1,0 +1,134 @@
+//! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth pictures' numbers mean, and what the factory
+//! says of the sensors, in the shapes of the calibration document.
+
+use serde::Deserialize;
+
+use crate::document::depth::{DepthKind, DisparityDocument};
+use crate::document::error::DocumentError;
+use crate::document::lens::LensDocument;
+use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::lens::Lens;
+use crate::geometry::pose::Pose;
+
+/// The file's name.
+pub const FILE_NAME: &str = "sensors.toml";
+
+/// What a folder's depth pictures are.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SensorsFile {
+    /// The depth sensor.
+    pub depth: StatedDepth,
+    /// The infrared sensor, where anything is stated of it.
+    pub infrared: Option<StatedPicture>,
+    /// Where the sensors are relative to each other, as the factory says.
+    #[serde(default)]
+    pub extrinsics: Vec<StatedExtrinsics>,
+}
+
+/// What is stated of the depth sensor.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct StatedDepth {
+    /// Distances or disparities.
+    pub kind: DepthKind,
+    /// Metres per unit, for distances.
+    pub unit_m: Option<f64>,
+    /// What a disparity means, where that is known.
+    pub disparity: Option<DisparityDocument>,
+    /// The reading that means none.
+    pub invalid: Option<u16>,
+    /// The factory's lens.
+    pub lens: Option<LensDocument>,
+}
+
+/// What is stated of a picture sensor.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct StatedPicture {
+    /// The factory's lens.
+    pub lens: Option<LensDocument>,
+}
+
+/// Where one sensor is relative to another.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct StatedExtrinsics {
+    /// What it maps, as in `color_from_depth`.
+    pub name: String,
+    /// The rotation.
+    pub rotation: RotationDocument,
+    /// The translation, in metres.
+    pub translation: [f64; 3],
+}
+
+impl SensorsFile {
+    /// Reads the file's text.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] with what is missing or wrong.
+    pub fn from_toml(text: &str) -> Result<Self, DocumentError> {
+        let file: Self =
+            toml::from_str(text).map_err(|error| DocumentError::field(FILE_NAME, error.message().to_owned()))?;
+        file.depth.reading()?;
+        Ok(file)
+    }
+
+    /// The factory's lens and pose of the depth sensor, where both are stated.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] for a lens or pose that cannot be.
+    pub fn factory(&self) -> Result<Option<(Lens, Pose)>, DocumentError> {
+        let stated = self.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+        let (Some(lens), Some(extrinsics)) = (&self.depth.lens, stated) else { return Ok(None) };
+        let lens = Lens::try_from(lens).map_err(|e| e.inside("depth.lens"))?;
+        let stated = PoseDocument { rotation: extrinsics.rotation, translation: extrinsics.translation };
+        let color_from_depth = Pose::try_from(&stated).map_err(|e| e.inside("extrinsics"))?;
+        Ok(Some((lens, color_from_depth.inverse())))
+    }
+}
+
+impl StatedDepth {
+    /// What the numbers mean; `None` for disparity that nobody has told the meaning of.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] for depth without its unit.
+    pub fn reading(&self) -> Result<Option<DepthReading>, DocumentError> {
+        match (self.kind, self.unit_m, self.disparity) {
+            (DepthKind::Depth, Some(unit_m), _) if unit_m > 0.0 && unit_m < 1.0 => {
+                Ok(Some(DepthReading::Metric { unit_m }))
+            }
+            (DepthKind::Depth, None, _) => Err(DocumentError::field(
+                "depth.unit_m",
+                "is missing: say how many metres one unit is, as in unit_m = 0.001",
+            )),
+            (DepthKind::Depth, ..) => Err(DocumentError::field("depth.unit_m", "must be above 0 and below 1 m")),
+            (DepthKind::Disparity, _, Some(DisparityDocument { offset, slope })) => {
+                Ok(Some(DepthReading::Disparity { offset, slope }))
+            }
+            (DepthKind::Disparity, _, None) => Ok(None),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_folder_states_is_read_and_what_is_missing_named() {
+        let kinect = SensorsFile::from_toml("[depth]\nkind = \"disparity\"\ninvalid = 2047").unwrap();
+        assert_eq!((kinect.depth.reading().unwrap(), kinect.depth.invalid), (None, Some(2047)));
+        assert_eq!(kinect.factory().unwrap(), None);
+        let metric = SensorsFile::from_toml(
+            "[depth]\nkind = \"depth\"\nunit_m = 0.001\nlens = { model = \"pinhole\", fx = 580.0, fy = 580.0, cx = 320.0, cy = 240.0 }\n\
+             [[extrinsics]]\nname = \"color_from_depth\"\nrotation = { w = 1.0, x = 0.0, y = 0.0, z = 0.0 }\ntranslation = [0.025, 0.0, 0.0]",
+        )
+        .unwrap();
+        let (lens, depth_from_color) = metric.factory().unwrap().unwrap();
+        assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
+        for (text, word) in
+            [("[depth]\nkind = \"depth\"", "unit_m"), ("[depth]\nkind = \"metres\"", "metres"), ("[color]", "depth")]
+        {
+            let line = SensorsFile::from_toml(text).unwrap_err().to_string();
+            assert!(line.contains(word) && !line.contains('\n'), "{line}");
+        }
+    }
+}

@@ -1,0 +1,229 @@
+//! Which correction a depth camera needs: polynomials over grids from none to fine, compared on views that were not
+//! fitted to.
+//!
+//! With the board's planes given, every correction is linear in its coefficients: one set of normal equations a fold, from
+//! which any four of five folds are fitted.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimation::joint::depth_terms::correction_columns;
+use crate::geometry::depth_camera::DepthTile;
+use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
+use crate::geometry::pixel::ImageSize;
+
+/// A tile, the 1/z that the board's plane has there, and what is to be expected between the two.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JudgedTile {
+    /// What was measured.
+    pub tile: DepthTile,
+    /// The plane's 1/z, in 1/m.
+    pub plane: f64,
+    /// 1 over the standard deviation of the tile's 1/z, in m.
+    pub inverse_std: f64,
+}
+
+/// How strongly coefficients are held together, where tiles say little.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Smoothness {
+    /// What a term may do to 1/z at the middle of the depths seen, as a part of it: one standard deviation.
+    pub amplitude: f64,
+    /// The same for how much a node may differ from the straight line through its neighbours.
+    pub bend: f64,
+}
+
+/// A correction that was tried.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TriedCorrection {
+    /// In what.
+    pub quantity: CorrectedQuantity,
+    /// How many powers; 0 for no correction.
+    pub terms: usize,
+    /// Cells along x and y; 0 for a constant.
+    pub cells: [u32; 2],
+    /// How smooth.
+    pub smoothness: Smoothness,
+    /// Root mean square on held-out views of (corrected − plane) / standard deviation.
+    pub held_out: f64,
+}
+
+/// The weak prior of a correction: its own normal equations.
+pub(crate) struct Prior {
+    pub(crate) hessian: DMatrix<f64>,
+}
+
+impl Prior {
+    /// Of a correction whose terms are scaled to the middle of the depths seen.
+    pub(crate) fn of(correction: &DepthCorrection, smoothness: Smoothness) -> Self {
+        let count = correction.grid.node_count();
+        let mut hessian = DMatrix::zeros(correction.terms * count, correction.terms * count);
+        let [across, down] = correction.grid.nodes();
+        let middle = (correction.seen_m[0] * correction.seen_m[1]).sqrt();
+        for term in 0..correction.terms {
+            let unit = match correction.quantity {
+                CorrectedQuantity::InverseDepth => middle.powi(term as i32 - 1),
+                CorrectedQuantity::Depth => middle.powi(1 - term as i32),
+            };
+            let ridge = (smoothness.amplitude * unit).powi(-2) / count as f64;
+            for node in 0..count {
+                hessian[(term * count + node, term * count + node)] += ridge;
+            }
+            let bend = (smoothness.bend * unit).powi(-2);
+            let mut second = |nodes: [usize; 3]| {
+                for (a, wa) in nodes.iter().zip([1.0, -2.0, 1.0]) {
+                    for (b, wb) in nodes.iter().zip([1.0, -2.0, 1.0]) {
+                        hessian[(term * count + a, term * count + b)] += bend * wa * wb;
+                    }
+                }
+            };
+            for j in 0..down {
+                for i in 1..across.saturating_sub(1) {
+                    second([j * across + i - 1, j * across + i, j * across + i + 1]);
+                }
+            }
+            for i in 0..across {
+                for j in 1..down.saturating_sub(1) {
+                    second([(j - 1) * across + i, j * across + i, (j + 1) * across + i]);
+                }
+            }
+        }
+        Self { hessian }
+    }
+}
+
+/// Views are held out in this many groups, every fifth one together.
+const FOLDS: usize = 5;
+
+/// A correction is refused unless it does better than a simpler one by this part.
+const PREFERENCE: f64 = 0.01;
+
+/// Tries corrections on `views` (the tiles of each) and answers the chosen one, unfitted, with everything that was
+/// tried. `quantities` are those that make sense for the device.
+pub fn choose_correction(
+    views: &[Vec<JudgedTile>],
+    size: ImageSize,
+    quantities: &[CorrectedQuantity],
+) -> (Option<(DepthCorrection, Smoothness)>, Vec<TriedCorrection>) {
+    let seen_m = seen(views);
+    let mut tried = Vec::new();
+    let Some(first) = quantities.first() else { return (None, tried) };
+    let none = TriedCorrection {
+        quantity: *first,
+        terms: 0,
+        cells: [0, 0],
+        smoothness: SMOOTH[0],
+        held_out: uncorrected(views),
+    };
+    tried.push(none);
+    let mut best = none;
+    let attempt = |quantity, terms, cells: [u32; 2], smoothness| {
+        let grid = SplineGrid { size, cols: cells[0], rows: cells[1] };
+        let correction = DepthCorrection::none(quantity, terms, grid, seen_m);
+        let held_out = held_out(views, &correction, smoothness);
+        TriedCorrection { quantity, terms, cells, smoothness, held_out }
+    };
+    let mut consider = |candidate: TriedCorrection, best: &mut TriedCorrection| {
+        tried.push(candidate);
+        if candidate.held_out < best.held_out * (1.0 - PREFERENCE) {
+            *best = candidate;
+        }
+    };
+    for quantity in quantities {
+        for terms in 1..=3 {
+            for cells in [[0, 0], COARSE] {
+                consider(attempt(*quantity, terms, cells, SMOOTH[0]), &mut best);
+            }
+        }
+    }
+    if best.terms > 0 {
+        for cells in FINER {
+            for smoothness in SMOOTH {
+                consider(attempt(best.quantity, best.terms, cells, smoothness), &mut best);
+            }
+        }
+    }
+    let grid = SplineGrid { size, cols: best.cells[0], rows: best.cells[1] };
+    let chosen = DepthCorrection::none(best.quantity, best.terms, grid, seen_m);
+    ((best.terms > 0).then_some((chosen, best.smoothness)), tried)
+}
+
+const COARSE: [u32; 2] = [4, 3];
+const FINER: [[u32; 2]; 3] = [[2, 2], [4, 3], [8, 6]];
+const SMOOTH: [Smoothness; 3] = [
+    Smoothness { amplitude: 0.2, bend: 0.01 },
+    Smoothness { amplitude: 0.2, bend: 0.003 },
+    Smoothness { amplitude: 0.2, bend: 0.03 },
+];
+
+/// The nearest and the farthest depth of the tiles.
+fn seen(views: &[Vec<JudgedTile>]) -> [f64; 2] {
+    let depths = || views.iter().flatten().map(|judged| 1.0 / judged.tile.inverse_depth);
+    [depths().fold(f64::INFINITY, f64::min), depths().fold(0.0, f64::max)]
+}
+
+fn uncorrected(views: &[Vec<JudgedTile>]) -> f64 {
+    let squares = |judged: &JudgedTile| ((judged.tile.inverse_depth - judged.plane) * judged.inverse_std).powi(2);
+    let count = views.iter().map(Vec::len).sum::<usize>().max(1);
+    (views.iter().flatten().map(squares).sum::<f64>() / count as f64).sqrt()
+}
+
+/// The normal equations of one group of views.
+struct Fold {
+    hessian: DMatrix<f64>,
+    right: DVector<f64>,
+}
+
+/// One view's residual without correction, and by the coefficients.
+fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
+    columns.clear();
+    correction_columns(correction, &judged.tile, |index, value| columns.push((index, value * judged.inverse_std)));
+    (judged.tile.inverse_depth - judged.plane) * judged.inverse_std
+}
+
+fn held_out(views: &[Vec<JudgedTile>], correction: &DepthCorrection, smoothness: Smoothness) -> f64 {
+    let Some(residuals) = held_out_residuals(views, correction, smoothness) else { return f64::INFINITY };
+    let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
+    let of_tile = |(judged, residual): (&JudgedTile, &f64)| (judged.inverse_std * residual).powi(2);
+    let squares = views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
+    (squares.map(of_tile).sum::<f64>() / count as f64).sqrt()
+}
+
+/// Corrected 1/z minus the plane's, in 1/m, of every tile, by a correction of this form fitted to other views. `None` where
+/// it cannot be fitted.
+pub fn held_out_residuals(
+    views: &[Vec<JudgedTile>],
+    correction: &DepthCorrection,
+    smoothness: Smoothness,
+) -> Option<Vec<Vec<f64>>> {
+    let size = correction.coefficients.len();
+    let form = DepthCorrection { coefficients: vec![0.0; size], ..correction.clone() };
+    let mut folds: Vec<Fold> =
+        (0..FOLDS).map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) }).collect();
+    let mut columns = Vec::new();
+    for (index, view) in views.iter().enumerate() {
+        let fold = &mut folds[index % FOLDS];
+        for judged in view {
+            let residual = rows(&form, judged, &mut columns);
+            for (i, di) in &columns {
+                fold.right[*i] -= di * residual;
+                for (j, dj) in &columns {
+                    fold.hessian[(*i, *j)] += di * dj;
+                }
+            }
+        }
+    }
+    let prior = Prior::of(&form, smoothness).hessian;
+    let all = folds.iter().fold(prior, |sum, fold| sum + &fold.hessian);
+    let all_right = folds.iter().fold(DVector::zeros(size), |sum: DVector<f64>, fold| sum + &fold.right);
+    let fits: Option<Vec<DVector<f64>>> =
+        folds.iter().map(|fold| Some((&all - &fold.hessian).cholesky()?.solve(&(&all_right - &fold.right)))).collect();
+    let fits = fits?;
+    let each = views.iter().enumerate().map(|(index, view)| {
+        let coefficients = &fits[index % FOLDS];
+        let residual = |judged: &JudgedTile| {
+            let before = rows(&form, judged, &mut columns);
+            (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>()) / judged.inverse_std
+        };
+        view.iter().map(residual).collect()
+    });
+    Some(each.collect())
+}

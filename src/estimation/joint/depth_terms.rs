@@ -1,0 +1,166 @@
+//! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane,
+//!
+//! ```text
+//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / std,   n = R e_z, (R, t) = sensor_from_board
+//! ```
+//!
+//! 1/z of a plane is linear in the ray (x, y, 1), and the correction linear in its coefficients, so that this converges
+//! from afar. The ray follows from the pixel by the depth camera's own lens (D. Herrera C., J. Kannala, J. Heikkilä, *Joint
+//! depth and color camera calibration with distortion correction*, PAMI 2012, with the plane's error in inverse depth).
+
+use nalgebra::{Matrix2, Vector3};
+
+use crate::estimation::joint::normal::{NormalEquations, chain};
+use crate::estimation::joint::{Layout, State};
+use crate::geometry::depth_camera::DepthTile;
+use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection};
+use crate::geometry::lens::Lens;
+
+/// The board's surface as the depth sensor measured it at one instant.
+#[derive(Debug, Clone)]
+pub(crate) struct PlaneSight {
+    pub(crate) sensor: usize,
+    pub(crate) instant: usize,
+    pub(crate) tiles: Vec<DepthTile>,
+    /// 1 over each tile's standard deviation, in m.
+    pub(crate) inverse_std: Vec<f64>,
+    pub(crate) used: Vec<bool>,
+}
+
+/// The derivatives of one residual: by global parameters, and by the board's pose in the sensor's frame.
+struct Row {
+    residual: f64,
+    globals: Vec<(usize, f64)>,
+    by_pose: [f64; 6],
+}
+
+/// Adds the planes to the normal equations, and answers every tile's residual in standard deviations (infinite where the
+/// lens sees nothing). The board's poses are held: of them the equations only get what couples them to the rest.
+/// `correction_at` is where the correction's coefficients begin among the global parameters.
+pub(crate) fn add_planes(
+    equations: &mut NormalEquations,
+    (layout, state): (&Layout, &State),
+    (correction, correction_at): (&DepthCorrection, usize),
+    sights: &[PlaneSight],
+) -> Vec<Vec<f64>> {
+    let mut row = Row { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
+    let residuals = sights.iter().map(|sight| {
+        let chained = (sight.sensor != 0).then(|| chain(state, (sight.sensor, sight.instant)));
+        let each = (0..sight.tiles.len()).map(|index| {
+            if !linearize_tile((layout, state), (correction, correction_at), (sight, index), &mut row) {
+                return f64::INFINITY;
+            }
+            if sight.used[index] {
+                let pose = nalgebra::RowVector6::from_row_slice(&row.by_pose);
+                let by_board = match &chained {
+                    None => row.by_pose,
+                    Some((by_sensor, by_board)) => {
+                        if let Some(at) = layout.sensors[sight.sensor].pose_at {
+                            let by_sensor = pose * by_sensor;
+                            row.globals.extend((0..6).map(|k| (at + k, by_sensor[k])));
+                        }
+                        (pose * by_board).into()
+                    }
+                };
+                add_row(equations, sight.instant, &row, &by_board);
+            }
+            row.residual
+        });
+        each.collect()
+    });
+    residuals.collect()
+}
+
+fn add_row(equations: &mut NormalEquations, instant: usize, row: &Row, by_board: &[f64; 6]) {
+    equations.cost += row.residual * row.residual;
+    let block = &mut equations.instants[instant];
+    for (i, di) in &row.globals {
+        equations.global_gradient[*i] += di * row.residual;
+        for (j, dj) in &row.globals {
+            equations.global[(*i, *j)] += di * dj;
+        }
+        for (coupling, db) in block.coupling[*i].iter_mut().zip(by_board) {
+            *coupling += di * db;
+        }
+    }
+}
+
+/// Answers false where the lens sees nothing or the plane is edge-on.
+fn linearize_tile(
+    (layout, state): (&Layout, &State),
+    (correction, correction_at): (&DepthCorrection, usize),
+    (sight, index): (&PlaneSight, usize),
+    row: &mut Row,
+) -> bool {
+    let (tile, inverse_std) = (&sight.tiles[index], sight.inverse_std[index]);
+    let sensor_from_board = state.sensor_from_board(sight.sensor, sight.instant);
+    let lens = &state.lenses[sight.sensor];
+    let Some(ray) = ray(lens, tile) else { return false };
+    let normal = sensor_from_board * Vector3::z();
+    let translation = sensor_from_board.translation();
+    let distance = normal.dot(&translation);
+    let plane = normal.dot(&ray) / distance;
+    let Some(corrected) = correction.correct(tile.pixel, tile.inverse_depth) else { return false };
+    row.residual = (corrected - plane) * inverse_std;
+    if !row.residual.is_finite() {
+        return false;
+    }
+    row.globals.clear();
+    let globals = &mut row.globals;
+    correction_columns(correction, tile, |index, value| globals.push((correction_at + index, value * inverse_std)));
+    add_lens_columns((layout, lens), (sight.sensor, &ray, &(normal * (-inverse_std / distance))), &mut row.globals);
+    let by_turn = (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
+    let by_shift = normal * (plane / distance * inverse_std);
+    row.by_pose = [by_turn.x, by_turn.y, by_turn.z, by_shift.x, by_shift.y, by_shift.z];
+    true
+}
+
+/// The ray (x, y, 1) of a tile's middle.
+pub(crate) fn ray(lens: &Lens, tile: &DepthTile) -> Option<Vector3<f64>> {
+    let bearing = lens.bearing_from_pixel(tile.pixel)?;
+    (bearing.z > 1e-3).then(|| bearing.into_inner() / bearing.z)
+}
+
+/// ∂(corrected 1/z)/∂(coefficient) for the coefficients that matter at a tile.
+pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
+    let weights = correction.grid.weights(tile.pixel);
+    let count = correction.grid.node_count();
+    let held = tile.inverse_depth.clamp(1.0 / correction.seen_m[1], 1.0 / correction.seen_m[0]);
+    let (base, factor) = match correction.quantity {
+        CorrectedQuantity::InverseDepth => (held, 1.0),
+        CorrectedQuantity::Depth => {
+            let corrected = correction.at(tile.pixel).correct(tile.inverse_depth);
+            (1.0 / held, -corrected * corrected)
+        }
+    };
+    let mut power = factor;
+    for term in 0..correction.terms {
+        for (node, weight) in weights.nodes.iter().zip(&weights.weights).take(weights.len) {
+            put(term * count + node, power * weight);
+        }
+        power *= base;
+    }
+}
+
+/// The pixel is fixed and the ray moves: ∂ray/∂parameters = −(∂pixel/∂ray)⁻¹ ∂pixel/∂parameters.
+fn add_lens_columns(
+    (layout, lens): (&Layout, &Lens),
+    (sensor, ray, by_ray): (usize, &Vector3<f64>, &Vector3<f64>),
+    globals: &mut Vec<(usize, f64)>,
+) {
+    let at = &layout.sensors[sensor];
+    if at.lens.free.is_empty() {
+        return;
+    }
+    let Some(projection) = lens.project(&(*ray).into()) else { return };
+    let by_xy: Matrix2<f64> = projection.by_point.fixed_view::<2, 2>(0, 0).into_owned();
+    let Some(inverse) = by_xy.try_inverse() else { return };
+    for (column, parameter) in at.lens.free.iter().enumerate() {
+        let mut by_parameter = projection.by_parameters.column(*parameter).into_owned();
+        if at.lens.square_pixels && *parameter == 0 {
+            by_parameter += projection.by_parameters.column(1);
+        }
+        let moved = -(inverse * by_parameter);
+        globals.push((at.lens_at + column, by_ray.x * moved.x + by_ray.y * moved.y));
+    }
+}

@@ -1,0 +1,327 @@
+//! Depth corrected, and depth and colour brought into each other's pictures.
+
+use nalgebra::{Point3, Vector2, Vector3};
+
+use crate::geometry::depth_camera::DepthCamera;
+use crate::geometry::depth_correction::PixelCorrection;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
+use crate::imaging::depth_image::DepthImage;
+
+/// Metric depth as 16-bit readings.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CorrectedDepth {
+    /// Readings; 0 = none.
+    pub picture: DepthImage,
+    /// Readings whose distance lies outside those that the correction was fitted over: corrected as at the nearest one.
+    pub beyond: usize,
+    /// Readings that do not fit 16 bits in the unit asked for; they are 0.
+    pub overflowed: usize,
+}
+
+/// What each pixel of a depth camera's pictures stands for, computed once.
+#[derive(Debug, Clone)]
+pub struct DepthRegistration {
+    camera: DepthCamera,
+    /// The ray (x, y, 1) of each pixel; NaN where the lens sees nothing.
+    rays: Vec<[f32; 2]>,
+    /// The correction of each pixel; empty without one.
+    corrections: Vec<PixelCorrection>,
+    color: ColorView,
+}
+
+/// Where a point of the depth camera's frame is in the colour picture.
+#[derive(Debug, Clone)]
+struct ColorView {
+    size: ImageSize,
+    color_from_depth: Pose,
+    lens: Lens,
+    lookup: DistortionLookup,
+}
+
+/// Pixels by normalised coordinates, between the nodes of a grid: within a hundredth of a pixel of the lens's own for lenses
+/// of up to 100°, and at a twentieth of its cost.
+#[derive(Debug, Clone)]
+struct DistortionLookup {
+    low: [f32; 2],
+    per_unit: [f32; 2],
+    nodes: Vec<[f32; 2]>,
+}
+
+const LOOKUP: usize = 160;
+
+impl DistortionLookup {
+    /// Over what the lens sees of its picture, and a little more.
+    fn new(lens: &Lens, size: ImageSize) -> Self {
+        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+        for k in 0..=64 {
+            let part = f64::from(k) / 64.0;
+            let (x, y) = (part * f64::from(size.width) - 0.5, part * f64::from(size.height) - 0.5);
+            let (right, bottom) = (f64::from(size.width) - 0.5, f64::from(size.height) - 0.5);
+            for pixel in [Pixel::new(x, -0.5), Pixel::new(x, bottom), Pixel::new(-0.5, y), Pixel::new(right, y)] {
+                if let Some(bearing) = lens.bearing_from_pixel(pixel).filter(|b| b.z > 0.05) {
+                    let at = Vector2::new(bearing.x / bearing.z, bearing.y / bearing.z);
+                    (low, high) = (low.inf(&at), high.sup(&at));
+                }
+            }
+        }
+        if !(low.x < high.x && low.y < high.y) {
+            (low, high) = (Vector2::repeat(-1.0), Vector2::repeat(1.0));
+        }
+        let margin = (high - low) * 0.05;
+        let (low, high) = (low - margin, high + margin);
+        let cells = (LOOKUP - 1) as f64;
+        let node = |k: usize| {
+            let at = [low.x, low.y].into_iter().zip([high.x, high.y]).zip([k % LOOKUP, k / LOOKUP]);
+            let [x, y] = [0, 1].map({
+                let at: Vec<f64> = at.map(|((low, high), index)| low + (high - low) * index as f64 / cells).collect();
+                move |axis: usize| at[axis]
+            });
+            match lens.pixel_from_point(&Point3::new(x, y, 1.0)) {
+                Some(pixel) => [pixel.x as f32, pixel.y as f32],
+                None => [f32::NAN; 2],
+            }
+        };
+        Self {
+            low: [low.x as f32, low.y as f32],
+            per_unit: [(cells / (high.x - low.x)) as f32, (cells / (high.y - low.y)) as f32],
+            nodes: (0..LOOKUP * LOOKUP).map(node).collect(),
+        }
+    }
+
+    /// The pixel at normalised coordinates; NaN outside.
+    fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
+        let (u, v) = ((x - self.low[0]) * self.per_unit[0], (y - self.low[1]) * self.per_unit[1]);
+        let limit = (LOOKUP - 1) as f32;
+        if !(u >= 0.0 && v >= 0.0 && u < limit && v < limit) {
+            return [f32::NAN; 2];
+        }
+        let (column, row) = (u as usize, v as usize);
+        let (s, t) = (u - column as f32, v - row as f32);
+        let at = row * LOOKUP + column;
+        let (a, b) = (&self.nodes[at..at + 2], &self.nodes[at + LOOKUP..at + LOOKUP + 2]);
+        [0, 1].map(|axis| {
+            let upper = a[0][axis] + s * (a[1][axis] - a[0][axis]);
+            let lower = b[0][axis] + s * (b[1][axis] - b[0][axis]);
+            upper + t * (lower - upper)
+        })
+    }
+}
+
+impl DepthRegistration {
+    /// For the pictures of `camera`, seen from a colour camera with `color` and pictures of `color_size`.
+    pub fn new(camera: &DepthCamera, color: &Lens, color_size: ImageSize, color_from_depth: &Pose) -> Self {
+        let size = camera.image_size;
+        let pixels =
+            || (0..size.height).flat_map(move |y| (0..size.width).map(move |x| Pixel::new(f64::from(x), f64::from(y))));
+        let ray = |pixel: Pixel| match camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0) {
+            Some(bearing) => [(bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32],
+            None => [f32::NAN; 2],
+        };
+        let corrections = camera.correction.as_ref().map(|correction| pixels().map(|p| correction.at(p)).collect());
+        let color = ColorView {
+            size: color_size,
+            color_from_depth: *color_from_depth,
+            lens: *color,
+            lookup: DistortionLookup::new(color, color_size),
+        };
+        Self {
+            rays: pixels().map(ray).collect(),
+            corrections: corrections.unwrap_or_default(),
+            camera: camera.clone(),
+            color,
+        }
+    }
+
+    /// The corrected depth of each pixel in metres; 0 where there is none.
+    pub fn depths_m(&self, picture: &DepthImage, invalid: Option<u16>) -> Vec<f32> {
+        let reading = self.camera.reading;
+        let depth = |(index, raw): (usize, &u16)| {
+            if Some(*raw) == invalid {
+                return 0.0;
+            }
+            let Some(inverse) = reading.inverse_depth(f64::from(*raw)) else { return 0.0 };
+            let corrected = self.corrections.get(index).map_or(inverse, |correction| correction.correct(inverse));
+            if corrected > 0.0 { (1.0 / corrected) as f32 } else { 0.0 }
+        };
+        picture.readings().iter().enumerate().map(depth).collect()
+    }
+
+    /// Corrected depth in `unit_m`, in the depth camera's own picture.
+    pub fn correct(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
+        let depths = self.depths_m(picture, invalid);
+        let correction = self.camera.correction.as_ref();
+        let beyond = |depth: &&f32| **depth > 0.0 && correction.is_some_and(|c| !c.has_seen(1.0 / f64::from(**depth)));
+        let beyond = depths.iter().filter(beyond).count();
+        let (picture, overflowed) = to_readings(&depths, picture.size(), unit_m);
+        CorrectedDepth { picture, beyond, overflowed }
+    }
+
+    /// Corrected depth in `unit_m`, as the colour camera would see it: what is behind something nearer is hidden, and what
+    /// the depth camera did not see is 0. Each reading covers what its pixel covers of the colour picture.
+    pub fn register(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
+        let depths = self.depths_m(picture, invalid);
+        let nearest = self.nearest_in_color(&depths);
+        let (picture, overflowed) = to_readings(&nearest, self.color.size, unit_m);
+        CorrectedDepth { picture, beyond: 0, overflowed }
+    }
+
+    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none.
+    fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
+        let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
+        let mut nearest = vec![0.0f32; width * height];
+        let scale = self.color.lens.matrix.fx / self.camera.lens.matrix.fx;
+        for (ray, depth) in self.rays.iter().zip(depths) {
+            let Some((pixel, z)) = self.seen_in_color(*ray, *depth) else { continue };
+            let half = (0.5 * scale as f32 * depth / z).max(0.5);
+            let columns = covered(pixel[0], half, width);
+            for y in covered(pixel[1], half, height) {
+                for held in &mut nearest[y * width..][columns.clone()] {
+                    if *held == 0.0 || z < *held {
+                        *held = z;
+                    }
+                }
+            }
+        }
+        nearest
+    }
+
+    /// Where the colour camera sees a reading, and how far away.
+    fn seen_in_color(&self, ray: [f32; 2], depth: f32) -> Option<([f32; 2], f32)> {
+        if depth <= 0.0 {
+            return None;
+        }
+        let point = self.color.color_from_depth.rotation_matrix().cast::<f32>()
+            * Vector3::new(ray[0] * depth, ray[1] * depth, depth)
+            + self.color.color_from_depth.translation().cast::<f32>();
+        let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
+        (point.z > 0.0 && pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
+    }
+
+    /// The colour of each pixel of the depth picture: of the point its reading stands for, unless the colour camera sees
+    /// something nearer there. `color_at` gives the colour at a pixel of the colour picture.
+    pub fn colors(
+        &self,
+        picture: &DepthImage,
+        invalid: Option<u16>,
+        color_at: impl Fn(usize, usize) -> [u8; 3],
+    ) -> Vec<Option<ColoredPoint>> {
+        let depths = self.depths_m(picture, invalid);
+        let nearest = self.nearest_in_color(&depths);
+        let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
+        let colored = |(ray, depth): (&[f32; 2], &f32)| {
+            let ([x, y], z) = self.seen_in_color(*ray, *depth)?;
+            let (x, y) = (x.round().max(0.0) as usize, y.round().max(0.0) as usize);
+            if x >= width || y >= height || z > nearest[y * width + x] * (1.0 + HIDDEN) {
+                return None;
+            }
+            Some(ColoredPoint { point_in_depth: [ray[0] * depth, ray[1] * depth, *depth], rgb: color_at(x, y) })
+        };
+        self.rays.iter().zip(&depths).map(colored).collect()
+    }
+}
+
+/// A reading further behind the nearest than this part of its distance is hidden.
+const HIDDEN: f32 = 0.02;
+
+/// A point with its colour.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ColoredPoint {
+    /// In the depth camera's frame, in metres.
+    pub point_in_depth: [f32; 3],
+    /// Red, green, blue.
+    pub rgb: [u8; 3],
+}
+
+fn covered(center: f32, half: f32, length: usize) -> std::ops::Range<usize> {
+    let start = (center - half).ceil().max(0.0) as usize;
+    let end = ((center + half).ceil().max(0.0) as usize).min(length);
+    start.min(end)..end
+}
+
+/// Metres to readings; what does not fit is 0 and counted.
+fn to_readings(depths: &[f32], size: ImageSize, unit_m: f64) -> (DepthImage, usize) {
+    let per_unit = (1.0 / unit_m) as f32;
+    let mut overflowed = 0;
+    let reading = |depth: &f32| {
+        let units = (depth * per_unit).round();
+        if units > f32::from(u16::MAX) {
+            overflowed += 1;
+            return 0;
+        }
+        units as u16
+    };
+    let readings = depths.iter().map(reading).collect();
+    (DepthImage::new(size, readings).unwrap_or_default(), overflowed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::depth_camera::DepthReading;
+    use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
+    use crate::geometry::lens::LensModel;
+
+    const DEPTH_SIZE: ImageSize = ImageSize::new(64, 48);
+    const COLOR_SIZE: ImageSize = ImageSize::new(128, 96);
+
+    fn camera(correction: Option<DepthCorrection>) -> DepthCamera {
+        DepthCamera {
+            image_size: DEPTH_SIZE,
+            lens: Lens::pinhole(CameraMatrix { fx: 58.0, fy: 58.0, cx: 31.5, cy: 23.5, skew: 0.0 }),
+            reading: DepthReading::Metric { unit_m: 0.001 },
+            correction,
+        }
+    }
+
+    fn color_lens() -> Lens {
+        Lens::from_parameters(LensModel::Brown, &[110.0, 110.0, 63.0, 47.0, 0.0, -0.05, 0.01, 0.0, 0.0, 0.0]).unwrap()
+    }
+
+    fn registration(correction: Option<DepthCorrection>) -> DepthRegistration {
+        let color_from_depth = Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.025, 0.0, 0.0));
+        DepthRegistration::new(&camera(correction), &color_lens(), COLOR_SIZE, &color_from_depth)
+    }
+
+    #[test]
+    fn a_box_before_a_wall_hides_it_and_leaves_a_hole_beside_it() {
+        let near = |x: usize, y: usize| (20..40).contains(&x) && (15..35).contains(&y);
+        let raw = |k: usize| if near(k % 64, k / 64) { 500 } else { 2000 };
+        let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
+        let registered = registration(None).register(&picture, None, 0.001).picture;
+        let middle = registered.row(47);
+        let counts = |low: u16, high: u16| middle.iter().filter(|d| (low..high).contains(d)).count();
+        // 20 pixels at 0.5 m are 38 of colour's; the box moved by 5.5 px against 1.4 px of the wall.
+        assert!((36..=40).contains(&counts(480, 520)), "{middle:?}");
+        assert!((5..=12).contains(&counts(0, 1)), "{middle:?}");
+        assert_eq!(counts(0, 1) + counts(480, 520) + counts(1950, 2050), 128, "{middle:?}");
+    }
+
+    #[test]
+    fn a_corrected_picture_says_what_it_could_not_know() {
+        let grid = SplineGrid::constant(DEPTH_SIZE);
+        let mut correction = DepthCorrection::none(CorrectedQuantity::Depth, 1, grid, [0.4, 1.5]);
+        correction.coefficients = vec![-0.01];
+        let picture = DepthImage::new(
+            DEPTH_SIZE,
+            (0..64 * 48).map(|k| if k < 64 { 0 } else { 1000 + (k / 1024) as u16 * 1000 }).collect(),
+        );
+        let corrected = registration(Some(correction)).correct(&picture.unwrap(), None, 0.0001);
+        assert_eq!(corrected.picture.row(0), [0; 64]);
+        assert_eq!(corrected.picture.row(2)[5], 9900);
+        assert_eq!((corrected.beyond, corrected.overflowed), (2048, 0));
+    }
+
+    #[test]
+    fn the_lookup_is_the_lens() {
+        let (lens, lookup) = (color_lens(), DistortionLookup::new(&color_lens(), COLOR_SIZE));
+        for k in 0..500 {
+            let pixel = Pixel::new(f64::from(k % 25) * 5.0, f64::from(k / 25) * 4.7);
+            let bearing = lens.bearing_from_pixel(pixel).unwrap();
+            let [x, y] = lookup.pixel((bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32);
+            assert!(pixel.distance_px(Pixel::new(f64::from(x), f64::from(y))) < 0.01, "{pixel:?} {x} {y}");
+        }
+    }
+}
