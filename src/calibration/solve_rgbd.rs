@@ -165,9 +165,9 @@ impl Guess {
         let (lens, depth_from_color) = match infrared {
             Some(solved) => {
                 let both = color_poses.iter().zip(&infrared_poses);
-                let between: Vec<Pose> =
+                let depth_from_color: Vec<Pose> =
                     both.filter_map(|(color, infrared)| Some((*infrared)? * (*color)?.inverse())).collect();
-                (solved.estimate.lens, middle_pose(&between).unwrap_or(Pose::identity()))
+                (solved.estimate.lens, middle_pose(&depth_from_color).unwrap_or(Pose::identity()))
             }
             None => {
                 factory.unwrap_or_else(|| (same_view(&color.estimate.lens, input.color_size, size), Pose::identity()))
@@ -315,10 +315,16 @@ fn poses(
 }
 
 /// The pose that is nearest to most others.
-fn middle_pose(poses: &[Pose]) -> Option<Pose> {
-    let apart = |a: &Pose, b: &Pose| a.angle_to(b) + (a.translation() - b.translation()).norm();
-    let spread = |pose: &Pose| median(poses.iter().map(|other| apart(pose, other)).collect()).unwrap_or(f64::INFINITY);
-    poses.iter().copied().min_by(|a, b| spread(a).total_cmp(&spread(b)))
+fn middle_pose(a_from_b: &[Pose]) -> Option<Pose> {
+    let apart =
+        |(first, second): (&Pose, &Pose)| first.angle_to(second) + (first.translation() - second.translation()).norm();
+    let spread = |(chosen, _): &(&Pose, usize)| median(a_from_b.iter().map(|other| apart((chosen, other))).collect());
+    let all = a_from_b.iter().enumerate().map(|(index, pose)| (pose, index));
+    let least = all.min_by(|a, b| {
+        let [a, b] = [a, b].map(|one| spread(one).unwrap_or(f64::INFINITY));
+        a.total_cmp(&b)
+    });
+    least.map(|(pose, _)| *pose)
 }
 
 /// A pinhole that sees about as much of the world as another camera does.

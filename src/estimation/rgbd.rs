@@ -217,8 +217,8 @@ fn free(lens: &Lens, end: usize) -> FreeLens {
 }
 
 /// The pose of a board whose points are counted from `center`.
-fn shifted(pose: &Pose, center: &Vector3<f64>) -> Pose {
-    Pose::new(pose.rotation(), pose.translation() + *pose * *center)
+fn shifted(camera_from_board: &Pose, center: &Vector3<f64>) -> Pose {
+    Pose::new(camera_from_board.rotation(), camera_from_board.translation() + *camera_from_board * *center)
 }
 
 /// What the planes tell, with the board's poses held at the corners' answer.
@@ -399,7 +399,7 @@ impl<'a> Planes<'a> {
         let depth_from_color = fit.state.sensor_from_rig[1];
         let by_step = inverse_step(&depth_from_color);
         let correction = (fit.correction.terms > 0).then(|| fit.correction.clone());
-        let uncentered = |pose: &Pose| shifted(pose, &-corners.center);
+        let uncentered = |color_from_board: &Pose| shifted(color_from_board, &-corners.center);
         Ok(RgbdEstimate {
             color: fit.state.lenses[0],
             color_covariance: corners.lens_covariance(0),
@@ -449,8 +449,8 @@ fn scaled(plane: &PlaneSight, noise: f64) -> PlaneSight {
 
 /// How the inverse of a pose moves when the pose is moved by (ω, τ): ω' = −Rᵀω, τ' = −Rᵀτ + t' × Rᵀω with t' the
 /// inverse's translation.
-fn inverse_step(pose: &Pose) -> Matrix6<f64> {
-    let inverse = pose.inverse();
+fn inverse_step(a_from_b: &Pose) -> Matrix6<f64> {
+    let inverse = a_from_b.inverse();
     let rotation = inverse.rotation_matrix();
     let mut by_step = Matrix6::zeros();
     by_step.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rotation);
