@@ -13,7 +13,7 @@ CAMERA = f"{ADDRESS}/v1/cameras/front"
 REQUEST = {
     "target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025},
     "lens": "brown",
-    "finish": {"uncertainty_px": 0.2, "min_views": 15, "max_seconds": 60},
+    "finish": {"uncertainty_px": 0.2, "min_views": 12, "max_seconds": 60},
 }
 
 
@@ -43,11 +43,10 @@ def collect():
     session = ask(f"{CAMERA}/sessions", REQUEST)
     told = None
     while session["state"] in ("collecting", "solving"):
-        seen = (session["state"], session["views_kept"], (session["guidance"] or {}).get("message"))
+        seen = (session["state"], session["views_kept"])
         if seen != told:
             told = seen
-            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the picture covered"
-                  + (f"; {seen[2]}" if seen[2] else ""), flush=True)
+            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the picture covered", flush=True)
         time.sleep(0.2)
         session = ask(f"{ADDRESS}/v1/sessions/{session['id']}")
     return session

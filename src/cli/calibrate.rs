@@ -19,20 +19,27 @@ use crate::geometry::board::{BoardSize, Chessboard};
 /// Calibrates a camera from pictures of a chessboard, or from a recording.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and along a column.
-    #[arg(long)]
-    board: BoardSize,
+    #[command(flatten)]
+    search: SearchArgs,
     /// The side of one square, with its unit, as in 25mm.
     #[arg(long)]
     square: Length,
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
+    #[command(flatten)]
+    output: OutputArgs,
+}
+
+/// Which pictures to search, and for what.
+#[derive(Debug, clap::Args)]
+pub struct SearchArgs {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and along a column.
+    #[arg(long)]
+    pub board: BoardSize,
     /// Also use pictures in which only part of the board is seen.
     #[arg(long)]
     allow_partial: bool,
-    #[command(flatten)]
-    output: OutputArgs,
     /// How many pictures to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -41,29 +48,39 @@ pub struct Args {
     sources: Vec<String>,
 }
 
+impl SearchArgs {
+    fn detect_options(&self) -> DetectOptions {
+        DetectOptions { allow_partial: self.allow_partial }
+    }
+
+    /// The sources, in as many words as a line holds.
+    fn title(&self) -> String {
+        match self.sources.as_slice() {
+            [first, _, .., last] => format!("{first} … {last}"),
+            few => few.join(" "),
+        }
+    }
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// When a source is not there, the board is in too few pictures, or they leave the lens open.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let target = Chessboard::new(args.board, args.square.metres).map_err(Failure::usage)?;
+    let target = Chessboard::new(args.search.board, args.square.metres).map_err(Failure::usage)?;
     args.output.check()?;
-    for source in &args.sources {
-        check_there(source)?;
-    }
-    let detect = DetectOptions { allow_partial: args.allow_partial };
     let options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
-    if let [source] = args.sources.as_slice()
+    if let [source] = args.search.sources.as_slice()
         && calibrate_rgbd::has_depth(source)
     {
+        let detect = args.search.detect_options();
         return args.output.give(&calibrate_rgbd::calibrate(source, target, &options, detect)?, None);
     }
-    let gathered = search(args, target, detect)?;
-    let (problem, others) = gathered.finish()?;
+    let (problem, others) = gather(&args.search, target)?.finish()?;
     let spinner = progress::spinner("solving");
     let solved = solve_views(&problem, &options);
     spinner.finish_and_clear();
-    let mut solved = solved.map_err(|error| Failure::failed(format!("{}: {error}", args.sources.join(" "))))?;
+    let mut solved = solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
     for (place, view) in others {
         solved.sensor.views.insert(place.min(solved.sensor.views.len()), view);
     }
@@ -71,7 +88,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.give(&calibration, None)
 }
 
-fn search(args: &Args, target: Chessboard, options: DetectOptions) -> Result<Gathered, Failure> {
+/// The views of `target` in the pictures.
+///
+/// # Errors
+/// When a source is not there, or pictures differ in size.
+pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure> {
+    for source in &args.sources {
+        check_there(source)?;
+    }
+    let options = args.detect_options();
     let mut gathered = Gathered::new(target);
     let spinner = progress::spinner("searching pictures");
     in_order(

@@ -1,5 +1,6 @@
 //! `plumb export`: a stored calibration in another program's format.
 
+use std::fmt::Display;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
@@ -8,7 +9,9 @@ use serde::Serialize;
 use crate::calibration::calibration::Calibration;
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::{Failure, output};
+use crate::export::at_size::at_size;
 use crate::export::{Exported, Format, export};
+use crate::geometry::pixel::ImageSize;
 
 /// Converts a stored calibration to another program's format.
 #[derive(Debug, clap::Args)]
@@ -22,6 +25,12 @@ pub struct Args {
     /// Which sensor, where the calibration has several and the format holds one.
     #[arg(long)]
     sensor: Option<SensorName>,
+    /// Width of the pictures to write it for, where they are scaled from those it was made with.
+    #[arg(long, value_name = "PIXELS", requires = "height")]
+    width: Option<u32>,
+    /// Height of those pictures.
+    #[arg(long, value_name = "PIXELS", requires = "width")]
+    height: Option<u32>,
     /// Where to write; standard output unless given.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -86,9 +95,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         Some(SensorName::Color) => Calibration { infrared: None, ..calibration },
         Some(SensorName::Infrared) => Calibration { color: None, ..calibration },
     };
+    let in_file = |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
+    let calibration = match (args.width, args.height) {
+        (Some(width), Some(height)) => {
+            at_size(&calibration, ImageSize::new(width, height)).map_err(|error| in_file(&error))?
+        }
+        _ => calibration,
+    };
     let format = Format::from(args.format);
-    let exported = export(&calibration, format)
-        .map_err(|error| Failure::failed(format!("{}: {error}", args.calibration.display())))?;
+    let exported = export(&calibration, format).map_err(|error| in_file(&error))?;
     if let Some(note) = &exported.note {
         tracing::warn!("{note}");
     }

@@ -21,12 +21,14 @@ pub mod length;
 pub mod lens_name;
 pub mod output;
 pub mod progress;
+pub mod record;
 pub mod search;
 pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
 pub mod undistort;
+pub mod verify;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -53,8 +55,10 @@ enum Command {
     Solve(solve::Args),
     Devices(devices::Args),
     Export(export::Args),
+    Record(record::Args),
     Simulate(simulate::Args),
     Undistort(undistort::Args),
+    Verify(verify::Args),
 }
 
 fn dispatch(command: Command) -> Result<(), Failure> {
@@ -66,8 +70,10 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Undistort(args) => undistort::run(&args),
+        Command::Verify(args) => verify::run(&args),
     }
 }
 

@@ -34,21 +34,47 @@ pub fn camera_matrix(
     image_size: ImageSize,
     skew: Skew,
 ) -> Result<CameraMatrix, EstimationError> {
-    if homographies.len() < 3 {
-        return Err(EstimationError::TooFewViews { usable: homographies.len(), needed: 3, rejected: String::new() });
-    }
     // In pixels B's entries differ by the fourth power of the image's size; in half diagonals they are alike.
     let (center, unit) = (image_size.center(), image_size.diagonal_px() / 2.0);
     let to_units = Matrix3::new(1.0 / unit, 0.0, -center.x / unit, 0.0, 1.0 / unit, -center.y / unit, 0.0, 0.0, 1.0);
+    let balanced = |homography: &Homography| {
+        let h = to_units * homography.matrix();
+        // The board's own scale must not weigh views: columns h1, h2 in units of their mean length.
+        h / (h.column(0).norm_squared() + h.column(1).norm_squared()).sqrt()
+    };
+    let in_units = closed_form(homographies.iter().map(balanced), skew)?;
+    Ok(CameraMatrix {
+        fx: in_units.fx * unit,
+        fy: in_units.fy * unit,
+        cx: in_units.cx * unit + center.x,
+        cy: in_units.cy * unit + center.y,
+        skew: in_units.skew * unit,
+    })
+}
+
+/// As [`camera_matrix`], with V b = 0 in pixels and homographies of unit norm: the form in which textbooks state it. Exact
+/// homographies give the same K; noisy ones another, which leans on the views and unknowns that happen to be large.
+///
+/// # Errors
+/// As [`camera_matrix`].
+pub fn camera_matrix_in_pixels(homographies: &[Homography], skew: Skew) -> Result<CameraMatrix, EstimationError> {
+    closed_form(homographies.iter().map(|homography| homography.matrix() / homography.matrix().norm()), skew)
+}
+
+/// K in the units of the homographies, from their V b = 0 as they are scaled.
+fn closed_form(
+    homographies: impl ExactSizeIterator<Item = Matrix3<f64>>,
+    skew: Skew,
+) -> Result<CameraMatrix, EstimationError> {
+    if homographies.len() < 3 {
+        return Err(EstimationError::TooFewViews { usable: homographies.len(), needed: 3, rejected: String::new() });
+    }
     let unknowns: &[usize] = match skew {
         Skew::Zero => &[0, 2, 3, 4, 5],
         Skew::Free => &[0, 1, 2, 3, 4, 5],
     };
     let mut normal = DMatrix::<f64>::zeros(unknowns.len(), unknowns.len());
-    for homography in homographies {
-        let h = to_units * homography.matrix();
-        // The board's own scale must not weigh views: columns h1, h2 in units of their mean length.
-        let h = h / (h.column(0).norm_squared() + h.column(1).norm_squared()).sqrt();
+    for h in homographies {
         let difference: Vec<f64> = v(&h, 0, 0).iter().zip(v(&h, 1, 1)).map(|(a, b)| a - b).collect();
         for row in [v(&h, 0, 1).as_slice(), &difference] {
             for (i, a) in unknowns.iter().enumerate() {
@@ -69,14 +95,7 @@ pub fn camera_matrix(
     for (i, index) in unknowns.iter().enumerate() {
         b[*index] = eigen.eigenvectors[(i, order[0])];
     }
-    let in_units = matrix_from_b(b).ok_or(EstimationError::NoCameraMatrix)?;
-    Ok(CameraMatrix {
-        fx: in_units.fx * unit,
-        fy: in_units.fy * unit,
-        cx: in_units.cx * unit + center.x,
-        cy: in_units.cy * unit + center.y,
-        skew: in_units.skew * unit,
-    })
+    matrix_from_b(b).ok_or(EstimationError::NoCameraMatrix)
 }
 
 /// v_ij of Zhang 2000, eq. 7, for columns `i` and `j` of H, against b = [B11, B12, B22, B13, B23, B33].

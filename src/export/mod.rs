@@ -4,6 +4,7 @@
 //! [`ExportError::Skew`]), or refitted where the format's users would otherwise have nothing, with the refit's error stated
 //! in the file and in [`Exported::note`]. Numbers are written with every digit of their double.
 
+pub mod at_size;
 mod colmap;
 mod kalibr;
 mod mrcal;

@@ -15,6 +15,7 @@ pub mod camera_matrix;
 pub mod depth_camera;
 pub mod depth_correction;
 pub mod homography;
+pub mod image_region;
 pub mod lens;
 pub mod pixel;
 pub mod polynomial;

@@ -3,4 +3,9 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod estimation;
+mod photographs;
 mod seeded_camera;
+#[path = "../system/shared_data.rs"]
+mod shared_data;
+mod textbook;
+mod walk;

@@ -1,6 +1,7 @@
 //! Bad input: each with its one clear line and the right exit code, and nothing gathered is lost.
 
 use std::fs;
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 
 use image::{GrayImage, ImageFormat, Luma};
@@ -34,6 +35,10 @@ impl BadFiles {
         files.write("fields.json", br#"{"image_size":[640,480],"views":[{"object":[[0,0,0]]}]}"#);
         files.write("size.json", br#"{"image_size":[0,480],"views":[]}"#);
         files.write("syntax.json", br#"{"image_size":[640,480],"#);
+        files.write("nothing.toml", b"");
+        files.write("back.toml", b"[[camera]]\nname = \"back\"\nsource = { kind = \"simulator\" }\n");
+        files.write("key.toml", b"[server]\nportt = 3\n");
+        files.write("camera.toml", b"[[camera]]\nname = \"front\"\nsource = { kind = \"teleporter\" }\n");
         files
     }
 
@@ -110,8 +115,19 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
     ("solve @size.json", 1, &["size.json", "image_size"]),
     ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),
+    ("verify --calibration @few.json --board 9x6 @grey.jpg", 1, &["few.json", "missing"]),
+    ("verify --calibration @gone.json --board 9x6 @grey.jpg", 1, &["gone.json", "cannot be read"]),
+    ("record --camera front --out @new.mcap --config @gone.toml", 2, &["gone.toml"]),
+    ("record --camera front --out @new.mcap --config @back.toml", 2, &["back.toml", "front", "back"]),
+    ("record --camera back --out @new.mcap --config @back.toml --seconds 0", 2, &["--seconds", "above 0"]),
+    ("record --camera back --out @none/new.mcap --config @back.toml", 1, &["new.mcap"]),
+    ("serve --config @gone.toml", 2, &["gone.toml"]),
+    ("serve --config @key.toml", 2, &["key.toml:2", "portt", "unknown"]),
+    ("serve --config @camera.toml", 2, &["camera.toml:3", "teleporter"]),
+    ("serve --listen 8600", 2, &["8600"]),
     ("export --calibration @gone.json --format ros", 1, &["gone.json", "cannot be read"]),
     ("export --calibration @few.json --format ros", 1, &["few.json", "id", "missing"]),
+    ("export --calibration @few.json --format ros --width 320", 2, &["--height"]),
     ("export --calibration @few.json --format matlab", 2, &["matlab", "kalibr"]),
 ];
 
@@ -134,6 +150,17 @@ fn one_line<'a>(words: &str, stderr: &'a str) -> &'a str {
     let [line] = lines.as_slice() else { panic!("`plumb {words}` says not one line: {stderr}") };
     assert!(line.starts_with("plumb: ") && line.len() < 500, "`plumb {words}`: {line}");
     line
+}
+
+#[test]
+fn a_port_in_use() {
+    let files = BadFiles::new();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let finished = plumb(files.arguments(&format!("serve --config @nothing.toml --listen {address}")));
+    let line = one_line("serve", &finished.stderr);
+    assert_eq!(finished.code, Some(1), "{line}");
+    assert!(line.contains(&address) && line.contains("--listen"), "{line}");
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use crate::program::plumb;
 
-const COMMANDS: &[&str] = &["detect", "calibrate", "solve", "export"];
+const COMMANDS: &[&str] =
+    &["serve", "detect", "calibrate", "solve", "devices", "export", "simulate", "record", "verify"];
 
 #[test]
 fn every_command_has_help() {

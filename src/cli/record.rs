@@ -1,0 +1,150 @@
+//! `plumb record`: what a configured camera gives, as a recording.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+use crate::capture::{CaptureError, FrameSource};
+use crate::cli::{Failure, output, progress};
+use crate::config::{CameraConfig, Config, Overrides};
+use crate::daemon::sources::opener_of;
+use crate::recording::McapWriter;
+
+/// How long one wait for a frame is: a request to stop is seen between two.
+const WAIT: Duration = Duration::from_millis(200);
+
+/// Record what a configured camera gives, until it ends, N seconds have passed, or Ctrl-C
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The camera's name in the configuration
+    #[arg(long, value_name = "NAME")]
+    camera: String,
+    /// The recording to write
+    #[arg(long, value_name = "FILE.mcap")]
+    out: PathBuf,
+    /// How long to record, from the first frame on
+    #[arg(long, value_name = "N", value_parser = positive_seconds)]
+    seconds: Option<Duration>,
+    /// The configuration, TOML
+    #[arg(long, value_name = "FILE", default_value = "plumb.toml")]
+    config: PathBuf,
+    /// Print what was recorded as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// What was recorded.
+#[derive(Debug, Serialize)]
+struct Recorded<'a> {
+    path: &'a Path,
+    camera: &'a str,
+    frame_sets: u64,
+    /// Gaps in the source's count.
+    lost: u64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When there is no such camera, it cannot be opened or is lost, or the file cannot be written. What was recorded until
+/// then stays.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let config = Config::load(Some(&args.config), &Overrides::default()).map_err(Failure::usage)?;
+    let camera = find_camera(&config, args)?;
+    let of_camera = |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera));
+    let mut source = opener_of(&camera.source).open().map_err(|error| of_camera(&error))?;
+    let mut writer = McapWriter::create(&args.out, &args.camera).map_err(Failure::failed)?;
+    let stop = stopped_by_signal()?;
+    let mut recorded = Recorded { path: &args.out, camera: &args.camera, frame_sets: 0, lost: 0 };
+    let outcome = record(source.as_mut(), &mut writer, &mut recorded, (&stop, args.seconds));
+    writer.finish().map_err(Failure::failed)?;
+    outcome.map_err(|failure| {
+        let line = failure.line().unwrap_or_default();
+        Failure::failed(format!(
+            "camera `{}`: {line}; {} frame sets are in {}",
+            args.camera,
+            recorded.frame_sets,
+            args.out.display()
+        ))
+    })?;
+    if args.json {
+        return output::print_json(&recorded);
+    }
+    let Recorded { frame_sets, lost, .. } = recorded;
+    output::print_line(&format!("{}: {frame_sets} frame sets of {}, {lost} lost", args.out.display(), args.camera))
+}
+
+fn record(
+    source: &mut dyn FrameSource,
+    writer: &mut McapWriter,
+    recorded: &mut Recorded<'_>,
+    (stop, limit): (&AtomicBool, Option<Duration>),
+) -> Result<(), Failure> {
+    let mut started: Option<Instant> = None;
+    let mut next_sequence = None;
+    let spinner = progress::spinner("recording");
+    while !stop.load(Ordering::Relaxed) {
+        if started.zip(limit).is_some_and(|(started, limit)| started.elapsed() >= limit) {
+            break;
+        }
+        let set = match source.next_frame(WAIT) {
+            Ok(set) => set,
+            Err(CaptureError::TimedOut { .. }) => continue,
+            Err(CaptureError::Ended) => break,
+            Err(error) => return Err(Failure::failed(error)),
+        };
+        if started.is_none() {
+            started = Some(Instant::now());
+            write_factory_lenses(source, writer, set.host_time.utc_ns)?;
+        }
+        recorded.lost += next_sequence.map_or(0, |next| set.sequence.saturating_sub(next));
+        next_sequence = Some(set.sequence + 1);
+        writer.write(&set).map_err(Failure::failed)?;
+        recorded.frame_sets += 1;
+        spinner.inc(1);
+    }
+    spinner.finish_and_clear();
+    Ok(())
+}
+
+fn write_factory_lenses(source: &dyn FrameSource, writer: &mut McapWriter, utc_ns: i64) -> Result<(), Failure> {
+    for stated in source.description().factory.sensors {
+        if let Some(lens) = &stated.lens {
+            writer.write_lens(stated.sensor, stated.image_size, lens, utc_ns).map_err(Failure::failed)?;
+        }
+    }
+    Ok(())
+}
+
+fn find_camera<'a>(config: &'a Config, args: &Args) -> Result<&'a CameraConfig, Failure> {
+    let known: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    config.cameras.iter().find(|camera| camera.name == args.camera).ok_or_else(|| {
+        let file = args.config.display();
+        Failure::usage(format!("{file} has no camera `{}`; it has {}", args.camera, known.join(", ")))
+    })
+}
+
+/// Set by the first Ctrl-C, so that the file is finished.
+fn stopped_by_signal() -> Result<Arc<AtomicBool>, Failure> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&stop);
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .map_err(|error| Failure::failed(format!("signals could not be listened to: {error}")))?;
+    std::thread::spawn(move || {
+        if runtime.block_on(tokio::signal::ctrl_c()).is_ok() {
+            seen.store(true, Ordering::Relaxed);
+        }
+    });
+    Ok(stop)
+}
+
+fn positive_seconds(text: &str) -> Result<Duration, String> {
+    let seconds = text.parse::<f64>().ok().filter(|seconds| *seconds > 0.0);
+    let duration = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    duration.ok_or_else(|| format!("`{text}` is not a number of seconds above 0"))
+}

@@ -1,0 +1,124 @@
+//! `plumb verify`: does a calibration still hold for what the camera sees now?
+//!
+//! The corners are fitted twice: with the lens as it was calibrated, and with the lens that fits them best. What the second
+//! explains and the first does not is how far the lens has moved where the corners are.
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::calibration::calibration::SensorCalibration;
+use crate::cli::calibrate::{SearchArgs, gather};
+use crate::cli::files::read_calibration;
+use crate::cli::{Failure, output};
+use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
+use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+
+/// A change of this many of the calibration's own standard deviations is one.
+const LIMIT_SIGMAS: f64 = 3.0;
+/// No change below this is told from the pictures' own imperfections, in pixels.
+const LEAST_LIMIT_PX: f64 = 0.1;
+/// The board's square where the calibration does not tell it: its size has no influence on the answer.
+const ANY_SQUARE_M: f64 = 0.025;
+
+/// Say whether a calibration still holds for what the camera sees now
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document, as `plumb calibrate --out` gives it
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    #[command(flatten)]
+    search: SearchArgs,
+    /// Print the answer as one JSON document
+    #[arg(long)]
+    json: bool,
+}
+
+/// The answer.
+#[derive(Debug, Serialize)]
+struct Verified {
+    holds: bool,
+    /// How far projections are off where corners are seen, beyond their noise, in pixels.
+    moved_px: f64,
+    /// The most that the calibration's own uncertainty allows.
+    limit_px: f64,
+    /// The error of these pictures with the lens as calibrated.
+    rms_px: f64,
+    /// The same with the lens that fits them best; null where they do not determine one.
+    best_rms_px: Option<f64>,
+    views: usize,
+    reasons: Vec<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the calibration or the pictures cannot be read, are of different sizes, or show no board.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let calibration = read_calibration(&args.calibration)?;
+    let file = args.calibration.display();
+    let sensor = calibration.color.as_ref().or(calibration.infrared.as_ref());
+    let sensor = sensor.ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
+    let square_m = calibration.target.map_or(ANY_SQUARE_M, |target| target.square_m);
+    let target = Chessboard::new(args.search.board, square_m).map_err(Failure::usage)?;
+    let (problem, _) = gather(&args.search, target)?.finish()?;
+    if problem.image_size != sensor.image_size {
+        return Err(Failure::failed(format!(
+            "the pictures are {}, {file} is for {}: give pictures of that size, or the calibration exported for theirs",
+            problem.image_size, sensor.image_size
+        )));
+    }
+    let verified = verify(sensor, &problem)?;
+    if args.json {
+        return output::print_json(&verified);
+    }
+    let Verified { holds, moved_px, limit_px, rms_px, views, reasons, .. } = verified;
+    let answer = if holds { "holds" } else { "does not hold" };
+    output::print_line(&format!(
+        "{file} {answer}: {views} views, rms {rms_px:.3} px, projections off by {moved_px:.3} px, {limit_px:.3} px allowed"
+    ))?;
+    reasons.iter().try_for_each(|reason| output::print_line(&format!("  {reason}")))
+}
+
+fn verify(sensor: &SensorCalibration, problem: &CameraProblem) -> Result<Verified, Failure> {
+    let model = LensChoice::Model(sensor.lens.model());
+    let names = Lens::parameter_names(sensor.lens.model()).into_iter().map(str::to_owned);
+    let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();
+    let as_calibrated = CameraOptions { lens: model, given, ..CameraOptions::default() };
+    let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;
+    let start = CameraStart { lens: sensor.lens, camera_from_board: Vec::new() };
+    let best =
+        calibrate_camera(problem, &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() });
+    let best = best.ok();
+    let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
+    let moved_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
+    let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
+    let mut reasons = Vec::new();
+    if moved_px > limit_px {
+        reasons.push("the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned());
+    }
+    let (kept, all) = (used_corners(&fixed), best.as_ref().map_or(corners(problem), used_corners));
+    if 10 * kept < 9 * all {
+        reasons.push(format!("{kept} of {all} corners fit the calibrated lens: calibrate again"));
+    }
+    let views = fixed.views.iter().filter(|view| view.fault.is_none()).count();
+    Ok(Verified {
+        holds: reasons.is_empty(),
+        moved_px,
+        limit_px,
+        rms_px: fixed.rms_px,
+        best_rms_px: best.map(|best| best.rms_px),
+        views,
+        reasons,
+    })
+}
+
+fn used_corners(estimate: &CameraEstimate) -> usize {
+    estimate.views.iter().flat_map(|view| &view.used).filter(|used| **used).count()
+}
+
+fn corners(problem: &CameraProblem) -> usize {
+    problem.views.iter().map(|view| view.correspondences.len()).sum()
+}

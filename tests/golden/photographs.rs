@@ -1,0 +1,58 @@
+//! Real photographs through `plumb calibrate`, against what OpenCV reaches on them with `cornerSubPix`.
+
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::shared_data::shared_data;
+
+/// Calibrates `sources` (glob patterns inside the folder `name` of the real pictures); `None` where there are none.
+fn calibrate(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
+    let source = shared_data(name)?.join(pattern).display().to_string();
+    let arguments = ["calibrate", "--json", "--lens", "brown", "--board", board, "--square", square, &source];
+    let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let mut calibration: Value = serde_json::from_slice(&output.stdout).unwrap();
+    Some(calibration["sensors"]["color"].take())
+}
+
+/// Every picture is used, and the error is at most `rms_px`.
+fn expect(sensor: &Value, views: usize, rms_px: f64) {
+    let listed = sensor["views"].as_array().unwrap();
+    let unused: Vec<&Value> = listed.iter().filter(|view| view["used"] != true).collect();
+    assert!(listed.len() == views && unused.is_empty(), "{} views, not used: {unused:?}", listed.len());
+    let found_px = sensor["rms_px"].as_f64().unwrap();
+    assert!(found_px <= rms_px, "{found_px} px, at most {rms_px}");
+}
+
+fn near(sensor: &Value, parameter: &str, value: f64, by: f64) {
+    let found = sensor["lens"][parameter].as_f64().unwrap();
+    assert!((found - value).abs() < by, "{parameter}: {found}, not within {by} of {value}");
+}
+
+#[test]
+fn the_left_camera_of_opencv_s_samples() {
+    let Some(sensor) = calibrate("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm") else { return };
+    expect(&sensor, 13, 0.195);
+    // 532.8 is OpenCV's, from corners with more noise; either's standard deviation is 0.4.
+    near(&sensor, "fx", 532.8, 1.2);
+    near(&sensor, "fy", 532.8, 1.2);
+}
+
+#[test]
+fn the_right_camera_of_opencv_s_samples() {
+    let Some(sensor) = calibrate("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm") else { return };
+    expect(&sensor, 13, 0.207);
+}
+
+#[test]
+fn a_webcam_with_a_board_that_has_no_first_corner() {
+    let Some(sensor) = calibrate("photon-lifecam/480", "*.png", "10x10", "1in") else { return };
+    expect(&sensor, 14, 0.335);
+}
+
+#[test]
+fn a_compact_camera() {
+    let Some(sensor) = calibrate("boofcv-sony-chess", "*.jpg", "4x6", "30mm") else { return };
+    expect(&sensor, 13, 0.157);
+}
