@@ -21,6 +21,7 @@ test: rust-test python-test page-test device-test
 
 rust-test:
 	$(PACKAGES) build test
+	cargo test --lib --bins --tests --no-run
 	timeout --kill-after=10 1200 cargo test --lib --bins --tests
 
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings.
@@ -35,8 +36,10 @@ page-test: $(VENV)/installed
 
 # Real cameras: a small machine with a real V4L2 stack, and the RealSense library itself. Says so where none can be made.
 device-test: $(VENV)/installed
+	cargo test --test device --no-run
 	timeout --kill-after=10 600 cargo test --test device
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
+	cargo test --features realsense --test realsense --no-run && \
 	timeout --kill-after=10 600 cargo test --features realsense --test realsense
 
 lint:
