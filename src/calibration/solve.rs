@@ -6,7 +6,9 @@ use crate::calibration::calibration::{
 use crate::calibration::coverage::Coverage;
 use crate::calibration::verdict;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera};
+use crate::estimation::dlt::calibrate_dlt;
 use crate::estimation::error::EstimationError;
+use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
 
@@ -41,6 +43,19 @@ pub fn solve_views(problem: &CameraProblem, options: &CameraOptions) -> Result<S
     };
     let sensor = sensor_calibration(&estimate);
     let verdict = verdict::judge(&estimate, &sensor, &model_check, &coverage);
+    Ok(SolvedCamera { sensor, checks, verdict, estimate })
+}
+
+/// Calibrates a camera without distortion from one view of points in space, by the direct linear transform.
+///
+/// # Errors
+/// As [`calibrate_dlt`].
+pub fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationError> {
+    let estimate = calibrate_dlt(problem)?.camera;
+    let coverage = corner_coverage(problem, &estimate);
+    let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };
+    let sensor = sensor_calibration(&estimate);
+    let verdict = verdict::judge(&estimate, &sensor, &ModelCheck::default(), &coverage);
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 

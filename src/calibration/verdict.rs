@@ -10,6 +10,8 @@ use crate::estimation::model_check::ModelCheck;
 const UNCERTAINTY: [f64; 2] = [0.0005, 0.005];
 /// The split-half ratio likewise: about 1 where the model is right, and its scatter stays below 2.
 const SPLIT_HALF: [f64; 2] = [2.0, 6.0];
+/// The correlation of neighbouring corners' residuals; blur and pixels alone make some.
+const CORRELATION: [f64; 2] = [0.5, 0.8];
 /// The part of the corners that took no part.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
 /// The part of the image with corners.
@@ -26,7 +28,9 @@ pub(crate) fn judge(
 ) -> Verdict {
     let mut findings: Vec<(Grade, String)> = Vec::new();
     findings.extend(uncertainty(sensor));
-    findings.extend(model(check));
+    findings.extend(model(estimate, check));
+    findings.extend(smooth_residuals(check));
+    findings.extend(bent_board(check));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
@@ -59,14 +63,34 @@ fn uncertainty(sensor: &SensorCalibration) -> Option<(Grade, String)> {
     worse_than_good(graded(worst, limits), reason)
 }
 
-fn model(check: &ModelCheck) -> Option<(Grade, String)> {
-    let ratio = check.split_half_ratio?;
-    let change = check.focal_change.unwrap_or(0.0) * 100.0;
+fn model(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
     let cause = "another lens model, a board that is not flat, or corners in motion (rolling shutter) may be why";
+    let enough = estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
+    let Some(ratio) = check.split_half_ratio else {
+        let reason = format!("two halves of the views differ too much to be compared: the model does not fit; {cause}");
+        return enough.then_some((Grade::Poor, reason));
+    };
+    let change = check.focal_change.unwrap_or(0.0) * 100.0;
     let reason = format!(
         "two halves of the views differ {ratio:.1} times as much as predicted (fx by {change:.2} %): the model does not fit; {cause}"
     );
     worse_than_good(graded(ratio, SPLIT_HALF), reason)
+}
+
+fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
+    let correlation = check.residual_correlation?;
+    let reason = format!(
+        "neighbouring corners are off together (correlation {correlation:.2}): the model does not fit; let the lens model be chosen, and check that the board is flat"
+    );
+    worse_than_good(graded(correlation, CORRELATION), reason)
+}
+
+fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
+    let [x, y] = check.bow_m?.map(|m| m * 1000.0);
+    let reason = format!(
+        "the residuals turn with the board: it seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns; use a flat, stiff one"
+    );
+    Some((Grade::Usable, reason))
 }
 
 fn rejected_views(estimate: &CameraEstimate) -> Option<(Grade, String)> {
@@ -133,5 +157,5 @@ fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let reason = format!(
         "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
     );
-    (widest < FLAT_DEG).then_some((Grade::Usable, reason))
+    (normals.len() > 1 && widest < FLAT_DEG).then_some((Grade::Usable, reason))
 }

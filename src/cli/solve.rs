@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::calibration::solve::solve_views;
+use crate::calibration::solve::{solve_dlt, solve_views};
 use crate::cli::Failure;
 use crate::cli::calibration_output::{OutputArgs, finished};
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
-use crate::document::problem::ProblemDocument;
+use crate::document::problem::{Method, ProblemDocument};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
@@ -41,7 +41,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let lens = args.lens.map(LensChoice::from).or(document.lens.map(LensChoice::from)).unwrap_or(LensChoice::Auto);
     let options = CameraOptions { lens, ..CameraOptions::default() };
     let started = Instant::now();
-    let solved = solve_views(&problem, &options).map_err(|error| in_file(&error))?;
+    let solved = match document.method {
+        Method::Calibrate => solve_views(&problem, &options),
+        Method::Dlt => solve_dlt(&problem),
+    }
+    .map_err(|error| in_file(&error))?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1000.0;
     let calibration = finished(None, solved);
     args.output.give(&calibration, Some(elapsed_ms))

@@ -8,7 +8,7 @@ use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::lens_choice::{self, LensTrial};
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::estimation::robust::Loss;
+use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{RobustFit, robust_fit};
 use crate::estimation::start::{self, Prepared};
 use crate::estimation::view_fault::ViewFault;
@@ -137,10 +137,10 @@ fn solve(problem: &CameraProblem, options: &CameraOptions) -> Result<(CameraEsti
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
         LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
     };
-    Ok((CameraEstimate { compared, ..assemble(problem, &prepared, &fit)? }, fit))
+    Ok((CameraEstimate { compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? }, fit))
 }
 
-fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
+pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
     let ImageSize { width, height } = problem.image_size;
     if width == 0 || height == 0 {
         return Err(EstimationError::ImageSize { width, height });
@@ -174,6 +174,14 @@ pub(crate) struct CameraFit {
 impl CameraFit {
     pub(crate) fn lens(&self) -> &Lens {
         &self.robust.minimum.state.lenses[0]
+    }
+
+    /// The variance that the residuals show, in units of the corners' own.
+    pub(crate) fn noise_square(&self) -> f64 {
+        let used: usize = self.sights.iter().map(|sight| sight.used.iter().filter(|used| **used).count()).sum();
+        let instants = self.robust.minimum.equations.seen_instants();
+        let freedom = (2 * used) as f64 - (self.layout.len + 6 * instants) as f64;
+        self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
     /// The views that take part, by index.
@@ -255,16 +263,16 @@ fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<Vie
 fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<[f64; 2]>)> {
     let lens = state.lenses[0];
     let pose = prepared.pose(view, &lens)?;
-    let mut sight =
-        Sight { instant: 0, used: vec![true; prepared.sights[view].points.len()], ..prepared.sights[view].clone() };
     let start = State { rig_from_board: vec![pose], ..state.clone() };
-    sight.used = start.residuals(&sight).iter().map(|residual| residual[0].is_finite()).collect();
     let fixed = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
-    let (layout, sights) = (Layout::new(vec![fixed], None), [sight]);
-    let scale = crate::estimation::robust::median_scale(start.residuals(&sights[0]).into_iter()).max(1e-8);
-    let loss = Loss::Huber { scale };
+    let layout = Layout::new(vec![fixed], None);
+    let mut sight = Sight { instant: 0, ..prepared.sights[view].clone() };
+    let at_start = start.residuals(&layout, &sight);
+    sight.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();
+    let loss = Loss::Huber { scale: median_scale(at_start.into_iter()).max(1e-8) };
+    let sights = [sight];
     let minimum = Minimum::start(&layout, start, &sights, loss)?.descend(&layout, &sights, loss, Stop::default());
-    let residuals = minimum.state.residuals(&sights[0]);
+    let residuals = minimum.state.residuals(&layout, &sights[0]);
     Some((minimum.state.rig_from_board[0], residuals))
 }
 
@@ -320,32 +328,60 @@ fn rms(residuals: &[[f64; 2]], inverse_std: &[f64], used: impl Fn(usize) -> bool
 /// is not known.
 const OPEN_FOCAL: f64 = 0.2;
 
-fn assemble(problem: &CameraProblem, prepared: &Prepared, fit: &CameraFit) -> Result<CameraEstimate, EstimationError> {
+/// No corner is seen better than this, in units of its own standard deviation.
+const LEAST_NOISE: f64 = 0.01;
+
+/// Which part of a fit is one camera's.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Part {
+    pub(crate) sensor: usize,
+    /// Its first sight; the others follow, one per view.
+    pub(crate) first_sight: usize,
+    /// What its corners' standard deviations were multiplied by.
+    pub(crate) noise: f64,
+}
+
+impl Part {
+    /// A camera by itself.
+    pub(crate) const WHOLE: Self = Self { sensor: 0, first_sight: 0, noise: 1.0 };
+}
+
+/// What a fit says of one of its cameras.
+pub(crate) fn assemble(
+    problem: &CameraProblem,
+    prepared: &Prepared,
+    fit: &CameraFit,
+    part: Part,
+) -> Result<CameraEstimate, EstimationError> {
     let Minimum { state, equations, .. } = &fit.robust.minimum;
-    let used = |sight: &Sight| sight.used.iter().filter(|used| **used).count();
-    let (corners, good) = (fit.sights.iter().map(used).sum::<usize>(), fit.good_views());
-    let freedom = (2 * corners) as f64 - (fit.layout.len + 6 * good.len()) as f64;
-    let noise2 = equations.cost / freedom.max(1.0);
-    let lens = *fit.lens();
-    let free = &fit.layout.sensors[0].lens;
-    let open = |parameter, std| undetermined(prepared, state, &good, &lens, (parameter, std));
+    let noise2 = fit.noise_square();
+    let lens = state.lenses[part.sensor];
+    let at = &fit.layout.sensors[part.sensor];
+    let sights = part.first_sight..part.first_sight + problem.views.len();
+    let good: Vec<usize> = sights.clone().filter(|sight| fit.faults[*sight].is_none()).collect();
+    let pose_of = |sight: usize| state.sensor_from_board(part.sensor, fit.sights[sight].instant);
+    let camera_from_board: Vec<Pose> = good.iter().map(|sight| pose_of(*sight)).collect();
+    let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
     let unit = equations.global_covariance().ok_or_else(|| open(0, f64::INFINITY))?;
-    let spread = free.spread(&lens);
-    let lens_covariance = &spread * unit.view((0, 0), (free.free.len(), free.free.len())) * spread.transpose() * noise2;
+    let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
+    let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
+    let lens_covariance = &spread * of_lens * spread.transpose() * noise2;
     for axis in [0, 1] {
-        let std = lens_covariance[(axis, axis)].sqrt();
+        // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
+        let std = lens_covariance[(axis, axis)].sqrt() * (LEAST_NOISE / (part.noise * noise2.sqrt())).max(1.0);
         if !(std < OPEN_FOCAL * lens.parameters()[axis]) {
             return Err(open(axis, std));
         }
     }
-    let views = problem.views.iter().enumerate().map(|(index, view)| {
+    let views = sights.map(|index| {
         let (fault, sight, residuals) = (fit.faults[index], &fit.sights[index], &equations.residuals[index]);
         let placed = residuals.iter().any(|r| r[0].is_finite());
-        let pose = state.rig_from_board[index];
+        let pose = pose_of(index);
         let shift = pose.translation() - pose * prepared.center_in_board;
-        let covariance = fault.is_none().then(|| equations.instant_covariance(index, &unit)).flatten();
+        let known = fault.is_none() && part.sensor == 0;
+        let covariance = known.then(|| equations.instant_covariance(sight.instant, &unit)).flatten();
         ViewEstimate {
-            name: view.name.clone(),
+            name: problem.views[index - part.first_sight].name.clone(),
             fault,
             camera_from_board: placed.then(|| Pose::new(pose.rotation(), shift)),
             covariance: covariance.map(|c| c * noise2),
@@ -354,34 +390,39 @@ fn assemble(problem: &CameraProblem, prepared: &Prepared, fit: &CameraFit) -> Re
             used: sight.used.clone(),
         }
     });
-    let mut estimate = CameraEstimate {
+    let views: Vec<ViewEstimate> = views.collect();
+    Ok(CameraEstimate {
         image_size: problem.image_size,
         lens,
         lens_covariance,
-        noise: noise2.sqrt(),
-        rms_px: 0.0,
-        views: views.collect(),
+        noise: part.noise * noise2.sqrt(),
+        rms_px: rms_of_views(&views),
+        views,
         warp_m: fit.layout.warp.map(|_| state.warp),
         compared: Vec::new(),
-    };
-    let squares = good.iter().map(|view| {
-        let count = used(&fit.sights[*view]) as f64;
-        estimate.views[*view].rms_px.unwrap_or(0.0).powi(2) * count
-    });
-    estimate.rms_px = (squares.sum::<f64>() / corners.max(1) as f64).sqrt();
-    Ok(estimate)
+    })
+}
+
+/// The rms over all corners that took part.
+fn rms_of_views(views: &[ViewEstimate]) -> f64 {
+    let (mut squares, mut corners) = (0.0, 0.0);
+    for view in views.iter().filter(|view| view.fault.is_none()) {
+        let count = view.used.iter().filter(|used| **used).count() as f64;
+        squares += view.rms_px.unwrap_or(0.0).powi(2) * count;
+        corners += count;
+    }
+    (squares / f64::max(corners, 1.0)).sqrt()
 }
 
 /// Why the focal length is open: the board's normals in the views tell.
 fn undetermined(
     prepared: &Prepared,
-    state: &State,
-    good: &[usize],
+    camera_from_board: &[Pose],
     lens: &Lens,
     (index, std): (usize, f64),
 ) -> EstimationError {
     let normals: Vec<Vector3<f64>> = match prepared.board_normal() {
-        Some(normal) => good.iter().map(|view| state.rig_from_board[*view] * normal).collect(),
+        Some(normal) => camera_from_board.iter().map(|pose| *pose * normal).collect(),
         None => Vec::new(),
     };
     let widest = |a: &Vector3<f64>| normals.iter().map(|b| a.angle(b)).fold(0.0, f64::max);

@@ -93,6 +93,26 @@ pub enum EstimationError {
         /// What to do.
         remedy: &'static str,
     },
+    /// A view that determines no pose.
+    #[error("view `{view}` determines no pose: {reason}")]
+    NoPose {
+        /// The view's name.
+        view: String,
+        /// Why.
+        reason: String,
+    },
+    /// A sensor of a rig that never saw the board together with another.
+    #[error("sensor `{sensor}` saw the board at no instant at which another sensor did: show it to both at once")]
+    NothingShared {
+        /// The sensor's name.
+        sensor: String,
+    },
+    /// The direct linear transform takes one view.
+    #[error("{views} views were given to the direct linear transform: give one, or leave out the method")]
+    NotOneView {
+        /// How many were given.
+        views: usize,
+    },
     /// A direct linear transform needs six points in space.
     #[error("{points} points are too few for a direct linear transform: give at least 6 that do not lie on one plane")]
     TooFewPoints {

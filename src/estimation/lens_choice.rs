@@ -90,12 +90,21 @@ pub(crate) fn held_out_squares(fit: &CameraFit, chosen: &[Sight], views: &[usize
 
 /// The fit of some of the views, from the fit of all.
 pub(crate) fn refit(fit: &CameraFit, chosen: &[Sight], views: &[usize]) -> Option<Minimum> {
+    refit_within((fit, &fit.layout), chosen, views, Stop { lambda: 0.0, ..Stop::default() })
+}
+
+/// As [`refit`], with other parameters free, and until `stop`.
+pub(crate) fn refit_within(
+    (fit, layout): (&CameraFit, &Layout),
+    chosen: &[Sight],
+    views: &[usize],
+    stop: Stop,
+) -> Option<Minimum> {
     let all = &fit.robust.minimum.state;
     let sights: Vec<Sight> =
         views.iter().enumerate().map(|(k, view)| Sight { instant: k, ..chosen[*view].clone() }).collect();
     let state = State { rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(), ..all.clone() };
-    let stop = Stop { lambda: 0.0, decrease: 1e-6, ..Stop::default() };
-    Some(Minimum::start(&fit.layout, state, &sights, Loss::Squares)?.descend(&fit.layout, &sights, Loss::Squares, stop))
+    Some(Minimum::start(layout, state, &sights, Loss::Squares)?.descend(layout, &sights, Loss::Squares, stop))
 }
 
 /// The sum of squared pixel errors of one view at its best pose under `lens`.

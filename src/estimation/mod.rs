@@ -4,6 +4,9 @@
 //! | --- | --- |
 //! | what is given | [`problem`] |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
+//! | several sensors fixed to each other | [`rig`] |
+//! | a camera from one view of points in space | [`dlt`] |
+//! | where a board is, the lens known | [`board_pose`] |
 //! | a start without any guess | [`zhang`] (closed form), `start` |
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
@@ -13,8 +16,10 @@
 //! | which lens model | [`lens_choice`] |
 //! | why there is no answer | [`error`] |
 
+pub mod board_pose;
 pub mod camera;
 pub mod depth_error;
+pub mod dlt;
 pub mod error;
 mod joint;
 pub mod lens_choice;
@@ -22,6 +27,7 @@ pub mod model_check;
 pub(crate) mod planar_pose;
 pub mod problem;
 pub mod rgbd;
+pub mod rig;
 mod robust;
 mod robust_fit;
 mod start;

@@ -1,69 +1,128 @@
 //! Whether the model is right at all, which no residual of the fit itself can tell: two disjoint halves of the views are
 //! fitted apart, and each predicts the other.
 
+use nalgebra::DMatrix;
+
 use crate::estimation::camera::{CameraEstimate, CameraFit};
-use crate::estimation::joint::minimize::Minimum;
-use crate::estimation::lens_choice::{refit, squares_under};
+use crate::estimation::joint::Layout;
+use crate::estimation::joint::minimize::{Minimum, Stop};
+use crate::estimation::lens_choice::{refit, refit_within, squares_under};
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
 /// What two halves of the views say of each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ModelCheck {
-    /// The rms difference of the halves' projections over the image, after the best compensating turn, over what their
-    /// uncertainties predict: about 1 when the model is right. `None` with fewer than six views.
+    /// The difference of the halves' projections, after the best compensating turn, over what their uncertainties predict
+    /// at that pixel: the root of the mean square over the image, about 1 when the model is right. `None` with fewer than six views.
     pub split_half_ratio: Option<f64>,
     /// Root mean square error of each half's views under the other half's lens, in pixels.
     pub held_out_rms_px: Option<f64>,
     /// By how much the focal length differs between the halves, relative to itself.
     pub focal_change: Option<f64>,
+    /// Correlation of the residuals of corners that follow each other on the board: near 0 for noise, near 1 where the model
+    /// cannot follow the picture, and halves agree on the same wrong answer.
+    pub residual_correlation: Option<f64>,
+    /// How far the board seems bent at its middle along x and y, in metres, where that explains a visible part of what is
+    /// left and was not estimated.
+    pub bow_m: Option<[f64; 2]>,
 }
+
+/// The least part of the residuals' squares that a bent board must explain to be named, and the least of that in units of
+/// the noise's variance: chance alone explains 2.
+const BOW_GAIN: [f64; 2] = [0.05, 40.0];
+
+/// Neighbours that it takes to tell a correlation from chance.
+const MIN_PAIRS: usize = 100;
 
 /// Views looked at in the comparison, at most: with this many, two halves differ visibly wherever the model is wrong.
 const MAX_VIEWS: usize = 60;
 
 impl ModelCheck {
+    /// Fewer views have no halves that determine a lens each.
+    pub const MIN_VIEWS: usize = 6;
+
     pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate) -> Self {
-        Self::try_of(fit, estimate).unwrap_or_default()
+        let halves = Self::halves(fit, estimate).unwrap_or_default();
+        Self { bow_m: bow_m(fit), residual_correlation: residual_correlation(estimate), ..halves }
     }
 
-    fn try_of(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {
-        let good = fit.good_views();
-        let views: Vec<usize> = good.iter().step_by(good.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
-        if views.len() < 6 {
+    fn halves(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {
+        let views = some_views(fit);
+        if views.len() < Self::MIN_VIEWS {
             return None;
         }
         let half = |parity: usize| -> Vec<usize> { views.iter().skip(parity).step_by(2).copied().collect() };
         let (even, odd) = (half(0), half(1));
         let (a, b) = (refit(fit, &fit.sights, &even)?, refit(fit, &fit.sights, &odd)?);
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
-        let predicted = predicted_square(fit, &a, estimate)? + predicted_square(fit, &b, estimate)?;
-        let seen: Vec<[f64; 2]> =
-            projection_difference(&lens_a, &lens_b, grid(estimate)).into_iter().flatten().collect();
-        let square = seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len().max(1) as f64;
+        let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
+        let grid = PixelGrid::over(estimate.image_size, 16);
+        let predicted = projection_uncertainty(&estimate.lens, &covariance, grid, Distance::Infinity)?;
+        let seen = projection_difference(&lens_a, &lens_b, grid);
+        // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
+        let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
+            let [x, y] = (*seen)?;
+            Some((x * x + y * y) / (*predicted)?)
+        });
+        let (count, sum) = ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
         let crossed = |lens: &Lens, views: &[usize]| -> Option<f64> {
             views.iter().map(|view| squares_under(lens, fit, &fit.sights[*view])).sum()
         };
-        let held_out = crossed(&lens_b, &even)? + crossed(&lens_a, &odd)?;
+        let held_out = crossed(&lens_b, &even).and_then(|sum| Some(sum + crossed(&lens_a, &odd)?));
         let corners = views.iter().flat_map(|view| &fit.sights[*view].used).filter(|used| **used).count();
         Some(Self {
-            split_half_ratio: Some((square / predicted).sqrt()).filter(|ratio| ratio.is_finite()),
-            held_out_rms_px: Some((held_out / corners.max(1) as f64).sqrt()),
+            split_half_ratio: Some(f64::sqrt(sum / count)).filter(|ratio| ratio.is_finite()),
+            held_out_rms_px: held_out.map(|squares| (squares / corners.max(1) as f64).sqrt()),
             focal_change: Some((lens_a.matrix.fx - lens_b.matrix.fx).abs() / estimate.lens.matrix.fx),
+            ..Self::default()
         })
     }
 }
 
-fn grid(estimate: &CameraEstimate) -> PixelGrid {
-    PixelGrid::over(estimate.image_size, 16)
+fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
+    let (mut together, mut squares, mut pairs) = (0.0, 0.0, 0);
+    for view in estimate.views.iter().filter(|view| view.fault.is_none()) {
+        let corners = view.residuals_px.iter().zip(&view.used);
+        for ((a, a_used), (b, b_used)) in corners.clone().zip(corners.skip(1)) {
+            if *a_used && *b_used {
+                together += a[0] * b[0] + a[1] * b[1];
+                squares += 0.5 * (a[0] * a[0] + a[1] * a[1] + b[0] * b[0] + b[1] * b[1]);
+                pairs += 1;
+            }
+        }
+    }
+    (pairs >= MIN_PAIRS && squares > 0.0).then_some(together / squares)
 }
 
-/// The mean squared projection error that one half's covariance predicts, with the noise of the whole.
-fn predicted_square(fit: &CameraFit, half: &Minimum, estimate: &CameraEstimate) -> Option<f64> {
+/// The views that take part, or enough of them, evenly.
+fn some_views(fit: &CameraFit) -> Vec<usize> {
+    let good = fit.good_views();
+    good.iter().step_by(good.len().div_ceil(MAX_VIEWS).max(1)).copied().collect()
+}
+
+/// The bow of the board that one Gauss–Newton step from a flat one finds, if it explains enough.
+fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
+    let views = some_views(fit);
+    let points = || views.iter().flat_map(|view| &fit.sights[*view].points);
+    if fit.layout.warp.is_some() || views.len() < ModelCheck::MIN_VIEWS || points().any(|p| p.z != 0.0) {
+        return None;
+    }
+    let half_extent = [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
+    let layout = Layout::new(vec![fit.layout.sensors[0].lens.clone()], Some(half_extent));
+    let stop = Stop { max_steps: 0, ..Stop::default() };
+    let equations = refit_within((fit, &layout), &fit.sights, &views, stop)?.equations;
+    let step = equations.solve(0.0)?;
+    let enough = step.predicted_decrease > BOW_GAIN[0] * equations.cost
+        && step.predicted_decrease > BOW_GAIN[1] * fit.noise_square();
+    enough.then(|| [step.global[step.global.len() - 2], step.global[step.global.len() - 1]])
+}
+
+/// The covariance of the lens that one half gives, with the noise of the whole.
+fn lens_covariance(fit: &CameraFit, half: &Minimum, estimate: &CameraEstimate) -> Option<DMatrix<f64>> {
     let free = &fit.layout.sensors[0].lens;
     let unit = half.equations.global_covariance()?;
     let spread = free.spread(&estimate.lens);
     let unit = unit.view((0, 0), (free.free.len(), free.free.len())).into_owned();
-    let covariance = &spread * unit * spread.transpose() * estimate.noise.powi(2);
-    Some(projection_uncertainty(&estimate.lens, &covariance, grid(estimate), Distance::Infinity)?.mean_square_px2)
+    Some(&spread * unit * spread.transpose() * estimate.noise.powi(2))
 }

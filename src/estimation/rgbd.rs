@@ -362,13 +362,14 @@ impl<'a> Planes<'a> {
         let size = own.nrows();
         let mut spread = DMatrix::zeros(size, size);
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
-        for (planes, corners) in fit.equations.instants.iter().zip(&corners.equations.instants) {
-            let Some(factor) = Matrix6::from_fn(|a, b| corners.hessian[a][b]).cholesky() else { continue };
+        for (instant, block) in corners.equations.instants.iter().enumerate() {
+            let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else { continue };
+            let (planes, corners) = (fit.equations.coupling_of(instant), corners.equations.coupling_of(instant));
             let inverse = factor.inverse();
-            let coupled = DMatrix::from_fn(size, 6, |k, a| planes.coupling[k][a]);
+            let coupled = DMatrix::from_fn(size, 6, |k, a| planes[k][a]);
             let inverse = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]);
             spread += &coupled * &inverse * coupled.transpose();
-            let through = DMatrix::from_fn(6, by_lens.ncols(), |a, k| corners.coupling[k][a]);
+            let through = DMatrix::from_fn(6, by_lens.ncols(), |a, k| corners[k][a]);
             by_lens += &coupled * inverse * through;
         }
         spread += &by_lens * &corners.covariance * by_lens.transpose();

@@ -12,6 +12,12 @@ const LIMIT: f64 = 5.0;
 /// Where Huber's loss turns linear, in standard deviations.
 const HUBER: f64 = 2.0;
 
+/// Fewer wrong corners than this do no harm that choosing the right ones would not undo.
+const FEW: f64 = 0.005;
+
+/// Until the scale of the residuals is known to a few percent.
+const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-3 };
+
 /// A view needs this part of its corners, or its labels are wrong rather than its corners.
 const MIN_USED: f64 = 0.6;
 
@@ -34,32 +40,36 @@ pub(crate) fn robust_fit(
     sights: &mut [Sight],
     faults: &mut [Option<ViewFault>],
 ) -> Option<RobustFit> {
-    let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(sight)).collect();
+    let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(layout, sight)).collect();
     select(sights, &at_start, f64::INFINITY, faults);
     let mut scale = scale_of(sights, &at_start).max(ROUNDING);
-    // Most fits are clean: with Huber's loss beyond every residual it is least squares, at no cost.
-    let loss = |scale: f64| Loss::Huber { scale: HUBER * scale };
-    let rough = Stop { decrease: 1e-4, ..Stop::default() };
-    let mut minimum = Minimum::start(layout, start, sights, loss(scale))?.descend(layout, sights, loss(scale), rough);
+    let mut loss = Loss::Huber { scale: HUBER * scale };
+    let mut minimum = Minimum::start(layout, start, sights, loss)?.descend(layout, sights, loss, ROUGH);
     for _ in 0..12 {
         let next = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
-        if next > 0.8 * scale || !exceeds(sights, &minimum.equations.residuals, HUBER * next) {
-            scale = next;
-            break;
-        }
+        let settled = next > 0.8 * scale || part_beyond(LIMIT * next, sights, &minimum.equations.residuals) < FEW;
         scale = next;
-        select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
-        minimum =
-            Minimum::start(layout, minimum.state, sights, loss(scale))?.descend(layout, sights, loss(scale), rough);
-    }
-    for _ in 0..10 {
-        let changed = select(sights, &minimum.equations.residuals, LIMIT * scale, faults);
-        minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
-        minimum = minimum.descend(layout, sights, Loss::Squares, Stop { lambda: 0.0, ..Stop::default() });
-        scale = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
-        if !changed {
+        if settled {
             break;
         }
+        select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
+        loss = Loss::Huber { scale: HUBER * scale };
+        minimum = Minimum::start(layout, minimum.state, sights, loss)?.descend(layout, sights, loss, ROUGH);
+    }
+    for round in 0..10 {
+        let changed = select(sights, &minimum.equations.residuals, LIMIT * scale, faults);
+        if round > 0 && !changed {
+            break;
+        }
+        // Where Huber's loss turned linear beyond every residual, it was least squares already.
+        let was_squares =
+            matches!(loss, Loss::Huber { scale } if part_beyond(scale, sights, &minimum.equations.residuals) == 0.0);
+        if changed || !was_squares {
+            minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
+        }
+        loss = Loss::Squares;
+        minimum = minimum.descend(layout, sights, loss, Stop { lambda: 0.0, ..Stop::default() });
+        scale = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
     }
     let anything = sights.iter().any(|sight| sight.used.contains(&true));
     anything.then_some(RobustFit { minimum, limit: LIMIT * scale })
@@ -71,9 +81,11 @@ fn scale_of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
     median_scale(taking_part.flat_map(|(_, residuals)| residuals.iter().copied()))
 }
 
-fn exceeds(sights: &[Sight], residuals: &[Vec<[f64; 2]>], limit: f64) -> bool {
-    let used = sights.iter().zip(residuals).flat_map(|(s, r)| s.used.iter().zip(r));
-    used.into_iter().any(|(used, [x, y])| *used && x.hypot(*y) > limit)
+/// The part of the corners taking part that are further off than `limit`.
+fn part_beyond(limit: f64, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
+    let corners = || sights.iter().zip(residuals).flat_map(|(s, r)| s.used.iter().zip(r)).filter(|(used, _)| **used);
+    let beyond = corners().filter(|(_, [x, y])| x * x + y * y > limit * limit).count();
+    beyond as f64 / corners().count().max(1) as f64
 }
 
 /// Lets those corners take part that are within `limit` (and can be projected at all); answers whether that changed.

@@ -45,8 +45,11 @@ pub(crate) struct PreparedView {
 impl Prepared {
     /// Looks at every view of a valid problem.
     pub(crate) fn of(problem: &CameraProblem) -> Self {
-        let points = || problem.views.iter().flat_map(|view| &view.correspondences).map(|c| c.point_in_board.coords);
-        let center_in_board = points().sum::<Vector3<f64>>() / points().count().max(1) as f64;
+        Self::about(problem, mean_point(std::slice::from_ref(problem)))
+    }
+
+    /// As [`Self::of`], about a centre that several problems share.
+    pub(crate) fn about(problem: &CameraProblem, center_in_board: Vector3<f64>) -> Self {
         // A flat board stays exactly flat.
         let sights: Vec<_> = problem
             .views
@@ -102,14 +105,22 @@ impl Prepared {
     /// `camera_from_board` (about the common centre) of each view under `lens`, linear; `None` where there is none.
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
         let (prepared, sight) = (&self.views[view], &self.sights[view]);
-        if let (Distortion::Pinhole(_), Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
-            (&lens.distortion, &prepared.homography, &prepared.shape)
+        let straight =
+            lens.model() != LensModel::KannalaBrandt && lens.distortion.coefficients().iter().all(|c| *c == 0.0);
+        if let (true, Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
+            (straight, &prepared.homography, &prepared.shape)
         {
             return Some(zhang::camera_from_board(lens.matrix, homography)? * *plane_from_board);
         }
         let bearings: Vec<_> = sight.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
         pose_from_bearings(prepared.shape.as_ref()?, &sight.points, &bearings)
     }
+}
+
+/// The mean of all board points.
+pub(crate) fn mean_point(problems: &[CameraProblem]) -> Vector3<f64> {
+    let corners = || problems.iter().flat_map(|problem| &problem.views).flat_map(|view| &view.correspondences);
+    corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>() / corners().count().max(1) as f64
 }
 
 impl PreparedView {

@@ -1,7 +1,7 @@
 //! How far a projection can be trusted, where in the picture: after the camera motion that compensates best, since what
 //! a turn of the camera explains is no error of its lens (mrcal's projection uncertainty and difference).
 
-use nalgebra::{DMatrix, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
+use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
 use crate::geometry::lens::{Lens, MAX_PARAMETERS, Projection};
 use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
@@ -52,8 +52,8 @@ pub struct UncertaintyMap {
     /// Standard deviation in the worst direction at each pixel of the grid, row by row; `None` where the lens sees
     /// nothing.
     pub std_px: Vec<Option<f64>>,
-    /// Mean squared length of the error over the grid (both axes), in px²: what a difference to the truth is compared with.
-    pub mean_square_px2: f64,
+    /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a difference is compared with.
+    pub square_px2: Vec<Option<f64>>,
 }
 
 impl UncertaintyMap {
@@ -63,6 +63,12 @@ impl UncertaintyMap {
         let seen = self.grid.pixels().zip(&self.std_px).filter_map(|(pixel, std)| Some((pixel, (*std)?)));
         let nearest = seen.min_by(|a, b| a.0.distance_px(middle).total_cmp(&b.0.distance_px(middle)));
         Some(nearest?.1)
+    }
+
+    /// The mean of [`Self::square_px2`] over the image.
+    pub fn mean_square_px2(&self) -> f64 {
+        let seen = || self.square_px2.iter().flatten();
+        seen().sum::<f64>() / seen().count().max(1) as f64
     }
 
     /// Median and worst over the image.
@@ -133,21 +139,20 @@ pub fn projection_uncertainty(
         coupling += sample.by_motion.transpose() * sample.by_parameters;
     }
     let compensation = invert_motion(&normal, distance)? * coupling;
-    let mut trace = 0.0;
-    let std_px: Vec<_> = samples
-        .iter()
-        .map(|sample| {
-            let sample = sample.as_ref()?;
-            let rest = sample.by_parameters - sample.by_motion * compensation;
-            let spread = rest * padded * rest.transpose();
-            trace += spread.trace();
-            let half = 0.5 * spread.trace();
-            let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
-            Some((half + apart).max(0.0).sqrt())
-        })
-        .collect();
-    let seen = std_px.iter().flatten().count();
-    Some(UncertaintyMap { grid, std_px, mean_square_px2: trace / seen.max(1) as f64 })
+    let spread = |sample: &Sample| {
+        let rest = sample.by_parameters - sample.by_motion * compensation;
+        rest * padded * rest.transpose()
+    };
+    let spreads: Vec<Option<Matrix2<f64>>> = samples.iter().map(|sample| sample.as_ref().map(spread)).collect();
+    let worst_direction = |spread: &Matrix2<f64>| {
+        let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
+        (0.5 * spread.trace() + apart).max(0.0).sqrt()
+    };
+    Some(UncertaintyMap {
+        grid,
+        std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
+        square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
+    })
 }
 
 /// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the best compensating

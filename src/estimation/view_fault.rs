@@ -28,6 +28,9 @@ pub enum ViewFault {
     /// Labelled one place off, the corners that fall off the end at the other.
     #[error("its labels are shifted by one {0}")]
     Shifted(GridLine),
+    /// Turned by half against what the rig's other sensors see.
+    #[error("turned by half: its first corner is not the one that the other sensors call first")]
+    HalfTurn,
     /// Labelled along the columns.
     #[error("its labels are transposed: the corners were listed along the columns")]
     Transposed,

@@ -20,3 +20,4 @@ pub mod lens;
 pub mod pixel;
 pub mod polynomial;
 pub mod pose;
+pub mod thin_lens;

@@ -7,7 +7,7 @@ use axum::Json;
 use axum::extract::{Request, State};
 
 use crate::calibration::calibration::Calibration;
-use crate::calibration::solve::solve_views;
+use crate::calibration::solve::{solve_dlt, solve_views};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::problem::{Method, ProblemDocument};
 use crate::document::time;
@@ -37,13 +37,14 @@ pub(super) async fn solve(
 }
 
 fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
-    if document.method != Method::Calibrate {
-        return Err(Problem::field("method", "only `calibrate` is solved here"));
-    }
     let problem = CameraProblem::try_from(document)?;
     let options = CameraOptions { lens: document.lens.unwrap_or_default().into(), ..CameraOptions::default() };
     let started = Instant::now();
-    let solved = solve_views(&problem, &options).map_err(|e| Problem::field("views", &e.to_string()))?;
+    let solved = match document.method {
+        Method::Calibrate => solve_views(&problem, &options),
+        Method::Dlt => solve_dlt(&problem),
+    }
+    .map_err(|e| Problem::field("views", &e.to_string()))?;
     let elapsed = started.elapsed();
     let calibration = Calibration {
         id: ulid::Ulid::generate().to_string(),

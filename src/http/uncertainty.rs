@@ -159,7 +159,7 @@ mod tests {
     fn the_picture_is_dark_where_it_is_certain_with_a_contour_between() {
         let grid = PixelGrid::over(ImageSize::new(640, 480), 9);
         let std_px = grid.pixels().map(|pixel| Some(if pixel.x < 320.0 { 0.012 } else { 1.5 })).collect();
-        let picture = drawn(&UncertaintyMap { grid, std_px, mean_square_px2: 0.0 });
+        let picture = drawn(&UncertaintyMap { grid, std_px, square_px2: Vec::new() });
         assert_eq!(picture.dimensions(), (640, 480));
         let light = |x: u32| picture.get_pixel(x, 240).0.iter().map(|&c| u32::from(c)).sum::<u32>();
         assert!(light(20) < 200 && light(620) > 300, "{} {}", light(20), light(620));
@@ -170,7 +170,7 @@ mod tests {
     fn where_the_lens_is_blind_there_is_no_color() {
         let grid = PixelGrid::over(ImageSize::new(64, 48), 4);
         let std_px = grid.pixels().map(|_| None).collect();
-        let picture = drawn(&UncertaintyMap { grid, std_px, mean_square_px2: 0.0 });
+        let picture = drawn(&UncertaintyMap { grid, std_px, square_px2: Vec::new() });
         assert!(picture.pixels().all(|pixel| *pixel == BLIND));
     }
 }

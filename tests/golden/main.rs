@@ -2,8 +2,12 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod bad_views;
 mod estimation;
+mod lens_choice;
 mod photographs;
+mod predicted_scatter;
+mod rig;
 mod seeded_camera;
 #[path = "../system/shared_data.rs"]
 mod shared_data;

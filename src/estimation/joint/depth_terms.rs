@@ -73,13 +73,13 @@ pub(crate) fn add_planes(
 
 fn add_row(equations: &mut NormalEquations, instant: usize, row: &Row, by_board: &[f64; 6]) {
     equations.cost += row.residual * row.residual;
-    let block = &mut equations.instants[instant];
+    let size = equations.global_gradient.len();
     for (i, di) in &row.globals {
         equations.global_gradient[*i] += di * row.residual;
         for (j, dj) in &row.globals {
             equations.global[(*i, *j)] += di * dj;
         }
-        for (coupling, db) in block.coupling[*i].iter_mut().zip(by_board) {
+        for (coupling, db) in equations.coupling[instant * size + i].iter_mut().zip(by_board) {
             *coupling += di * db;
         }
     }

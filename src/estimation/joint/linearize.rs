@@ -1,13 +1,16 @@
 //! Residuals and their derivatives, one sight of the board at a time, squared into normal equations.
 //!
-//! A sight's derivatives are kept as columns (one parameter each, all corners), so that every product of the normal
-//! equations is a dot product of two contiguous columns. Local columns: the lens's free parameters, the warp's two, the
-//! pose's six (turn ω, shift τ in the sensor's frame), the residual.
+//! A sight's derivatives are kept as columns (one parameter each; all corners' x, then all corners' y), so that every
+//! product of the normal equations is a dot product of two contiguous columns. Local columns: the lens's free
+//! parameters, the warp's two, the pose's six (turn ω, shift τ in the sensor's frame), the residual.
 
 use nalgebra::{Matrix3, Vector3};
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::estimation::joint::{Layout, Sight, State};
 use crate::estimation::robust::Loss;
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::columns::DistortedColumns;
 
 /// The normal equations of one sight in its local columns: `products[i * columns + j]` for i ≤ j.
 #[derive(Debug, Default)]
@@ -24,15 +27,20 @@ impl LocalEquations {
     }
 }
 
-/// Room for the columns of one sight, kept between sights.
+/// Room for one sight's columns, kept between sights.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
+    /// Turned points (without the shift), then points in the camera frame: x, y, z each.
+    points: [Vec<f64>; 6],
+    distorted: DistortedColumns,
+    /// The residuals in pixels, and √weight / std of each corner; 0 for one that takes no part.
+    miss: [Vec<f64>; 2],
+    factor: Vec<f64>,
     values: Vec<f64>,
-    rows: usize,
 }
 
-/// Rows of a column are padded to this many, with zeros.
-const LANES: usize = 4;
+/// Columns are padded with zeros to a multiple of this: the widest vectors there are.
+const LANES: usize = 8;
 
 /// Linearises one sight into `local`, with its unweighted residuals (in units of each corner's standard deviation) in
 /// `residuals`. Answers false where a corner that takes part cannot be projected.
@@ -43,93 +51,244 @@ pub(crate) fn linearize_sight(
     columns: &mut Columns,
     (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
 ) -> bool {
-    let lens_layout = &layout.sensors[sight.sensor].lens;
-    let (free, warped) = (lens_layout.free.len(), if layout.warp.is_some() { 2 } else { 0 });
-    let count = free + warped + 7;
-    let half = sight.points.len().next_multiple_of(LANES);
-    columns.rows = 2 * half;
-    columns.values.clear();
-    columns.values.resize(count * columns.rows, 0.0);
-    let sensor_from_board = state.sensor_from_board(sight.sensor, sight.instant);
-    let rotation = sensor_from_board.rotation_matrix();
-    let translation = sensor_from_board.translation();
-    let lens = &state.lenses[sight.sensor];
-    local.cost = 0.0;
-    for (index, residual) in residuals.iter_mut().enumerate() {
-        let (offset, bow) = warp_at(layout, state, sight, index);
-        let turned = rotation * (sight.points[index].coords + offset);
-        let point = turned + translation;
-        let Some(projection) = lens.project(&point.into()) else {
-            *residual = [f64::INFINITY; 2];
-            if sight.used[index] {
-                return false;
-            }
-            continue;
-        };
-        let inverse_std = sight.inverse_std[index];
-        let observed = sight.pixels[index];
-        let miss = [projection.pixel.x - observed.x, projection.pixel.y - observed.y];
-        *residual = miss.map(|m| m * inverse_std);
-        if !sight.used[index] {
-            continue;
+    Arch::new().dispatch(OneSight { layout, state, sight, loss, columns, residuals, local })
+}
+
+struct OneSight<'a> {
+    layout: &'a Layout,
+    state: &'a State,
+    sight: &'a Sight,
+    loss: Loss,
+    columns: &'a mut Columns,
+    residuals: &'a mut [[f64; 2]],
+    local: &'a mut LocalEquations,
+}
+
+impl WithSimd for OneSight<'_> {
+    type Output = bool;
+
+    /// The loops below are plain; compiled here they use the machine's widest vectors.
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) -> bool {
+        self.transform();
+        let points = [3, 4, 5].map(|k| self.columns.points[k].as_slice());
+        self.state.lenses[self.sight.sensor].distort_columns(points, &mut self.columns.distorted);
+        if !self.weigh() {
+            return false;
         }
-        let (cost, weight) = loss.cost_and_weight(residual[0] * residual[0] + residual[1] * residual[1]);
-        local.cost += cost;
-        let factor = weight.sqrt() * inverse_std;
-        for (axis, miss) in miss.into_iter().enumerate() {
-            let row = axis * half + index;
-            let mut put = |column: usize, value: f64| columns.values[column * columns.rows + row] = value * factor;
-            for (column, parameter) in lens_layout.free.iter().enumerate() {
-                put(column, projection.by_parameters[(axis, *parameter)]);
+        let count = self.differentiate();
+        multiply(simd, &self.columns.values, count, self.local);
+        true
+    }
+}
+
+impl OneSight<'_> {
+    /// The corners, turned and moved into the sensor's frame; padded with points on the axis.
+    #[inline(always)]
+    fn transform(&mut self) {
+        let sensor_from_board = self.state.sensor_from_board(self.sight.sensor, self.sight.instant);
+        let (r, t) = (sensor_from_board.rotation_matrix(), sensor_from_board.translation());
+        let padded = self.sight.points.len().next_multiple_of(LANES);
+        let [x, y, z, moved @ ..] = &mut self.columns.points;
+        for (column, (turned, moved)) in [x, y, z].into_iter().zip(moved).enumerate() {
+            let row = [r[(column, 0)], r[(column, 1)], r[(column, 2)]];
+            let on_axis = f64::from(u8::from(column == 2));
+            turned.resize(padded, 0.0);
+            moved.resize(padded, 0.0);
+            turned[self.sight.points.len()..].fill(on_axis);
+            moved[self.sight.points.len()..].fill(on_axis);
+            for (turned, point) in turned.iter_mut().zip(&self.sight.points) {
+                *turned = row[0] * point.x + row[1] * point.y + row[2] * point.z;
             }
-            if lens_layout.square_pixels && axis == 1 {
-                put(0, projection.by_parameters[(1, 1)]);
+            if self.layout.warp.is_some() {
+                for (turned, point) in turned.iter_mut().zip(&self.sight.points) {
+                    *turned += row[2] * self.state.bow(self.layout, point);
+                }
             }
-            let by_point: Vector3<f64> = projection.by_point.row(axis).transpose();
-            if warped == 2 {
-                let by_bow = by_point.dot(&rotation.column(2));
-                put(free, by_bow * bow[0]);
-                put(free + 1, by_bow * bow[1]);
+            for (moved, turned) in moved.iter_mut().zip(&*turned).take(self.sight.points.len()) {
+                *moved = turned + t[column];
             }
-            let by_turn = turned.cross(&by_point);
-            for k in 0..3 {
-                put(free + warped + k, by_turn[k]);
-                put(free + warped + 3 + k, by_point[k]);
-            }
-            put(count - 1, miss);
         }
     }
-    multiply(columns, count, local);
-    local.cost.is_finite()
+
+    /// Residuals, weights and cost; false where a corner that takes part is not projected.
+    #[inline(always)]
+    fn weigh(&mut self) -> bool {
+        let matrix = self.state.lenses[self.sight.sensor].matrix;
+        let Columns { distorted, miss: [miss_x, miss_y], factor, points, .. } = &mut *self.columns;
+        let ([xs, ys], inside) = (distorted.normalized(), distorted.inside());
+        for column in [&mut *miss_x, &mut *miss_y, &mut *factor] {
+            column.clear();
+            column.resize(points[0].len(), 0.0);
+        }
+        let (mut cost, mut all_seen) = (0.0, true);
+        for (index, residual) in self.residuals.iter_mut().enumerate() {
+            let observed = self.sight.pixels[index];
+            let inverse_std = self.sight.inverse_std[index];
+            let miss = [
+                matrix.fx * xs[index] + matrix.skew * ys[index] + matrix.cx - observed.x,
+                matrix.fy * ys[index] + matrix.cy - observed.y,
+            ];
+            let seen = inside[index] > 0.0;
+            *residual = if seen { miss.map(|m| m * inverse_std) } else { [f64::INFINITY; 2] };
+            if self.sight.used[index] {
+                all_seen &= seen;
+                let (rho, weight) = self.loss.cost_and_weight(residual[0] * residual[0] + residual[1] * residual[1]);
+                cost += rho;
+                factor[index] = weight.sqrt() * inverse_std;
+            }
+            (miss_x[index], miss_y[index]) = (miss[0], miss[1]);
+        }
+        self.local.cost = cost;
+        all_seen && cost.is_finite()
+    }
+
+    /// The weighted derivatives and residuals; answers how many columns there are.
+    #[inline(always)]
+    fn differentiate(&mut self) -> usize {
+        let lens_layout = &self.layout.sensors[self.sight.sensor].lens;
+        let matrix = self.state.lenses[self.sight.sensor].matrix;
+        let (free, warped) = (lens_layout.free.len(), if self.layout.warp.is_some() { 2 } else { 0 });
+        let count = free + warped + 7;
+        let Columns { distorted, miss, factor, points, values } = &mut *self.columns;
+        let rows = 2 * factor.len();
+        values.resize(count * rows, 0.0);
+        let (by_lens, rest) = values.split_at_mut(free * rows);
+        let (by_warp, rest) = rest.split_at_mut(warped * rows);
+        let (by_pose, residual) = rest.split_at_mut(6 * rows);
+        for (parameter, column) in lens_layout.free.iter().zip(by_lens.chunks_exact_mut(rows)) {
+            fill_lens_column((*parameter, lens_layout.square_pixels), &matrix, distorted, factor, column);
+        }
+        fill_pose_columns(points, &matrix, distorted, factor, by_pose);
+        if warped == 2 {
+            let normal = self.state.sensor_from_board(self.sight.sensor, self.sight.instant) * Vector3::z();
+            fill_warp_columns((self.layout, self.sight), normal, by_pose, by_warp);
+        }
+        for (column, miss) in residual.chunks_exact_mut(factor.len()).zip(&*miss) {
+            for ((value, miss), factor) in column.iter_mut().zip(miss).zip(&*factor) {
+                *value = miss * factor;
+            }
+        }
+        count
+    }
 }
 
-/// How far a point of the board is moved by its warp, and by how much per metre of each of the two bows:
-/// 1 − (x/half extent)², 0 at the edges (mrcal's model).
-fn warp_at(layout: &Layout, state: &State, sight: &Sight, index: usize) -> (Vector3<f64>, [f64; 2]) {
-    let Some((_, [half_x, half_y])) = layout.warp else { return (Vector3::zeros(), [0.0; 2]) };
-    let point = sight.points[index];
-    let bow = [1.0 - (point.x / half_x).powi(2), 1.0 - (point.y / half_y).powi(2)];
-    (Vector3::new(0.0, 0.0, state.warp[0] * bow[0] + state.warp[1] * bow[1]), bow)
+/// One lens parameter's column, by its index in [`crate::geometry::lens::Lens::parameters`].
+#[inline(always)]
+fn fill_lens_column(
+    (parameter, square_pixels): (usize, bool),
+    matrix: &CameraMatrix,
+    distorted: &DistortedColumns,
+    factor: &[f64],
+    column: &mut [f64],
+) {
+    let (x, y) = column.split_at_mut(factor.len());
+    let [xs, ys] = distorted.normalized();
+    let weighted = |out: &mut [f64], values: &[f64]| {
+        for ((out, value), factor) in out.iter_mut().zip(values).zip(factor) {
+            *out = value * factor;
+        }
+    };
+    match parameter {
+        0 if square_pixels => (weighted(x, xs), weighted(y, ys)),
+        0 => (weighted(x, xs), y.fill(0.0)),
+        1 => (x.fill(0.0), weighted(y, ys)),
+        2 => (x.copy_from_slice(factor), y.fill(0.0)),
+        3 => (x.fill(0.0), y.copy_from_slice(factor)),
+        4 => (weighted(x, ys), y.fill(0.0)),
+        coefficient => {
+            let [by_x, by_y] = distorted.by_coefficient(coefficient - 5);
+            for (index, factor) in factor.iter().enumerate() {
+                x[index] = (matrix.fx * by_x[index] + matrix.skew * by_y[index]) * factor;
+                y[index] = matrix.fy * by_y[index] * factor;
+            }
+            ((), ())
+        }
+    };
 }
 
-/// All dot products of columns.
-fn multiply(columns: &Columns, count: usize, local: &mut LocalEquations) {
+/// The six columns of the pose: the shift is the pixel by the point, the turn (turned point) × that.
+#[inline(always)]
+fn fill_pose_columns(
+    points: &[Vec<f64>; 6],
+    matrix: &CameraMatrix,
+    distorted: &DistortedColumns,
+    factor: &[f64],
+    columns: &mut [f64],
+) {
+    let half = factor.len();
+    let (turn, shift) = columns.split_at_mut(6 * half);
+    for (axis, column) in shift.chunks_exact_mut(2 * half).enumerate() {
+        let [by_x, by_y] = distorted.by_point(axis);
+        let (x, y) = column.split_at_mut(half);
+        for (index, factor) in factor.iter().enumerate() {
+            x[index] = (matrix.fx * by_x[index] + matrix.skew * by_y[index]) * factor;
+            y[index] = matrix.fy * by_y[index] * factor;
+        }
+    }
+    for (axis, column) in turn.chunks_exact_mut(2 * half).enumerate() {
+        let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (p_next, p_last) = (&points[next][..half], &points[last][..half]);
+        for (axis, column) in column.chunks_exact_mut(half).enumerate() {
+            let by_next = &shift[(2 * next + axis) * half..][..half];
+            let by_last = &shift[(2 * last + axis) * half..][..half];
+            for (index, value) in column.iter_mut().enumerate() {
+                *value = p_next[index] * by_last[index] - p_last[index] * by_next[index];
+            }
+        }
+    }
+}
+
+/// The two columns of the warp, which moves points along the board's normal.
+#[inline(always)]
+fn fill_warp_columns((layout, sight): (&Layout, &Sight), normal: Vector3<f64>, by_pose: &[f64], columns: &mut [f64]) {
+    let rows = by_pose.len() / 6;
+    columns.fill(0.0);
+    for (which, column) in columns.chunks_exact_mut(rows).enumerate() {
+        for half in 0..2 {
+            for (index, point) in sight.points.iter().enumerate() {
+                let row = half * rows / 2 + index;
+                let by_normal: f64 = (0..3).map(|axis| normal[axis] * by_pose[(3 + axis) * rows + row]).sum();
+                column[row] = by_normal * layout.bows(point)[which];
+            }
+        }
+    }
+}
+
+/// All dot products of columns, in tiles of 2 × 4 so that each load serves several.
+#[inline(always)]
+fn multiply<S: Simd>(simd: S, values: &[f64], count: usize, local: &mut LocalEquations) {
+    let rows = values.len() / count;
     local.columns = count;
     local.products.clear();
     local.products.resize(count * count, 0.0);
-    for i in 0..count {
-        let a = &columns.values[i * columns.rows..(i + 1) * columns.rows];
-        for j in i..count {
-            let b = &columns.values[j * columns.rows..(j + 1) * columns.rows];
-            let mut sums = [0.0; LANES];
-            for (a, b) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
-                for lane in 0..LANES {
-                    sums[lane] += a[lane] * b[lane];
+    let column = |k: usize| S::as_simd_f64s(&values[k.min(count - 1) * rows..][..rows]).0;
+    for i in (0..count).step_by(2) {
+        for j in (i..count).step_by(4) {
+            let (left, right) = ([0, 1].map(|a| column(i + a)), [0, 1, 2, 3].map(|b| column(j + b)));
+            for (a, sums) in tile(simd, left, right).into_iter().enumerate() {
+                for (b, sum) in sums.into_iter().enumerate() {
+                    if i + a < count && j + b < count {
+                        local.products[(i + a) * count + j + b] = simd.reduce_sum_f64s(sum);
+                    }
                 }
             }
-            local.products[i * count + j] = (sums[0] + sums[1]) + (sums[2] + sums[3]);
         }
     }
+}
+
+/// The products of each of two columns with each of four, lane by lane.
+#[inline(always)]
+fn tile<S: Simd>(simd: S, [a, b]: [&[S::f64s]; 2], [p, q, r, s]: [&[S::f64s]; 4]) -> [[S::f64s; 4]; 2] {
+    let mut sums = [[simd.splat_f64s(0.0); 4]; 2];
+    for (((((a, b), p), q), r), s) in a.iter().zip(b).zip(p).zip(q).zip(r).zip(s) {
+        for (sums, left) in sums.iter_mut().zip([a, b]) {
+            for (sum, right) in sums.iter_mut().zip([p, q, r, s]) {
+                *sum = simd.mul_add_f64s(*left, *right, *sum);
+            }
+        }
+    }
+    sums
 }
 
 /// The matrix of the cross product from the left: `cross(v) * w` = v × w.

@@ -13,15 +13,17 @@ pub(crate) struct Stop {
     /// Steps at most. Default: 50.
     pub(crate) max_steps: usize,
     /// The predicted decrease of the cost, in units of one residual's mean cost, below which there is nothing left to
-    /// gain: a decrease of d is √d standard deviations of the estimate. Default: 1e-8.
+    /// gain: a decrease of d is √d standard deviations of the estimate. Default: 1e-6.
     pub(crate) decrease: f64,
+    /// The same as a part of the whole cost. Default: 0.
+    pub(crate) part: f64,
     /// Damping of the first step. Default: 1e-3.
     pub(crate) lambda: f64,
 }
 
 impl Default for Stop {
     fn default() -> Self {
-        Self { max_steps: 50, decrease: 1e-8, lambda: 1e-3 }
+        Self { max_steps: 50, decrease: 1e-6, part: 0.0, lambda: 1e-3 }
     }
 }
 
@@ -70,7 +72,7 @@ pub(crate) fn walk<S>(
         }
         let step = equations.solve(lambda);
         let predicted = step.as_ref().map_or(f64::INFINITY, |step| step.predicted_decrease);
-        if predicted <= stop.decrease * mean_cost {
+        if predicted <= (stop.decrease * mean_cost).max(stop.part * equations.cost) {
             break;
         }
         let trial = step.as_ref().and_then(|step| {

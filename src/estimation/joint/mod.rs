@@ -92,6 +92,13 @@ impl Layout {
         let warp = warp_half_extent.map(|extent| (take(2), extent));
         Self { sensors, warp, len }
     }
+
+    /// How far a point of the board is moved off its plane per metre of each of the two bows: 1 − (x/half extent)², 0 at
+    /// the edges (mrcal's model).
+    pub(crate) fn bows(&self, point: &Point3<f64>) -> [f64; 2] {
+        let Some((_, [half_x, half_y])) = self.warp else { return [0.0; 2] };
+        [1.0 - (point.x / half_x).powi(2), 1.0 - (point.y / half_y).powi(2)]
+    }
 }
 
 impl State {
@@ -104,15 +111,24 @@ impl State {
         }
     }
 
+    /// How far the warp moves a point of the board along the board's normal, in metres.
+    pub(crate) fn bow(&self, layout: &Layout, point: &Point3<f64>) -> f64 {
+        let [by_x, by_y] = layout.bows(point);
+        self.warp[0] * by_x + self.warp[1] * by_y
+    }
+
     /// (projected − observed) / std of each corner of a sight; infinite where nothing is projected.
-    pub(crate) fn residuals(&self, sight: &Sight) -> Vec<[f64; 2]> {
+    pub(crate) fn residuals(&self, layout: &Layout, sight: &Sight) -> Vec<[f64; 2]> {
         let sensor_from_board = self.sensor_from_board(sight.sensor, sight.instant);
         let lens = &self.lenses[sight.sensor];
         let corners = sight.points.iter().zip(&sight.pixels).zip(&sight.inverse_std);
         corners
-            .map(|((point, observed), inverse_std)| match lens.pixel_from_point(&(sensor_from_board * *point)) {
-                Some(pixel) => [(pixel.x - observed.x) * inverse_std, (pixel.y - observed.y) * inverse_std],
-                None => [f64::INFINITY; 2],
+            .map(|((point, observed), inverse_std)| {
+                let point = point + Vector3::z() * self.bow(layout, point);
+                match lens.pixel_from_point(&(sensor_from_board * point)) {
+                    Some(pixel) => [(pixel.x - observed.x) * inverse_std, (pixel.y - observed.y) * inverse_std],
+                    None => [f64::INFINITY; 2],
+                }
             })
             .collect()
     }

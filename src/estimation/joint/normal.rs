@@ -15,17 +15,17 @@ pub(crate) struct NormalEquations {
     pub(crate) global: DMatrix<f64>,
     pub(crate) global_gradient: DVector<f64>,
     pub(crate) instants: Vec<InstantBlock>,
+    /// Global × instants: row `instant * global parameters + k` couples global parameter k with that instant's pose.
+    pub(crate) coupling: Vec<[f64; 6]>,
     /// Per sight, per corner: (projected − observed) / std; infinite where nothing is projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
 }
 
 /// The part of one instant.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct InstantBlock {
     pub(crate) hessian: [[f64; 6]; 6],
     pub(crate) gradient: [f64; 6],
-    /// Global × instant: row k couples global parameter k with the board's pose.
-    pub(crate) coupling: Vec<[f64; 6]>,
 }
 
 /// A step, and by how much it lowers the linearised cost.
@@ -60,16 +60,17 @@ pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: 
 impl NormalEquations {
     /// Those of nothing, for `global` global parameters and this many instants.
     pub(crate) fn empty(global: usize, instants: usize) -> Self {
-        let empty = InstantBlock { hessian: [[0.0; 6]; 6], gradient: [0.0; 6], coupling: vec![[0.0; 6]; global] };
         Self {
             cost: 0.0,
             global: DMatrix::zeros(global, global),
             global_gradient: DVector::zeros(global),
-            instants: vec![empty; instants],
+            instants: vec![InstantBlock::default(); instants],
+            coupling: vec![[0.0; 6]; instants * global],
             residuals: Vec::new(),
         }
     }
 
+    #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
         let at = &layout.sensors[sight.sensor];
         let residual = local.columns - 1;
@@ -83,6 +84,7 @@ impl NormalEquations {
             }
         }
         let block = &mut self.instants[sight.instant];
+        let coupling = &mut self.coupling[sight.instant * layout.len..][..layout.len];
         let Some(pose_at) = at.pose_at else {
             for a in 0..6 {
                 block.gradient[a] += local.product(pose + a, residual);
@@ -90,7 +92,7 @@ impl NormalEquations {
                     block.hessian[a][b] += local.product(pose + a, pose + b);
                 }
                 for (i, gi) in globals.iter().enumerate() {
-                    block.coupling[*gi][a] += local.product(i, pose + a);
+                    coupling[*gi][a] += local.product(i, pose + a);
                 }
             }
             return;
@@ -108,7 +110,7 @@ impl NormalEquations {
             block.gradient[a] += board_gradient[a];
             for b in 0..6 {
                 block.hessian[a][b] += board_square[(a, b)];
-                block.coupling[pose_at + a][b] += sensor_board[(a, b)];
+                coupling[pose_at + a][b] += sensor_board[(a, b)];
                 if b >= a {
                     self.global[(pose_at + a, pose_at + b)] += sensor_square[(a, b)];
                 }
@@ -120,9 +122,19 @@ impl NormalEquations {
             for a in 0..6 {
                 let (low, high) = (*gi.min(&(pose_at + a)), *gi.max(&(pose_at + a)));
                 self.global[(low, high)] += sensor_row[a];
-                block.coupling[*gi][a] += board_row[a];
+                coupling[*gi][a] += board_row[a];
             }
         }
+    }
+
+    /// How many instants any corner tells of.
+    pub(crate) fn seen_instants(&self) -> usize {
+        self.instants.iter().filter(|block| block.hessian[0][0] > 0.0).count()
+    }
+
+    pub(crate) fn coupling_of(&self, instant: usize) -> &[[f64; 6]] {
+        let size = self.global_gradient.len();
+        &self.coupling[instant * size..][..size]
     }
 
     /// Solves (H + λ diag H) step = −gradient. `None` where the damped matrix is not positive definite.
@@ -133,10 +145,11 @@ impl NormalEquations {
             schur[(k, k)] *= 1.0 + lambda;
         }
         let mut right = -&self.global_gradient;
-        let mut eliminated = Vec::with_capacity(self.instants.len());
-        for block in &self.instants {
+        let (mut eliminated, mut halves) = (Vec::with_capacity(self.instants.len()), self.coupling.clone());
+        for (instant, block) in self.instants.iter().enumerate() {
             let factor = cholesky6(&block.hessian, lambda)?;
-            let half: Vec<[f64; 6]> = block.coupling.iter().map(|row| forward6(&factor, row)).collect();
+            let half = &mut halves[instant * size..][..size];
+            half.iter_mut().for_each(|row| *row = forward6(&factor, row));
             let half_gradient = forward6(&factor, &block.gradient);
             for i in 0..size {
                 right[i] += dot6(&half[i], &half_gradient);
@@ -144,14 +157,14 @@ impl NormalEquations {
                     schur[(i, j)] -= dot6(&half[i], &half[j]);
                 }
             }
-            eliminated.push((factor, half, half_gradient));
+            eliminated.push((factor, half_gradient));
         }
         let global = if size == 0 { right } else { schur.cholesky()?.solve(&right) };
         let mut decrease = -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
         let mut instants = Vec::with_capacity(self.instants.len());
-        for ((factor, half, half_gradient), block) in eliminated.iter().zip(&self.instants) {
+        for (instant, ((factor, half_gradient), block)) in eliminated.iter().zip(&self.instants).enumerate() {
             let mut rest = half_gradient.map(|g| -g);
-            for (row, step) in half.iter().zip(global.iter()) {
+            for (row, step) in halves[instant * size..][..size].iter().zip(global.iter()) {
                 for a in 0..6 {
                     rest[a] -= row[a] * step;
                 }
@@ -170,9 +183,9 @@ impl NormalEquations {
     pub(crate) fn global_covariance(&self) -> Option<DMatrix<f64>> {
         let size = self.global_gradient.len();
         let mut schur = self.global.clone();
-        for block in &self.instants {
+        for (instant, block) in self.instants.iter().enumerate() {
             let factor = cholesky6(&block.hessian, 0.0)?;
-            let half: Vec<[f64; 6]> = block.coupling.iter().map(|row| forward6(&factor, row)).collect();
+            let half: Vec<[f64; 6]> = self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
             for i in 0..size {
                 for j in 0..=i {
                     schur[(i, j)] -= dot6(&half[i], &half[j]);
@@ -191,7 +204,8 @@ impl NormalEquations {
     pub(crate) fn instant_covariance(&self, instant: usize, global: &DMatrix<f64>) -> Option<Matrix6<f64>> {
         let block = &self.instants[instant];
         let inverse = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky()?.inverse();
-        let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| block.coupling[k][a]);
+        let rows = self.coupling_of(instant);
+        let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| rows[k][a]);
         let through = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]) * coupling;
         let carried = &through * global * through.transpose();
         Some(Matrix6::from_fn(|a, b| inverse[(a, b)] + carried[(a, b)]))

@@ -30,6 +30,7 @@ impl PlaneDistortion<5> for Brown {
         1.0 + r2 * (self.k1 + r2 * (self.k2 + r2 * self.k3))
     }
 
+    #[inline(always)]
     fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 5>) {
         let (x, y) = (ideal.x, ideal.y);
         let (p1, p2) = (self.p1, self.p2);
@@ -70,8 +71,9 @@ impl DistortionModel<5> for Brown {
         plane::distort(self, point_in_camera)
     }
 
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<5>> {
-        plane::distort_with_jacobians(self, point_in_camera)
+    #[inline(always)]
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<5>, bool) {
+        plane::distort_or_axis(self, point_in_camera)
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

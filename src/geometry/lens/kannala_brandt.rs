@@ -58,13 +58,18 @@ impl DistortionModel<4> for KannalaBrandt {
         Some(point_in_camera.coords.xy() * (self.distorted_angle(angle) / radius))
     }
 
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<4>> {
-        let (radius, angle) = self.angle_of(point_in_camera)?;
-        let Point3 { coords } = point_in_camera;
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<4>, bool) {
+        let inside = self.angle_of(point_in_camera);
+        let (radius, angle) = inside.unwrap_or((0.0, 0.0));
+        let axis = Point3::new(0.0, 0.0, 1.0);
+        let Point3 { coords } = if inside.is_some() { point_in_camera } else { &axis };
         let (x, y, z) = (coords.x, coords.y, coords.z);
         if radius == 0.0 {
             let by_point = Matrix2x3::new(1.0 / z, 0.0, 0.0, 0.0, 1.0 / z, 0.0);
-            return Some(Distorted { normalized: Vector2::zeros(), by_point, by_coefficients: SMatrix::zeros() });
+            return (
+                Distorted { normalized: Vector2::zeros(), by_point, by_coefficients: SMatrix::zeros() },
+                inside.is_some(),
+            );
         }
         let distorted = self.distorted_angle(angle);
         let direction = Vector2::new(x, y) / radius;
@@ -89,7 +94,7 @@ impl DistortionModel<4> for KannalaBrandt {
             direction * (a3 * a2 * a2),
             direction * (a3 * a2 * a2 * a2),
         ]);
-        Some(Distorted { normalized: direction * distorted, by_point, by_coefficients })
+        (Distorted { normalized: direction * distorted, by_point, by_coefficients }, true)
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

@@ -12,6 +12,7 @@
 //! Outside it, projecting and unprojecting answer `None` instead of a plausible wrong number.
 
 mod brown;
+pub mod columns;
 mod kannala_brandt;
 mod pinhole;
 mod plane;
@@ -27,6 +28,7 @@ pub use radial::Radial;
 pub use rational::Rational;
 
 use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::columns::DistortedColumns;
 use crate::geometry::pixel::{Bearing, Pixel};
 
 /// The most parameters a lens has: fx, fy, cx, cy, skew and the eight of [`Rational`].
@@ -47,7 +49,14 @@ pub trait DistortionModel<const N: usize>: Sized {
     fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>>;
 
     /// As [`Self::distort`], with its derivatives.
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<N>>;
+    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<N>> {
+        let (distorted, inside) = self.distort_or_axis(point_in_camera);
+        inside.then_some(distorted)
+    }
+
+    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region; if not, the derivatives are
+    /// those at some point inside, finite and without meaning.
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<N>, bool);
 
     /// The direction that [`Self::distort`] maps to `distorted`; `None` outside the valid region.
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing>;
@@ -251,11 +260,15 @@ impl Lens {
         self.distortion.undistort(self.matrix.normalized_from_pixel(pixel))
     }
 
+    /// Distorted normalised coordinates of many points, with their derivatives, as columns; see [`DistortedColumns`].
+    #[inline(always)]
+    pub fn distort_columns(&self, points_in_camera: [&[f64]; 3], columns: &mut DistortedColumns) {
+        with_model!(&self.distortion, model => columns.fill(model, points_in_camera));
+    }
+
     /// As [`Self::pixel_from_point`], with analytic derivatives by point and parameters.
     pub fn project(&self, point_in_camera: &Point3<f64>) -> Option<Projection> {
-        with_model!(&self.distortion, model => {
-            model.distort_with_jacobians(point_in_camera).map(|d| self.projection(&d))
-        })
+        with_model!(&self.distortion, model => Some(self.projection(&model.distort_with_jacobians(point_in_camera)?)))
     }
 
     fn projection<const N: usize>(&self, distorted: &Distorted<N>) -> Projection {

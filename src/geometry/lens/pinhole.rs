@@ -26,12 +26,15 @@ impl DistortionModel<0> for Pinhole {
         seen.then_some(normalized)
     }
 
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<0>> {
-        let normalized = self.distort(point_in_camera)?;
+    #[inline(always)]
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<0>, bool) {
         let inverse_z = 1.0 / point_in_camera.z;
-        let by_point =
-            Matrix2x3::new(inverse_z, 0.0, -normalized.x * inverse_z, 0.0, inverse_z, -normalized.y * inverse_z);
-        Some(Distorted { normalized, by_point, by_coefficients: SMatrix::zeros() })
+        let (x, y) = (point_in_camera.x * inverse_z, point_in_camera.y * inverse_z);
+        let seen = (point_in_camera.z > 0.0) & x.is_finite() & y.is_finite();
+        let inverse_z = if seen { inverse_z } else { 1.0 };
+        let (x, y) = if seen { (x, y) } else { (0.0, 0.0) };
+        let by_point = Matrix2x3::new(inverse_z, 0.0, -x * inverse_z, 0.0, inverse_z, -y * inverse_z);
+        (Distorted { normalized: Vector2::new(x, y), by_point, by_coefficients: SMatrix::zeros() }, seen)
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

@@ -23,35 +23,43 @@ pub(super) trait PlaneDistortion<const N: usize> {
 }
 
 pub(super) fn distort<const N: usize>(model: &impl PlaneDistortion<N>, point: &Point3<f64>) -> Option<Vector2<f64>> {
-    let (ideal, _) = ideal_from_point(model, point)?;
+    let ideal = ideal_from_point(model, point)?;
     let (bent, by_ideal, _) = model.bend(ideal);
     (by_ideal.determinant() > 0.0).then_some(bent)
 }
 
-pub(super) fn distort_with_jacobians<const N: usize>(
+/// Without branches, so that a loop over points becomes vector code.
+#[inline(always)]
+pub(super) fn distort_or_axis<const N: usize>(
     model: &impl PlaneDistortion<N>,
     point: &Point3<f64>,
-) -> Option<Distorted<N>> {
-    let (ideal, inverse_z) = ideal_from_point(model, point)?;
+) -> (Distorted<N>, bool) {
+    let inverse_z = 1.0 / point.z;
+    let (x, y) = (point.x * inverse_z, point.y * inverse_z);
+    // Written so that NaN fails too.
+    let inside = (point.z > 0.0) & (x * x + y * y < model.radius2_limit());
+    let inverse_z = if inside { inverse_z } else { 1.0 };
+    let ideal = if inside { Vector2::new(x, y) } else { Vector2::zeros() };
     let (normalized, by_ideal, by_coefficients) = model.bend(ideal);
-    if by_ideal.determinant() <= 0.0 {
-        return None;
-    }
-    let ideal_by_point = Matrix2x3::new(inverse_z, 0.0, -ideal.x * inverse_z, 0.0, inverse_z, -ideal.y * inverse_z);
-    Some(Distorted { normalized, by_point: by_ideal * ideal_by_point, by_coefficients })
+    let along = |axis: usize| {
+        let (by_x, by_y) = (by_ideal[(axis, 0)] * inverse_z, by_ideal[(axis, 1)] * inverse_z);
+        [by_x, by_y, -(by_x * ideal.x + by_y * ideal.y)]
+    };
+    let ([a, b, c], [d, e, f]) = (along(0), along(1));
+    let determinant = by_ideal[(0, 0)] * by_ideal[(1, 1)] - by_ideal[(0, 1)] * by_ideal[(1, 0)];
+    (
+        Distorted { normalized, by_point: Matrix2x3::new(a, b, c, d, e, f), by_coefficients },
+        inside & (determinant > 0.0),
+    )
 }
 
-fn ideal_from_point<const N: usize>(
-    model: &impl PlaneDistortion<N>,
-    point: &Point3<f64>,
-) -> Option<(Vector2<f64>, f64)> {
+fn ideal_from_point<const N: usize>(model: &impl PlaneDistortion<N>, point: &Point3<f64>) -> Option<Vector2<f64>> {
     // Written so that NaN fails too.
     if !(point.z > 0.0) {
         return None;
     }
-    let inverse_z = 1.0 / point.z;
-    let ideal = Vector2::new(point.x * inverse_z, point.y * inverse_z);
-    (ideal.norm_squared() < model.radius2_limit()).then_some((ideal, inverse_z))
+    let ideal = point.coords.xy() * (1.0 / point.z);
+    (ideal.norm_squared() < model.radius2_limit()).then_some(ideal)
 }
 
 /// Newton's method on the plane from the radial solution, which lies on the invertible branch by construction.

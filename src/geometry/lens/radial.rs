@@ -22,10 +22,14 @@ impl PlaneDistortion<1> for Radial {
         1.0 + self.k1 * r2
     }
 
+    #[inline(always)]
     fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 1>) {
         let r2 = ideal.norm_squared();
         let factor = self.radial_factor(r2);
-        let by_ideal = Matrix2::identity() * factor + ideal * ideal.transpose() * (2.0 * self.k1);
+        let slope = 2.0 * self.k1;
+        let across = slope * ideal.x * ideal.y;
+        let by_ideal =
+            Matrix2::new(factor + slope * ideal.x * ideal.x, across, across, factor + slope * ideal.y * ideal.y);
         (ideal * factor, by_ideal, ideal * r2)
     }
 }
@@ -46,8 +50,9 @@ impl DistortionModel<1> for Radial {
         plane::distort(self, point_in_camera)
     }
 
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<1>> {
-        plane::distort_with_jacobians(self, point_in_camera)
+    #[inline(always)]
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<1>, bool) {
+        plane::distort_or_axis(self, point_in_camera)
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

@@ -20,6 +20,7 @@ pub struct Rational {
 
 impl Rational {
     /// d and its derivative by r², and the denominator.
+    #[inline(always)]
     fn factor_and_slope(&self, r2: f64) -> (f64, f64, f64) {
         let slope = |c: &[f64; 4]| c[1] + r2 * (2.0 * c[2] + 3.0 * r2 * c[3]);
         let denominator = polynomial::evaluate(&self.denominator, r2);
@@ -37,6 +38,7 @@ impl PlaneDistortion<8> for Rational {
         self.factor_and_slope(r2).0
     }
 
+    #[inline(always)]
     fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 8>) {
         let (x, y) = (ideal.x, ideal.y);
         let (p1, p2) = (self.p1, self.p2);
@@ -102,8 +104,9 @@ impl DistortionModel<8> for Rational {
         plane::distort(self, point_in_camera)
     }
 
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<8>> {
-        plane::distort_with_jacobians(self, point_in_camera)
+    #[inline(always)]
+    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<8>, bool) {
+        plane::distort_or_axis(self, point_in_camera)
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

@@ -1,0 +1,173 @@
+//! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors are, and where the
+//! board was at each instant, in one joint problem. A sensor need not see every instant.
+
+use nalgebra::Matrix6;
+
+use crate::estimation::camera::{CameraEstimate, CameraFit, CameraOptions, Part, assemble, check, fit_camera};
+use crate::estimation::error::EstimationError;
+use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::lens_choice::choose_lens;
+use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::estimation::robust::median;
+use crate::estimation::robust_fit::robust_fit;
+use crate::estimation::start::{Prepared, mean_point};
+use crate::estimation::view_fault::ViewFault;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+
+/// A rig to calibrate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigProblem {
+    /// Its sensors; the first is the rig's own frame.
+    pub sensors: Vec<RigSensor>,
+    /// How many instants there are.
+    pub instants: usize,
+}
+
+/// One sensor of a rig and what it saw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigSensor {
+    /// Its name, in errors.
+    pub name: String,
+    /// The size of its images.
+    pub image_size: ImageSize,
+    /// What it saw, and at which instant (counted from 0).
+    pub views: Vec<(usize, BoardView)>,
+    /// What to estimate of its lens; `warp` holds for the rig if it is set for the first sensor.
+    pub options: CameraOptions,
+}
+
+/// A calibrated rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigEstimate {
+    /// Each sensor's lens and views, as a camera by itself; pose covariances for the first sensor only.
+    pub cameras: Vec<CameraEstimate>,
+    /// Where each sensor is; the first is the identity.
+    pub places: Vec<SensorPlace>,
+}
+
+/// Where a sensor is on the rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorPlace {
+    /// The pose.
+    pub sensor_from_rig: Pose,
+    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (metres); zero for the first sensor.
+    pub covariance: Matrix6<f64>,
+}
+
+/// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor weighted by its own noise.
+///
+/// # Errors
+/// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no instant with the others.
+pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
+    let cameras: Vec<CameraProblem> = problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
+    cameras.iter().try_for_each(check)?;
+    let center = mean_point(&cameras);
+    let mut alone = Vec::new();
+    for (sensor, camera) in problem.sensors.iter().zip(&cameras) {
+        let mut prepared = Prepared::about(camera, center);
+        let fit = match sensor.options.lens {
+            LensChoice::Model(model) => fit_camera(&mut prepared, model, &sensor.options)?,
+            LensChoice::Auto => choose_lens(&mut prepared, &sensor.options)?.0,
+        };
+        alone.push((prepared, fit));
+    }
+    let fit = fit_jointly(problem, &alone)?;
+    let unit = fit.robust.minimum.equations.global_covariance().ok_or(EstimationError::NoFit)?;
+    let (mut estimates, mut places, mut first_sight) = (Vec::new(), Vec::new(), 0);
+    for (sensor, camera) in cameras.iter().enumerate() {
+        let (prepared, own) = &alone[sensor];
+        let part = Part { sensor, first_sight, noise: own.noise_square().sqrt().max(f64::MIN_POSITIVE) };
+        estimates.push(assemble(camera, prepared, &fit, part)?);
+        let covariance = fit.layout.sensors[sensor]
+            .pose_at
+            .map_or_else(Matrix6::zeros, |at| unit.fixed_view::<6, 6>(at, at).into_owned() * fit.noise_square());
+        places.push(SensorPlace { sensor_from_rig: fit.robust.minimum.state.sensor_from_rig[sensor], covariance });
+        first_sight += camera.views.len();
+    }
+    Ok(RigEstimate { cameras: estimates, places })
+}
+
+impl RigSensor {
+    fn to_camera_problem(&self) -> CameraProblem {
+        CameraProblem { image_size: self.image_size, views: self.views.iter().map(|(_, view)| view.clone()).collect() }
+    }
+
+    /// Each instant that it has a good pose of in `fit`, with that pose.
+    fn placed<'a>(&'a self, fit: &'a CameraFit) -> impl Iterator<Item = (usize, Pose)> + 'a {
+        let state = &fit.robust.minimum.state;
+        let views = self.views.iter().enumerate().filter(|(view, _)| fit.faults[*view].is_none());
+        views.map(|(view, (instant, _))| (*instant, state.rig_from_board[view]))
+    }
+}
+
+fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<CameraFit, EstimationError> {
+    let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
+    let (mut sights, mut faults) = (Vec::new(), Vec::new());
+    for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
+        let noise = fit.noise_square().sqrt().max(f64::MIN_POSITIVE);
+        for (view, (instant, _)) in sensor.views.iter().enumerate() {
+            let mut sight = Sight { sensor: index, instant: *instant, ..fit.sights[view].clone() };
+            sight.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
+            sights.push(sight);
+            let own = fit.robust.minimum.state.rig_from_board[view];
+            let expected = rig_from_board.get(*instant).copied().flatten().map(|pose| sensor_from_rig[index] * pose);
+            let turned = expected.is_some_and(|expected| expected.angle_to(&own) > HALF_TURN);
+            faults.push(fit.faults[view].or(turned.then_some(ViewFault::HalfTurn)));
+        }
+    }
+    let state = State {
+        lenses: alone.iter().map(|(_, fit)| *fit.lens()).collect(),
+        sensor_from_rig,
+        rig_from_board: rig_from_board.into_iter().map(|pose| pose.unwrap_or(Pose::identity())).collect(),
+        warp: alone[0].1.robust.minimum.state.warp,
+    };
+    let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
+    let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent));
+    let robust = robust_fit(&layout, state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
+    Ok(CameraFit { layout, robust, sights, faults })
+}
+
+/// A board seen further round than this, in radians, against the other sensors was labelled from its other end.
+const HALF_TURN: f64 = 2.4;
+
+type Places = (Vec<Pose>, Vec<Option<Pose>>);
+
+/// `sensor_from_rig` of each sensor and `rig_from_board` of each instant, from the poses that each sensor found by itself:
+/// sensor by sensor, each joined to those already placed by the relative pose that most shared instants agree on.
+fn place_sensors(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<Places, EstimationError> {
+    let mut rig_from_board: Vec<Option<Pose>> = vec![None; problem.instants];
+    let mut sensor_from_rig: Vec<Option<Pose>> = vec![None; problem.sensors.len()];
+    let instant_out_of_range =
+        problem.sensors.iter().flat_map(|s| &s.views).any(|(instant, _)| *instant >= problem.instants);
+    if instant_out_of_range || problem.sensors.is_empty() {
+        return Err(EstimationError::NoFit);
+    }
+    for _ in 0..problem.sensors.len() {
+        let next = (0..problem.sensors.len()).filter(|k| sensor_from_rig[*k].is_none()).find_map(|sensor| {
+            let placed = problem.sensors[sensor].placed(&alone[sensor].1);
+            let shared = placed.filter_map(|(instant, pose)| Some(pose * rig_from_board[instant]?.inverse()));
+            let first = sensor == 0;
+            let sensor_from_rig: Vec<Pose> = if first { vec![Pose::identity()] } else { shared.collect() };
+            Some((sensor, agreed(&sensor_from_rig)?))
+        });
+        let Some((sensor, sensor_from)) = next else {
+            let lonely = sensor_from_rig.iter().position(Option::is_none).unwrap_or(0);
+            return Err(EstimationError::NothingShared { sensor: problem.sensors[lonely].name.clone() });
+        };
+        sensor_from_rig[sensor] = Some(sensor_from);
+        for (instant, pose) in problem.sensors[sensor].placed(&alone[sensor].1) {
+            rig_from_board[instant].get_or_insert(sensor_from.inverse() * pose);
+        }
+    }
+    Ok((sensor_from_rig.into_iter().flatten().collect(), rig_from_board))
+}
+
+/// The candidate with the least median distance to the others: not moved by less than half of wrong ones.
+fn agreed(a_from_b: &[Pose]) -> Option<Pose> {
+    let spread = |one: &_| {
+        let apart = |other: &Pose| other.angle_to(one) + (other.translation() - one.translation()).norm();
+        median(a_from_b.iter().map(apart).collect()).unwrap_or(f64::INFINITY)
+    };
+    a_from_b.iter().map(|one| (spread(one), one)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| *pose)
+}

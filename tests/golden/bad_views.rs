@@ -1,0 +1,109 @@
+//! Wrong corners and wrong views: they change nothing, and are named.
+
+use plumb::calibration::solve::solve_views;
+use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::estimation::view_fault::{GridLine, ViewFault};
+use plumb::geometry::lens::{Lens, LensModel};
+use plumb::geometry::pixel::Pixel;
+use rand::RngExt;
+
+use crate::seeded_camera::SeededCamera;
+
+const COLS: usize = 9;
+const ROWS: usize = 6;
+
+fn options() -> CameraOptions {
+    CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() }
+}
+
+fn problem() -> (SeededCamera, CameraProblem) {
+    let camera = SeededCamera::ordinary();
+    let mut rng = SeededCamera::rng(21);
+    let poses = camera.poses(30, &mut rng);
+    let problem = camera.problem(&poses, &mut rng);
+    (camera, problem)
+}
+
+/// The largest difference of projections over the image, in predicted standard deviations there.
+fn worst_difference_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
+    let grid = PixelGrid::over(estimate.image_size, 12);
+    let predicted =
+        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+    let seen = projection_difference(&estimate.lens, truth, grid);
+    let pairs = seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
+    pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_tenth_of_the_corners_twenty_pixels_off_change_nothing() {
+    let (camera, clean) = problem();
+    for (part, offset_px) in [(0.05, 5.0), (0.1, 20.0)] {
+        let mut problem = clean.clone();
+        let mut rng = SeededCamera::rng(22);
+        let mut wrong = 0;
+        for corner in problem.views.iter_mut().flat_map(|view| &mut view.correspondences) {
+            if rng.random::<f64>() < part {
+                let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
+                corner.pixel.x += offset_px * angle.cos();
+                corner.pixel.y += offset_px * angle.sin();
+                wrong += 1;
+            }
+        }
+        let estimate = calibrate_camera(&problem, &options()).unwrap();
+        let sigmas = worst_difference_in_sigmas(&camera.lens, &estimate);
+        assert!(sigmas < 3.0, "{part} of the corners {offset_px} px off: {sigmas} sigma");
+        assert!((estimate.noise - camera.noise_px).abs() < 0.005, "noise {}", estimate.noise);
+        let unused = estimate.views.iter().flat_map(|view| &view.used).filter(|used| !**used).count();
+        assert!(unused >= wrong && unused <= wrong + 2, "{unused} rejected of {wrong} wrong ones");
+    }
+}
+
+#[test]
+fn a_wrong_view_is_named_and_changes_nothing() {
+    let (camera, clean) = problem();
+    let grid = |place: &dyn Fn(usize, usize) -> (usize, usize)| -> Vec<usize> {
+        (0..COLS * ROWS).map(|k| place(k % COLS, k / COLS)).map(|(col, row)| row * COLS + col).collect()
+    };
+    let listed = |k: usize| k % ROWS * COLS + k / ROWS;
+    let relabelled: [(&str, Vec<usize>, Option<ViewFault>); 6] = [
+        ("mirrored", grid(&|c, r| (COLS - 1 - c, r)), Some(ViewFault::Mirrored)),
+        ("shifted by a column", grid(&|c, r| ((c + 1) % COLS, r)), Some(ViewFault::Shifted(GridLine::Column))),
+        ("shifted by a row", grid(&|c, r| (c, (r + ROWS - 1) % ROWS)), Some(ViewFault::Shifted(GridLine::Row))),
+        ("transposed", (0..COLS * ROWS).map(listed).collect(), Some(ViewFault::Transposed)),
+        ("turned by half", grid(&|c, r| (COLS - 1 - c, ROWS - 1 - r)), None),
+        ("shuffled", (0..COLS * ROWS).map(|k| k * 31 % (COLS * ROWS)).collect(), None),
+    ];
+    for (name, order, fault) in relabelled {
+        let mut problem = clean.clone();
+        let pixels: Vec<Pixel> = problem.views[7].correspondences.iter().map(|c| c.pixel).collect();
+        for (corner, from) in problem.views[7].correspondences.iter_mut().zip(order) {
+            corner.pixel = pixels[from];
+        }
+        let solved = solve_views(&problem, &options()).unwrap();
+        let found = solved.estimate.views[7].fault;
+        match name {
+            "shuffled" => assert!(matches!(found, Some(ViewFault::NoPose { .. })), "{found:?}"),
+            _ => assert_eq!(found, fault, "{name}"),
+        }
+        let others = solved.estimate.views.iter().enumerate().filter(|(index, _)| *index != 7);
+        assert!(others.into_iter().all(|(_, view)| view.fault.is_none()), "{name}: another view was blamed");
+        let sigmas = worst_difference_in_sigmas(&camera.lens, &solved.estimate);
+        assert!(sigmas < 3.0, "{name}: {sigmas} sigma");
+        if found.is_some() {
+            assert!(solved.verdict.reasons.iter().any(|reason| reason.contains("`view 7`")), "{:?}", solved.verdict);
+        }
+    }
+}
+
+#[test]
+fn a_view_seen_in_one_place_is_named_and_changes_nothing() {
+    let (camera, mut problem) = problem();
+    for corner in &mut problem.views[7].correspondences {
+        corner.pixel = Pixel::new(320.0, 240.0);
+    }
+    let estimate = calibrate_camera(&problem, &options()).unwrap();
+    assert_eq!(estimate.views[7].fault, Some(ViewFault::PixelsOnLine));
+    assert!(worst_difference_in_sigmas(&camera.lens, &estimate) < 3.0);
+}

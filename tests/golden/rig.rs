@@ -1,0 +1,81 @@
+//! Several sensors at once: where they are, to within the prediction; and what only a rig can find.
+
+use nalgebra::Vector3;
+use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::error::EstimationError;
+use plumb::estimation::problem::LensChoice;
+use plumb::estimation::rig::{RigProblem, RigSensor, calibrate_rig};
+use plumb::estimation::view_fault::ViewFault;
+use plumb::geometry::pose::Pose;
+
+use crate::seeded_camera::SeededCamera;
+
+/// Two sensors of different lens and noise, six centimetres apart, and what each sees of `instants` boards.
+fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
+    let (left, mut right) = (SeededCamera::ordinary(), SeededCamera::ordinary());
+    right.noise_px = 0.2;
+    right.lens.matrix.fx = 500.0;
+    right.lens.matrix.fy = 502.0;
+    let right_from_left = Pose::from_axis_angle(Vector3::new(0.01, -0.05, 0.02), Vector3::new(-0.06, 0.002, 0.004));
+    let mut rng = SeededCamera::rng(seed);
+    let left_from_board = left.poses(instants, &mut rng);
+    let sensor = |name: &str, camera: &SeededCamera, sensor_from_left: Pose, rng: &mut _| {
+        let sees = |(_, pose): &(usize, Pose)| camera.exact(pose).is_some();
+        let poses = left_from_board.iter().map(|pose| sensor_from_left * *pose).enumerate();
+        let (instants, poses): (Vec<usize>, Vec<Pose>) = poses.filter(sees).unzip();
+        let views = camera.problem(&poses, rng).views;
+        let lens = LensChoice::Model(camera.lens.model());
+        let options = CameraOptions { lens, ..CameraOptions::default() };
+        let views = instants.into_iter().zip(views).collect();
+        RigSensor { name: name.to_owned(), image_size: camera.size, views, options }
+    };
+    let sensors =
+        vec![sensor("left", &left, Pose::identity(), &mut rng), sensor("right", &right, right_from_left, &mut rng)];
+    (RigProblem { sensors, instants }, right_from_left)
+}
+
+#[test]
+fn a_pair_is_found_to_within_its_prediction() {
+    let (mut inside, mut count) = (0, 0);
+    for seed in 0..20 {
+        let (problem, truth) = stereo(20, seed);
+        assert!(problem.sensors[1].views.len() < 20, "the test means to have views that only one sensor sees");
+        let estimate = calibrate_rig(&problem).unwrap();
+        let place = &estimate.places[1];
+        let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+        let shift = place.sensor_from_rig.translation() - truth.translation();
+        for (axis, error) in turn.iter().chain(shift.iter()).enumerate() {
+            let std = place.covariance[(axis, axis)].sqrt();
+            assert!(error.abs() < 4.5 * std, "seed {seed}, axis {axis}: {error} ± {std}");
+            inside += usize::from(error.abs() < std);
+            count += 1;
+        }
+        assert!((estimate.cameras[1].noise - 0.2).abs() < 0.02, "noise {}", estimate.cameras[1].noise);
+    }
+    let part = inside as f64 / f64::from(count);
+    assert!((0.55..0.82).contains(&part), "{part} of the errors are within one standard deviation");
+}
+
+#[test]
+fn a_board_labelled_from_its_other_end_is_found_and_named() {
+    let (mut problem, truth) = stereo(20, 3);
+    let (_, view) = &mut problem.sensors[1].views[4];
+    let turned: Vec<_> = view.correspondences.iter().rev().map(|corner| corner.pixel).collect();
+    for (corner, pixel) in view.correspondences.iter_mut().zip(turned) {
+        corner.pixel = pixel;
+    }
+    let estimate = calibrate_rig(&problem).unwrap();
+    assert_eq!(estimate.cameras[1].views[4].fault, Some(ViewFault::HalfTurn));
+    let shift = estimate.places[1].sensor_from_rig.translation() - truth.translation();
+    assert!(shift.norm() < 0.002, "{shift}");
+}
+
+#[test]
+fn sensors_that_share_nothing_are_refused() {
+    let (mut problem, _) = stereo(20, 4);
+    for (instant, _) in &mut problem.sensors[1].views {
+        *instant += 20;
+    }
+    problem.instants = 40;
+    assert_eq!(calibrate_rig(&problem).unwrap_err(), EstimationError::NothingShared { sensor: "right".to_owned() });
+}
