@@ -5,6 +5,8 @@
 
 mod reload;
 pub mod sources;
+#[cfg(target_os = "linux")]
+mod systemd;
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -90,8 +92,12 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     tracing::info!(file = file.map(|file| file.display().to_string()), "listening on http://{listening}");
     let token = config.token.as_ref().map(|token| token.reveal().to_owned());
     let service = Service { fleet: Arc::clone(&fleet), store, token };
+    #[cfg(target_os = "linux")]
+    systemd::ready_and_alive(runtime, &fleet);
     let served = runtime.block_on(http::serve(listener, service, stop));
     tracing::info!("stopping");
+    #[cfg(target_os = "linux")]
+    systemd::stopping();
     fleet.shutdown();
     served.map_err(|source| DaemonError::System { what: "HTTP ended", source })
 }

@@ -11,6 +11,7 @@ pub mod mode;
 pub mod realsense;
 mod replay;
 mod simulated;
+pub mod uvc;
 #[cfg(target_os = "linux")]
 pub mod v4l2;
 
@@ -77,6 +78,7 @@ pub fn list_devices() -> Vec<device_list::DeviceListing> {
     vec![
         #[cfg(target_os = "linux")]
         v4l2::list_devices(),
+        uvc::list_devices(),
         realsense::list_devices(),
     ]
 }

@@ -3,9 +3,11 @@
 use std::path::Path;
 
 use crate::capture::realsense::{self, Origin};
+use crate::capture::uvc;
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
 use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SourceOpener};
+use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, SourceConfig};
 use crate::geometry::pixel::ImageSize;
 use crate::pipeline::CameraPlan;
@@ -37,7 +39,13 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
         }
         #[cfg(not(target_os = "linux"))]
         SourceConfig::V4l2 { .. } => not_built("v4l2, which only Linux has; use kind = \"uvc\""),
-        SourceConfig::Uvc { .. } => not_built("uvc"),
+        SourceConfig::Uvc { camera, mode } => {
+            let selector = match camera {
+                UvcSelector::Index(index) => uvc::Selector::Index(index),
+                UvcSelector::Name(name) => uvc::Selector::Name(name),
+            };
+            Box::new(uvc::Camera::new(uvc::CameraOptions { selector, mode }))
+        }
         SourceConfig::Realsense { serial } => realsense_camera(serial.map_or(Origin::OnlyDevice, Origin::Serial)),
         SourceConfig::RealsenseBag { path } => realsense_camera(Origin::Bag(path)),
     }
@@ -58,6 +66,7 @@ fn realsense_camera(origin: Origin) -> Box<dyn SourceOpener> {
     Box::new(realsense::Camera::new(options))
 }
 
+#[cfg(not(target_os = "linux"))]
 fn not_built(kind: &'static str) -> Box<dyn SourceOpener> {
     Box::new(move || Err(CaptureError::Failed { reason: format!("this plumb was built without {kind}") }))
 }

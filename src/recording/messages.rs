@@ -120,7 +120,11 @@ pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Re
             let format = match message.encoding.as_str() {
                 "mono8" | "8UC1" => PixelFormat::Mono8,
                 "yuyv" | "yuv422_yuy2" => PixelFormat::Yuyv,
+                "uyvy" | "yuv422" => PixelFormat::Uyvy,
+                "nv12" => PixelFormat::Nv12,
                 "rgb8" => PixelFormat::Rgb8,
+                "bgr8" => PixelFormat::Bgr8,
+                "mono16" if sensor != SensorKind::Depth => PixelFormat::Mono16,
                 "16UC1" | "mono16" => PixelFormat::Depth16,
                 other => return Err(format!("raw images encoded as `{other}`, not mono8, yuyv, rgb8 or 16UC1")),
             };

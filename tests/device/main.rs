@@ -3,14 +3,18 @@
 
 #![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, clippy::exit, reason = "a test program")]
 
+mod daemon;
 mod enumeration;
 mod faults;
 mod formats;
 mod guest;
+mod loopback;
 mod replug;
 mod small_machine;
+mod walk;
 
 use std::panic::catch_unwind;
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
@@ -23,10 +27,18 @@ const SCENARIOS: &[(&str, fn() -> String)] = &[
     ("busy", faults::a_camera_in_use_is_told_with_its_holder),
     ("injected_faults", faults::each_injected_fault_is_told_and_survived),
     ("stall", faults::a_stalled_device_never_blocks),
+    ("walk", walk::a_walk_is_calibrated_over_http),
     ("replug", replug::two_hundred_rounds_leave_nothing_behind),
 ];
 
 fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().collect();
+    if let [_, feed, device, format, recording, fps] = &arguments[..]
+        && feed == loopback::FEED
+    {
+        loopback::feed(device, format, Path::new(recording), fps.parse().unwrap());
+        return ExitCode::SUCCESS;
+    }
     let names: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
     if std::env::args().any(|argument| argument == "--list") {
         return ExitCode::SUCCESS;

@@ -57,6 +57,7 @@ impl Camera {
         }
         let mode = set_mode(&device, &self.options.mode).map_err(|error| match error {
             ModeError::Unfit(problem) => failed(&problem),
+            ModeError::Idle => idle(&node),
             ModeError::Device(error) => lost(&error),
         })?;
         let mut controls = Controls::read(&device);
@@ -87,15 +88,13 @@ impl Camera {
     }
 
     fn gives_no_video(&self, node: &DeviceNode, multiplanar: bool) -> CaptureError {
-        let lost = |reason: &str| CaptureError::Lost { device: node.path.display().to_string(), reason: reason.into() };
         if multiplanar {
             return failed(&node.path, "gives its pictures in several planes, which Plumb does not read");
         }
         if node.index > 0 {
             return failed(&node.path, "gives no pictures but what accompanies them; use the device's first node");
         }
-        // A loopback device is a camera only while a program feeds it.
-        lost("it gives no video at present; start the program that feeds it")
+        idle(node)
     }
 }
 
@@ -103,6 +102,11 @@ impl SourceOpener for Camera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         Ok(Box::new(self.open_source()?))
     }
+}
+
+/// A loopback device is a camera only while a program feeds it.
+fn idle(node: &DeviceNode) -> CaptureError {
+    CaptureError::Lost { device: node.path.display().to_string(), reason: ModeError::Idle.to_string() }
 }
 
 /// Opens a node, and says what to do where that is refused.

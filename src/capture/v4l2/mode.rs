@@ -81,6 +81,9 @@ pub(super) enum ModeError {
     /// It does not have the format that was asked for, or none that is read.
     #[error("{0}")]
     Unfit(String),
+    /// It has no picture to describe: a loopback device that no program feeds.
+    #[error("it gives no video at present; start the program that feeds it")]
+    Idle,
     /// The device refused.
     #[error("{0}")]
     Device(#[from] io::Error),
@@ -88,7 +91,10 @@ pub(super) enum ModeError {
 
 /// Sets the device to what `request` asks for, or to the nearest that it has.
 pub(super) fn set_mode(device: &Device, request: &ModeRequest) -> Result<Mode, ModeError> {
-    let present = device.format()?;
+    let present = device.format().map_err(|error| match error.kind() {
+        io::ErrorKind::InvalidInput => ModeError::Idle,
+        _ => ModeError::Device(error),
+    })?;
     let size = request.size.unwrap_or(ImageSize::new(present.width, present.height));
     let code = choose(device, &present, size, request)?;
     let got = device.set_format(&Format::new(size.width, size.height, FourCC::new(&code)))?;

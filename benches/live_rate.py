@@ -1,0 +1,145 @@
+#!/usr/bin/env python3
+"""What a live 1280x720 MJPG camera at 30 frames a second costs: Plumb's daemon with a session, beside the loop that
+people write with OpenCV, on the same frames.
+
+    cargo build --release && target/venv/bin/python benches/live_rate.py --seconds 60
+
+Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
+arrival to what was seen in it, resident memory at the middle and the end, frames looked at and lost.
+"""
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+FPS = 30
+ADDRESS = "127.0.0.1:8690"
+SCENE = "seed = 11\nframes = 300\nfps = 30\n[camera]\nwidth = 1280\nheight = 720\n"
+CAMERA = '[[camera]]\nname = "front"\nsource = {{ kind = "recording", path = "{path}", pace = "recorded", repeat = true }}\n'
+TARGET = {"target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025}, "lens": "brown"}
+
+
+def processor_seconds(pid):
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(") ", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_mb(pid):
+    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1]) / 1024
+
+
+def request(path, body=None):
+    data = None if body is None else json.dumps(body).encode()
+    headers = {"content-type": "application/json"}
+    with urllib.request.urlopen(urllib.request.Request(f"http://{ADDRESS}{path}", data, headers)) as answer:
+        return answer.read().decode()
+
+
+def metric(text, name):
+    return sum(float(value) for value in re.findall(rf"^{name}(?:{{.*}})? (\S+)$", text, re.M))
+
+
+def percentile_99(before, after):
+    """The smallest bucket that holds 99 % of what came between two looks, in milliseconds."""
+    def buckets(text):
+        return {float(le): float(n) for le, n in re.findall(r'plumb_frame_latency_seconds_bucket{.*le="([^"]+)"} (\S+)', text)}
+    first, last = buckets(before), buckets(after)
+    counts = {le: last[le] - first.get(le, 0) for le in last}
+    return next((le * 1000 for le in sorted(counts) if counts[le] >= 0.99 * max(counts.values())), None)
+
+
+def measure_plumb(plumb, recording, seconds):
+    with tempfile.TemporaryDirectory() as folder:
+        config = Path(folder, "plumb.toml")
+        config.write_text(f'[server]\nlisten = "{ADDRESS}"\n[store]\npath = "{folder}/store"\n' + CAMERA.format(path=recording))
+        daemon = subprocess.Popen([plumb, "serve", "--config", config], stderr=subprocess.DEVNULL)
+        try:
+            deadline = time.monotonic() + 30
+            while True:
+                try:
+                    request("/readyz")
+                    break
+                except OSError:
+                    if time.monotonic() > deadline:
+                        raise
+                    time.sleep(0.1)
+            request("/v1/cameras/front/sessions", TARGET)
+            time.sleep(5)
+            before, used, began = request("/metrics"), processor_seconds(daemon.pid), time.monotonic()
+            time.sleep(seconds / 2)
+            middle = resident_mb(daemon.pid)
+            time.sleep(seconds / 2)
+            after, elapsed = request("/metrics"), time.monotonic() - began
+            difference = lambda name: metric(after, name) - metric(before, name)
+            return {
+                "what": "plumb",
+                "cores": round((processor_seconds(daemon.pid) - used) / elapsed, 3),
+                "p99_ms": percentile_99(before, after),
+                "resident_mb": [round(middle, 1), round(resident_mb(daemon.pid), 1)],
+                "looked_at_per_s": round(difference("plumb_frames_searched_total") / elapsed, 1),
+                "lost": difference("plumb_frames_dropped_total"),
+            }
+        finally:
+            daemon.terminate()
+            daemon.wait()
+
+
+def measure_opencv(recording, seconds):
+    """imdecode to grey, findChessboardCorners with its fast check, cornerSubPix: the loop of the tutorials."""
+    import cv2
+    import numpy
+    from mcap_protobuf.decoder import DecoderFactory
+    from mcap.reader import make_reader
+
+    with open(recording, "rb") as file:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages()
+        frames = [numpy.frombuffer(message.data, numpy.uint8) for *_, message in messages]
+    flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
+    pid, latencies, looked, began, due = os.getpid(), [], 0, time.monotonic(), 0
+    used, found = processor_seconds(pid), 0
+    while (now := time.monotonic() - began) < seconds:
+        # The newest frame that is due; those before it are lost.
+        due = max(due + 1, int(now * FPS))
+        time.sleep(max(0.0, due / FPS - (time.monotonic() - began)))
+        grey = cv2.imdecode(frames[due % len(frames)], cv2.IMREAD_GRAYSCALE)
+        seen, corners = cv2.findChessboardCorners(grey, (9, 6), flags=flags)
+        if seen:
+            cv2.cornerSubPix(grey, corners, (11, 11), (-1, -1), criteria)
+        found += seen
+        looked += 1
+        latencies.append(time.monotonic() - began - due / FPS)
+    elapsed = time.monotonic() - began
+    return {
+        "what": f"opencv {cv2.__version__}",
+        "cores": round((processor_seconds(pid) - used) / elapsed, 3),
+        "p99_ms": round(sorted(latencies)[int(0.99 * len(latencies))] * 1000, 1),
+        "resident_mb": [round(resident_mb(pid), 1)],
+        "looked_at_per_s": round(looked / elapsed, 1),
+        "lost": due - looked,
+        "boards": found,
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--plumb", default="target/release/plumb")
+    parser.add_argument("--seconds", type=float, default=60)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        scene, recording = Path(folder, "scene.toml"), Path(folder, "street.mcap")
+        scene.write_text(SCENE)
+        subprocess.run([arguments.plumb, "simulate", "--config", scene, "--out", recording], check=True, stdout=sys.stderr)
+        print(json.dumps(measure_plumb(arguments.plumb, recording, arguments.seconds)), flush=True)
+        print(json.dumps(measure_opencv(recording, arguments.seconds)), flush=True)
+
+
+if __name__ == "__main__":
+    main()

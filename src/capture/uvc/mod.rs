@@ -1,0 +1,35 @@
+//! USB cameras by their place in the list or their name, on any system: `kind = "uvc"`.
+//!
+//! macOS and Windows: through `nokhwa`. On Linux the same cameras are V4L2 devices, and are read as those: that source
+//! never waits without an end, counts losses and holds controls, which the portable one cannot. A Linux build with the
+//! feature `nokhwa` takes the portable way all the same.
+
+#[cfg(all(target_os = "linux", not(feature = "nokhwa")))]
+mod linux;
+#[cfg(any(not(target_os = "linux"), feature = "nokhwa"))]
+mod portable;
+
+#[cfg(all(target_os = "linux", not(feature = "nokhwa")))]
+pub use linux::{Camera, list_devices};
+#[cfg(any(not(target_os = "linux"), feature = "nokhwa"))]
+pub use portable::{Camera, list_devices};
+
+use crate::capture::mode::ModeRequest;
+
+/// Which camera, and how it is to be set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraOptions {
+    /// Which one.
+    pub selector: Selector,
+    /// Size, format and rate; default: as the device has them.
+    pub mode: ModeRequest,
+}
+
+/// Which of the system's cameras.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Selector {
+    /// The n-th, from 0.
+    Index(u32),
+    /// The one with this name.
+    Name(String),
+}
