@@ -8,6 +8,7 @@ pub mod coverage;
 pub mod depth_calibration;
 pub mod guidance;
 pub mod placement;
+pub mod rgbd_calibration;
 pub mod session;
 pub mod session_record;
 pub mod solve;

@@ -4,11 +4,11 @@ use std::fs;
 use std::path::Path;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::calibration::{Calibration, Extrinsics, Grade, Verdict};
-use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
+use crate::calibration::calibration::Calibration;
+use crate::calibration::rgbd_calibration::with_depth;
 use crate::calibration::session::Session;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
-use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, SolvedRgbd, pose_std, solve_rgbd};
+use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
 use crate::calibration::view::{FrameFacts, View};
 use crate::cli::calibration_output::finished;
 use crate::cli::sources::{FrameSets, SourcedFrames, is_recording};
@@ -66,7 +66,8 @@ pub fn calibrate(
     let solved = solve_rgbd(&input, options);
     spinner.finish_and_clear();
     let solved = solved.map_err(|error| Failure::failed(format!("{source}: {error}")))?;
-    Ok(assemble(target, &input, solved))
+    let color = finished(Some(target), solved.color.clone());
+    Ok(with_depth(color, &input, &solved))
 }
 
 /// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP 118).
@@ -221,41 +222,4 @@ impl<'a> Gathered<'a> {
             ))),
         }
     }
-}
-
-/// One calibration of all sensors.
-fn assemble(target: Chessboard, input: &RgbdInput, solved: SolvedRgbd) -> Calibration {
-    let joint = &solved.joint;
-    let depth = DepthCalibration::of(joint, input.depth.invalid);
-    let with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
-    let (rotation_std, translation_std) = pose_std(&joint.color_from_depth_covariance);
-    let extrinsics = |name: &str| Extrinsics {
-        name: name.to_owned(),
-        target_from_source: joint.color_from_depth,
-        rotation_std: rotation_std.into(),
-        translation_std_m: translation_std.into(),
-    };
-    let std = |covariance: &nalgebra::DMatrix<f64>| covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect();
-    let mut color = solved.color;
-    color.sensor.lens = joint.color;
-    color.sensor.lens_std = std(&joint.color_covariance);
-    let mut calibration = finished(Some(target), color);
-    calibration.extrinsics = vec![extrinsics("color_from_depth")];
-    if let Some(mut infrared) = solved.infrared {
-        infrared.sensor.lens = joint.depth.lens;
-        infrared.sensor.lens_std = std(&joint.depth_covariance);
-        calibration.extrinsics.push(extrinsics("color_from_infrared"));
-        calibration.infrared = Some(infrared.sensor);
-        calibration.verdict = both(calibration.verdict, infrared.verdict);
-    }
-    calibration.verdict = judge_depth(calibration.verdict, &depth, solved.without_depth.len(), with_depth);
-    calibration.depth = Some(depth);
-    calibration
-}
-
-fn both(color: Verdict, infrared: Verdict) -> Verdict {
-    let named =
-        |sensor: &str, reasons: Vec<String>| reasons.into_iter().map(|r| format!("{sensor}: {r}")).collect::<Vec<_>>();
-    let grade: Grade = color.grade.min(infrared.grade);
-    Verdict { grade, reasons: [named("color", color.reasons), named("infrared", infrared.reasons)].concat() }
 }

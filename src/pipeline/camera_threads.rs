@@ -1,6 +1,6 @@
 //! Sets one camera going: its threads and what links them.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 
 use tokio::sync::{mpsc, watch};
@@ -78,6 +78,7 @@ pub(super) fn start_camera(
         events: Arc::clone(&shared.events),
         metrics: Arc::clone(&shared.metrics),
         stop: StopSignal::default(),
+        depth_unit_m: Mutex::default(),
         name,
     });
     let (jobs, asked) = std::sync::mpsc::channel();

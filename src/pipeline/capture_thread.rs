@@ -8,12 +8,12 @@
 //! A replay that waits for its frames to be looked at begins anew with each session, so that every session sees all of
 //! it; while none collects it is shown at its recorded pace, round and round.
 
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::frame::FrameSet;
+use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
@@ -104,7 +104,7 @@ impl Capture {
                 self.camera.metrics.opened.with_label_values(&[&self.camera.name]).inc();
                 let description = source.description();
                 self.introduce(&description);
-                self.deliver(source.as_mut(), &description, opened_for)
+                self.deliver(source.as_mut(), &description, opened_for.as_ref())
             }
             Err(CaptureError::Failed { reason }) => End::Failed(reason),
             Err(error) => End::Lost(error.to_string()),
@@ -112,7 +112,9 @@ impl Capture {
     }
 
     fn introduce(&self, description: &SourceDescription) {
-        let SourceDescription { model, serial, bus, identity, mode, .. } = description.clone();
+        let SourceDescription { model, serial, bus, identity, mode, factory, .. } = description.clone();
+        let unit_m = factory.sensor(SensorKind::Depth).and_then(|stated| stated.depth_unit_m);
+        *self.camera.depth_unit_m.lock().unwrap_or_else(PoisonError::into_inner) = unit_m;
         if let Some(mode) = mode {
             tracing::info!(camera = self.camera.name, "{mode}");
         }
@@ -125,7 +127,7 @@ impl Capture {
         &mut self,
         source: &mut dyn FrameSource,
         description: &SourceDescription,
-        opened_for: Option<Arc<Search>>,
+        opened_for: Option<&Arc<Search>>,
     ) -> End {
         let opened = Instant::now();
         let mut held_for: Option<Arc<Search>> = None;
@@ -146,7 +148,7 @@ impl Capture {
                 held = Some(Instant::now());
             }
             held_for.clone_from(&search);
-            if description.waits && search.is_some() && search != opened_for {
+            if description.waits && search.is_some() && search.as_ref() != opened_for {
                 return End::Again;
             }
             let next = source.next_frame(POLL);

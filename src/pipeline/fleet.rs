@@ -116,10 +116,10 @@ impl Fleet {
     /// [`FleetError`]; cameras before the one that failed are running then.
     pub fn replace_cameras(&self, stopped: &[String], plans: Vec<CameraPlan>) -> Result<(), FleetError> {
         let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
-        let (leaving, staying) =
-            cameras.drain(..).partition(|running: &RunningCamera| stopped.contains(&running.camera.name));
+        let (leaving, staying): (Vec<_>, Vec<_>) =
+            cameras.drain(..).partition(|running| stopped.contains(&running.camera.name));
         *cameras = staying;
-        stop(leaving);
+        stop(&leaving);
         let mut unfinished = self.shared.store.unfinished_sessions()?;
         for plan in plans {
             let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
@@ -133,7 +133,8 @@ impl Fleet {
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second: a
     /// thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
-        stop(self.cameras.write().unwrap_or_else(PoisonError::into_inner).drain(..).collect());
+        let leaving = std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
+        stop(&leaving);
     }
 
     /// Makes a calibration its camera's current one.
@@ -194,9 +195,7 @@ impl Fleet {
 
     /// The session `id`, if it is the newest of its camera since the daemon started. Older ones are in the store.
     pub fn live_session(&self, id: &str) -> Option<Arc<SessionRecord>> {
-        let camera = self.session_link(id)?;
-        let record = camera.session.borrow().clone();
-        record
+        self.session_link(id).and_then(|camera| camera.session.borrow().clone())
     }
 
     /// Starts a session on the camera `name`; it is stored when this returns.
@@ -273,8 +272,8 @@ impl Fleet {
 }
 
 /// Ends the threads of `cameras`, all at once.
-fn stop(cameras: Vec<RunningCamera>) {
-    for RunningCamera { camera, .. } in &cameras {
+fn stop(cameras: &[RunningCamera]) {
+    for RunningCamera { camera, .. } in cameras {
         camera.stop.set();
         camera.slot.close();
         // A full queue wakes its thread anyway.

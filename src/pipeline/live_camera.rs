@@ -1,6 +1,6 @@
 //! What a camera's threads share: its state as seen from outside, and the links between them.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use tokio::sync::{mpsc, watch};
 
@@ -27,6 +27,8 @@ pub(super) struct LiveCamera {
     pub(super) events: Arc<EventLog>,
     pub(super) metrics: Arc<Metrics>,
     pub(super) stop: StopSignal,
+    /// Metres per unit of depth, where the device that is open states it.
+    pub(super) depth_unit_m: Mutex<Option<f64>>,
 }
 
 impl LiveCamera {

@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use tokio::sync::oneshot;
 
+use crate::calibration::calibration::Calibration;
 use crate::calibration::session_record::{RunningEstimate, SessionRecord, SessionRequest};
-use crate::calibration::solve::SolvedCamera;
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::live_frame::Look;
 use crate::pipeline::search::Search;
@@ -53,7 +53,7 @@ pub(super) enum Message {
     /// A running estimate of a session, if it could be made.
     Estimated { session: String, estimate: Option<RunningEstimate> },
     /// A session's solve.
-    Solved { session: String, solved: Result<Box<SolvedCamera>, String> },
+    Solved { session: String, solved: Result<Box<Calibration>, String> },
     /// Begin a session.
     Start(SessionRequest, oneshot::Sender<Result<SessionRecord, StartError>>),
     /// Solve what has been gathered; answered once solving has begun.

@@ -12,6 +12,7 @@ pub mod camera_status;
 mod camera_threads;
 mod capture_thread;
 mod clock;
+mod companions;
 mod detect_thread;
 pub mod event;
 pub mod fleet;

@@ -2,8 +2,8 @@
 //!
 //! What it is told comes through one bounded queue, in order. A kept view is on disk before the next frame is looked at.
 
-use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::sync::{Arc, PoisonError};
 
 use tokio::sync::mpsc;
 use ulid::Ulid;
@@ -12,9 +12,10 @@ use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
-use crate::calibration::solve::SolvedCamera;
+use crate::calibration::solve_rgbd::RgbdInput;
 use crate::calibration::view::{FrameFacts, View};
 use crate::pipeline::clock::utc_now_ns;
+use crate::pipeline::companions::{companions_of, rgbd_input};
 use crate::pipeline::detect_thread::picture_of;
 use crate::pipeline::event::{CalibrationEvent, DetectionEvent, EventKind};
 use crate::pipeline::live_camera::LiveCamera;
@@ -181,6 +182,13 @@ impl SessionThread {
             // The session goes on with the view in memory; only a restart would lose it.
             tracing::error!(camera = self.camera.name, session = id, view = number, "the view is not stored: {error}");
         }
+        let unit_m = *self.camera.depth_unit_m.lock().unwrap_or_else(PoisonError::into_inner);
+        let companions = companions_of(number, &captured.frame_set, session.record().request.target.size, unit_m);
+        if !companions.is_empty()
+            && let Err(error) = self.store.append_companions(id, &companions)
+        {
+            tracing::error!(camera = self.camera.name, session = id, view = number, "its depth is not stored: {error}");
+        }
         self.save(session.record());
     }
 
@@ -213,35 +221,41 @@ impl SessionThread {
 
     fn send_job(&self, is_final: bool) {
         if let Some(session) = &self.session {
+            let mut job = Job::of(session, is_final);
+            if is_final {
+                job.with_depth = self.depth_of(session);
+            }
             // Without a solve thread the daemon is going down.
-            let _ = self.jobs.send(Job::of(session, is_final));
+            let _ = self.jobs.send(job);
         }
     }
 
-    fn finish(&mut self, solved: Result<Box<SolvedCamera>, String>) {
-        let Some(session) = &self.session else { return };
-        if session.record().state != SessionState::Solving {
+    /// What depth adds to a session's views, where there is any.
+    fn depth_of(&self, session: &Session) -> Option<RgbdInput> {
+        let id = &session.record().id;
+        let companions = self.store.companions(id).unwrap_or_else(|error| {
+            tracing::error!(camera = self.camera.name, session = id, "depth is left out: {error}");
+            Vec::new()
+        });
+        rgbd_input(session, &companions)
+    }
+
+    fn finish(&mut self, solved: Result<Box<Calibration>, String>) {
+        if self.session.as_ref().is_none_or(|session| session.record().state != SessionState::Solving) {
             return;
         }
         let now_ns = utc_now_ns();
-        let outcome = solved.and_then(|solved| self.calibration_made(session.record(), *solved, now_ns));
+        let outcome = solved.and_then(|solved| self.calibration_made(*solved, now_ns));
         self.tell(|session| session.solved(outcome, now_ns));
     }
 
-    /// Stores the calibration, makes it current if it may, and announces it; its id.
-    fn calibration_made(&self, record: &SessionRecord, solved: SolvedCamera, now_ns: i64) -> Result<String, String> {
+    /// Names and stores the calibration, makes it current if it may, and announces it; its id.
+    fn calibration_made(&self, solved: Calibration, now_ns: i64) -> Result<String, String> {
         let calibration = Calibration {
             id: Ulid::generate().to_string(),
             camera: Some(self.camera.name.clone()),
-            session: Some(record.id.clone()),
             created_at_ns: now_ns,
-            target: Some(record.request.target),
-            color: Some(solved.sensor),
-            infrared: None,
-            depth: None,
-            extrinsics: Vec::new(),
-            checks: solved.checks,
-            verdict: solved.verdict,
+            ..solved
         };
         self.store.append_calibration(&calibration).map_err(|error| error.to_string())?;
         let mut current = self.auto_approve && calibration.verdict.grade == Grade::Good;

@@ -4,11 +4,16 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::Instant;
 
+use crate::calibration::calibration::{Calibration, Grade};
+use crate::calibration::rgbd_calibration::with_depth;
 use crate::calibration::session::Session;
 use crate::calibration::session_record::RunningEstimate;
 use crate::calibration::solve::{SolvedCamera, estimate_views, solve_views};
+use crate::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::LensModel;
 use crate::geometry::pixel::ImageSize;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
@@ -20,8 +25,13 @@ pub(super) struct Job {
     pub(super) session: String,
     pub(super) problem: CameraProblem,
     pub(super) lens: LensChoice,
+    /// The model that the newest estimate took, where the choice is left open.
+    pub(super) chosen: Option<LensModel>,
     /// The result itself, and not only how far it is.
     pub(super) is_final: bool,
+    /// The board, and what depth adds, for the result.
+    pub(super) target: Chessboard,
+    pub(super) with_depth: Option<RgbdInput>,
 }
 
 impl Job {
@@ -31,9 +41,12 @@ impl Job {
         let image_size = session.image_size().unwrap_or(ImageSize::new(0, 0));
         Self {
             session: record.id.clone(),
+            chosen: record.estimate.filter(|estimate| 2 * estimate.views > session.views().len() as u32).map(model_of),
             problem: CameraProblem { image_size, views },
             lens: record.request.lens,
             is_final,
+            target: record.request.target,
+            with_depth: None,
         }
     }
 
@@ -41,9 +54,18 @@ impl Job {
         CameraOptions { lens: self.lens, ..CameraOptions::default() }
     }
 
+    /// Comparing every model costs ten times a fit: it is done again when the views have doubled since, and at the end.
+    fn running_options(&self) -> CameraOptions {
+        let lens = match (self.lens, self.chosen) {
+            (LensChoice::Auto, Some(model)) => LensChoice::Model(model),
+            (lens, _) => lens,
+        };
+        CameraOptions { lens, ..CameraOptions::default() }
+    }
+
     /// How far the views are; `None` while they do not determine the lens.
     pub(super) fn estimate(&self) -> Option<RunningEstimate> {
-        let estimated = guarded(|| estimate_views(&self.problem, &self.options()));
+        let estimated = guarded(|| estimate_views(&self.problem, &self.running_options()));
         match estimated {
             Ok(Ok((estimate, uncertainty_px))) => {
                 let views = estimate.views.iter().filter(|view| view.fault.is_none()).count() as u32;
@@ -61,10 +83,46 @@ impl Job {
         }
     }
 
-    fn solve(&self) -> Result<Box<SolvedCamera>, String> {
-        let solved = guarded(|| solve_views(&self.problem, &self.options()))?;
-        solved.map(Box::new).map_err(|error| error.to_string())
+    /// The calibration, without the names that it gets when it is stored. Depth that cannot be calibrated does not cost the
+    /// colour's calibration: the verdict says why it is missing.
+    fn solve(&self) -> Result<Box<Calibration>, String> {
+        let options = self.options();
+        let calibration = guarded(|| match &self.with_depth {
+            Some(input) => match solve_rgbd(input, &options) {
+                Ok(solved) => Ok(with_depth(self.unnamed(solved.color.clone()), input, &solved)),
+                Err(reason) => solve_views(&self.problem, &options)
+                    .map(|solved| without_depth(self.unnamed(solved), &reason.to_string())),
+            },
+            None => solve_views(&self.problem, &options).map(|solved| self.unnamed(solved)),
+        })?;
+        calibration.map(Box::new).map_err(|error| error.to_string())
     }
+
+    fn unnamed(&self, solved: SolvedCamera) -> Calibration {
+        Calibration {
+            id: String::new(),
+            camera: None,
+            session: Some(self.session.clone()),
+            created_at_ns: 0,
+            target: Some(self.target),
+            color: Some(solved.sensor),
+            infrared: None,
+            depth: None,
+            extrinsics: Vec::new(),
+            checks: solved.checks,
+            verdict: solved.verdict,
+        }
+    }
+}
+
+fn without_depth(mut calibration: Calibration, reason: &str) -> Calibration {
+    calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
+    calibration.verdict.reasons.push(format!("depth is not calibrated: {reason}"));
+    calibration
+}
+
+fn model_of(estimate: RunningEstimate) -> LensModel {
+    estimate.lens.model()
 }
 
 /// Does one job after the other until nobody asks any more.

@@ -7,6 +7,7 @@
 //! changes.
 
 mod calibrations;
+pub mod companions;
 pub mod error;
 mod json;
 mod sessions;
@@ -18,6 +19,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use rusqlite::{Connection, ErrorCode};
 
+pub use crate::store::companions::Companion;
 pub use crate::store::error::StoreError;
 pub use crate::store::views::Picture;
 
