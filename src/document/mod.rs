@@ -10,6 +10,7 @@ pub mod camera;
 pub mod depth;
 pub mod detection;
 pub mod error;
+pub mod focus;
 pub mod lens;
 pub mod pose;
 pub mod problem;

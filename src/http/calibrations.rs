@@ -10,7 +10,9 @@ use axum::response::{IntoResponse, Response};
 
 use crate::calibration::calibration::Calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
+use crate::export::at_size::at_size;
 use crate::export::{Exported, Format, export};
+use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::{Shared, on_a_blocking_thread};
@@ -22,6 +24,8 @@ const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap";
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
         ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
+        ("width" = Option<u32>, Query, description = "for pictures scaled to this width"),
+        ("height" = Option<u32>, Query, description = "for pictures scaled to this height"),
     ),
     responses(
         (status = 200, description = "the calibration", content(
@@ -45,7 +49,7 @@ pub(super) async fn current(
             "camera `{camera}` has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&found.ok_or_else(none)?, format)
+    written(&scaled(found.ok_or_else(none)?, &parameters)?, format)
 }
 
 /// Every calibration of a camera, newest first.
@@ -69,6 +73,8 @@ pub(super) async fn history(
     params(
         ("id" = String, Path, description = "the calibration's"),
         ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
+        ("width" = Option<u32>, Query, description = "for pictures scaled to this width"),
+        ("height" = Option<u32>, Query, description = "for pictures scaled to this height"),
     ),
     responses(
         (status = 200, description = "the calibration", content(
@@ -82,7 +88,7 @@ pub(super) async fn one(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     let format = format(&parameters)?;
-    written(&calibration(&shared, &id).await?, format)
+    written(&scaled(calibration(&shared, &id).await?, &parameters)?, format)
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -108,6 +114,17 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
     found.ok_or_else(|| {
         Problem::not_found(format!("there is no calibration `{id}`; see GET /v1/cameras/CAMERA/calibrations"))
     })
+}
+
+/// The calibration for pictures of another resolution, where one is asked for.
+fn scaled(calibration: Calibration, parameters: &Parameters) -> Result<Calibration, Problem> {
+    let size = match (parameters.count("width")?, parameters.count("height")?) {
+        (None, None) => return Ok(calibration),
+        (Some(width), Some(height)) => ImageSize::new(width, height),
+        (None, _) => return Err(Problem::field("width", "is missing; give both, width and height")),
+        (_, None) => return Err(Problem::field("height", "is missing; give both, width and height")),
+    };
+    at_size(&calibration, size).map_err(|e| Problem::field("width", &e.to_string()))
 }
 
 fn format(parameters: &Parameters) -> Result<Format, Problem> {

@@ -8,6 +8,7 @@ mod access;
 mod calibrations;
 mod cameras;
 mod events;
+mod focus;
 mod frames;
 mod health;
 mod openapi;

@@ -2,7 +2,7 @@
 
 use utoipa::OpenApi;
 
-use crate::http::{calibrations, cameras, events, frames, health, sessions, solve, uncertainty, views};
+use crate::http::{calibrations, cameras, events, focus, frames, health, sessions, solve, uncertainty, views};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -19,6 +19,7 @@ use crate::http::{calibrations, cameras, events, frames, health, sessions, solve
         cameras::one,
         frames::frame,
         frames::preview,
+        focus::focus,
         sessions::start,
         sessions::list,
         sessions::one,

@@ -66,6 +66,20 @@ impl Parameters {
         }
     }
 
+    /// `name` as a positive number.
+    pub(super) fn positive(&self, name: &str) -> Result<Option<f64>, Problem> {
+        let number = |text: &str| text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
+        let wrong = |text: &str| Problem::field(name, &format!("`{text}` is not a positive number"));
+        self.text(name).map(|text| number(text).ok_or_else(|| wrong(text))).transpose()
+    }
+
+    /// `name` as a count of at least 1.
+    pub(super) fn count(&self, name: &str) -> Result<Option<u32>, Problem> {
+        let count = |text: &str| text.parse().ok().filter(|count: &u32| *count > 0);
+        let wrong = |text: &str| Problem::field(name, &format!("`{text}` is not a whole number of at least 1"));
+        self.text(name).map(|text| count(text).ok_or_else(|| wrong(text))).transpose()
+    }
+
     /// `name` as one of several names.
     pub(super) fn one_of<T>(
         &self,

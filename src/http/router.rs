@@ -13,7 +13,8 @@ use utoipa_swagger_ui::SwaggerUi;
 
 use crate::http::problem::Problem;
 use crate::http::{
-    Shared, access, calibrations, cameras, events, frames, health, openapi, page, sessions, solve, uncertainty, views,
+    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, sessions, solve, uncertainty,
+    views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -27,6 +28,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/cameras/{camera}", get(cameras::one))
         .route("/v1/cameras/{camera}/frame.jpg", get(frames::frame))
         .route("/v1/cameras/{camera}/preview.mjpg", get(frames::preview))
+        .route("/v1/cameras/{camera}/focus", get(focus::focus))
         .route("/v1/cameras/{camera}/sessions", post(sessions::start))
         .route("/v1/cameras/{camera}/calibration", get(calibrations::current))
         .route("/v1/cameras/{camera}/calibrations", get(calibrations::history))

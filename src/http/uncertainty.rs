@@ -53,7 +53,7 @@ pub(super) async fn picture(
     Address(id): Address<String>,
     parameters: Parameters,
 ) -> Result<impl IntoResponse, Problem> {
-    let distance = distance(parameters.text("distance_m"))?;
+    let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
     let infrared = parameters.one_of("sensor", is_infrared, "color, infrared")?.unwrap_or(false);
     let found = calibration(&shared, &id).await?;
     let sensor = if infrared { found.infrared } else { found.color };
@@ -68,14 +68,6 @@ fn is_infrared(name: &str) -> Option<bool> {
         "color" => Some(false),
         "infrared" => Some(true),
         _ => None,
-    }
-}
-
-fn distance(text: Option<&str>) -> Result<Distance, Problem> {
-    let Some(text) = text else { return Ok(Distance::Infinity) };
-    match text.parse() {
-        Ok(metres) if f64::is_finite(metres) && metres > 0.0 => Ok(Distance::Meters(metres)),
-        _ => Err(Problem::field("distance_m", &format!("`{text}` is not a distance; give metres, more than 0"))),
     }
 }
 

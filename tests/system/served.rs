@@ -135,11 +135,6 @@ impl Served {
     pub fn ended(&mut self) -> ExitStatus {
         self.child.wait().unwrap()
     }
-
-    /// Its process.
-    pub fn process_id(&self) -> u32 {
-        self.child.id()
-    }
 }
 
 impl Drop for Served {

@@ -332,6 +332,7 @@ function showApproval() {
   const current = Boolean(result && camera.calibration === result.id);
   show("current", current);
   show("approve", Boolean(result) && !current);
+  $("approve").className = result && result.verdict.grade === "poor" ? "" : "primary";
 }
 
 async function showHistory() {
