@@ -19,7 +19,8 @@ pub struct NotALength {
 impl FromStr for Length {
     type Err = NotALength;
     fn from_str(text: &str) -> Result<Self, NotALength> {
-        const UNITS: [(&str, f64); 4] = [("mm", 1000.0), ("cm", 100.0), ("in", 1.0 / 0.0254), ("m", 1.0)];
+        const UNITS: [(&str, f64); 6] =
+            [("mm", 1e3), ("cm", 1e2), ("um", 1e6), ("µm", 1e6), ("in", 1.0 / 0.0254), ("m", 1.0)];
         let not_a_length = || NotALength { text: text.to_owned() };
         let (number, per_metre) = UNITS
             .iter()
@@ -38,7 +39,9 @@ mod tests {
 
     #[test]
     fn units_and_refusals() {
-        for (text, metres) in [("25mm", 0.025), ("2.5 cm", 0.025), ("0.025m", 0.025), ("1in", 0.0254), ("30mm", 0.03)] {
+        for (text, metres) in
+            [("25mm", 0.025), ("2.5 cm", 0.025), ("0.025m", 0.025), ("1in", 0.0254), ("3.45um", 3.45e-6)]
+        {
             let length: Length = text.parse().unwrap();
             assert!((length.metres - metres).abs() < 1e-15, "{text}: {}", length.metres);
         }

@@ -15,6 +15,7 @@ pub mod devices;
 pub mod export;
 pub mod failure;
 pub mod files;
+pub mod focus;
 pub mod gather;
 pub mod in_order;
 pub mod length;
@@ -55,6 +56,7 @@ enum Command {
     Solve(solve::Args),
     Devices(devices::Args),
     Export(export::Args),
+    Focus(focus::Args),
     Record(record::Args),
     Simulate(simulate::Args),
     Undistort(undistort::Args),
@@ -70,6 +72,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Solve(args) => solve::run(&args),
         Command::Devices(args) => devices::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Focus(args) => focus::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Undistort(args) => undistort::run(&args),

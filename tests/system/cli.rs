@@ -3,7 +3,7 @@
 use crate::program::plumb;
 
 const COMMANDS: &[&str] =
-    &["serve", "detect", "calibrate", "solve", "devices", "export", "simulate", "record", "verify"];
+    &["serve", "detect", "calibrate", "solve", "devices", "export", "simulate", "record", "verify", "focus"];
 
 #[test]
 fn every_command_has_help() {
@@ -20,4 +20,19 @@ fn every_command_has_help() {
 #[test]
 fn the_version_is_the_package_s() {
     assert_eq!(plumb(["--version"]).stdout, concat!("plumb ", env!("CARGO_PKG_VERSION"), "\n"));
+}
+
+#[test]
+fn the_focus_of_a_machine_vision_lens() {
+    let asked = ["focus", "--json", "--focal", "8mm", "--f-number", "2", "--pixel", "3.45um", "--focus", "1m"];
+    let answer: serde_json::Value = serde_json::from_str(&plumb(asked).stdout).unwrap();
+    let number = |path: &str| answer.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
+    // H = f²/(N c) + f, near = s (H − f)/(H + s − 2 f), far = s (H − f)/(H − s).
+    let hyperfocal_m = 0.008 * 0.008 / (2.0 * 3.45e-6) + 0.008;
+    assert!((number("/hyperfocal_m") - hyperfocal_m).abs() < 1e-9, "{answer}");
+    assert!(
+        (number("/depth_of_field/near_m") - (hyperfocal_m - 0.008) / (hyperfocal_m + 1.0 - 0.016)).abs() < 1e-9,
+        "{answer}"
+    );
+    assert!((number("/depth_of_field/far_m") - (hyperfocal_m - 0.008) / (hyperfocal_m - 1.0)).abs() < 1e-9, "{answer}");
 }
