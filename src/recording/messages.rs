@@ -126,7 +126,10 @@ pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Re
                 "bgr8" => PixelFormat::Bgr8,
                 "mono16" if sensor != SensorKind::Depth => PixelFormat::Mono16,
                 "16UC1" | "mono16" => PixelFormat::Depth16,
-                other => return Err(format!("raw images encoded as `{other}`, not mono8, yuyv, rgb8 or 16UC1")),
+                other => {
+                    let known = "mono8, mono16, yuyv, uyvy, nv12, rgb8, bgr8 or 16UC1";
+                    return Err(format!("raw images encoded as `{other}`, not {known}"));
+                }
             };
             let size = ImageSize::new(message.width, message.height);
             Ok(Frame { sensor, size, format, stride: message.step as usize, bytes: message.data.as_ref().into() })
@@ -175,6 +178,20 @@ mod tests {
         }
         for name in ["/front/colour", "/color", "", "/front/color/info"] {
             assert_eq!(Topic::parse(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_frame_of_every_format_survives() {
+        use PixelFormat::{Bgr8, Depth16, Jpeg, Mono8, Mono16, Nv12, Png, Rgb8, Uyvy, Yuyv};
+        for format in [Jpeg, Png, Mono8, Mono16, Yuyv, Uyvy, Nv12, Rgb8, Bgr8, Depth16] {
+            let file = format.bytes_per_pixel().is_none();
+            let size = if file { ImageSize::new(0, 0) } else { ImageSize::new(4, 2) };
+            let stride = format.bytes_per_pixel().map_or(0, |bytes| 4 * bytes);
+            let frame = Frame { sensor: SensorKind::Infrared, size, format, stride, bytes: [7; 24].as_slice().into() };
+            let message = encode_frame(&frame, "front_infrared", 1).unwrap();
+            let back = decode_frame(message.schema, SensorKind::Infrared, &message.bytes).unwrap();
+            assert_eq!(format!("{back:?}"), format!("{frame:?}"));
         }
     }
 

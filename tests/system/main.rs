@@ -11,5 +11,6 @@ mod layering;
 mod lens_conformance;
 mod live_session;
 mod program;
+mod recordings;
 mod served;
 mod shared_data;
