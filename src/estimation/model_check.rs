@@ -57,7 +57,7 @@ impl ModelCheck {
         let (a, b) = (refit(fit, &fit.sights, &even)?, refit(fit, &fit.sights, &odd)?);
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
-        let grid = PixelGrid::over(estimate.image_size, 16);
+        let grid = PixelGrid::over(estimate.image_size, 10);
         let predicted = projection_uncertainty(&estimate.lens, &covariance, grid, Distance::Infinity)?;
         let seen = projection_difference(&lens_a, &lens_b, grid);
         // Each pixel against its own prediction: a corner that no view reached must not drown the rest.

@@ -107,3 +107,14 @@ fn a_view_seen_in_one_place_is_named_and_changes_nothing() {
     assert_eq!(estimate.views[7].fault, Some(ViewFault::PixelsOnLine));
     assert!(worst_difference_in_sigmas(&camera.lens, &estimate) < 3.0);
 }
+
+#[test]
+fn views_of_no_or_few_corners_are_named_and_change_nothing() {
+    let (camera, mut problem) = problem();
+    problem.views[3].correspondences.clear();
+    problem.views[7].correspondences.truncate(5);
+    let estimate = calibrate_camera(&problem, &options()).unwrap();
+    assert_eq!(estimate.views[3].fault, Some(ViewFault::TooFewPoints { points: 0, needed: 6 }));
+    assert_eq!(estimate.views[7].fault, Some(ViewFault::TooFewPoints { points: 5, needed: 6 }));
+    assert!(worst_difference_in_sigmas(&camera.lens, &estimate) < 3.0);
+}

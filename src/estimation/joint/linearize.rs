@@ -88,7 +88,7 @@ impl OneSight<'_> {
     fn transform(&mut self) {
         let sensor_from_board = self.state.sensor_from_board(self.sight.sensor, self.sight.instant);
         let (r, t) = (sensor_from_board.rotation_matrix(), sensor_from_board.translation());
-        let padded = self.sight.points.len().next_multiple_of(LANES);
+        let padded = self.sight.points.len().max(1).next_multiple_of(LANES);
         let [x, y, z, moved @ ..] = &mut self.columns.points;
         for (column, (turned, moved)) in [x, y, z].into_iter().zip(moved).enumerate() {
             let row = [r[(column, 0)], r[(column, 1)], r[(column, 2)]];
