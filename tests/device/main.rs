@@ -18,8 +18,10 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::time::Instant;
 
+type Scenario = fn() -> String;
+
 /// Each returns what it measured, in a line, and panics when something is not as it must be.
-const SCENARIOS: &[(&str, fn() -> String)] = &[
+const SCENARIOS: &[(&str, Scenario)] = &[
     ("enumeration", enumeration::every_camera_is_listed_with_its_names_and_formats),
     ("formats", formats::every_format_gives_the_same_picture),
     ("mode", formats::what_cannot_be_had_is_told),

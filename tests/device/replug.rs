@@ -26,13 +26,14 @@ pub fn two_hundred_rounds_leave_nothing_behind() -> String {
         let (_, error) = frames_until_error(&mut *source);
         assert!(matches!(error, CaptureError::Lost { .. }), "round {k}: {error}");
         assert!(error.to_string().ends_with("it was unplugged"), "round {k}: {error}");
-        if k % 2 == 1 {
+        let comes_back_early = k % 2 == 1;
+        if comes_back_early {
             // Its number is still taken by the dead stream: it comes back under another.
             plug_in();
             renumbered += usize::from(node_of(name) != node);
         }
         drop(source);
-        if k % 2 == 0 {
+        if !comes_back_early {
             plug_in();
         }
         node = node_of(name);
