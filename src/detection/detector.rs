@@ -3,9 +3,10 @@
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
 use super::candidates::CandidateSearch;
 use super::cross::Vec2;
+use super::edges::{EdgeCount, count_edges};
 use super::ends::seen_ends;
 use super::grid::{Bounds, Grid};
-use super::growth::{Growth, WINDOWS, sharpen};
+use super::growth::{Growth, WINDOWS, in_steps, sharpen};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
@@ -20,7 +21,11 @@ use crate::imaging::gray::GrayView;
 const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
-const MOST_GRIDS: usize = 10;
+const MOST_GRIDS: usize = 8;
+/// Least correlation with a chessboard corner of one that is reported without refinement.
+const STANDING_SCORE: f32 = 0.7;
+/// How far such a one may lie from where its neighbours put it, in steps.
+const STANDING_OFF: f32 = 0.05;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 /// Range of brightness that is no picture at all, in grey levels.
@@ -217,11 +222,11 @@ impl Detector {
     fn follow(&mut self, image: GrayView<'_>, level: usize) {
         for finer in (0..level).rev() {
             self.grid.descend();
+            let view = self.pyramid.level(image, finer);
+            sharpen_all(view, &mut self.grid);
             if self.is_whole() {
                 continue;
             }
-            let view = self.pyramid.level(image, finer);
-            sharpen_all(view, &mut self.grid);
             self.grid.forget_attempts();
             self.growth.grow(view, &mut self.grid, if finer == 0 { &WINDOWS } else { &WINDOWS[..1] });
         }
@@ -235,7 +240,7 @@ impl Detector {
 
     /// Looks for the rest of a board of which a good part is found, across what covers it.
     fn bridge(&mut self, image: GrayView<'_>) {
-        for _ in 0..3 {
+        for _ in 0..2 {
             let Some(bounds) = self.grid.bounds() else { return };
             let count = self.grid.members.len();
             if count < LEAST_PART || self.is_whole() || self.exceeds_board(bounds) {
@@ -298,10 +303,16 @@ impl Detector {
         let mut corners = Vec::with_capacity(self.guesses.len());
         self.blurs.clear();
         for (guess, refined) in self.guesses.iter().zip(&refined) {
-            let Some(refined) = refined else { continue };
-            if stays(guess, refined) {
-                corners.push(DetectedCorner { index: guess.index, pixel: refined.pixel, std_px: refined.std_px });
-                self.blurs.push(refined.blur_px);
+            let GridCorner { index, pixel, .. } = *guess;
+            match refined {
+                Some(refined) if stays(guess, refined) => {
+                    corners.push(DetectedCorner { index, pixel: refined.pixel, std_px: refined.std_px });
+                    self.blurs.push(refined.blur_px);
+                }
+                _ if self.stands(image, placement, guess) => {
+                    corners.push(DetectedCorner { index, pixel, std_px: guess_std_px(guess) });
+                }
+                _ => {}
             }
         }
         let partial = corners.len() < self.board.corner_count();
@@ -319,6 +330,25 @@ impl Detector {
         })
     }
 
+    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all
+    /// edges to them.
+    fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
+        let GridIndex { col, row } = guess.index;
+        let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
+        let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
+        let on_board = |&(c, r): &(i32, i32)| (0..cols).contains(&c) && (0..rows).contains(&r);
+        let complete = around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
+        let (i, j) = placement.in_grid(col, row);
+        let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
+        let off = self
+            .part
+            .get(i, j)
+            .filter(|node| node.score >= STANDING_SCORE)
+            .and_then(|node| in_steps(node.pixel - self.part.predict(i, j)?, self.part.steps(i, j)?));
+        let in_place = off.is_some_and(|off| off.x.abs().max(off.y.abs()) < STANDING_OFF);
+        complete && seen >= 2 && held == seen && in_place
+    }
+
     fn reason(&self, image: GrayView<'_>, coarsest: usize, seen: &Seen) -> NoBoard {
         let view = self.pyramid.level(image, coarsest);
         let range = brightness_range(view);
@@ -333,6 +363,12 @@ impl Detector {
         }
         NoBoard::NoGrid { corners: seen.candidates, cols: seen.size.0, rows: seen.size.1 }
     }
+}
+
+/// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of a square, at least 0.3.
+fn guess_std_px(guess: &GridCorner) -> f64 {
+    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    (0.02 * nearest).clamp(0.3, 3.0)
 }
 
 /// Whether a refined corner is still the one that was guessed: within a quarter of the way to its nearest neighbour.

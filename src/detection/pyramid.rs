@@ -49,10 +49,10 @@ impl Pyramid {
     }
 }
 
-/// The coarsest level worth looking at: about 300 pixels and at least `cells` × 7 on its longer side.
+/// The coarsest level worth looking at: about 150 pixels and at least `cells` × 7 on its longer side.
 pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     let longer = size.width.max(size.height) as usize;
-    let least = 300.max(cells * 7);
+    let least = 150.max(cells * 7);
     (0..12).take_while(|level| longer >> level >= least).last().unwrap_or(0)
 }
 
@@ -100,8 +100,8 @@ mod tests {
     #[test]
     fn the_coarsest_level_leaves_room_for_the_board() {
         let level = |w, h, cells| coarsest_level(ImageSize::new(w, h), cells);
-        assert_eq!(level(640, 480, 10), 1);
-        assert_eq!(level(3840, 2160, 10), 3);
+        assert_eq!(level(640, 480, 10), 2);
+        assert_eq!(level(3840, 2160, 10), 4);
         assert_eq!(level(640, 480, 60), 0);
         assert_eq!(level(2, 1, 10), 0);
     }
