@@ -15,6 +15,7 @@ pub mod lens;
 pub mod pose;
 pub mod problem;
 pub mod reading;
+pub mod recording;
 pub mod sensors_file;
 pub mod session;
 pub mod target;

@@ -14,6 +14,7 @@ mod health;
 mod openapi;
 mod page;
 pub mod problem;
+mod recordings;
 mod request;
 mod router;
 mod serve;

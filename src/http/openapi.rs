@@ -2,7 +2,9 @@
 
 use utoipa::OpenApi;
 
-use crate::http::{calibrations, cameras, events, focus, frames, health, sessions, solve, uncertainty, views};
+use crate::http::{
+    calibrations, cameras, events, focus, frames, health, recordings, sessions, solve, uncertainty, views,
+};
 
 #[derive(OpenApi)]
 #[openapi(
@@ -33,6 +35,10 @@ use crate::http::{calibrations, cameras, events, focus, frames, health, sessions
         calibrations::approve,
         uncertainty::picture,
         solve::solve,
+        recordings::start,
+        recordings::list,
+        recordings::one,
+        recordings::stop,
         events::follow,
     ),
     components(schemas(
@@ -45,6 +51,7 @@ use crate::http::{calibrations, cameras, events, focus, frames, health, sessions
         (name = "cameras", description = "the configured cameras and what they see"),
         (name = "sessions", description = "collecting views towards a calibration"),
         (name = "calibrations", description = "results, their history and their approval"),
+        (name = "recordings", description = "frames on the daemon's disk"),
         (name = "events", description = "what happens, as it happens"),
         (name = "daemon", description = "health and figures")
     )

@@ -13,8 +13,8 @@ use utoipa_swagger_ui::SwaggerUi;
 
 use crate::http::problem::Problem;
 use crate::http::{
-    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, sessions, solve, uncertainty,
-    views,
+    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, sessions, solve,
+    uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -41,6 +41,10 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::picture))
         .route("/v1/calibrations/{id}/approve", post(calibrations::approve))
         .route("/v1/solve", post(solve::solve))
+        .route("/v1/cameras/{camera}/recordings", post(recordings::start))
+        .route("/v1/recordings", get(recordings::list))
+        .route("/v1/recordings/{id}", get(recordings::one))
+        .route("/v1/recordings/{id}/stop", post(recordings::stop))
         .route("/v1/events", get(events::follow))
         .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi::document()))
         .fallback(no_route)

@@ -18,6 +18,7 @@ use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::solve_thread;
@@ -77,6 +78,7 @@ pub(super) fn start_camera(
         messages,
         events: Arc::clone(&shared.events),
         metrics: Arc::clone(&shared.metrics),
+        recorder: RecorderLink::default(),
         stop: StopSignal::default(),
         depth_unit_m: Mutex::default(),
         name,

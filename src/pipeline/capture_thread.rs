@@ -231,7 +231,9 @@ impl Capture {
     fn pass_on(&mut self, frame_set: FrameSet, search: Option<Arc<Search>>, waits: bool) -> bool {
         let arrived = Instant::now();
         self.note(&frame_set, arrived);
-        let captured = Captured::Frame(CapturedFrame { frame_set: Arc::new(frame_set), search, arrived, waits });
+        let frame_set = Arc::new(frame_set);
+        self.camera.recorder.offer(&frame_set, waits);
+        let captured = Captured::Frame(CapturedFrame { frame_set, search, arrived, waits });
         if waits {
             return self.camera.slot.put_waiting(captured).is_ok();
         }

@@ -15,6 +15,7 @@ use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::{Store, StoreError};
 
@@ -155,6 +156,33 @@ impl Fleet {
         Ok(())
     }
 
+    /// Records the camera `name` into the store's folder until stopped or a limit is reached.
+    ///
+    /// # Errors
+    /// [`RecordError`].
+    pub fn start_recording(&self, name: &str, limits: RecordingLimits) -> Result<RecordingStatus, RecordError> {
+        let link = self.link(name).map_err(|UnknownCamera { camera }| RecordError::UnknownCamera { camera })?;
+        link.recorder.start(name, &self.shared.store.folder().join("recordings"), limits)
+    }
+
+    /// Ends recording `id`; its file is whole when this returns.
+    ///
+    /// # Errors
+    /// [`RecordError::UnknownRecording`], [`RecordError::Over`].
+    pub fn stop_recording(&self, id: &str) -> Result<RecordingStatus, RecordError> {
+        let of = |running: &&RunningCamera| running.camera.recorder.status().is_some_and(|status| status.id == id);
+        let found = self.running().iter().find(of).map(|running| Arc::clone(&running.camera));
+        let camera = found.ok_or_else(|| RecordError::UnknownRecording { id: id.to_owned() })?;
+        let over = || RecordError::Over { id: id.to_owned() };
+        camera.recorder.status().filter(|status| status.state == RecordingState::Recording).ok_or_else(over)?;
+        camera.recorder.finish().ok_or_else(over)
+    }
+
+    /// The newest recording of each camera since the daemon started.
+    pub fn recordings(&self) -> Vec<RecordingStatus> {
+        self.running().iter().filter_map(|running| running.camera.recorder.status()).collect()
+    }
+
     /// The counters in Prometheus's text format, version 0.0.4.
     pub fn metrics_text(&self) -> String {
         self.shared.metrics.text()
@@ -283,6 +311,9 @@ fn stop(cameras: &[RunningCamera]) {
     let mut threads = cameras.iter().flat_map(|running| &running.threads);
     while threads.clone().any(|thread| !thread.is_finished()) && Instant::now() < until {
         std::thread::sleep(GLANCE);
+    }
+    for RunningCamera { camera, .. } in cameras {
+        camera.recorder.finish();
     }
     if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
         tracing::warn!("thread {} is stuck and left behind", stuck.thread().name().unwrap_or("without a name"));

@@ -11,6 +11,7 @@ use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::message::{Captured, Message};
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::stop_signal::StopSignal;
 
@@ -27,6 +28,7 @@ pub(super) struct LiveCamera {
     pub(super) events: Arc<EventLog>,
     pub(super) metrics: Arc<Metrics>,
     pub(super) stop: StopSignal,
+    pub(super) recorder: RecorderLink,
     /// Metres per unit of depth, where the device that is open states it.
     pub(super) depth_unit_m: Mutex<Option<f64>>,
 }

@@ -23,6 +23,7 @@ mod live_camera;
 pub mod live_frame;
 mod message;
 mod metrics;
+pub mod recorder;
 mod search;
 pub mod session_request;
 mod session_thread;

@@ -48,6 +48,11 @@ impl Store {
         Ok(Self { path, connection: Mutex::new(connection) })
     }
 
+    /// The folder that it was opened in.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(&self.path)
+    }
+
     fn connection(&self) -> MutexGuard<'_, Connection> {
         self.connection.lock().unwrap_or_else(PoisonError::into_inner)
     }

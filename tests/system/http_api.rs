@@ -421,6 +421,36 @@ fn pinhole_problem() -> Value {
 }
 
 #[test]
+fn a_camera_is_recorded_and_the_recording_is_one() {
+    let (folder, served) = started();
+    let answer = served.post_nothing("/v1/cameras/front/recordings");
+    assert_eq!(answer.status, 201, "{}", answer.text());
+    let recording = answer.json();
+    let fields =
+        ["id", "camera", "path", "state", "reason", "started_at", "finished_at", "frame_sets", "dropped", "bytes"];
+    has_fields(&recording, &fields);
+    let path = format!("/v1/recordings/{}", recording["id"].as_str().unwrap());
+    assert_eq!(answer.location.as_deref(), Some(path.as_str()));
+    is_problem(&served.post("/v1/cameras/front/recordings", &json!({"max_seconds": 1})), 409);
+    let mut events = served.events("?camera=front", None);
+    (0..3).for_each(|_| drop(events.until(|event| event.name == "frame")));
+    assert_eq!(served.get(&path).json()["state"], "recording");
+    let finished = served.post_nothing(&format!("{path}/stop")).json();
+    assert_eq!(finished["state"], "finished", "{finished}");
+    assert!(finished["frame_sets"].as_u64().unwrap() >= 2, "{finished}");
+    let file = folder.path().join("store/recordings").join(format!("{}.mcap", finished["id"].as_str().unwrap()));
+    assert_eq!(file.metadata().unwrap().len(), finished["bytes"].as_u64().unwrap());
+    assert_eq!(served.get("/v1/recordings").json()["recordings"][0], finished);
+    is_problem(&served.post_nothing(&format!("{path}/stop")), 409);
+    is_problem(&served.get("/v1/recordings/none"), 404);
+    is_problem(&served.post("/v1/cameras/rear/recordings", &json!({})), 404);
+    assert_eq!(
+        is_problem(&served.post("/v1/cameras/front/recordings", &json!({"max_seconds": 0})), 422)["field"],
+        "max_seconds"
+    );
+}
+
+#[test]
 fn openapi_describes_every_route_of_the_contract() {
     let (_folder, served) = started();
     let answer = served.get("/openapi.json");

@@ -1,0 +1,79 @@
+//! A recording that the daemon writes.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::document::error::DocumentError;
+
+/// What starts a recording; both limits may be left out, then it runs till it is stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecordDocument {
+    /// It ends after so many seconds of frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_seconds: Option<f64>,
+    /// It ends once its file is so large.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_bytes: Option<u64>,
+}
+
+impl RecordDocument {
+    /// Refuses a limit that cannot be.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] naming the field.
+    pub fn check(&self) -> Result<(), DocumentError> {
+        match self.max_seconds.filter(|seconds| seconds.is_nan() || *seconds <= 0.0) {
+            Some(seconds) => {
+                Err(DocumentError::field("max_seconds", format!("{seconds} is no time; give a positive number")))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// Whether a recording goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RecordingStateName {
+    /// It goes on.
+    Recording,
+    /// It was stopped, or reached a limit; the file is whole.
+    Finished,
+    /// It could not be written any further; what was written stays readable.
+    Failed,
+}
+
+/// A recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RecordingDocument {
+    /// Sortable by time.
+    pub id: String,
+    /// The camera's name.
+    pub camera: String,
+    /// The file, on the daemon's machine.
+    pub path: String,
+    /// Whether it goes on.
+    pub state: RecordingStateName,
+    /// Which limit ended it, or why it failed.
+    pub reason: Option<String>,
+    /// When it was started.
+    #[schema(value_type = String, format = DateTime)]
+    pub started_at: jiff::Timestamp,
+    /// When it ended.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    pub finished_at: Option<jiff::Timestamp>,
+    /// Frame sets written.
+    pub frame_sets: u64,
+    /// Frame sets that the disk was too slow for.
+    pub dropped: u64,
+    /// The size of the file, in bytes.
+    pub bytes: u64,
+}
+
+/// The newest recording of each camera since the daemon started.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RecordingsDocument {
+    /// In the order of the configuration.
+    pub recordings: Vec<RecordingDocument>,
+}

@@ -1,0 +1,116 @@
+//! Recordings that the daemon writes while everything else goes on.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::body::HttpBody;
+use axum::extract::{Request, State};
+use axum::http::StatusCode;
+use axum::http::header::LOCATION;
+use axum::response::IntoResponse;
+
+use crate::document::recording::{RecordDocument, RecordingDocument, RecordingStateName, RecordingsDocument};
+use crate::document::time;
+use crate::http::problem::Problem;
+use crate::http::request::{Address, SMALL_BODY, document};
+use crate::http::{Shared, on_a_blocking_thread};
+use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
+
+/// Records a camera to an MCAP file in the store's folder; frames are written as they came.
+#[utoipa::path(post, path = "/v1/cameras/{camera}/recordings", tag = "recordings",
+    params(("camera" = String, Path, description = "its name in the configuration")),
+    request_body = Option<RecordDocument>,
+    responses(
+        (status = 201, description = "it records", body = RecordingDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "the camera is being recorded already", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn start(
+    State(shared): State<Arc<Shared>>,
+    Address(camera): Address<String>,
+    request: Request,
+) -> Result<impl IntoResponse, Problem> {
+    shared.fleet.camera(&camera)?;
+    let RecordDocument { max_seconds, max_bytes } = match request.body().is_end_stream() {
+        true => RecordDocument::default(),
+        false => {
+            let document: RecordDocument = document(request, SMALL_BODY).await?;
+            document.check()?;
+            document
+        }
+    };
+    let fleet = Arc::clone(&shared.fleet);
+    let limits = RecordingLimits { seconds: max_seconds, bytes: max_bytes };
+    let status = on_a_blocking_thread(move || fleet.start_recording(&camera, limits)).await??;
+    let location = format!("/v1/recordings/{}", status.id);
+    Ok((StatusCode::CREATED, [(LOCATION, location)], Json(recording_document(&status))))
+}
+
+/// The newest recording of each camera since the daemon started.
+#[utoipa::path(get, path = "/v1/recordings", tag = "recordings",
+    responses((status = 200, description = "the recordings", body = RecordingsDocument)))]
+pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<RecordingsDocument> {
+    Json(RecordingsDocument { recordings: shared.fleet.recordings().iter().map(recording_document).collect() })
+}
+
+/// One recording.
+#[utoipa::path(get, path = "/v1/recordings/{id}", tag = "recordings",
+    params(("id" = String, Path, description = "the recording's")),
+    responses(
+        (status = 200, description = "the recording", body = RecordingDocument),
+        (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn one(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<Json<RecordingDocument>, Problem> {
+    let found = shared.fleet.recordings().into_iter().find(|recording| recording.id == id);
+    Ok(Json(recording_document(&found.ok_or(RecordError::UnknownRecording { id })?)))
+}
+
+/// Ends a recording; its file is whole when this answers.
+#[utoipa::path(post, path = "/v1/recordings/{id}/stop", tag = "recordings",
+    params(("id" = String, Path, description = "the recording's")),
+    responses(
+        (status = 200, description = "it has ended", body = RecordingDocument),
+        (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it had ended already", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn stop(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<Json<RecordingDocument>, Problem> {
+    let fleet = Arc::clone(&shared.fleet);
+    Ok(Json(recording_document(&on_a_blocking_thread(move || fleet.stop_recording(&id)).await??)))
+}
+
+fn recording_document(status: &RecordingStatus) -> RecordingDocument {
+    RecordingDocument {
+        id: status.id.clone(),
+        camera: status.camera.clone(),
+        path: status.path.display().to_string(),
+        state: match status.state {
+            RecordingState::Recording => RecordingStateName::Recording,
+            RecordingState::Finished => RecordingStateName::Finished,
+            RecordingState::Failed => RecordingStateName::Failed,
+        },
+        reason: status.reason.clone(),
+        started_at: time::from_utc_ns(status.started_at_ns),
+        finished_at: status.finished_at_ns.map(time::from_utc_ns),
+        frame_sets: status.frame_sets,
+        dropped: status.dropped,
+        bytes: status.bytes,
+    }
+}
+
+impl From<RecordError> for Problem {
+    fn from(error: RecordError) -> Self {
+        let detail = error.to_string();
+        match error {
+            RecordError::UnknownCamera { .. } | RecordError::UnknownRecording { .. } => Self::not_found(detail),
+            RecordError::Busy { .. } | RecordError::Over { .. } => Self::conflict(detail),
+            RecordError::File { .. } => Self::broken(detail),
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! Recording beside everything else: a bounded queue from the capture thread to a thread that writes.
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+
+use crate::imaging::frame::FrameSet;
+use crate::pipeline::clock::utc_now_ns;
+use crate::recording::{McapWriter, RecordingError};
+
+/// Frame sets that wait for the disk before any is dropped.
+const QUEUE: usize = 64;
+
+/// When a recording ends by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct RecordingLimits {
+    /// After so many seconds of frame time. Default: never.
+    pub seconds: Option<f64>,
+    /// Once the file is so large, in bytes. Default: never.
+    pub bytes: Option<u64>,
+}
+
+/// Whether a recording goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RecordingState {
+    /// It goes on.
+    Recording,
+    /// It was stopped, or reached a limit; the file is whole.
+    Finished,
+    /// It could not be written any further; what was written stays readable.
+    Failed,
+}
+
+/// A recording as seen from outside.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingStatus {
+    /// Sortable by time.
+    pub id: String,
+    /// The camera's name.
+    pub camera: String,
+    /// The file.
+    pub path: PathBuf,
+    /// Whether it goes on.
+    pub state: RecordingState,
+    /// Which limit ended it, or why it failed.
+    pub reason: Option<String>,
+    /// UTC, nanoseconds since the Unix epoch.
+    pub started_at_ns: i64,
+    /// When it ended, likewise.
+    pub finished_at_ns: Option<i64>,
+    /// Frame sets written.
+    pub frame_sets: u64,
+    /// Frame sets that the disk was too slow for.
+    pub dropped: u64,
+    /// The size of the file, in bytes.
+    pub bytes: u64,
+}
+
+/// Why a recording was not started or stopped.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RecordError {
+    /// No such camera is configured.
+    #[error("there is no camera `{camera}`; see GET /v1/cameras for those there are")]
+    UnknownCamera {
+        /// The name that was asked for.
+        camera: String,
+    },
+    /// One recording a camera.
+    #[error("camera `{camera}` is being recorded already, as {recording}; stop that recording first")]
+    Busy {
+        /// The camera's name.
+        camera: String,
+        /// The recording that goes on.
+        recording: String,
+    },
+    /// The file could not be begun.
+    #[error("the recording could not be begun: {detail}")]
+    File {
+        /// What the system said.
+        detail: String,
+    },
+    /// No such recording.
+    #[error("there is no recording `{id}`; see GET /v1/recordings for those since the daemon started")]
+    UnknownRecording {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It has ended.
+    #[error("recording {id} has ended already")]
+    Over {
+        /// Its id.
+        id: String,
+    },
+}
+
+/// Where a camera's frames go besides the detector: the newest recording since the daemon started.
+#[derive(Debug, Default)]
+pub(super) struct RecorderLink(Mutex<Option<Recorder>>);
+
+#[derive(Debug)]
+struct Recorder {
+    /// None once it has ended.
+    frames: Option<SyncSender<Arc<FrameSet>>>,
+    status: Arc<Mutex<RecordingStatus>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl RecorderLink {
+    /// Begins a recording of `camera` in `folder`.
+    pub(super) fn start(
+        &self,
+        camera: &str,
+        folder: &Path,
+        limits: RecordingLimits,
+    ) -> Result<RecordingStatus, RecordError> {
+        let mut link = lock(&self.0);
+        if let Some(running) = link.as_ref().map(|recorder| lock(&recorder.status).clone())
+            && running.state == RecordingState::Recording
+        {
+            return Err(RecordError::Busy { camera: camera.to_owned(), recording: running.id });
+        }
+        let failed = |detail: String| RecordError::File { detail };
+        std::fs::create_dir_all(folder).map_err(|e| failed(format!("{}: {e}", folder.display())))?;
+        let id = ulid::Ulid::generate().to_string();
+        let path = folder.join(format!("{id}.mcap"));
+        let writer = McapWriter::create(&path, camera).map_err(|e| failed(e.to_string()))?;
+        let status = RecordingStatus {
+            id,
+            camera: camera.to_owned(),
+            path,
+            state: RecordingState::Recording,
+            reason: None,
+            started_at_ns: utc_now_ns(),
+            finished_at_ns: None,
+            frame_sets: 0,
+            dropped: 0,
+            bytes: 0,
+        };
+        let shown = Arc::new(Mutex::new(status.clone()));
+        let (frames, waiting) = sync_channel(QUEUE);
+        let told = Arc::clone(&shown);
+        let thread = std::thread::Builder::new()
+            .name(format!("record-{camera}"))
+            .spawn(move || write_all(&waiting, writer, limits, &told))
+            .map_err(|e| failed(format!("no thread for it: {e}")))?;
+        *link = Some(Recorder { frames: Some(frames), status: shown, thread: Some(thread) });
+        Ok(status)
+    }
+
+    /// Offers a frame set to the recording, if one goes on; waits for the disk if nothing may be dropped.
+    pub(super) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
+        let mut link = lock(&self.0);
+        let Some(recorder) = link.as_mut() else { return };
+        let Some(frames) = &recorder.frames else { return };
+        let sent = match waits {
+            true => frames.send(Arc::clone(frame_set)).map_err(|_| false),
+            false => frames.try_send(Arc::clone(frame_set)).map_err(|error| matches!(error, TrySendError::Full(_))),
+        };
+        match sent {
+            Ok(()) => {}
+            Err(true) => lock(&recorder.status).dropped += 1,
+            Err(false) => recorder.frames = None,
+        }
+    }
+
+    /// Ends the recording and waits until its file is whole; its last status, if there is one.
+    pub(super) fn finish(&self) -> Option<RecordingStatus> {
+        let mut link = lock(&self.0);
+        let recorder = link.as_mut()?;
+        recorder.frames = None;
+        if let Some(thread) = recorder.thread.take() {
+            // A thread that panicked has left its status as it was.
+            let _ = thread.join();
+        }
+        Some(lock(&recorder.status).clone())
+    }
+
+    /// The newest recording.
+    pub(super) fn status(&self) -> Option<RecordingStatus> {
+        lock(&self.0).as_ref().map(|recorder| lock(&recorder.status).clone())
+    }
+}
+
+fn write_all(
+    frames: &Receiver<Arc<FrameSet>>,
+    mut writer: McapWriter,
+    limits: RecordingLimits,
+    status: &Mutex<RecordingStatus>,
+) {
+    let path = lock(status).path.clone();
+    let size = || std::fs::metadata(&path).map_or(0, |file| file.len());
+    let mut began_ns = None;
+    let mut outcome: Result<Option<String>, RecordingError> = Ok(None);
+    for frame_set in frames {
+        if let Err(error) = writer.write(&frame_set) {
+            outcome = Err(error);
+            break;
+        }
+        let bytes = size();
+        {
+            let mut status = lock(status);
+            status.frame_sets += 1;
+            status.bytes = bytes;
+        }
+        let now_ns = frame_set.host_time.utc_ns;
+        let elapsed_s = (now_ns - *began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
+        if let Some(reached) = reached(limits, elapsed_s, bytes) {
+            outcome = Ok(Some(reached));
+            break;
+        }
+    }
+    let finished = writer.finish();
+    let mut status = lock(status);
+    status.bytes = size();
+    status.finished_at_ns = Some(utc_now_ns());
+    (status.state, status.reason) = match outcome.and_then(|reason| finished.map(|()| reason)) {
+        Ok(reason) => (RecordingState::Finished, reason),
+        Err(error) => (RecordingState::Failed, Some(format!("{error}; what was written until then stays"))),
+    };
+}
+
+fn reached(limits: RecordingLimits, elapsed_s: f64, bytes: u64) -> Option<String> {
+    if let Some(seconds) = limits.seconds.filter(|seconds| elapsed_s >= *seconds) {
+        return Some(format!("the limit of {seconds} s is reached"));
+    }
+    let limit = limits.bytes.filter(|limit| bytes >= *limit)?;
+    Some(format!("the limit of {limit} bytes is reached"))
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pixel::ImageSize;
+    use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+    use crate::imaging::timestamp::HostTime;
+    use crate::recording::Recording;
+
+    fn frame_set(sequence: u64) -> Arc<FrameSet> {
+        let bytes: Arc<[u8]> = vec![sequence as u8; 640 * 480].into();
+        let size = ImageSize::new(640, 480);
+        let frame = Frame { sensor: SensorKind::Color, size, format: PixelFormat::Mono8, stride: 640, bytes };
+        let host_time = HostTime { utc_ns: 1_770_000_000_000_000_000 + sequence as i64 * 100_000_000 };
+        Arc::new(FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] })
+    }
+
+    fn read_back(path: &Path) -> Vec<u64> {
+        let mut recording = Recording::open(path, 10.0).unwrap();
+        std::iter::from_fn(|| recording.next_frame_set().unwrap()).map(|set| set.sequence).collect()
+    }
+
+    #[test]
+    fn what_was_offered_is_in_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = RecorderLink::default();
+        link.offer(&frame_set(0), true);
+        let started = link.start("front", folder.path(), RecordingLimits::default()).unwrap();
+        (1..100).for_each(|sequence| link.offer(&frame_set(sequence), true));
+        let busy = link.start("front", folder.path(), RecordingLimits::default()).unwrap_err();
+        assert_eq!(busy, RecordError::Busy { camera: "front".into(), recording: started.id.clone() });
+        let finished = link.finish().unwrap();
+        assert_eq!((finished.state, finished.frame_sets, finished.dropped), (RecordingState::Finished, 99, 0));
+        assert_eq!(read_back(&finished.path), (1..100).collect::<Vec<_>>());
+        link.offer(&frame_set(100), true);
+        assert_eq!(link.status(), Some(finished));
+    }
+
+    #[test]
+    fn a_limit_ends_it_with_a_whole_file() {
+        for limits in [
+            RecordingLimits { seconds: Some(0.95), bytes: None },
+            RecordingLimits { seconds: None, bytes: Some(3_000_000) },
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            let link = RecorderLink::default();
+            link.start("front", folder.path(), limits).unwrap();
+            (0..60).for_each(|sequence| link.offer(&frame_set(sequence), true));
+            let finished = link.finish().unwrap();
+            assert_eq!(finished.state, RecordingState::Finished);
+            assert!(finished.reason.unwrap().contains("is reached"));
+            let read = read_back(&finished.path);
+            assert!(read.len() >= 9 && read.len() < 20, "{}", read.len());
+            assert_eq!(read.len() as u64, finished.frame_sets);
+        }
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let refused = RecorderLink::default().start("front", &file.join("x"), RecordingLimits::default());
+        assert!(matches!(refused, Err(RecordError::File { .. })));
+    }
+}
