@@ -3,6 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod bad_views;
+mod corner_accuracy;
 mod detection;
 mod estimation;
 mod lens_choice;

@@ -8,7 +8,7 @@
 //! | board | `lattice`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
 //!
 //! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
-//! of light and the noise known from the board.
+//! of light and the noise known from the board. `README.md` beside this file says what was measured.
 
 mod cholesky;
 mod corner_model;
