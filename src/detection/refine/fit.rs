@@ -8,8 +8,8 @@ use crate::detection::refine::samples::Samples;
 /// How to fit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitOptions {
-    /// Linearisations at most.
-    pub iterations: usize,
+    /// Linearisations: at least, and at most.
+    pub iterations: [usize; 2],
     /// Stop when a step moves the corner by less than this, in standard deviations of the blur: what is then left to go is
     /// its square.
     pub enough: f64,
@@ -55,7 +55,8 @@ pub(super) fn fit(
     let mut best = start;
     let mut equations = NormalEquations::default();
     let mut next = NormalEquations::default();
-    for iteration in 1..=options.iterations {
+    let [least, most] = options.iterations;
+    for iteration in 1..=most {
         linearise(samples, &model, noise, columns, &mut next);
         if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square() {
             damping *= 10.0;
@@ -69,7 +70,7 @@ pub(super) fn fit(
         model = best.moved_by(&step);
         let last_step = length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
         let sharpness = best.sharpness[0].max(best.sharpness[1]);
-        if last_step * sharpness < options.enough || iteration == options.iterations {
+        if (iteration >= least && last_step * sharpness < options.enough) || iteration == most {
             let explained: f64 = step.iter().zip(&equations.gradient).map(|(s, g)| s * g).sum();
             let residuals = equations.residuals;
             let mean_square = noise.corrected(&residuals, (residuals.squares - explained).max(0.0));

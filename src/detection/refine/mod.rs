@@ -160,7 +160,8 @@ impl Refiner {
         let start = self.start(&window, blur_px)?;
         // What the noise is, is not known yet: as much in black as in white; how much does not matter.
         let noise = Noise { black: 1.0, white: 1.0, tolerance: 0.3 * start.amplitude.abs() + 6.0 };
-        let options = FitOptions { iterations: 8, enough: 0.07 };
+        // The first step may leave the corner where it is and yet find black, white and blur.
+        let options = FitOptions { iterations: [2, 8], enough: 0.07 };
         self.fit(window, start, &noise, &options)
     }
 
@@ -183,14 +184,14 @@ impl Refiner {
         start.gradient = around.light_gradient.map(|g| g * bin);
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise { black, white, tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs() };
-        let options = FitOptions { iterations: 4, enough: 0.05 };
+        let options = FitOptions { iterations: [1, 4], enough: 0.05 };
         let second = self.fit(window, start, &noise, &options)?;
         if second.agreeing > MOST_AGREE {
             return Some(second);
         }
         // Much that disagrees may be another corner's or a hand's, or the start was too far off for so narrow a tolerance.
         let patient = Noise { tolerance: noise.tolerance + 0.3 * start.amplitude.abs(), ..noise };
-        let start = self.fit(window, start, &patient, &FitOptions { iterations: 8, ..options })?.fit.model;
+        let start = self.fit(window, start, &patient, &FitOptions { iterations: [2, 8], ..options })?.fit.model;
         self.fit(window, start, &noise, &options)
     }
 
