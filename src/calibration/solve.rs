@@ -26,7 +26,7 @@ pub struct SolvedCamera {
 }
 
 /// Columns of the grid that uncertainty is summed up over.
-const UNCERTAINTY_COLUMNS: u32 = 16;
+const UNCERTAINTY_COLUMNS: u32 = 12;
 
 /// Calibrates a camera from `problem`, checks the result, and says how far to trust it.
 ///

@@ -180,7 +180,7 @@ pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid) -> Ve
         let Some(inverse) = invert_motion(&normal, Distance::Infinity) else { break };
         let step = -(inverse * gradient);
         turn = nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned()) * turn;
-        if step.norm() < 1e-12 {
+        if step.norm() < 1e-8 {
             break;
         }
     }
