@@ -20,6 +20,9 @@ struct Condition {
     name: &'static str,
     lens: Lens,
     blur_px: f64,
+    full_well_e: f64,
+    gamma: f64,
+    vignetting: f64,
     cell_px: f64,
     tilt_deg: f64,
     /// 2-D rms error, in pixels, that may not be exceeded.
@@ -39,16 +42,27 @@ fn ordinary_lens() -> Lens {
 
 /// The ordinary condition: an accurate machine-vision camera, held steady.
 fn ordinary(name: &'static str, rms_px: f64) -> Condition {
-    Condition { name, lens: ordinary_lens(), blur_px: 0.7, cell_px: 38.0, tilt_deg: 30.0, rms_px, bias_px: 0.0015 }
+    Condition {
+        name,
+        lens: ordinary_lens(),
+        blur_px: 0.7,
+        full_well_e: 10_000.0,
+        gamma: 1.0,
+        vignetting: 0.0,
+        cell_px: 38.0,
+        tilt_deg: 30.0,
+        rms_px,
+        bias_px: 0.0015,
+    }
 }
 
 impl Condition {
     fn sensor(&self) -> PictureSensor {
         PictureSensor {
             blur_px: self.blur_px,
-            full_well_e: 10_000.0,
-            gamma: 1.0,
-            vignetting: 0.0,
+            full_well_e: self.full_well_e,
+            gamma: self.gamma,
+            vignetting: self.vignetting,
             ..PictureSensor::new(SIZE, self.lens)
         }
     }
@@ -196,7 +210,18 @@ fn sharp_pictures_leave_no_bias_and_scatter_as_predicted() {
     hold(&[
         Condition { blur_px: 0.5, ..ordinary("blur 0.5", 0.005) },
         ordinary("blur 0.7", 0.0055),
-        Condition { tilt_deg: 65.0, cell_px: 60.0, ..ordinary("tilt of 65 degrees", 0.0075) },
+        Condition { blur_px: 1.0, ..ordinary("blur 1.0", 0.0065) },
+        Condition { tilt_deg: 65.0, cell_px: 60.0, ..ordinary("tilt of 65 degrees", 0.007) },
+        Condition { gamma: 2.2, vignetting: 0.5, ..ordinary("gamma and vignetting", 0.006) },
+        Condition { cell_px: 8.0, ..ordinary("cells of 8 px", 0.0095) },
+    ]);
+}
+
+#[test]
+fn noise_scatters_as_predicted() {
+    hold(&[
+        Condition { full_well_e: 2e3, ..ordinary("2000 electrons", 0.012) },
+        Condition { full_well_e: 500.0, ..ordinary("500 electrons", 0.026) },
     ]);
 }
 
