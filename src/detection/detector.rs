@@ -5,7 +5,7 @@ use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::edges::{EdgeCount, count_edges};
 use super::ends::seen_ends;
-use super::grid::{Bounds, Grid};
+use super::grid::{Bounds, Grid, Node};
 use super::growth::{Growth, WINDOWS, in_steps, sharpen};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
@@ -26,6 +26,8 @@ const MOST_GRIDS: usize = 8;
 const STANDING_SCORE: f32 = 0.7;
 /// How far such a one may lie from where its neighbours put it, in steps.
 const STANDING_OFF: f32 = 0.05;
+/// How far a corner of a part may lie from where its neighbours put it, in steps.
+const MOST_ASTRAY: f32 = 0.12;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 /// Range of brightness that is no picture at all, in grey levels.
@@ -209,8 +211,9 @@ impl Detector {
             seen.largest = count;
             seen.size = (larger(bounds), smaller(bounds));
         }
-        let ends = seen_ends(image, &self.grid, bounds);
-        match place(&self.grid, bounds, ends, self.board) {
+        let (possible, sure) = seen_ends(image, &self.grid, bounds);
+        let fits = place(&self.grid, bounds, possible, self.board).is_some();
+        match place(&self.grid, bounds, sure, self.board).filter(|_| fits) {
             Some(placement) if self.is_whole() => Found::Whole(placement),
             Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => Found::Part(placement),
             Some(_) => Found::Nothing,
@@ -315,6 +318,9 @@ impl Detector {
                 _ => {}
             }
         }
+        if corners.len() < self.board.corner_count() {
+            self.drop_astray(placement, &mut corners);
+        }
         let partial = corners.len() < self.board.corner_count();
         if partial && (!options.allow_partial || corners.len() < self.least_part()) {
             return Err(NoBoard::Incomplete { seen: corners.len(), board: self.board });
@@ -328,6 +334,25 @@ impl Detector {
             blur_px: self.blurs.get(self.blurs.len() / 2).copied().unwrap_or(0.0),
             corners,
         })
+    }
+
+    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a board may end beside a
+    /// corner, and be taken for one of its edges.
+    fn drop_astray(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
+        let part = &mut self.part;
+        for corner in corners.iter() {
+            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
+            if let Some(node) = part.get(i, j) {
+                let pixel = Vec2::new(corner.pixel.x as f32, corner.pixel.y as f32);
+                part.set(i, j, Node { pixel, ..node });
+            }
+        }
+        corners.retain(|corner| {
+            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
+            let off = part.pixel(i, j).zip(part.predict(i, j)).zip(part.steps(i, j));
+            let off = off.and_then(|((p, expected), steps)| in_steps(p - expected, steps));
+            off.is_none_or(|off| off.x.abs().max(off.y.abs()) < MOST_ASTRAY)
+        });
     }
 
     /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all

@@ -18,15 +18,19 @@ const ALIKE: f32 = 0.3;
 /// Pairs of neighbouring squares beyond which it is all one: one with the colour of one of them, as a board's margin has,
 /// counts 2, another 1.
 const LEAST_WEIGHT: u32 = 2;
+/// The weight that leaves no doubt.
+const SURE_WEIGHT: u32 = 6;
 
-/// Which sides of `grid` are seen to be ends of the board.
-pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> Ends {
+/// Which sides of `grid` are seen to be ends of the board: those that may be, and of these those that must be. What lies in
+/// front of the board along a line may look like an end at one place, hardly at two.
+pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (Ends, Ends) {
     let columns = |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
     let rows = |j: i32, outward: i32| side(image, grid, bounds.i, outward, |along| (along, j), (0, 1));
-    [columns(bounds.i.0, -1), columns(bounds.i.1, 1), rows(bounds.j.0, -1), rows(bounds.j.1, 1)]
+    let weights = [columns(bounds.i.0, -1), columns(bounds.i.1, 1), rows(bounds.j.0, -1), rows(bounds.j.1, 1)];
+    (weights.map(|weight| weight >= LEAST_WEIGHT), weights.map(|weight| weight >= SURE_WEIGHT))
 }
 
-/// Whether the board ends beyond the line of corners `at(least..=most)`, towards `outward` along `axis`.
+/// How much shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward` along `axis`.
 fn side(
     image: GrayView<'_>,
     grid: &Grid,
@@ -34,7 +38,7 @@ fn side(
     outward: i32,
     at: impl Fn(i32) -> (i32, i32),
     axis: (i32, i32),
-) -> bool {
+) -> u32 {
     let outward = (axis.0 * outward, axis.1 * outward);
     let mut previous: Option<Outside> = None;
     let (mut ended, mut continued) = (0, 0);
@@ -48,7 +52,7 @@ fn side(
         }
         previous = outside;
     }
-    ended >= LEAST_WEIGHT && ended > 3 * continued
+    if ended > 3 * continued { ended } else { 0 }
 }
 
 /// One square outside the line of corners, and what lies beyond it.
