@@ -98,14 +98,6 @@ impl Grid {
         self.bright = bright;
     }
 
-    /// Becomes a copy of `other`, in its own memory.
-    pub(super) fn copy_from(&mut self, other: &Self) {
-        self.radius = other.radius;
-        self.places.clone_from(&other.places);
-        self.members.clone_from(&other.members);
-        self.bright = other.bright;
-    }
-
     fn slot(&self, i: i32, j: i32) -> Option<usize> {
         let r = self.radius;
         (i.abs() <= r && j.abs() <= r && !self.places.is_empty()).then(|| ((j + r) * (2 * r + 1) + i + r) as usize)
