@@ -318,13 +318,13 @@ fn poses(
 fn middle_pose(a_from_b: &[Pose]) -> Option<Pose> {
     let apart =
         |(first, second): (&Pose, &Pose)| first.angle_to(second) + (first.translation() - second.translation()).norm();
-    let spread = |(chosen, _): &(&Pose, usize)| median(a_from_b.iter().map(|other| apart((chosen, other))).collect());
-    let all = a_from_b.iter().enumerate().map(|(index, pose)| (pose, index));
-    let least = all.min_by(|a, b| {
-        let [a, b] = [a, b].map(|one| spread(one).unwrap_or(f64::INFINITY));
-        a.total_cmp(&b)
+    let spread =
+        |other_from_here: &Pose| median(a_from_b.iter().map(|other| apart((other_from_here, other))).collect());
+    let least = a_from_b.iter().min_by(|first, second| {
+        let [first, second] = [first, second].map(|one| spread(one).unwrap_or(f64::INFINITY));
+        first.total_cmp(&second)
     });
-    least.map(|(pose, _)| *pose)
+    least.copied()
 }
 
 /// A pinhole that sees about as much of the world as another camera does.

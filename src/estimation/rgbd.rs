@@ -175,13 +175,21 @@ impl Corners {
             rig_from_board: problem.views.iter().map(|view| shifted(&view.color_from_board, &center)).collect(),
             warp: [0.0; 2],
         };
-        let mut minimum = Minimum::start(&layout, start, &sights, Loss::Squares)?;
-        for _ in 0..4 {
-            minimum = minimum.descend(&layout, &sights, Loss::Squares, Stop::default());
-            if !drop_outliers(&mut sights, &minimum.equations.residuals) {
+        let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(&layout, sight)).collect();
+        let mut agreement = Agreement::of(&sights, &at_start);
+        let mut weighted = agreement.applied(&sights, &at_start);
+        let mut minimum = Minimum::start(&layout, start, &weighted, Loss::Squares)?;
+        for _ in 0..8 {
+            minimum = minimum.descend(&layout, &weighted, Loss::Squares, Stop::default());
+            let residuals: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| minimum.state.residuals(&layout, sight)).collect();
+            let next = Agreement::of(&sights, &residuals);
+            let chosen = next.applied(&sights, &residuals);
+            let settled = (next.infrared / agreement.infrared - 1.0).abs() < 0.02 && used(&chosen).eq(used(&weighted));
+            if settled {
                 break;
             }
-            minimum = Minimum::start(&layout, minimum.state, &sights, Loss::Squares)?;
+            (agreement, weighted) = (next, chosen);
+            minimum = Minimum::start(&layout, minimum.state, &weighted, Loss::Squares)?;
         }
         let covariance = minimum.equations.global_covariance()?;
         Some(Self { layout, state: minimum.state, equations: minimum.equations, covariance, center })
@@ -198,16 +206,46 @@ impl Corners {
 /// Corners further off than this many standard deviations take no part.
 const CORNER_LIMIT: f64 = 5.0;
 
-fn drop_outliers(sights: &mut [Sight], residuals: &[Vec<[f64; 2]>]) -> bool {
-    let mut changed = false;
-    for (sight, residuals) in sights.iter_mut().zip(residuals) {
-        for (used, [x, y]) in sight.used.iter_mut().zip(residuals) {
-            let next = x.hypot(*y) <= CORNER_LIMIT;
-            changed |= next != *used;
-            *used = next;
-        }
+/// Infrared pictures that disagree with colour by this many times what they do in the middle take no part: the board moved
+/// between the two.
+const VIEW_LIMIT: f64 = 3.0;
+
+/// How well infrared agrees with colour, in standard deviations of its own corners; at least 1.
+struct Agreement {
+    infrared: f64,
+}
+
+impl Agreement {
+    fn of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> Self {
+        let infrared = sights.iter().zip(residuals).filter(|(sight, _)| sight.sensor == 1);
+        let middle = median(infrared.map(|(_, residuals)| rms(residuals)).collect());
+        Self { infrared: middle.unwrap_or(1.0).max(1.0) }
     }
-    changed
+
+    /// The sights with the weights and the corners that it leaves.
+    fn applied(&self, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> Vec<Sight> {
+        let each = sights.iter().zip(residuals).map(|(sight, residuals)| {
+            let scale = if sight.sensor == 1 { self.infrared } else { 1.0 };
+            let together = sight.sensor == 0 || rms(residuals) <= VIEW_LIMIT * scale;
+            let near = |[x, y]: &[f64; 2]| together && x.hypot(*y) <= CORNER_LIMIT * scale;
+            Sight {
+                inverse_std: sight.inverse_std.iter().map(|inverse| inverse / scale).collect(),
+                used: residuals.iter().map(near).collect(),
+                ..sight.clone()
+            }
+        });
+        each.collect()
+    }
+}
+
+/// Root mean square per axis.
+fn rms(residuals: &[[f64; 2]]) -> f64 {
+    let sum: f64 = residuals.iter().map(|[x, y]| x * x + y * y).sum();
+    (sum / (2 * residuals.len().max(1)) as f64).sqrt()
+}
+
+fn used(sights: &[Sight]) -> impl Iterator<Item = bool> + '_ {
+    sights.iter().flat_map(|sight| &sight.used).copied()
 }
 
 /// All parameters of a lens but the skew, up to number `end`.
