@@ -181,7 +181,8 @@ impl Corners {
         let mut minimum = Minimum::start(&layout, start, &weighted, Loss::Squares)?;
         for _ in 0..8 {
             minimum = minimum.descend(&layout, &weighted, Loss::Squares, Stop::default());
-            let residuals: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| minimum.state.residuals(&layout, sight)).collect();
+            let residuals: Vec<Vec<[f64; 2]>> =
+                sights.iter().map(|sight| minimum.state.residuals(&layout, sight)).collect();
             let next = Agreement::of(&sights, &residuals);
             let chosen = next.applied(&sights, &residuals);
             let settled = (next.infrared / agreement.infrared - 1.0).abs() < 0.02 && used(&chosen).eq(used(&weighted));
