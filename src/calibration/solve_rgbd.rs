@@ -180,9 +180,9 @@ impl Guess {
             .collect();
         let mut guess = Self {
             color: color.estimate.lens,
-            color_noise: color.estimate.noise,
+            color_noise: noise(input, color, |c| &c.color),
             lens,
-            infrared_noise: infrared.map_or(1.0, |solved| solved.estimate.noise),
+            infrared_noise: infrared.map_or(1.0, |solved| noise(input, solved, |c| &c.infrared)),
             depth_lens: if infrared.is_some() { DepthLens::Infrared } else { DepthLens::FromPlanes },
             depth_from_color,
             reading: input.depth.reading.unwrap_or(DepthReading::Metric { unit_m: 0.001 }),
@@ -312,6 +312,17 @@ fn poses(
         view.camera_from_board.filter(|_| view.fault.is_none())
     };
     input.captures.iter().map(of_capture).collect()
+}
+
+/// By how much a sensor's corners scatter more than their own deviations say; above 0.
+fn noise(input: &RgbdInput, solved: &SolvedCamera, seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>) -> f64 {
+    let captures = input.captures.iter().map(seen).filter(|corners| !corners.is_empty());
+    let views = captures.zip(&solved.estimate.views).filter(|(_, view)| view.fault.is_none());
+    let corners = views.flat_map(|(corners, view)| corners.iter().zip(&view.residuals_px).zip(&view.used));
+    let (sum, count) = corners.filter(|(_, used)| **used).fold((0.0, 0), |(sum, count), ((corner, [x, y]), _)| {
+        (sum + 0.5 * (x * x + y * y) / corner.std_px.powi(2), count + 1)
+    });
+    (sum / f64::from(count.max(1))).sqrt().max(f64::MIN_POSITIVE)
 }
 
 /// The pose that is nearest to most others.

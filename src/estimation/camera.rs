@@ -7,6 +7,7 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::lens_choice::{self, LensTrial};
 use crate::estimation::model_check::ModelCheck;
+use crate::estimation::model_error::with_model_error;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{RobustFit, robust_fit};
@@ -132,6 +133,21 @@ pub fn calibrate_and_check(
 
 fn solve(problem: &CameraProblem, options: &CameraOptions) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
+    let (first, first_fit) = solve_weighted(problem, options)?;
+    let Some(reweighted) = with_model_error(problem, &first) else { return Ok((first, first_fit)) };
+    let model = LensChoice::Model(first.lens.model());
+    let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
+    match solve_weighted(&reweighted, &again) {
+        Ok((estimate, fit)) => Ok((CameraEstimate { compared: first.compared, ..estimate }, fit)),
+        Err(_) => Ok((first, first_fit)),
+    }
+}
+
+/// As [`solve`], with the corners weighted as they are told.
+fn solve_weighted(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let mut prepared = Prepared::of(problem);
     let (fit, compared) = match options.lens {
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),

@@ -24,6 +24,7 @@ pub mod error;
 mod joint;
 pub mod lens_choice;
 pub mod model_check;
+mod model_error;
 pub(crate) mod planar_pose;
 pub mod problem;
 pub mod rgbd;

@@ -34,9 +34,8 @@ fn near(sensor: &Value, parameter: &str, value: f64, by: f64) {
 fn the_left_camera_of_opencv_s_samples() {
     let Some(sensor) = calibrate("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm") else { return };
     expect(&sensor, 13, 0.195);
-    // 532.8 is OpenCV's, from corners with more noise; either's standard deviation is 0.4.
-    near(&sensor, "fx", 532.8, 1.2);
-    near(&sensor, "fy", 532.8, 1.2);
+    near(&sensor, "fx", 532.8, 1.0);
+    near(&sensor, "fy", 532.8, 1.0);
 }
 
 #[test]
