@@ -12,5 +12,6 @@ mod lens_conformance;
 mod live_session;
 mod program;
 mod recordings;
+mod rgbd_session;
 mod served;
 mod shared_data;
