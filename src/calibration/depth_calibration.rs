@@ -164,9 +164,5 @@ pub fn judge_depth(verdict: Verdict, depth: &DepthCalibration, without_depth: us
             ),
         );
     }
-    if let Some(correction) = &depth.camera.correction {
-        let [near, far] = correction.seen_m;
-        reasons.push(format!("depth is corrected from {near:.2} to {far:.2} m; beyond, as at the nearest of the two"));
-    }
     Verdict { grade, reasons }
 }

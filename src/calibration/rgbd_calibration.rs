@@ -33,6 +33,7 @@ pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &Solv
 
 fn with_lens(mut sensor: SensorCalibration, lens: Lens, covariance: &DMatrix<f64>) -> SensorCalibration {
     sensor.lens = lens;
+    sensor.lens_covariance = covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
     sensor.lens_std = covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
     sensor
 }

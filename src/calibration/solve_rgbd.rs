@@ -9,6 +9,7 @@ use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
+use crate::estimation::robust::median;
 use crate::geometry::board::Chessboard;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
@@ -344,11 +345,6 @@ fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
     let focal = lens.matrix.fx * scale;
     let center = size.center();
     Lens::pinhole(CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 })
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// Standard deviations of a pose's turn (radians) and translation (metres), axis by axis.

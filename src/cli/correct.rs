@@ -1,5 +1,6 @@
 //! `plumb correct`: depth pictures without their systematic error, on request as the colour camera would see them.
 
+use std::cell::LazyCell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -70,7 +71,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let color = calibration.color.ok_or_else(|| missing("colour sensor"))?;
     let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
     let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
-    let registration = DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth);
+    let registration =
+        LazyCell::new(|| DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth));
     fs::create_dir_all(&args.out)
         .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
     let spinner = progress::spinner("correcting");

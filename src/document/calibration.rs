@@ -18,6 +18,7 @@ use crate::geometry::board::Chessboard;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::decode::MAX_PIXELS;
 
 /// A finished calibration of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -238,11 +239,15 @@ fn lens_covariance(rows: &[Vec<f64>], parameters: usize) -> Result<Vec<Vec<f64>>
 /// An image size from `image_size`.
 ///
 /// # Errors
-/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels.
+/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels, and all no more than a picture may have.
 pub fn image_size([width, height]: [u32; 2]) -> Result<ImageSize, DocumentError> {
     let fits = |side: u32| (1..=u32::from(u16::MAX)).contains(&side);
-    let wrong = || format!("{width}x{height} is not the size of an image: each side is 1 to 65535 pixels");
-    if fits(width) && fits(height) {
+    let wrong = || {
+        format!(
+            "{width}x{height} is not the size of an image: each side is 1 to 65535 pixels, all at most 120 megapixels"
+        )
+    };
+    if fits(width) && fits(height) && u64::from(width) * u64::from(height) <= MAX_PIXELS {
         Ok(ImageSize::new(width, height))
     } else {
         Err(DocumentError::field("image_size", wrong()))

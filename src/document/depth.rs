@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::depth_calibration::{DepthBias, DepthCalibration, DepthNoise};
+use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
@@ -139,7 +140,7 @@ impl From<&DepthCalibration> for DepthDocument {
 impl TryFrom<&DepthDocument> for DepthCalibration {
     type Error = DocumentError;
     fn try_from(document: &DepthDocument) -> Result<Self, DocumentError> {
-        let image_size = ImageSize::new(document.image_size[0], document.image_size[1]);
+        let image_size = image_size(document.image_size)?;
         let lens = Lens::try_from(&document.lens).map_err(|e| e.inside("lens"))?;
         let reading = match (document.kind, document.unit_m, document.disparity) {
             (DepthKind::Depth, Some(unit_m), _) if unit_m > 0.0 => DepthReading::Metric { unit_m },

@@ -29,7 +29,7 @@ pub(crate) mod planar_pose;
 pub mod problem;
 pub mod rgbd;
 pub mod rig;
-mod robust;
+pub(crate) mod robust;
 mod robust_fit;
 mod start;
 pub mod uncertainty;

@@ -198,40 +198,6 @@ impl DepthRegistration {
         let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
         (point.z > 0.0 && pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
     }
-
-    /// The colour of each pixel of the depth picture: of the point its reading stands for, unless the colour camera sees
-    /// something nearer there. `color_at` gives the colour at a pixel of the colour picture.
-    pub fn colors(
-        &self,
-        picture: &DepthImage,
-        invalid: Option<u16>,
-        color_at: impl Fn(usize, usize) -> [u8; 3],
-    ) -> Vec<Option<ColoredPoint>> {
-        let depths = self.depths_m(picture, invalid);
-        let nearest = self.nearest_in_color(&depths);
-        let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
-        let colored = |(ray, depth): (&[f32; 2], &f32)| {
-            let ([x, y], z) = self.seen_in_color(*ray, *depth)?;
-            let (x, y) = (x.round().max(0.0) as usize, y.round().max(0.0) as usize);
-            if x >= width || y >= height || z > nearest[y * width + x] * (1.0 + HIDDEN) {
-                return None;
-            }
-            Some(ColoredPoint { point_in_depth: [ray[0] * depth, ray[1] * depth, *depth], rgb: color_at(x, y) })
-        };
-        self.rays.iter().zip(&depths).map(colored).collect()
-    }
-}
-
-/// A reading further behind the nearest than this part of its distance is hidden.
-const HIDDEN: f32 = 0.02;
-
-/// A point with its colour.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ColoredPoint {
-    /// In the depth camera's frame, in metres.
-    pub point_in_depth: [f32; 3],
-    /// Red, green, blue.
-    pub rgb: [u8; 3],
 }
 
 fn covered(center: f32, half: f32, length: usize) -> std::ops::Range<usize> {
