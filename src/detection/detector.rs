@@ -46,6 +46,7 @@ pub struct Detector {
     grid: Grid,
     part: Grid,
     guesses: Vec<GridCorner>,
+    refined: Vec<Option<RefinedCorner>>,
     blurs: Vec<f64>,
     refiner: Refiner,
 }
@@ -82,6 +83,7 @@ impl Detector {
             grid: Grid::default(),
             part: Grid::default(),
             guesses: Vec::new(),
+            refined: Vec::new(),
             blurs: Vec::new(),
             refiner: Refiner::new(),
         }
@@ -302,10 +304,10 @@ impl Detector {
             Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
         }));
         self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
-        let refined = self.refiner.refine(image, &self.guesses);
+        self.refiner.refine(image, &self.guesses, &mut self.refined);
         let mut corners = Vec::with_capacity(self.guesses.len());
         self.blurs.clear();
-        for (guess, refined) in self.guesses.iter().zip(&refined) {
+        for (guess, refined) in self.guesses.iter().zip(&self.refined) {
             let GridCorner { index, pixel, .. } = *guess;
             match refined {
                 Some(refined) if stays(guess, refined) => {

@@ -155,7 +155,7 @@ fn measure(condition: &Condition) -> Figures {
     let board = board();
     let sensor = condition.sensor();
     let mut renderer = Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 0));
-    let mut refiner = Refiner::new();
+    let (mut refiner, mut refined) = (Refiner::new(), Vec::new());
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut figures = Figures::default();
     for view in 0..VIEWS {
@@ -172,10 +172,11 @@ fn measure(condition: &Condition) -> Figures {
             let reach_px = f64::min(1.0, condition.cell_px / 7.0);
             let (slots, corners): (Vec<usize>, Vec<GridCorner>) =
                 guesses(&seen, board.size, reach_px, &mut rng).into_iter().unzip();
-            for (slot, refined) in slots.iter().zip(refiner.refine(image.view(), &corners)) {
+            refiner.refine(image.view(), &corners, &mut refined);
+            for (slot, refined) in slots.iter().zip(&refined) {
                 match refined {
                     Some(RefinedCorner { pixel, std_px, .. }) => {
-                        errors[*slot].push([pixel.x - seen[*slot].x, pixel.y - seen[*slot].y, std_px])
+                        errors[*slot].push([pixel.x - seen[*slot].x, pixel.y - seen[*slot].y, *std_px])
                     }
                     None => figures.missing += 1,
                 }
@@ -234,7 +235,7 @@ fn places_between_corners_are_refused() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let camera_from_board = condition.pose(&board, &mut rng);
     let image = sensor.develop(&renderer.light(&[camera_from_board]), 3, 0);
-    let mut refiner = Refiner::new();
+    let (mut refiner, mut refined) = (Refiner::new(), Vec::new());
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (0.25, 0.25)] {
         let step = Vector3::new(x, y, 0.0) * board.square_m;
         let places = board
@@ -244,7 +245,8 @@ fn places_between_corners_are_refused() {
             .collect::<Vec<_>>();
         let corners: Vec<GridCorner> =
             guesses(&places, board.size, 0.5, &mut rng).into_iter().map(|(_, corner)| corner).collect();
-        let taken = refiner.refine(image.view(), &corners).iter().flatten().count();
+        refiner.refine(image.view(), &corners, &mut refined);
+        let taken = refined.iter().flatten().count();
         assert_eq!(
             taken,
             0,

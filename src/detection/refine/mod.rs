@@ -95,22 +95,22 @@ impl Refiner {
         Self::default()
     }
 
-    /// Refines each of `corners` of one board in `image`; the answers are in their order. `None`: what is seen there is no
-    /// chessboard corner, or nothing that determines where it is.
-    pub fn refine(&mut self, image: GrayView<'_>, corners: &[GridCorner]) -> Vec<Option<RefinedCorner>> {
+    /// Refines each of `corners` of one board in `image` into `refined`, in their order, in place of what was there. `None`:
+    /// what is seen there is no chessboard corner, or nothing that determines where it is. Allocates nothing that a board as
+    /// large needed before.
+    pub fn refine(&mut self, image: GrayView<'_>, corners: &[GridCorner], refined: &mut Vec<Option<RefinedCorner>>) {
         self.fit_each(image, corners);
         self.known.clear();
         self.known.extend(self.fitted.iter().map(|fitted| fitted.as_ref().map(Fitted::known)));
         self.lattice.fill(corners, &self.known);
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
-        let refined = corners.iter().zip(&fitted).map(|(corner, first)| {
+        refined.clear();
+        refined.extend(corners.iter().zip(&fitted).map(|(corner, first)| {
             let second = self.fit_within_board(image, corner, first.as_ref()?, noise)?;
             second.is_corner(corner).then(|| second.refined())
-        });
-        let refined = refined.collect();
+        }));
         self.fitted = fitted;
-        refined
     }
 
     /// The first fits.
