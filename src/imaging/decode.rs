@@ -25,7 +25,7 @@ pub enum DecodeError {
     #[error("the picture has 0 bytes: it was never written; leave it out or record it again")]
     Empty,
     /// Neither a JPEG nor a PNG, nor whatever its format says.
-    #[error("not a picture that Plumb reads: convert it to JPEG, PNG or PGM")]
+    #[error("not a picture that Plumb reads: convert it to PNG")]
     NotAPicture,
     /// More pixels than [`MAX_PIXELS`].
     #[error("a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header")]

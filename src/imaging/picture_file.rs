@@ -1,14 +1,17 @@
 //! A picture's file as a frame: JPEG and PNG stay as they are until someone needs their pixels.
 
+use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
+
+use image::{DynamicImage, ImageFormat, ImageReader, Limits};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::{MAX_PIXELS, file_size};
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
 /// The endings of files that are taken for pictures, in any case of letters.
-pub const EXTENSIONS: [&str; 6] = ["jpg", "jpeg", "png", "pgm", "ppm", "pnm"];
+pub const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "pgm", "ppm", "pnm", "bmp", "tif", "tiff", "webp"];
 
 /// Whether `path` is named like a picture.
 pub fn is_picture(path: &Path) -> bool {
@@ -16,8 +19,8 @@ pub fn is_picture(path: &Path) -> bool {
     EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
 }
 
-/// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM is unpacked to mono8,
-/// rgb8, or, with 16 bits, to depth. A file that cannot be read as any of them becomes a frame all the same, of size 0×0, and
+/// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM, BMP, TIFF and WebP are
+/// unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot be read as any of them becomes a frame all the same, of size 0×0, and
 /// decoding it tells what is wrong: a damaged picture is one bad frame, not the end of a recording.
 pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
     let as_it_came = |format, size, bytes: Vec<u8>| Frame { sensor, size, format, stride: 0, bytes: Arc::from(bytes) };
@@ -26,12 +29,39 @@ pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
     {
         return frame;
     }
+    if let Some(frame) = frame_from_unpacked(sensor, &bytes) {
+        return frame;
+    }
     let size = file_size(&bytes).unwrap_or(ImageSize::new(0, 0));
     as_it_came(PixelFormat::of_file(&bytes).unwrap_or(PixelFormat::Jpeg), size, bytes)
 }
 
-/// A binary PGM (P5) or PPM (P6). Its values are kept as they are, whatever its maximum says: depth is a number, not a
-/// brightness.
+/// A BMP, TIFF or WebP: formats that no camera sends, but in which people keep pictures.
+fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
+    let format = image::guess_format(bytes).ok()?;
+    if !matches!(format, ImageFormat::Bmp | ImageFormat::Tiff | ImageFormat::WebP) {
+        return None;
+    }
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = Limits::default();
+    (limits.max_image_width, limits.max_image_height) = (Some(MAX_PIXELS as u32), Some(MAX_PIXELS as u32));
+    limits.max_alloc = Some(MAX_PIXELS * 8);
+    reader.limits(limits);
+    let picture = reader.decode().ok()?;
+    let size = ImageSize::new(picture.width(), picture.height());
+    let (format, pixels) = match picture {
+        DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => {
+            (PixelFormat::Depth16, depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect())
+        }
+        picture if picture.color().has_color() => (PixelFormat::Rgb8, picture.into_rgb8().into_raw()),
+        picture => (PixelFormat::Mono8, picture.into_luma8().into_raw()),
+    };
+    let stride = size.width as usize * format.bytes_per_pixel()?;
+    Some(Frame { sensor, size, format, stride, bytes: Arc::from(pixels) })
+}
+
+/// A binary PGM (P5) or PPM (P6). Brightnesses are scaled by the maximum that it states; depths are kept as they are: they
+/// are numbers.
 fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let channels = match bytes.get(..2)? {
         b"P5" => 1,
@@ -52,13 +82,22 @@ fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
         (1, true) if sensor == SensorKind::Depth => {
             (PixelFormat::Depth16, pixels.chunks_exact(2).flat_map(|two| [two[1], two[0]]).collect())
         }
-        (1, true) => (PixelFormat::Mono8, pixels.iter().step_by(2).copied().collect()),
+        (1, true) => (PixelFormat::Mono8, brightnesses(pixels, maximum)),
         (_, false) => (PixelFormat::Rgb8, pixels.to_vec()),
-        (_, true) => (PixelFormat::Rgb8, pixels.iter().step_by(2).copied().collect()),
+        (_, true) => (PixelFormat::Rgb8, brightnesses(pixels, maximum)),
     };
     let size = ImageSize::new(width, height);
     let stride = width as usize * format.bytes_per_pixel()?;
     Some(Frame { sensor, size, format, stride, bytes: Arc::from(pixels) })
+}
+
+/// Big-endian 16-bit values as brightnesses from 0 to 255, where `maximum` is white.
+fn brightnesses(pixels: &[u8], maximum: u32) -> Vec<u8> {
+    let brightness = |two: &[u8]| {
+        let value = u32::from(u16::from_be_bytes([two[0], two[1]]));
+        ((value * 255 + maximum / 2) / maximum).min(255) as u8
+    };
+    pixels.chunks_exact(2).map(brightness).collect()
 }
 
 /// Width, height and maximum of a PNM header after its magic number, and what follows it.
@@ -92,7 +131,31 @@ mod tests {
         let depth = frame_from_file(SensorKind::Depth, deep.clone());
         assert_eq!((depth.format, depth.stride, &*depth.bytes), (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..]));
         let picture = frame_from_file(SensorKind::Infrared, deep);
-        assert_eq!((picture.format, &*picture.bytes), (PixelFormat::Mono8, &[1, 0xff][..]));
+        assert_eq!((picture.format, &*picture.bytes), (PixelFormat::Mono8, &[16, 0xff][..]));
+    }
+
+    #[test]
+    fn bmp_tiff_and_webp_are_unpacked() {
+        let grey =
+            DynamicImage::ImageLuma8(image::GrayImage::from_fn(3, 2, |x, y| image::Luma([(x * 40 + y * 9) as u8])));
+        for format in [ImageFormat::Bmp, ImageFormat::Tiff, ImageFormat::WebP] {
+            let mut file = Cursor::new(Vec::new());
+            grey.write_to(&mut file, format).unwrap();
+            let whole = file.into_inner();
+            let frame = frame_from_file(SensorKind::Color, whole.clone());
+            let mut luma = crate::imaging::gray::GrayImage::default();
+            crate::imaging::decode::luma(&frame, &mut luma).unwrap();
+            let row: Vec<u8> = grey.as_luma8().unwrap().rows().nth(1).unwrap().map(|pixel| pixel.0[0]).collect();
+            assert_eq!(luma.view().row(1), row);
+            let cut = frame_from_file(SensorKind::Color, whole[..whole.len() / 2].to_vec());
+            assert!(crate::imaging::decode::luma(&cut, &mut luma).is_err(), "{format:?}");
+        }
+        let mut file = Cursor::new(Vec::new());
+        DynamicImage::ImageLuma16(image::ImageBuffer::from_raw(2, 1, vec![258, 65_534]).unwrap())
+            .write_to(&mut file, ImageFormat::Tiff)
+            .unwrap();
+        let depth = frame_from_file(SensorKind::Depth, file.into_inner());
+        assert_eq!((depth.format, depth.stride, &*depth.bytes), (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..]));
     }
 
     #[test]
