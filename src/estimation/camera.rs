@@ -200,6 +200,18 @@ impl CameraFit {
         self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
+    /// The covariance of its first camera's lens parameters, as if no corner were seen better than [`LEAST_NOISE`]; `None`
+    /// where they are not determined.
+    pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
+        let free = &self.layout.sensors[0].lens;
+        let unit = self.robust.minimum.equations.global_covariance()?;
+        let spread = free.spread(self.lens());
+        let unit = unit.view((0, 0), (free.free.len(), free.free.len()));
+        let covariance = &spread * unit * spread.transpose() * self.noise_square().max(LEAST_NOISE * LEAST_NOISE);
+        let known = |axis: usize| covariance[(axis, axis)].sqrt() < OPEN_FOCAL * self.lens().parameters()[axis];
+        (known(0) && known(1)).then_some(covariance)
+    }
+
     /// The views that take part, by index.
     pub(crate) fn good_views(&self) -> Vec<usize> {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()

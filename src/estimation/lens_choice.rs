@@ -1,5 +1,9 @@
-//! Which lens model: the one with the smallest error on views that it was not fitted to, and of those that no held-out
-//! view tells apart from it, the one with the fewest parameters.
+//! Which lens model: the one with the fewest parameters over which no larger one is worth its own. A larger model is worth
+//! them if it errs less on views that it was not fitted to, and if it moves projections somewhere in the picture by more
+//! than it is itself uncertain there: a smaller error on a few views is chance one time in six, and they tell nothing of
+//! the picture's corners that no view reached, where parameters that are hardly determined do their harm.
+
+use nalgebra::DMatrix;
 
 use crate::estimation::camera::{CameraFit, CameraOptions, fit_camera};
 use crate::estimation::error::EstimationError;
@@ -7,6 +11,7 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
+use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
 use crate::geometry::lens::{Lens, LensModel};
 
 /// How one lens model did.
@@ -20,8 +25,20 @@ pub struct LensTrial {
     pub parameters: usize,
 }
 
-/// The views are dealt into this many parts, each held out once.
-const FOLDS: usize = 4;
+/// The views are dealt into at most this many parts, each held out once.
+const FOLDS: usize = 10;
+
+/// How much smaller the error on held-out views must be, in standard errors of the mean difference per view.
+const HELD_OUT: f64 = 1.0;
+
+/// How far projections must move somewhere in the picture, in the larger model's standard deviations there.
+const MOVED: f64 = 2.5;
+
+/// Projections that move this far decide even where views are too few for [`HELD_OUT`] to say more than which is better.
+const MOVED_FAR: f64 = 4.0;
+
+/// The picture is compared on this many columns of pixels.
+const COLUMNS: u32 = 12;
 
 /// Views used in the comparison at most; more would not tell the models further apart.
 const MAX_VIEWS: usize = 100;
@@ -44,34 +61,61 @@ pub(crate) fn choose_lens(
     let Some(closest) = closest.cloned() else { return Err(refusal.unwrap_or(EstimationError::NoFit)) };
     let views = closest.good_views();
     let views: Vec<usize> = views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
-    let tried: Vec<_> =
-        fits.iter().filter_map(|fit| Some((fit, held_out_squares(fit, &closest.sights, &views, FOLDS)?))).collect();
-    let total = |squares: &[f64]| squares.iter().sum::<f64>();
-    let best = tried.iter().min_by(|a, b| total(&a.1).total_cmp(&total(&b.1)));
-    let Some((best_fit, best_squares)) = best else { return Ok((closest, Vec::new())) };
-    let mut chosen = *best_fit;
-    for (fit, squares) in &tried {
-        let fewer = fit.layout.len < chosen.layout.len;
-        if fewer && is_no_worse(squares, best_squares) {
-            chosen = fit;
-        }
-    }
+    let grid = PixelGrid::over(prepared.image_size, COLUMNS);
+    let trials: Vec<Trial<'_>> = fits.iter().filter_map(|fit| Trial::of(fit, &closest.sights, &views, grid)).collect();
+    let mut by_size: Vec<&Trial<'_>> = trials.iter().collect();
+    by_size.sort_by_key(|trial| trial.fit.layout.len);
+    let enough =
+        |(k, smaller): &(usize, &&Trial<'_>)| !by_size[k + 1..].iter().any(|larger| larger.is_worth_more(smaller));
+    let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else { return Ok((closest, Vec::new())) };
     let corners: usize = views.iter().map(|v| closest.sights[*v].used.iter().filter(|used| **used).count()).sum();
-    let trial = |(fit, squares): &(&CameraFit, Vec<f64>)| LensTrial {
-        model: fit.lens().model(),
-        held_out_rms_px: (total(squares) / corners.max(1) as f64).sqrt(),
-        parameters: fit.layout.sensors[0].lens.free.len(),
+    let told = |trial: &Trial<'_>| LensTrial {
+        model: trial.fit.lens().model(),
+        held_out_rms_px: (trial.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt(),
+        parameters: trial.fit.layout.sensors[0].lens.free.len(),
     };
-    Ok((chosen.clone(), tried.iter().map(trial).collect()))
+    Ok((chosen.fit.clone(), trials.iter().map(told).collect()))
 }
 
-/// Whether the mean difference per view is within one standard error of nothing.
-fn is_no_worse(squares: &[f64], best: &[f64]) -> bool {
-    let n = squares.len() as f64;
-    let differences: Vec<f64> = squares.iter().zip(best).map(|(a, b)| a - b).collect();
+/// A model's fit with its errors on held-out views.
+struct Trial<'a> {
+    fit: &'a CameraFit,
+    /// Per view, the sum of squared pixel errors.
+    squares: Vec<f64>,
+    /// Of the lens parameters; `None` where they are not determined.
+    covariance: Option<DMatrix<f64>>,
+    grid: PixelGrid,
+}
+
+impl<'a> Trial<'a> {
+    fn of(fit: &'a CameraFit, chosen: &[Sight], views: &[usize], grid: PixelGrid) -> Option<Self> {
+        let squares = held_out_squares(fit, chosen, views, FOLDS)?;
+        Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
+    }
+
+    /// Whether its parameters, of which it has more than `smaller`, are worth having.
+    fn is_worth_more(&self, smaller: &Self) -> bool {
+        let gain = gain_in_standard_errors(&smaller.squares, &self.squares);
+        let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
+        gain > 0.0 && moved() > if gain > HELD_OUT { MOVED } else { MOVED_FAR }
+    }
+
+    /// How far its projections are from those of `other` at most, in its own standard deviations at that pixel.
+    fn moves_projections_of(&self, other: &Lens) -> Option<f64> {
+        let own = projection_uncertainty(self.fit.lens(), self.covariance.as_ref()?, self.grid, Distance::Infinity)?;
+        let moved = projection_difference(self.fit.lens(), other, self.grid);
+        let pairs = moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
+        Some(pairs.map(|([x, y], own)| f64::sqrt((x * x + y * y) / own)).fold(0.0, f64::max))
+    }
+}
+
+/// The mean per view of how much smaller `larger_model` is than `smaller_model`, in standard errors of that mean.
+fn gain_in_standard_errors(smaller_model: &[f64], larger_model: &[f64]) -> f64 {
+    let n = smaller_model.len() as f64;
+    let differences: Vec<f64> = smaller_model.iter().zip(larger_model).map(|(a, b)| a - b).collect();
     let mean = differences.iter().sum::<f64>() / n;
     let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-    mean <= (variance / n).sqrt()
+    mean / (variance / n).sqrt().max(f64::MIN_POSITIVE)
 }
 
 /// Per view, the sum of squared pixel errors under a lens fitted without it. `None` where a part cannot be fitted.

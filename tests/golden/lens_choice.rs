@@ -1,7 +1,8 @@
 //! `auto` finds the model that made the pictures, and none with more parameters than they show.
 
-use plumb::estimation::camera::{CameraOptions, calibrate_camera};
-use plumb::geometry::lens::LensModel;
+use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::ImageSize;
 
 use crate::seeded_camera::SeededCamera;
@@ -21,6 +22,43 @@ fn auto_finds_the_true_model() {
         let estimate = calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default()).unwrap();
         assert_eq!(estimate.lens.model(), camera.lens.model(), "{:?}", estimate.compared);
         assert!(estimate.compared.len() >= 3, "{:?}", estimate.compared);
+    }
+}
+
+/// The largest error of a projection over the image, in the standard deviations that are predicted there.
+fn worst_error_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
+    let grid = PixelGrid::over(estimate.image_size, 12);
+    let predicted = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity);
+    let seen = projection_difference(&estimate.lens, truth, grid);
+    let predicted = predicted.unwrap().std_px;
+    let pairs = seen.iter().zip(&predicted).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
+    pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
+}
+
+#[test]
+fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
+    let size = ImageSize::new(640, 480);
+    let rational = [560.0, 555.0, 328.0, 235.0, 0.0, 0.3, -0.1, 0.0008, -0.0005, 0.01, 0.52, -0.05, 0.02];
+    let cameras = [
+        ("pinhole", SeededCamera::new(LensModel::Pinhole, size, &[560.0, 555.0, 328.0, 235.0, 0.0])),
+        ("radial", SeededCamera::new(LensModel::Radial, size, &[560.0, 555.0, 328.0, 235.0, 0.0, -0.2])),
+        ("ordinary", SeededCamera::ordinary()),
+        ("narrow", SeededCamera::narrow()),
+        ("wide", SeededCamera::wide()),
+        ("rational", SeededCamera::new(LensModel::Rational, size, &rational)),
+        ("fisheye", SeededCamera::fisheye()),
+    ];
+    for (name, camera) in cameras {
+        for (views, seed) in [(12, 0), (12, 1), (20, 2), (20, 3), (40, 4)] {
+            let mut rng = SeededCamera::rng(4100 + seed);
+            let poses = camera.poses(views, &mut rng);
+            let estimate = calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default()).unwrap();
+            let case = format!("{name}, {views} views, seed {seed}: {:?}", estimate.compared);
+            let (found, truth) = (estimate.lens.parameters().len(), camera.lens.parameters().len());
+            assert!(found <= truth, "{found} parameters of {truth}: {case}");
+            let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+            assert!(sigmas < 4.0, "{sigmas} sigma: {case}");
+        }
     }
 }
 
