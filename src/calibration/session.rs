@@ -154,6 +154,13 @@ impl Session {
         Some(Observed { admission, actions })
     }
 
+    /// Whether the session would keep `frame` for what was detected in it, if it were observed now.
+    pub fn would_keep(&self, frame: &FrameFacts, detection: &Detection) -> bool {
+        self.record.state == SessionState::Collecting
+            && self.image_size().is_none_or(|expected| expected == frame.image_size)
+            && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options).is_ok()
+    }
+
     /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves the one before.
     pub fn estimated(&mut self, estimate: Option<RunningEstimate>) -> Vec<Action> {
         self.estimating = false;

@@ -32,6 +32,9 @@ pub(super) struct Cross {
     pub contrast: f32,
 }
 
+/// Six samples a line, and two of no weight for the sake of eight lanes.
+const LANES: usize = 8;
+
 impl Window {
     /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
     /// `most_px` pixels.
@@ -58,18 +61,21 @@ impl Window {
     /// Looks at the window once. `None` if it leaves the image or is flat.
     pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
         let inside = self.inside(image, 1.0)?;
-        let mut line = FixedLine::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
-        let (mut sum, mut squares) = (0.0, 0.0);
-        let (mut rows, mut columns) = ([0.0f32; 6], [0.0f32; 6]);
-        for (j, row) in rows.iter_mut().enumerate() {
-            let values = line.next_six();
-            for (column, value) in columns.iter_mut().zip(values) {
-                sum += value;
-                squares += value * value;
-                *column += if j < 3 { -value } else { value };
+        let line = FixedLine::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
+        let samples = line.six_lines();
+        let (mut sums, mut squares, mut columns) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+        let mut rows = [0.0f32; 6];
+        for (j, (values, row)) in samples.iter().zip(&mut rows).enumerate() {
+            let side = if j < 3 { -1.0 } else { 1.0 };
+            for lane in 0..LANES {
+                sums[lane] += values[lane];
+                squares[lane] += values[lane] * values[lane];
+                columns[lane] += side * values[lane];
             }
             *row = values[3] + values[4] + values[5] - values[0] - values[1] - values[2];
         }
+        let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
+        let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
         let spread = (squares - sum * sum / 36.0).max(0.0);
         if spread < 18.0 {
             return None;
@@ -114,38 +120,37 @@ impl<'a> FixedLine<'a> {
         Self {
             bytes: image.bytes(),
             stride: image.stride(),
-            start: fixed(start),
+            start: fixed(start).map(|v| v.max(0)),
             along: fixed(along),
             down: fixed(down),
         }
     }
 
-    /// Six samples along, then one step down.
-    #[inline]
-    fn next_six(&mut self) -> [f32; 6] {
-        let [mut x, mut y] = self.start;
-        let values = std::array::from_fn(|_| {
-            let value = self.at(x, y);
-            x += self.along[0];
-            y += self.along[1];
-            value
-        });
-        self.start[0] += self.down[0];
-        self.start[1] += self.down[1];
-        values
-    }
-
-    #[inline]
-    fn at(&self, x: i64, y: i64) -> f32 {
-        let at = (y >> 16).max(0) as usize * self.stride + (x >> 16).max(0) as usize;
-        let (fx, fy) = (((x >> 8) & 255) as i32, ((y >> 8) & 255) as i32);
-        let upper = self.bytes.get(at..at + 2).map_or([0, 0], |p| [i32::from(p[0]), i32::from(p[1])]);
-        let below = at + self.stride;
-        // Past the image's last row or column nothing is read with any weight.
-        let lower = self.bytes.get(below..below + 2).map_or(upper, |p| [i32::from(p[0]), i32::from(p[1])]);
-        let across = |p: [i32; 2]| p[0] * 256 + (p[1] - p[0]) * fx;
-        let (top, bottom) = (across(upper), across(lower));
-        (top * 256 + (bottom - top) * fy) as f32 * (1.0 / 65536.0)
+    /// Six lines of six samples; the lanes beyond are 0.
+    fn six_lines(&self) -> [[f32; LANES]; 6] {
+        let span = self.stride + 2;
+        let mut lines = [[0.0; LANES]; 6];
+        let [mut left, mut top] = self.start;
+        for line in &mut lines {
+            let (mut x, mut y) = (left, top);
+            for value in &mut line[..6] {
+                let at = (y >> 16).max(0) as usize * self.stride + (x >> 16).max(0) as usize;
+                let (fx, fy) = (((x >> 8) & 255) as i32, ((y >> 8) & 255) as i32);
+                // In the image's last row and column nothing beyond is read with any weight.
+                let [a, b, c, d] = match self.bytes.get(at..at + span) {
+                    Some(four) => [four[0], four[1], four[span - 2], four[span - 1]],
+                    None => [0, 1, span - 2, span - 1].map(|i| self.bytes.get(at + i).copied().unwrap_or(0)),
+                };
+                let across = |p: u8, q: u8| i32::from(p) * 256 + (i32::from(q) - i32::from(p)) * fx;
+                let (upper, lower) = (across(a, b), across(c, d));
+                *value = (upper * 256 + (lower - upper) * fy) as f32 * (1.0 / 65536.0);
+                x += self.along[0];
+                y += self.along[1];
+            }
+            left += self.down[0];
+            top += self.down[1];
+        }
+        lines
     }
 }
 

@@ -1,20 +1,19 @@
 //! The whole search: from the coarsest level of the image to the finest, until a board is found.
 
-use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
+use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::candidates::CandidateSearch;
 use super::cross::Vec2;
-use super::edges::{EdgeCount, count_edges};
 use super::ends::seen_ends;
-use super::grid::{Bounds, Grid, Node};
-use super::growth::{Growth, WINDOWS, in_steps, sharpen};
+use super::grid::{Bounds, Grid};
+use super::growth::{Growth, WINDOWS, sharpen};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
 use super::response::Response;
 use super::seeds::Neighbourhood;
+use super::tracking::LastBoard;
 use super::verification::verify;
 use crate::geometry::board::BoardSize;
-use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 /// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`] lines each way.
@@ -22,33 +21,30 @@ const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
 const MOST_GRIDS: usize = 8;
-/// Least correlation with a chessboard corner of one that is reported without refinement.
-const STANDING_SCORE: f32 = 0.7;
-/// How far such a one may lie from where its neighbours put it, in steps.
-const STANDING_OFF: f32 = 0.05;
-/// How far a corner of a part may lie from where its neighbours put it, in steps.
-const MOST_ASTRAY: f32 = 0.12;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
-/// Range of brightness that is no picture at all, in grey levels.
-const LEAST_RANGE: u8 = 8;
 
 /// Finds one kind of board in images. Its buffers are kept from image to image.
 #[derive(Debug)]
 pub struct Detector {
-    board: BoardSize,
-    pyramid: Pyramid,
-    response: Response,
-    candidates: CandidateSearch,
-    neighbourhood: Neighbourhood,
-    used: Vec<bool>,
-    growth: Growth,
-    grid: Grid,
-    part: Grid,
-    guesses: Vec<GridCorner>,
-    refined: Vec<Option<RefinedCorner>>,
-    blurs: Vec<f64>,
-    refiner: Refiner,
+    pub(super) board: BoardSize,
+    pub(super) pyramid: Pyramid,
+    pub(super) response: Response,
+    pub(super) candidates: CandidateSearch,
+    pub(super) neighbourhood: Neighbourhood,
+    pub(super) used: Vec<bool>,
+    pub(super) growth: Growth,
+    pub(super) grid: Grid,
+    pub(super) part: Grid,
+    pub(super) guesses: Vec<GridCorner>,
+    pub(super) refined: Vec<Option<RefinedCorner>>,
+    pub(super) blurs: Vec<f64>,
+    pub(super) refiner: Refiner,
+    /// Where the last board lies in `part`, if the whole of it was seen.
+    pub(super) whole: Option<Placement>,
+    pub(super) last: LastBoard,
+    /// Memory for the corners of the next detection.
+    pub(super) spare: Vec<DetectedCorner>,
 }
 
 /// What a grid turned out to be.
@@ -61,12 +57,12 @@ enum Found {
 
 /// What the search saw that was no board, for the reason.
 #[derive(Default)]
-struct Seen {
-    candidates: usize,
-    largest: usize,
-    size: (u32, u32),
-    other: Option<(u32, u32)>,
-    too_large: bool,
+pub(super) struct Seen {
+    pub(super) candidates: usize,
+    pub(super) largest: usize,
+    pub(super) size: (u32, u32),
+    pub(super) other: Option<(u32, u32)>,
+    pub(super) too_large: bool,
 }
 
 impl Detector {
@@ -86,7 +82,15 @@ impl Detector {
             refined: Vec::new(),
             blurs: Vec::new(),
             refiner: Refiner::new(),
+            whole: None,
+            last: LastBoard::default(),
+            spare: Vec::new(),
         }
+    }
+
+    /// Takes back a detection that is done with: the next one is written to its memory.
+    pub fn reuse(&mut self, detection: Detection) {
+        self.spare = detection.corners;
     }
 
     /// The board that is looked for.
@@ -99,6 +103,7 @@ impl Detector {
     /// # Errors
     /// [`NoBoard`] says why there is none.
     pub fn find_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Detection, NoBoard> {
+        self.whole = None;
         let longer = self.board.cols.max(self.board.rows) as usize;
         let shorter = self.board.cols.min(self.board.rows) as usize;
         let (width, height) = (image.width(), image.height());
@@ -270,11 +275,11 @@ impl Detector {
     }
 
     /// Fewer corners are not believed to be part of the board.
-    fn least_part(&self) -> usize {
+    pub(super) fn least_part(&self) -> usize {
         LEAST_PART.max((self.board.corner_count() * 3 / 10).min(2 * LEAST_PART))
     }
 
-    fn is_whole(&self) -> bool {
+    pub(super) fn is_whole(&self) -> bool {
         self.grid.members.len() == self.board.corner_count()
             && self.grid.bounds().is_some_and(|bounds| whole_shape(bounds, self.board))
     }
@@ -284,124 +289,6 @@ impl Detector {
         let (cols, rows) = (self.board.cols, self.board.rows);
         larger(bounds) > cols.max(rows) + 2 || smaller(bounds) > cols.min(rows) + 2
     }
-
-    /// The corners of `part`, exactly, in the board's order.
-    fn report(
-        &mut self,
-        image: GrayView<'_>,
-        placement: Placement,
-        options: &DetectOptions,
-    ) -> Result<Detection, NoBoard> {
-        let part = &self.part;
-        let at = |col: i32, row: i32| {
-            let (i, j) = placement.in_grid(col, row);
-            part.pixel(i, j).map(|p| Pixel::new(f64::from(p.x), f64::from(p.y)))
-        };
-        self.guesses.clear();
-        self.guesses.extend(part.members.iter().filter_map(|&(i, j)| {
-            let (col, row) = placement.in_board(i, j);
-            let neighbours = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
-            Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
-        }));
-        self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
-        self.refiner.refine(image, &self.guesses, &mut self.refined);
-        let mut corners = Vec::with_capacity(self.guesses.len());
-        self.blurs.clear();
-        for (guess, refined) in self.guesses.iter().zip(&self.refined) {
-            let GridCorner { index, pixel, .. } = *guess;
-            match refined {
-                Some(refined) if stays(guess, refined) => {
-                    corners.push(DetectedCorner { index, pixel: refined.pixel, std_px: refined.std_px });
-                    self.blurs.push(refined.blur_px);
-                }
-                _ if self.stands(image, placement, guess) => {
-                    corners.push(DetectedCorner { index, pixel, std_px: guess_std_px(guess) });
-                }
-                _ => {}
-            }
-        }
-        if corners.len() < self.board.corner_count() {
-            self.drop_astray(placement, &mut corners);
-        }
-        let partial = corners.len() < self.board.corner_count();
-        if partial && (!options.allow_partial || corners.len() < self.least_part()) {
-            return Err(NoBoard::Incomplete { seen: corners.len(), board: self.board });
-        }
-        self.blurs.sort_unstable_by(f64::total_cmp);
-        Ok(Detection {
-            board: self.board,
-            partial,
-            position_known: placement.known,
-            orientation_ambiguous: self.board.orientation_ambiguous(),
-            blur_px: self.blurs.get(self.blurs.len() / 2).copied().unwrap_or(0.0),
-            corners,
-        })
-    }
-
-    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a board may end beside a
-    /// corner, and be taken for one of its edges.
-    fn drop_astray(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
-        let part = &mut self.part;
-        for corner in corners.iter() {
-            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            if let Some(node) = part.get(i, j) {
-                let pixel = Vec2::new(corner.pixel.x as f32, corner.pixel.y as f32);
-                part.set(i, j, Node { pixel, ..node });
-            }
-        }
-        corners.retain(|corner| {
-            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            let off = part.pixel(i, j).zip(part.predict(i, j)).zip(part.steps(i, j));
-            let off = off.and_then(|((p, expected), steps)| in_steps(p - expected, steps));
-            off.is_none_or(|off| off.x.abs().max(off.y.abs()) < MOST_ASTRAY)
-        });
-    }
-
-    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all
-    /// edges to them.
-    fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
-        let GridIndex { col, row } = guess.index;
-        let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
-        let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
-        let on_board = |&(c, r): &(i32, i32)| (0..cols).contains(&c) && (0..rows).contains(&r);
-        let complete = around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
-        let (i, j) = placement.in_grid(col, row);
-        let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
-        let off = self
-            .part
-            .get(i, j)
-            .filter(|node| node.score >= STANDING_SCORE)
-            .and_then(|node| in_steps(node.pixel - self.part.predict(i, j)?, self.part.steps(i, j)?));
-        let in_place = off.is_some_and(|off| off.x.abs().max(off.y.abs()) < STANDING_OFF);
-        complete && seen >= 2 && held == seen && in_place
-    }
-
-    fn reason(&self, image: GrayView<'_>, coarsest: usize, seen: &Seen) -> NoBoard {
-        let view = self.pyramid.level(image, coarsest);
-        let range = brightness_range(view);
-        if range < LEAST_RANGE {
-            return NoBoard::LowContrast { range };
-        }
-        if let Some((cols, rows)) = seen.other {
-            return NoBoard::OtherSize { cols, rows, board: self.board };
-        }
-        if seen.candidates == 0 {
-            return NoBoard::NoCorners;
-        }
-        NoBoard::NoGrid { corners: seen.candidates, cols: seen.size.0, rows: seen.size.1 }
-    }
-}
-
-/// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of a square, at least 0.3.
-fn guess_std_px(guess: &GridCorner) -> f64 {
-    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
-    (0.02 * nearest).clamp(0.3, 3.0)
-}
-
-/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its nearest neighbour.
-fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
-    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
-    refined.pixel.distance_px(guess.pixel) < 0.25 * nearest
 }
 
 fn whole_shape(bounds: Bounds, board: BoardSize) -> bool {
@@ -428,29 +315,8 @@ fn sharpen_all(image: GrayView<'_>, grid: &mut Grid) {
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
         if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
-            let moved = sharpen(image, &node, steps);
+            let moved = sharpen(image, &node, steps, &[0.2, 0.1]);
             grid.set(i, j, moved);
         }
     }
-}
-
-/// Brightness between the 1st and the 99th percentile.
-fn brightness_range(image: GrayView<'_>) -> u8 {
-    let mut counts = [0usize; 256];
-    for y in 0..image.height() {
-        for &value in image.row(y) {
-            counts[value as usize] += 1;
-        }
-    }
-    let share = image.width() * image.height() / 100;
-    let reach = |mut values: Box<dyn Iterator<Item = usize>>| {
-        let mut sum = 0;
-        values.find(|&v| {
-            sum += counts[v];
-            sum > share
-        })
-    };
-    let low = reach(Box::new(0..256)).unwrap_or(0);
-    let high = reach(Box::new((0..256).rev())).unwrap_or(0);
-    high.saturating_sub(low) as u8
 }

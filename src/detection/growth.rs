@@ -24,6 +24,8 @@ const NEAR: f32 = 0.16;
 const LEAST_NEAR_CONTRAST: f32 = 0.5;
 /// Least correlation with a chessboard corner very near it.
 const LEAST_NEAR_SCORE: f32 = 0.65;
+/// Least correlation with a chessboard corner of a place where one is expected, before it has settled.
+const LEAST_FIRST_SCORE: f32 = 0.25;
 /// Least pixels a window reaches.
 const LEAST_REACH_PX: f32 = 2.0;
 
@@ -55,6 +57,8 @@ const NARROW: WindowSize =
     WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
 const CLOSE: WindowSize =
     WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.5, most_off: 0.1 };
+/// Where a board is followed from picture to picture: as far as its squares reach, at places some pixels apart.
+pub(super) const FOLLOWED: WindowSize = WindowSize { most_px: f32::MAX, ..WIDE };
 pub(super) const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
 
 /// Grows grids; its queue is kept from grid to grid.
@@ -131,13 +135,17 @@ impl Growth {
 
 /// Where a corner must be, and how it must look.
 #[derive(Debug, Clone, Copy)]
-struct Place {
-    expected: Vec2,
-    steps: [Vec2; 2],
-    polarity: f32,
-    contrast: [f32; 2],
+pub(super) struct Place {
+    /// Where.
+    pub expected: Vec2,
+    /// From there to the next corner along i and along j.
+    pub steps: [Vec2; 2],
+    /// Sign of its contrast.
+    pub polarity: f32,
+    /// Contrast of its neighbours, and the same very near to them.
+    pub contrast: [f32; 2],
     /// How far off it may be, in steps.
-    most_off: f32,
+    pub most_off: f32,
 }
 
 impl Place {
@@ -161,7 +169,8 @@ impl Place {
         })
     }
 
-    fn look(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
+    /// The corner there, in the first of the windows that shows one.
+    pub(super) fn look(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
         sizes.iter().find_map(|&size| {
             let node = settle(image, self.expected, self.steps, size)?;
             let off = in_steps(node.pixel - self.expected, self.steps)?;
@@ -180,6 +189,9 @@ impl Place {
 pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size: WindowSize) -> Option<Node> {
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
     let first = window(expected, size.reach)?.look(image)?;
+    if first.score < LEAST_FIRST_SCORE {
+        return None;
+    }
     let second = window(first.center, size.reach)?.look(image)?;
     if second.score < size.least_score {
         return None;
@@ -194,10 +206,10 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     Some(Node { pixel, contrast: second.contrast, near_contrast: near.contrast, score: second.score })
 }
 
-/// The corner of `node`, found on a coarser level and taken to this one, where `image` shows it.
-pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2]) -> Node {
+/// The corner of `node`, found on a coarser level and taken to this one, where `image` shows it, in windows of `reaches` in turn.
+pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Node {
     let mut center = node.pixel;
-    for reach in [0.2, 0.1] {
+    for &reach in reaches {
         match window(center, steps, reach, WIDE.most_px).inside(image, 0.25).and_then(|window| window.look(image)) {
             Some(cross)
                 if cross.score > LEAST_NARROW_SCORE && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>

@@ -9,6 +9,7 @@ use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session_record::SessionRecord;
 use crate::calibration::view::View;
 use crate::capture::SourceOpener;
+use crate::pipeline::board_look::BoardLook;
 use crate::pipeline::camera_status::CameraStatus;
 use crate::pipeline::capture_thread::{Capture, Supervision};
 use crate::pipeline::detect_thread::Detect;
@@ -91,6 +92,7 @@ pub(super) fn start_camera(
         auto_approve: options.auto_approve,
         admission: options.admission,
         session: None,
+        board_look: BoardLook::default(),
     };
     // Before the first frame, so that a replay begins with what is to be looked for.
     if let Some((record, views)) = unfinished {

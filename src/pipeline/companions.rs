@@ -13,7 +13,7 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
 use crate::imaging::picture_file::frame_from_file;
-use crate::pipeline::detect_thread::picture_of;
+use crate::pipeline::board_look::picture_of;
 use crate::pipeline::view_picture::view_picture;
 use crate::store::{Companion, Picture};
 

@@ -8,6 +8,7 @@
 //!
 //! [`fleet::Fleet`] is the one object that the layers above talk to.
 
+mod board_look;
 pub mod camera_status;
 mod camera_threads;
 mod capture_thread;

@@ -14,9 +14,10 @@ use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::solve_rgbd::RgbdInput;
 use crate::calibration::view::{FrameFacts, View};
+use crate::detection::board_detection::Detection;
+use crate::pipeline::board_look::{BoardLook, Manner, picture_of};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::companions::{companions_of, rgbd_input};
-use crate::pipeline::detect_thread::picture_of;
 use crate::pipeline::event::{CalibrationEvent, DetectionEvent, EventKind};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::{Look, LookError};
@@ -34,6 +35,8 @@ pub(super) struct SessionThread {
     pub(super) auto_approve: bool,
     pub(super) admission: AdmissionOptions,
     pub(super) session: Option<Session>,
+    /// For the frames that are kept.
+    pub(super) board_look: BoardLook,
 }
 
 impl SessionThread {
@@ -62,7 +65,7 @@ impl SessionThread {
 
     fn take(&mut self, message: Message) {
         match message {
-            Message::Looked { captured, search, look } => self.observe(&captured, &search, &look),
+            Message::Looked { captured, search, look } => self.observe(&captured, &search, look),
             Message::Ended { search, reason } => {
                 if self.is_for(search.as_deref()) {
                     self.tell(|session| session.source_ended(&reason, utc_now_ns()));
@@ -133,18 +136,25 @@ impl SessionThread {
         self.session.as_ref().map(|session| session.record().clone()).ok_or_else(unknown)
     }
 
-    fn observe(&mut self, captured: &CapturedFrame, search: &Search, look: &Look) {
+    fn observe(&mut self, captured: &CapturedFrame, search: &Search, look: Look) {
         let Some(session) = self.session.as_mut().filter(|session| session.record().id == search.session) else {
             return;
         };
         let facts = frame_facts(captured);
+        // A followed board decides whether its frame is worth keeping; what is kept is what a search finds in it.
+        let worth = |detection: &Arc<Detection>| look.followed && session.would_keep(&facts, detection);
+        let look = if look.outcome.as_ref().is_ok_and(worth) {
+            Look::of(self.board_look.look(&captured.frame_set, search.board, Manner::Searched), look.elapsed_ms)
+        } else {
+            look
+        };
         let seen = match &look.outcome {
             Ok(detection) => Ok(detection.as_ref()),
             Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
             Err(LookError::Unreadable { detail }) => Err(Rejection::Unreadable { detail: detail.clone() }),
         };
         let Some(observed) = session.observe(&facts, seen) else { return };
-        self.publish_detection(captured, search, look, &observed);
+        self.publish_detection(captured, search, &look, &observed);
         let in_line = captured.waits && self.estimates_decide();
         for action in observed.actions {
             match action {

@@ -18,36 +18,47 @@ const TOLERANCE: f64 = 0.3;
 
 /// What is done to a picture.
 #[derive(Clone, Copy)]
-struct Nuisance {
-    covered: bool,
-    cropped: bool,
+pub(crate) struct Nuisance {
+    pub(crate) covered: bool,
+    pub(crate) cropped: bool,
 }
 
 /// A picture and where the board's corners truly are in it.
-struct Scene {
-    image: GrayImage,
-    board: BoardSize,
+pub(crate) struct Scene {
+    pub(crate) image: GrayImage,
+    pub(crate) board: BoardSize,
     /// Row by row, in an order whose first corner has a dark outer diagonal square unless `inverted`.
-    corners: Vec<[f64; 2]>,
-    inverted: bool,
+    pub(crate) corners: Vec<[f64; 2]>,
+    pub(crate) inverted: bool,
 }
 
 impl Scene {
-    fn new(seed: u64, board: BoardSize, nuisance: Nuisance) -> Self {
+    pub(crate) fn new(seed: u64, board: BoardSize, nuisance: Nuisance) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let pixel_from_board = pixel_from_board(&mut rng, board, nuisance.cropped);
         let inverted = rng.random_bool(0.3);
-        let corners = (0..board.rows * board.cols)
-            .map(|k| project(&pixel_from_board, f64::from(k % board.cols), f64::from(k / board.cols)))
-            .collect();
         let cover = nuisance.covered.then(|| Cover::new(&mut rng));
         let light = Light::new(&mut rng, inverted);
-        let image = render(&mut rng, &pixel_from_board, board, cover, &light);
+        Self::of(&mut rng, &pixel_from_board, board, cover, (&light, inverted))
+    }
+
+    /// The picture of `board` where `pixel_from_board` puts it, in this light and inverted or not.
+    pub(crate) fn of(
+        rng: &mut ChaCha8Rng,
+        pixel_from_board: &Matrix3<f64>,
+        board: BoardSize,
+        cover: Option<Cover>,
+        (light, inverted): (&Light, bool),
+    ) -> Self {
+        let corners = (0..board.rows * board.cols)
+            .map(|k| project(pixel_from_board, f64::from(k % board.cols), f64::from(k / board.cols)))
+            .collect();
+        let image = render(rng, pixel_from_board, board, cover, light);
         Self { image, board, corners, inverted }
     }
 
     /// Shortest way between neighbouring corners, in pixels.
-    fn shortest_step_px(&self) -> f64 {
+    pub(crate) fn shortest_step_px(&self) -> f64 {
         let cols = self.board.cols as usize;
         let apart = |a: usize, b: usize| {
             (self.corners[a][0] - self.corners[b][0]).hypot(self.corners[a][1] - self.corners[b][1])
@@ -74,7 +85,7 @@ impl Scene {
     }
 
     /// Whether every corner of `found` is where it says and which it says.
-    fn is_right(&self, found: &Detection) -> bool {
+    pub(crate) fn is_right(&self, found: &Detection) -> bool {
         let near = |first, turns| self.worst_px(found, first, turns) < TOLERANCE * self.shortest_step_px();
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         if !found.position_known {
@@ -104,7 +115,7 @@ impl Scene {
 }
 
 /// Light of the scene: black, white, what is behind the board, noise.
-struct Light {
+pub(crate) struct Light {
     squares: [f64; 2],
     margin: f64,
     behind: [f64; 3],
@@ -114,7 +125,7 @@ struct Light {
 }
 
 impl Light {
-    fn new(rng: &mut ChaCha8Rng, inverted: bool) -> Self {
+    pub(crate) fn new(rng: &mut ChaCha8Rng, inverted: bool) -> Self {
         let dark = rng.random_range(15.0..70.0);
         let bright = dark + rng.random_range(60.0..160.0);
         let squares = if inverted { [bright, dark] } else { [dark, bright] };
@@ -130,7 +141,7 @@ impl Light {
 }
 
 /// A band in front of the board.
-struct Cover {
+pub(crate) struct Cover {
     middle: [f64; 2],
     along: [f64; 2],
     half: [f64; 2],
@@ -138,7 +149,7 @@ struct Cover {
 }
 
 impl Cover {
-    fn new(rng: &mut ChaCha8Rng) -> Self {
+    pub(crate) fn new(rng: &mut ChaCha8Rng) -> Self {
         let angle: f64 = rng.random_range(0.0..std::f64::consts::PI);
         Self {
             middle: [rng.random_range(60.0..180.0), rng.random_range(50.0..130.0)],
@@ -156,7 +167,7 @@ impl Cover {
 }
 
 /// A pinhole camera before a tilted board, all of it in the picture unless `cropped`.
-fn pixel_from_board(rng: &mut ChaCha8Rng, board: BoardSize, cropped: bool) -> Matrix3<f64> {
+pub(crate) fn pixel_from_board(rng: &mut ChaCha8Rng, board: BoardSize, cropped: bool) -> Matrix3<f64> {
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     loop {
         let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..std::f64::consts::TAU));

@@ -2,6 +2,7 @@
 
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
+mod allocations;
 mod bad_views;
 mod corner_accuracy;
 mod detection;
@@ -14,4 +15,5 @@ mod seeded_camera;
 #[path = "../system/shared_data.rs"]
 mod shared_data;
 mod textbook;
+mod tracking;
 mod walk;

@@ -1,0 +1,138 @@
+//! From the corners of a grid to what is answered: refined, in the board's order, with what is in doubt left out.
+
+use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
+use super::cross::Vec2;
+use super::detector::Detector;
+use super::edges::{EdgeCount, count_edges};
+use super::grid::Node;
+use super::growth::in_steps;
+use super::placement::Placement;
+use super::refine::{GridCorner, RefinedCorner};
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// Least correlation with a chessboard corner of one that is reported without refinement.
+const STANDING_SCORE: f32 = 0.7;
+/// How far such a one may lie from where its neighbours put it, in steps.
+const STANDING_OFF: f32 = 0.05;
+/// How far a corner of a part may lie from where its neighbours put it, in steps.
+const MOST_ASTRAY: f32 = 0.12;
+
+impl Detector {
+    /// The corners of `part`, exactly, in the board's order.
+    pub(super) fn report(
+        &mut self,
+        image: GrayView<'_>,
+        placement: Placement,
+        options: &DetectOptions,
+    ) -> Result<Detection, NoBoard> {
+        self.take_guesses(placement);
+        self.refiner.refine(image, &self.guesses, &mut self.refined);
+        let mut corners = std::mem::take(&mut self.spare);
+        corners.clear();
+        self.blurs.clear();
+        for (guess, refined) in self.guesses.iter().zip(&self.refined) {
+            let GridCorner { index, pixel, .. } = *guess;
+            match refined {
+                Some(refined) if stays(guess, refined) => {
+                    corners.push(DetectedCorner { index, pixel: refined.pixel, std_px: refined.std_px });
+                    self.blurs.push(refined.blur_px);
+                }
+                _ if self.stands(image, placement, guess) => {
+                    corners.push(DetectedCorner { index, pixel, std_px: guess_std_px(guess) });
+                }
+                _ => {}
+            }
+        }
+        if corners.len() < self.board.corner_count() {
+            self.drop_astray(placement, &mut corners);
+        }
+        let partial = corners.len() < self.board.corner_count();
+        if partial && (!options.allow_partial || corners.len() < self.least_part()) {
+            let seen = corners.len();
+            self.spare = corners;
+            return Err(NoBoard::Incomplete { seen, board: self.board });
+        }
+        self.whole = Some(placement).filter(|_| !partial);
+        Ok(self.detection(placement, corners))
+    }
+
+    /// The detection of `corners`, with the middle one of the blurs that were seen.
+    pub(super) fn detection(&mut self, placement: Placement, corners: Vec<DetectedCorner>) -> Detection {
+        self.blurs.sort_unstable_by(f64::total_cmp);
+        Detection {
+            board: self.board,
+            partial: corners.len() < self.board.corner_count(),
+            position_known: placement.known,
+            orientation_ambiguous: self.board.orientation_ambiguous(),
+            blur_px: self.blurs.get(self.blurs.len() / 2).copied().unwrap_or(0.0),
+            corners,
+        }
+    }
+
+    /// The corners of `part`, in the board's order, as the refiner takes them.
+    pub(super) fn take_guesses(&mut self, placement: Placement) {
+        let part = &self.part;
+        let at = |col: i32, row: i32| {
+            let (i, j) = placement.in_grid(col, row);
+            part.pixel(i, j).map(|p| Pixel::new(f64::from(p.x), f64::from(p.y)))
+        };
+        self.guesses.clear();
+        self.guesses.extend(part.members.iter().filter_map(|&(i, j)| {
+            let (col, row) = placement.in_board(i, j);
+            let neighbours = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
+            Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
+        }));
+        self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
+    }
+
+    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a board may end beside a
+    /// corner, and be taken for one of its edges.
+    fn drop_astray(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
+        let part = &mut self.part;
+        for corner in corners.iter() {
+            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
+            if let Some(node) = part.get(i, j) {
+                let pixel = Vec2::new(corner.pixel.x as f32, corner.pixel.y as f32);
+                part.set(i, j, Node { pixel, ..node });
+            }
+        }
+        corners.retain(|corner| {
+            let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
+            let off = part.pixel(i, j).zip(part.predict(i, j)).zip(part.steps(i, j));
+            let off = off.and_then(|((p, expected), steps)| in_steps(p - expected, steps));
+            off.is_none_or(|off| off.x.abs().max(off.y.abs()) < MOST_ASTRAY)
+        });
+    }
+
+    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all
+    /// edges to them.
+    fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
+        let GridIndex { col, row } = guess.index;
+        let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
+        let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
+        let on_board = |&(c, r): &(i32, i32)| (0..cols).contains(&c) && (0..rows).contains(&r);
+        let complete = around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
+        let (i, j) = placement.in_grid(col, row);
+        let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
+        let off = self
+            .part
+            .get(i, j)
+            .filter(|node| node.score >= STANDING_SCORE)
+            .and_then(|node| in_steps(node.pixel - self.part.predict(i, j)?, self.part.steps(i, j)?));
+        let in_place = off.is_some_and(|off| off.x.abs().max(off.y.abs()) < STANDING_OFF);
+        complete && seen >= 2 && held == seen && in_place
+    }
+}
+
+/// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of a square, at least 0.3.
+fn guess_std_px(guess: &GridCorner) -> f64 {
+    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    (0.02 * nearest).clamp(0.3, 3.0)
+}
+
+/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its nearest neighbour.
+fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
+    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    refined.pixel.distance_px(guess.pixel) < 0.25 * nearest
+}

@@ -1,0 +1,185 @@
+//! Where the board is now, if it is near where it was last: for live use, a fraction of a search.
+//!
+//! Each corner is looked at in the image itself, in a window as wide as its squares, where it was and where it would be if it
+//! went on as it moved. What is found must pass the tests of a search: every corner of the board, every edge, none beyond.
+//! Anything less is no answer, and the whole picture is searched.
+
+use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
+use super::cross::Vec2;
+use super::detector::Detector;
+use super::grid::{Grid, Node};
+use super::growth::{FOLLOWED, Place, WINDOWS, sharpen};
+use super::placement::{Placement, place};
+use super::verification::verify;
+use crate::geometry::board::BoardSize;
+use crate::imaging::gray::GrayView;
+
+/// Corners of a followed board that are refined, to know the blur and how exact the others are.
+const SAMPLED: usize = 5;
+/// Squares of more pixels than this are looked at once more.
+const LARGE: f32 = 150.0;
+/// Least standard deviation that is stated for a corner that is not refined, in pixels.
+const LEAST_STD_PX: f64 = 0.05;
+/// A board of which more than this share is not where it should be is not followed.
+const MOST_LOST: usize = 4;
+
+/// A board in a live picture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sighting {
+    /// The board.
+    pub detection: Detection,
+    /// It was found near where it was last, without a search: its corners are not refined, but for those that tell the blur
+    /// and how exact the others are, and `std_px` is the same for all.
+    pub followed: bool,
+}
+
+/// Where a board was, corner by corner in the board's order.
+#[derive(Debug, Default)]
+pub(super) struct LastBoard {
+    nodes: Vec<Node>,
+    /// How far each corner moved since the board before.
+    motion: Vec<Vec2>,
+    before: Vec<Vec2>,
+    /// Whether the square beyond the first corner, towards the board's middle, is bright.
+    bright: bool,
+}
+
+impl LastBoard {
+    pub(super) fn forget(&mut self) {
+        self.nodes.clear();
+        self.before.clear();
+    }
+
+    /// Remembers a whole board.
+    fn remember(&mut self, grid: &Grid, placement: Placement, board: BoardSize) {
+        self.before.clear();
+        self.before.extend(self.nodes.iter().map(|node| node.pixel));
+        self.nodes.clear();
+        let corners = (0..board.rows as i32).flat_map(|row| (0..board.cols as i32).map(move |col| (col, row)));
+        self.nodes.extend(corners.filter_map(|(col, row)| {
+            let (i, j) = placement.in_grid(col, row);
+            grid.get(i, j)
+        }));
+        self.motion.clear();
+        self.motion.extend(self.nodes.iter().zip(&self.before).map(|(node, before)| node.pixel - before));
+        let ((i, j), (k, l)) = (placement.in_grid(0, 0), placement.in_grid(1, 1));
+        self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
+    }
+
+    /// Where corner `index` should be, and the steps to its neighbours.
+    fn expect(&self, index: usize, board: BoardSize, with_motion: bool) -> Option<(Vec2, [Vec2; 2])> {
+        let (cols, rows) = (board.cols as usize, board.rows as usize);
+        let step = |at: usize, length: usize, stride: usize| {
+            let low = index - stride.min(at * stride);
+            let high = if at + 1 < length { index + stride } else { index };
+            let (p, q) = (self.nodes.get(low)?.pixel, self.nodes.get(high)?.pixel);
+            Some((q - p) * (stride as f32 / (high - low) as f32))
+        };
+        let steps = [step(index % cols, cols, 1)?, step(index / cols, rows, cols)?];
+        let moved = if with_motion { *self.motion.get(index)? } else { Vec2::zeros() };
+        Some((self.nodes.get(index)?.pixel + moved, steps))
+    }
+}
+
+impl Detector {
+    /// Finds the board in the next picture of a stream: first where it was last, else by [`Detector::find_board`], in the same
+    /// call. The pictures since this detector was made decide the answer, nothing else.
+    ///
+    /// # Errors
+    /// [`NoBoard`] says why there is none.
+    pub fn track_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Sighting, NoBoard> {
+        if let Some(detection) = self.follow_board(image) {
+            return Ok(Sighting { detection, followed: true });
+        }
+        let searched = self.find_board(image, options);
+        match self.whole.filter(|_| searched.as_ref().is_ok_and(|detection| !detection.partial)) {
+            Some(placement) => self.last.remember(&self.part, placement, self.board),
+            None => self.last.forget(),
+        }
+        searched.map(|detection| Sighting { detection, followed: false })
+    }
+
+    /// The board near where it was last.
+    fn follow_board(&mut self, image: GrayView<'_>) -> Option<Detection> {
+        if self.last.nodes.len() != self.board.corner_count() {
+            return None;
+        }
+        let moved = !self.last.motion.is_empty() && self.look_where_expected(image, true);
+        if !moved && !self.look_where_expected(image, false) {
+            return None;
+        }
+        // What a picture of more squares shows beyond the board is found here too, and then it is not this board.
+        let sizes = if self.is_whole() { &WINDOWS[..1] } else { &WINDOWS[..] };
+        self.growth.grow(image, &mut self.grid, sizes);
+        if !self.is_whole() || !verify(image, &mut self.grid) || !self.is_whole() {
+            return None;
+        }
+        let placement = place(&self.grid, self.grid.bounds()?, [false; 4], self.board)?;
+        std::mem::swap(&mut self.grid, &mut self.part);
+        self.last.remember(&self.part, placement, self.board);
+        self.report_followed(image, placement)
+    }
+
+    /// Starts a grid, in the board's own order, from the corners that are seen where they are expected.
+    fn look_where_expected(&mut self, image: GrayView<'_>, with_motion: bool) -> bool {
+        let board = self.board;
+        let (last, grid) = (&self.last, &mut self.grid);
+        grid.clear(board.cols.max(board.rows) as i32 + 2, last.bright);
+        let count = board.corner_count();
+        let mut lost = 0;
+        for (index, node) in last.nodes.iter().enumerate() {
+            let (i, j) = (index as i32 % board.cols as i32, index as i32 / board.cols as i32);
+            let seen = last.expect(index, board, with_motion).and_then(|(expected, steps)| {
+                let contrast = [node.contrast.abs(), node.near_contrast.abs()];
+                let place = Place { expected, steps, polarity: grid.polarity(i, j), contrast, most_off: 0.3 };
+                let found = place.look(image, &[FOLLOWED])?;
+                let reaches = if steps[0].norm_squared().min(steps[1].norm_squared()) > LARGE * LARGE {
+                    &[0.1, 0.04][..]
+                } else {
+                    &[0.1]
+                };
+                Some(sharpen(image, &found, steps, reaches))
+            });
+            match seen {
+                Some(node) => grid.set(i, j, node),
+                None => lost += 1,
+            }
+            if lost * MOST_LOST > count {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// The corners of `part` as they were followed; a few of them refined, to know the blur and how far the others may be off.
+    fn report_followed(&mut self, image: GrayView<'_>, placement: Placement) -> Option<Detection> {
+        self.take_guesses(placement);
+        let mut corners = std::mem::take(&mut self.spare);
+        corners.clear();
+        corners.extend(self.guesses.iter().map(|guess| DetectedCorner {
+            index: guess.index,
+            pixel: guess.pixel,
+            std_px: 0.0,
+        }));
+        let last = self.guesses.len() - 1;
+        for nth in 0..SAMPLED {
+            self.guesses[nth] = self.guesses[nth + (last - SAMPLED + 1) * nth / (SAMPLED - 1)];
+        }
+        self.guesses.truncate(SAMPLED);
+        self.refiner.refine(image, &self.guesses, &mut self.refined);
+        self.blurs.clear();
+        let mut squares = 0.0;
+        for (guess, refined) in self.guesses.iter().zip(self.refined.iter().flatten()) {
+            self.blurs.push(refined.blur_px);
+            squares += refined.pixel.distance_px(guess.pixel).powi(2) + 2.0 * refined.std_px.powi(2);
+        }
+        let seen = self.blurs.len();
+        if 2 * seen < SAMPLED {
+            self.spare = corners;
+            return None;
+        }
+        let std_px = (squares / (2 * seen) as f64).sqrt().max(LEAST_STD_PX);
+        corners.iter_mut().for_each(|corner| corner.std_px = std_px);
+        Some(self.detection(placement, corners))
+    }
+}

@@ -1,0 +1,192 @@
+//! A board followed from picture to picture: as right as a search, whatever the board does between two pictures.
+
+use nalgebra::{Matrix3, Rotation2};
+use plumb::detection::board_detection::DetectOptions;
+use plumb::detection::detector::Detector;
+use plumb::detection::tracking::Sighting;
+use plumb::geometry::board::BoardSize;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use crate::detection::{Cover, Light, Scene, pixel_from_board};
+
+const BOARDS: [&str; 6] = ["9x6", "7x5", "5x4", "4x4", "6x9", "8x5"];
+
+/// Pictures of one board in one light.
+struct Stream {
+    rng: ChaCha8Rng,
+    board: BoardSize,
+    light: Light,
+    inverted: bool,
+    pixel_from_board: Matrix3<f64>,
+    /// How it goes on from one picture to the next.
+    motion: Matrix3<f64>,
+}
+
+impl Stream {
+    fn new(seed: u64, board: BoardSize) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(900_000 + seed);
+        let pixel_from_board = pixel_from_board(&mut rng, board, false);
+        let inverted = rng.random_bool(0.3);
+        let light = Light::new(&mut rng, inverted);
+        let motion = Matrix3::identity();
+        Self { rng, board, light, inverted, pixel_from_board, motion }
+    }
+
+    fn picture(&mut self, cover: Option<Cover>) -> Scene {
+        Scene::of(&mut self.rng, &self.pixel_from_board, self.board, cover, (&self.light, self.inverted))
+    }
+
+    /// Moves on, with a little more or less speed; turns back where the board would leave the picture.
+    fn walk(&mut self, speed_px: f64) {
+        let mut change = |most: f64| self.rng.random_range(-most..most);
+        let turn = Rotation2::new(change(0.01));
+        let (x, y, scale) = (change(speed_px), change(speed_px), 1.0 + change(0.01));
+        let about = Matrix3::new_translation(&nalgebra::Vector2::new(119.5, 89.5));
+        let step = about * Matrix3::new_scaling(scale) * turn.to_homogeneous() * about.try_inverse().unwrap();
+        self.motion = Matrix3::new_translation(&nalgebra::Vector2::new(x, y)) * step;
+        let next = self.motion * self.pixel_from_board;
+        if inside(&next, self.board) {
+            self.pixel_from_board = next;
+        }
+    }
+
+    /// What no stream should do: a jump by whole squares, a half turn, or to somewhere else.
+    fn jump(&mut self) {
+        let (cols, rows) = (f64::from(self.board.cols), f64::from(self.board.rows));
+        let by = |c: f64, r: f64| Matrix3::new_translation(&nalgebra::Vector2::new(c, r));
+        let half_turn = Matrix3::new(-1.0, 0.0, cols - 1.0, 0.0, -1.0, rows - 1.0, 0.0, 0.0, 1.0);
+        let jumps = [by(1.0, 0.0), by(0.0, 2.0), by(1.0, 1.0), by(-2.0, 0.0), by(0.5, 0.0), by(0.0, -0.7), half_turn];
+        let chosen = self.rng.random_range(0..jumps.len() + 1);
+        self.pixel_from_board = match jumps.get(chosen) {
+            Some(jump) => self.pixel_from_board * jump,
+            None => pixel_from_board(&mut self.rng, self.board, false),
+        };
+    }
+}
+
+fn inside(pixel_from_board: &Matrix3<f64>, board: BoardSize) -> bool {
+    let (c, r) = (f64::from(board.cols), f64::from(board.rows));
+    [(-1.0, -1.0), (c, -1.0), (-1.0, r), (c, r)].into_iter().all(|(c, r)| {
+        let p = pixel_from_board * nalgebra::Vector3::new(c, r, 1.0);
+        p.z > 0.0 && (2.0..237.0).contains(&(p.x / p.z)) && (2.0..177.0).contains(&(p.y / p.z))
+    })
+}
+
+fn look(detector: &mut Detector, scene: &Scene) -> Option<Sighting> {
+    let sighting = detector.track_board(scene.image.view(), &DetectOptions { allow_partial: false }).ok()?;
+    assert!(scene.is_right(&sighting.detection), "board {}: {sighting:?}", scene.board);
+    Some(sighting)
+}
+
+#[test]
+fn a_board_that_moves_is_followed() {
+    let (mut followed, mut seen) = (0, 0);
+    for (kind, board) in BOARDS.iter().enumerate() {
+        for stream in 0..12 {
+            let mut stream = Stream::new(10 * kind as u64 + stream, board.parse().unwrap());
+            if stream.picture(None).shortest_step_px() < 9.0 || !inside(&stream.pixel_from_board, stream.board) {
+                continue;
+            }
+            let mut detector = Detector::new(stream.board);
+            for number in 0..16 {
+                let sighting = look(&mut detector, &stream.picture(None));
+                if number > 0 {
+                    seen += 1;
+                    followed += u32::from(sighting.is_some_and(|sighting| sighting.followed));
+                }
+                stream.walk(1.5);
+            }
+        }
+    }
+    assert!(seen > 100 && followed * 100 >= 97 * seen, "{followed} of {seen} followed");
+}
+
+#[test]
+fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
+    let (mut found, mut seen) = (0, 0);
+    for (kind, board) in BOARDS.iter().enumerate() {
+        for stream in 0..3 {
+            let mut stream = Stream::new(500 + 10 * kind as u64 + stream, board.parse().unwrap());
+            let mut detector = Detector::new(stream.board);
+            for number in 0..20 {
+                let cover = (number % 7 == 5).then(|| Cover::new(&mut stream.rng));
+                let scene = stream.picture(cover);
+                let whole_board = inside(&stream.pixel_from_board, stream.board) && scene.shortest_step_px() > 8.0;
+                let sighting = look(&mut detector, &scene);
+                if number % 7 != 5 && whole_board {
+                    seen += 1;
+                    found += u32::from(sighting.is_some());
+                }
+                stream.jump();
+                if !inside(&stream.pixel_from_board, stream.board) && stream.rng.random_bool(0.5) {
+                    stream.pixel_from_board = pixel_from_board(&mut stream.rng, stream.board, false);
+                }
+            }
+        }
+    }
+    assert!(seen > 60 && found * 100 >= 95 * seen, "{found} of {seen} found");
+}
+
+#[test]
+fn another_board_in_its_place_is_not_taken_for_it() {
+    for seed in 0..12 {
+        let mut stream = Stream::new(2000 + seed, "7x5".parse().unwrap());
+        let mut detector = Detector::new(stream.board);
+        look(&mut detector, &stream.picture(None));
+        let board = stream.board;
+        for other in ["8x5", "7x6", "9x7"] {
+            // One more line of squares, the others where they were.
+            stream.board = other.parse().unwrap();
+            if !inside(&stream.pixel_from_board, stream.board) {
+                continue;
+            }
+            let scene = stream.picture(None);
+            let answer = detector.track_board(scene.image.view(), &DetectOptions::default());
+            assert!(answer.is_err(), "a {other} board is answered as {board}: {answer:?}");
+            stream.board = board;
+            look(&mut detector, &stream.picture(None));
+        }
+    }
+}
+
+#[test]
+fn the_same_pictures_give_the_same_bits() {
+    let walk = || {
+        let mut stream = Stream::new(3000, "9x6".parse().unwrap());
+        let mut detector = Detector::new(stream.board);
+        let sightings = (0..12).map(|_| {
+            stream.walk(2.0);
+            detector.track_board(stream.picture(None).image.view(), &DetectOptions::default())
+        });
+        sightings.collect::<Vec<_>>()
+    };
+    let (once, again) = (walk(), walk());
+    assert!(once.iter().flatten().any(|sighting| sighting.followed));
+    assert_eq!(once, again);
+}
+
+#[test]
+fn the_std_of_followed_corners_covers_their_error() {
+    let (mut squares, mut count) = (0.0, 0);
+    for seed in 0..8 {
+        let mut stream = Stream::new(4000 + seed, "7x5".parse().unwrap());
+        let mut detector = Detector::new(stream.board);
+        for _ in 0..8 {
+            let scene = stream.picture(None);
+            let Some(Sighting { detection, followed: true }) = look(&mut detector, &scene) else {
+                stream.walk(1.0);
+                continue;
+            };
+            let mut refined = Detector::new(stream.board);
+            let searched = refined.find_board(scene.image.view(), &DetectOptions::default()).unwrap();
+            for (corner, exact) in detection.corners.iter().zip(&searched.corners) {
+                squares += (corner.pixel.distance_px(exact.pixel) / corner.std_px).powi(2) / 2.0;
+                count += 1;
+            }
+            stream.walk(1.0);
+        }
+    }
+    let ratio = (squares / f64::from(count)).sqrt();
+    assert!(count > 500 && (0.4..1.3).contains(&ratio), "error/std {ratio:.2} of {count} corners");
+}
