@@ -199,7 +199,7 @@ fn hold(conditions: &[Condition]) {
         );
         println!("{told}");
         let exact = rms <= condition.rms_px && bias <= condition.bias_px;
-        if !exact || !(0.85..1.2).contains(&normalized) || missing > 0 || corners < 300.0 {
+        if !exact || !(0.85..1.15).contains(&normalized) || missing > 0 || corners < 300.0 {
             broken.push(told);
         }
     }

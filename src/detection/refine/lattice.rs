@@ -3,6 +3,7 @@
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::GridCorner;
 use crate::detection::refine::corner_model::length;
+use crate::detection::refine::field::{Field, FieldSample};
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]
@@ -24,45 +25,50 @@ pub(super) struct Surroundings {
     pub light_gradient: [f64; 2],
 }
 
-/// The corners as a table.
+/// Highest orders of the polynomials over the board: of the edges' bend, whose noise is large where cells are small, and of
+/// the light.
+const BEND_ORDER: usize = 2;
+const LIGHT_ORDER: usize = 4;
+
+/// The corners as a table, and what they tell.
 #[derive(Debug, Default)]
 pub(super) struct Lattice {
     first: [i64; 2],
     size: [i64; 2],
     slots: Vec<Option<u32>>,
-    /// For each slot and axis: the curvature, where both neighbours are known.
-    bends: Vec<[Option<f64>; 2]>,
-    /// For each slot and axis: the change of `white` from one corner to the next.
-    lights: Vec<[f64; 2]>,
+    samples: Vec<FieldSample>,
+    /// The curvature of the edges along each axis.
+    bends: [Field; 2],
+    /// The natural logarithm of white.
+    light: Field,
 }
 
 /// Grids that span more than this many places are no board: nothing is told about their corners.
 const MOST_PLACES: i64 = 1 << 16;
-/// A corner and the eight around it.
-const AROUND: [[i64; 2]; 9] = [[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]];
 
 impl Lattice {
     /// Takes the indices of `corners` and what is known of each.
     pub fn fill(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
         self.place(corners);
-        let (mut bends, mut lights) = (std::mem::take(&mut self.bends), std::mem::take(&mut self.lights));
-        bends.clear();
-        lights.clear();
-        for corner in corners {
-            let along = |axis: usize, steps: i64| {
-                let step = [steps * i64::from(axis == 0), steps * i64::from(axis == 1)];
-                known[self.slot(corner.index, step)?].as_ref()
-            };
-            bends.push([0, 1].map(|axis| {
-                let (behind, here, ahead) = (along(axis, -1)?, along(axis, 0)?, along(axis, 1)?);
-                bend([behind.at, here.at, ahead.at], here.along[axis])
+        let mut samples = std::mem::take(&mut self.samples);
+        for axis in 0..2 {
+            let step = [i64::from(axis == 0), i64::from(axis == 1)];
+            let beside =
+                |corner: &GridCorner, steps: i64| known[self.slot(corner.index, step.map(|v| v * steps))?].as_ref();
+            samples.clear();
+            samples.extend(corners.iter().filter_map(|corner| {
+                let (behind, here, ahead) = (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
+                let value = bend([behind.at, here.at, ahead.at], here.along[axis])?;
+                Some(FieldSample { place: place(corner.index), value })
             }));
-            lights.push([0, 1].map(|axis| {
-                let white = |steps: i64| along(axis, steps).map(|known| known.white);
-                slope([white(-2), white(-1), white(0), white(1), white(2)])
-            }));
+            self.bends[axis] = Field::fit(&samples, BEND_ORDER);
         }
-        (self.bends, self.lights) = (bends, lights);
+        samples.clear();
+        samples.extend(corners.iter().zip(known).filter_map(|(corner, known)| {
+            Some(FieldSample { place: place(corner.index), value: known.as_ref()?.white })
+        }));
+        self.light = Field::fit(&samples, LIGHT_ORDER);
+        self.samples = samples;
     }
 
     fn place(&mut self, corners: &[GridCorner]) {
@@ -93,22 +99,24 @@ impl Lattice {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }
 
-    /// What the board tells about the corner at `index`. The bend is the mean of those of the corners around, the smallest and
-    /// the largest left out: it changes little over a board, and so has a third of the noise of one corner's, and does not
-    /// believe a corner that went astray.
+    /// What the board tells about the corner at `index`: one corner's bend and light are noisy, and those of corners at the
+    /// board's border are not like those within, but over the board both change smoothly.
     pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
-        let around = || AROUND.iter().filter_map(|step| self.slot(index, *step));
-        let curvature = [0, 1].map(|axis| trimmed_mean(around().filter_map(|slot| self.bends[slot][axis])));
-        let light = self.slot(index, [0, 0]).map_or([0.0; 2], |slot| self.lights[slot]);
+        let place = place(index);
+        let light = self.light.slope(place);
         let det = axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0];
         Surroundings {
-            curvature,
+            curvature: [0, 1].map(|axis| self.bends[axis].at(place)),
             light_gradient: [
                 (light[0] * axes[1][1] - light[1] * axes[0][1]) / det,
                 (light[1] * axes[0][0] - light[0] * axes[1][0]) / det,
             ],
         }
     }
+}
+
+fn place(index: GridIndex) -> [f64; 2] {
+    [f64::from(index.col), f64::from(index.row)]
 }
 
 /// From a corner to its neighbours along the columns' and the rows' direction, in image pixels: the mean of both sides where
@@ -137,27 +145,4 @@ fn bend([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<f64
     };
     let ((back, back_off), (on, on_off)) = (along_across(behind), along_across(ahead));
     (on > 0.5 && back < -0.5).then(|| 2.0 * (on_off / on - back_off / back) / (on - back))
-}
-
-/// The slope at the middle of five equidistant values, as far as they are known: central, or one-sided of second order.
-fn slope([before, behind, here, ahead, beyond]: [Option<f64>; 5]) -> f64 {
-    let one_sided = |near: Option<f64>, far: Option<f64>| {
-        let (here, near) = (here?, near?);
-        Some(far.map_or(near - here, |far| 2.0 * near - 1.5 * here - 0.5 * far))
-    };
-    let central = || Some((ahead? - behind?) / 2.0);
-    let back = || one_sided(behind, before).map(|slope| -slope);
-    central().or_else(|| one_sided(ahead, beyond)).or_else(back).unwrap_or(0.0)
-}
-
-/// The mean without the smallest and the largest, where there are more than three; 0 where there is none.
-fn trimmed_mean(values: impl Iterator<Item = f64>) -> f64 {
-    let (mut sum, mut count, mut least, mut most) = (0.0, 0.0, f64::INFINITY, f64::NEG_INFINITY);
-    for value in values {
-        sum += value;
-        count += 1.0;
-        least = value.min(least);
-        most = value.max(most);
-    }
-    if count > 3.0 { (sum - least - most) / (count - 2.0) } else { sum / f64::max(count, 1.0) }
 }

@@ -5,28 +5,34 @@
 //! | window | `window`, `samples` | gathers the pixels along the cells' own axes, short of the next edges |
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `cholesky` | weighted least squares, robust against what does not belong |
-//! | board | `lattice`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
+//! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
+//! | trust | `halves`, `scatter` | how far off corners are, by how far the parts of their edges disagree |
 //!
 //! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
 //! of light and the noise known from the board. `README.md` beside this file says what was measured.
 
 mod cholesky;
 mod corner_model;
+mod field;
 mod fit;
 mod gaussian;
+mod halves;
 mod lattice;
 mod noise;
 mod normal_equations;
 mod samples;
+mod scatter;
 mod window;
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::{Fit, FitOptions, fit};
+use crate::detection::refine::halves::disagreements;
 use crate::detection::refine::lattice::{Known, Lattice, axes_of};
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{Columns, Noise};
 use crate::detection::refine::samples::Samples;
+use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -62,6 +68,7 @@ pub struct Refiner {
     columns: Columns,
     lattice: Lattice,
     noise: PooledNoise,
+    scatter: Scatter,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
 }
@@ -71,6 +78,8 @@ pub struct Refiner {
 struct Fitted {
     window: Window,
     fit: Fit,
+    /// The noise it was weighted with.
+    noise: Noise,
     /// The share of the samples that agree with the model.
     agreeing: f64,
 }
@@ -86,6 +95,8 @@ const WIDER: f64 = 1.4;
 /// And with the window at the corner when that is this many samples from the window's middle.
 const RECENTER: f64 = 2.0;
 const MOST_WINDOWS: usize = 5;
+/// Corners whose edges together tell how far corners scatter.
+const ENOUGH_CORNERS: usize = 40;
 /// The share of samples that agree with the model, at a corner in plain view.
 const MOST_AGREE: f64 = 0.7;
 
@@ -108,15 +119,23 @@ impl Refiner {
         refined.clear();
         refined.extend(corners.iter().zip(&fitted).map(|(corner, first)| {
             let second = self.fit_within_board(image, corner, first.as_ref()?, noise)?;
-            second.is_corner(corner).then(|| second.refined())
+            second.is_corner(corner).then(|| {
+                if tells_scatter(corners, corner) {
+                    self.note_scatter(&second);
+                }
+                second.refined()
+            })
         }));
         self.fitted = fitted;
+        let factor = self.scatter.std_factor();
+        refined.iter_mut().flatten().for_each(|corner| corner.std_px *= factor);
     }
 
     /// The first fits.
     fn fit_each(&mut self, image: GrayView<'_>, corners: &[GridCorner]) {
         self.fitted.clear();
         self.noise.clear();
+        self.scatter.clear();
         let mut blur_px = 1.0;
         for corner in corners {
             let fitted = self.fit_alone(image, corner, blur_px).filter(|fitted| fitted.may_be_corner(corner));
@@ -195,13 +214,22 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
+    /// Notes how far the parts of the edges of the corner just fitted disagree, beside what its residuals foretell.
+    fn note_scatter(&mut self, fitted: &Fitted) {
+        let Fitted { window, fit, noise, .. } = fitted;
+        let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
+        for apart in disagreements(&self.samples, &fit.model, reach, &self.columns).into_iter().flatten() {
+            self.scatter.take(noise.corrected_disagreement(apart) / fit.mean_square);
+        }
+    }
+
     fn gather(&mut self, image: GrayView<'_>, window: &Window) -> Option<()> {
         (self.samples.gather(image, window) > 0.5 && self.samples.count >= FEWEST_SAMPLES).then_some(())
     }
 
     fn fit(&mut self, window: Window, start: CornerModel, noise: &Noise, options: &FitOptions) -> Option<Fitted> {
         let fit = fit(&self.samples, start, noise, options, &mut self.columns)?;
-        Some(Fitted { window, fit, agreeing: fit.residuals.effective / self.samples.count as f64 })
+        Some(Fitted { window, fit, noise: *noise, agreeing: fit.residuals.effective / self.samples.count as f64 })
     }
 
     /// The model before the first fit: along the axes, with black and white as the four quarters have them.
@@ -223,6 +251,11 @@ impl Refiner {
             gradient: [0.0; 2],
         })
     }
+}
+
+/// Whether a corner is asked how its edges' parts disagree: of many corners, every other one is enough.
+fn tells_scatter(corners: &[GridCorner], corner: &GridCorner) -> bool {
+    corners.len() < ENOUGH_CORNERS || (corner.index.col + corner.index.row) % 2 == 0
 }
 
 impl Fitted {
