@@ -5,7 +5,7 @@ use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::ends::seen_ends;
 use super::grid::{Bounds, Grid};
-use super::growth::{Growth, WINDOWS, sharpen};
+use super::growth::{Growth, WINDOWS, sharpen_all};
 use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
@@ -233,7 +233,7 @@ impl Detector {
         for finer in (0..level).rev() {
             self.grid.descend();
             let view = self.pyramid.level(image, finer);
-            sharpen_all(view, &mut self.grid);
+            sharpen_all(view, &mut self.grid, &WINDOWS[..1]);
             if self.is_whole() {
                 continue;
             }
@@ -244,7 +244,9 @@ impl Detector {
             self.grid.forget_attempts();
             self.growth.grow(image, &mut self.grid, &WINDOWS);
         }
-        sharpen_all(image, &mut self.grid);
+        if level == 0 || !self.is_whole() {
+            sharpen_all(image, &mut self.grid, &WINDOWS);
+        }
         self.bridge(image);
     }
 
@@ -308,15 +310,4 @@ fn smaller(bounds: Bounds) -> u32 {
 /// Whether `p` is one of the corners of `grid`, up to the square of a distance.
 fn near(grid: &Grid, p: Vec2, most: f32) -> bool {
     grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < most))
-}
-
-/// Moves each corner to where `image`, a finer level, shows it.
-fn sharpen_all(image: GrayView<'_>, grid: &mut Grid) {
-    for index in 0..grid.members.len() {
-        let (i, j) = grid.members[index];
-        if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
-            let moved = sharpen(image, &node, steps, &[0.2, 0.1]);
-            grid.set(i, j, moved);
-        }
-    }
 }

@@ -47,6 +47,8 @@ pub(super) struct Node {
     pub near_contrast: f32,
     /// How well it looks like a corner, to 1.
     pub score: f32,
+    /// It looks like one only near to it: something covers part of the rest.
+    pub tight: bool,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -83,6 +85,8 @@ pub(super) struct Grid {
     places: Vec<Place>,
     /// Indices of the corners, in the order they were found.
     pub members: Vec<(i32, i32)>,
+    /// Those of which a finer level shows nothing where they were taken to.
+    pub doubtful: Vec<(i32, i32)>,
     /// Whether square (0, 0) is bright.
     pub bright: bool,
 }
@@ -238,7 +242,7 @@ mod tests {
     use super::*;
 
     fn node(x: f32, y: f32) -> Node {
-        Node { pixel: Vec2::new(x, y), contrast: 100.0, near_contrast: 90.0, score: 1.0 }
+        Node { pixel: Vec2::new(x, y), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false }
     }
 
     #[test]

@@ -26,6 +26,8 @@ const LEAST_NEAR_CONTRAST: f32 = 0.5;
 const LEAST_NEAR_SCORE: f32 = 0.65;
 /// Least correlation with a chessboard corner of a place where one is expected, before it has settled.
 const LEAST_FIRST_SCORE: f32 = 0.25;
+/// How much more than at the look before it must be for another look.
+const LEAST_GAIN: f32 = 0.1;
 /// Least pixels a window reaches.
 const LEAST_REACH_PX: f32 = 2.0;
 
@@ -56,7 +58,7 @@ const WIDE: WindowSize =
 const NARROW: WindowSize =
     WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
 const CLOSE: WindowSize =
-    WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.5, most_off: 0.1 };
+    WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.4, most_off: 0.1 };
 /// Where a board is followed from picture to picture: as far as its squares reach, at places some pixels apart.
 pub(super) const FOLLOWED: WindowSize = WindowSize { most_px: f32::MAX, ..WIDE };
 pub(super) const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
@@ -80,7 +82,7 @@ impl Growth {
         grid.clear(radius, seed.bright);
         for (&candidate, (i, j)) in seed.corners.iter().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
             let Candidate { pixel, contrast, .. } = candidates[candidate];
-            grid.set(i, j, Node { pixel, contrast, near_contrast: 0.0, score: 0.5 });
+            grid.set(i, j, Node { pixel, contrast, near_contrast: 0.0, score: 0.5, tight: false });
         }
         for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
             let settled =
@@ -180,7 +182,8 @@ impl Place {
                 && off.x.abs() <= most
                 && off.y.abs() <= most;
             let alternates = |reach, contrast| alternates(image, &node, self, reach, contrast);
-            (fits && alternates(size.reach, node.contrast) && alternates(NEAR, node.near_contrast)).then_some(node)
+            (fits && alternates(size.reach, node.contrast) && alternates(NEAR.min(size.reach), node.near_contrast))
+                .then_some(node)
         })
     }
 }
@@ -192,34 +195,63 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     if first.score < LEAST_FIRST_SCORE {
         return None;
     }
-    let second = window(first.center, size.reach)?.look(image)?;
-    if second.score < size.least_score {
-        return None;
+    let mut cross = window(first.center, size.reach)?.look(image)?;
+    let mut before = first.score;
+    // A corner that was far off comes nearer with every look.
+    while cross.score < size.least_score {
+        if cross.score < before + LEAST_GAIN {
+            return None;
+        }
+        before = cross.score;
+        cross = window(cross.center, size.reach)?.look(image)?;
     }
     // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
-    let near = window(second.center, NEAR)?.look(image)?;
+    let near = window(cross.center, NEAR)?.look(image)?;
     if near.score < LEAST_NEAR_SCORE {
         return None;
     }
-    let sharp = near.contrast / second.contrast > LEAST_NARROW_CONTRAST;
-    let pixel = if sharp { near.center } else { second.center };
-    Some(Node { pixel, contrast: second.contrast, near_contrast: near.contrast, score: second.score })
+    let sharp = near.contrast / cross.contrast > LEAST_NARROW_CONTRAST;
+    let pixel = if sharp { near.center } else { cross.center };
+    let tight = size.reach < WIDE.reach;
+    Some(Node { pixel, contrast: cross.contrast, near_contrast: near.contrast, score: cross.score, tight })
 }
 
-/// The corner of `node`, found on a coarser level and taken to this one, where `image` shows it, in windows of `reaches` in turn.
-pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Node {
-    let mut center = node.pixel;
+/// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image` shows it. One that is not
+/// seen near where it was taken to is looked for where its neighbours put it.
+pub(super) fn sharpen_all(image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize]) {
+    grid.doubtful.clear();
+    for index in 0..grid.members.len() {
+        let (i, j) = grid.members[index];
+        if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
+            match sharpen(image, &node, steps, &[0.2, 0.1]) {
+                Some(sharp) => grid.set(i, j, sharp),
+                None => grid.doubtful.push((i, j)),
+            }
+        }
+    }
+    for index in 0..grid.doubtful.len() {
+        let (i, j) = grid.doubtful[index];
+        if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes)) {
+            grid.set(i, j, node);
+        }
+    }
+}
+
+/// The corner of `node` where `image` shows it, in windows of `reaches` in turn. `None` if the first shows none.
+pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Option<Node> {
+    let mut seen = None;
     for &reach in reaches {
+        let center = seen.unwrap_or(node.pixel);
         match window(center, steps, reach, WIDE.most_px).inside(image, 0.25).and_then(|window| window.look(image)) {
             Some(cross)
                 if cross.score > LEAST_NARROW_SCORE && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>
             {
-                center = cross.center;
+                seen = Some(cross.center);
             }
             _ => break,
         }
     }
-    Node { pixel: center, ..*node }
+    seen.map(|pixel| Node { pixel, ..*node })
 }
 
 fn window(center: Vec2, [u, v]: [Vec2; 2], reach: f32, most_px: f32) -> Window {

@@ -4,6 +4,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::cross::Vec2;
 use super::grid::Grid;
+use super::growth::in_steps;
 
 type Normal = SMatrix<f64, 8, 8>;
 type Right = SVector<f64, 8>;
@@ -75,6 +76,12 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
+    /// How far the corner (i, j) of `grid` lies from where it must be, in steps.
+    pub(super) fn off(&self, grid: &Grid, i: i32, j: i32) -> Option<f32> {
+        let off = in_steps(grid.pixel(i, j)? - self.predict(grid, i, j)?, self.steps(i, j)?)?;
+        Some(off.x.abs().max(off.y.abs()))
+    }
+
     /// From (i, j) to the next corner along i and along j.
     pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         let (i, j) = (i as f32, j as f32);
@@ -96,7 +103,7 @@ mod tests {
         let mut grid = Grid::default();
         grid.clear(10, true);
         for (i, j) in (0..4).flat_map(|j| (0..5).map(move |i| (i, j))) {
-            grid.set(i, j, Node { pixel: at(i, j), contrast: 100.0, near_contrast: 90.0, score: 1.0 });
+            grid.set(i, j, Node { pixel: at(i, j), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
         }
         let perspective = Perspective::fit(&grid).expect("twenty corners");
         for (i, j) in [(7, 1), (8, 5), (-2, 0), (2, 7)] {
@@ -115,7 +122,13 @@ mod tests {
             grid.set(
                 i,
                 0,
-                Node { pixel: Vec2::new(20.0 * i as f32, 5.0), contrast: 100.0, near_contrast: 90.0, score: 1.0 },
+                Node {
+                    pixel: Vec2::new(20.0 * i as f32, 5.0),
+                    contrast: 100.0,
+                    near_contrast: 90.0,
+                    score: 1.0,
+                    tight: false,
+                },
             );
         }
         assert!(Perspective::fit(&grid).is_none_or(|p| p.predict(&grid, 2, 3).is_none_or(|q| q.x.is_finite())));

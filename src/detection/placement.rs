@@ -129,7 +129,7 @@ mod tests {
         for (i, j) in (0..height).flat_map(|j| (0..width).map(move |i| (i, j))) {
             let (x, y) = (20.0 * i as f32, 20.0 * j as f32);
             let pixel = Vec2::new(300.0 + c * x - s * y, 300.0 + s * x + c * y);
-            grid.set(i, j, Node { pixel, contrast: 100.0, near_contrast: 90.0, score: 1.0 });
+            grid.set(i, j, Node { pixel, contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
         }
         grid
     }

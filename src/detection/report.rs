@@ -5,9 +5,10 @@ use super::cross::Vec2;
 use super::detector::Detector;
 use super::edges::{EdgeCount, count_edges};
 use super::grid::Node;
-use super::growth::in_steps;
+use super::perspective::Perspective;
 use super::placement::Placement;
 use super::refine::{GridCorner, RefinedCorner};
+use super::verification::off_neighbours;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -15,6 +16,8 @@ use crate::imaging::gray::GrayView;
 const STANDING_SCORE: f32 = 0.7;
 /// How far such a one may lie from where its neighbours put it, in steps.
 const STANDING_OFF: f32 = 0.05;
+/// Least standard deviation of a corner with something in front of it a few pixels away, whose edge may pull it.
+const TIGHT_STD_PX: f64 = 0.3;
 /// How far a corner of a part may lie from where its neighbours put it, in steps.
 const MOST_ASTRAY: f32 = 0.12;
 
@@ -35,7 +38,10 @@ impl Detector {
             let GridCorner { index, pixel, .. } = *guess;
             match refined {
                 Some(refined) if stays(guess, refined) => {
-                    corners.push(DetectedCorner { index, pixel: refined.pixel, std_px: refined.std_px });
+                    let (i, j) = placement.in_grid(index.col, index.row);
+                    let tight = self.part.get(i, j).is_some_and(|node| node.tight);
+                    let std_px = if tight { refined.std_px.max(TIGHT_STD_PX) } else { refined.std_px };
+                    corners.push(DetectedCorner { index, pixel: refined.pixel, std_px });
                     self.blurs.push(refined.blur_px);
                 }
                 _ if self.stands(image, placement, guess) => {
@@ -80,7 +86,24 @@ impl Detector {
         self.guesses.clear();
         self.guesses.extend(part.members.iter().filter_map(|&(i, j)| {
             let (col, row) = placement.in_board(i, j);
-            let neighbours = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
+            let seen = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
+            let neighbours = if (seen[0].or(seen[2])).and(seen[1].or(seen[3])).is_some() {
+                seen
+            } else {
+                // Alone in its line: the nearest corners tell where the next would be.
+                let ahead = |col, row| {
+                    let (k, l) = placement.in_grid(col, row);
+                    let [u, v] = part.steps(i, j)?;
+                    let p = part.pixel(i, j)? + u * (k - i) as f32 + v * (l - j) as f32;
+                    Some(Pixel::new(f64::from(p.x), f64::from(p.y)))
+                };
+                [
+                    seen[0].or(seen[2]).map_or_else(|| ahead(col + 1, row), |_| seen[0]),
+                    seen[1].or(seen[3]).map_or_else(|| ahead(col, row + 1), |_| seen[1]),
+                    seen[2],
+                    seen[3],
+                ]
+            };
             Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
         }));
         self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
@@ -97,11 +120,13 @@ impl Detector {
                 part.set(i, j, Node { pixel, ..node });
             }
         }
+        let perspective = Perspective::fit(part);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            let off = part.pixel(i, j).zip(part.predict(i, j)).zip(part.steps(i, j));
-            let off = off.and_then(|((p, expected), steps)| in_steps(p - expected, steps));
-            off.is_none_or(|off| off.x.abs().max(off.y.abs()) < MOST_ASTRAY)
+            let near = |off: f32| off < MOST_ASTRAY;
+            // At the end of a line few neighbours tell, and a slant or a bend misleads them; the whole board knows better.
+            off_neighbours(part, i, j).is_none_or(near)
+                || perspective.as_ref().and_then(|board| board.off(part, i, j)).is_some_and(near)
         });
     }
 
@@ -115,12 +140,8 @@ impl Detector {
         let complete = around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
         let (i, j) = placement.in_grid(col, row);
         let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
-        let off = self
-            .part
-            .get(i, j)
-            .filter(|node| node.score >= STANDING_SCORE)
-            .and_then(|node| in_steps(node.pixel - self.part.predict(i, j)?, self.part.steps(i, j)?));
-        let in_place = off.is_some_and(|off| off.x.abs().max(off.y.abs()) < STANDING_OFF);
+        let clear = self.part.get(i, j).is_some_and(|node| node.score >= STANDING_SCORE);
+        let in_place = clear && off_neighbours(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
         complete && seen >= 2 && held == seen && in_place
     }
 }

@@ -138,7 +138,7 @@ impl Detector {
                 } else {
                     &[0.1]
                 };
-                Some(sharpen(image, &found, steps, reaches))
+                Some(sharpen(image, &found, steps, reaches).unwrap_or(found))
             });
             match seen {
                 Some(node) => grid.set(i, j, node),

@@ -46,10 +46,7 @@ fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
 /// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False if too many must go.
 fn drop_misplaced(grid: &mut Grid) -> bool {
     for _ in 0..MOST_MISPLACED {
-        let off = |&(i, j): &(i32, i32)| {
-            let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
-            Some((off.x.abs().max(off.y.abs()), (i, j)))
-        };
+        let off = |&(i, j): &(i32, i32)| Some((off_neighbours(grid, i, j)?, (i, j)));
         let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
             Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
@@ -57,4 +54,10 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
         }
     }
     false
+}
+
+/// How far the corner (i, j) lies from where its neighbours put it, in steps.
+pub(super) fn off_neighbours(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+    let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
+    Some(off.x.abs().max(off.y.abs()))
 }
