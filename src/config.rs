@@ -18,6 +18,10 @@
 //! [[camera]]
 //! name = "front"                 # letters, digits, `-`, `_`; once each
 //! source = { kind = "simulator" }
+//!
+//! [[rig]]                        # cameras that are fixed to each other; none unless given
+//! name = "pair"                  # as for a camera, and no camera's
+//! cameras = ["front", "side"]    # two or more
 //! ```
 
 pub mod source;
@@ -48,6 +52,17 @@ pub struct Config {
     pub auto_approve: bool,
     /// The cameras, in the order of the file.
     pub cameras: Vec<CameraConfig>,
+    /// The rigs, in the order of the file.
+    pub rigs: Vec<RigConfig>,
+}
+
+/// Cameras that are fixed to each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RigConfig {
+    /// Its name, in addresses.
+    pub name: String,
+    /// The names of its cameras, two or more; the first is the rig's own frame.
+    pub cameras: Vec<String>,
 }
 
 /// One camera.
@@ -147,6 +162,8 @@ struct Tables {
     calibration: CalibrationTable,
     #[serde(default)]
     camera: Vec<CameraTable>,
+    #[serde(default)]
+    rig: Vec<RigTable>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -173,6 +190,13 @@ struct CalibrationTable {
 struct CameraTable {
     name: Spanned<String>,
     source: Spanned<WrittenSource>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RigTable {
+    name: Spanned<String>,
+    cameras: Spanned<Vec<String>>,
 }
 
 /// The file, for saying where in it something stands.
@@ -227,13 +251,15 @@ impl Written {
         let listen = check_listen(tables.server.listen.as_ref(), token.is_some(), overrides, &place)?;
         let mut cameras: Vec<CameraConfig> = Vec::new();
         for table in &tables.camera {
-            let name = check_name(&table.name, &cameras, &place)?;
+            let taken: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+            let name = check_name(("camera.name", &table.name), &taken, &place)?;
             let source = table.source.get_ref().check(&table.source.span(), &place)?;
             cameras.push(CameraConfig { name, source });
         }
+        let rigs = check_rigs(&tables.rig, &cameras, &place)?;
         let store_path = tables.store.path.unwrap_or_else(|| PathBuf::from("plumb-data"));
         let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
-        Ok(Config { listen, token, store_path, auto_approve, cameras })
+        Ok(Config { listen, token, store_path, auto_approve, cameras, rigs })
     }
 }
 
@@ -274,15 +300,39 @@ fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
     }
 }
 
-fn check_name(name: &Spanned<String>, before: &[CameraConfig], place: &Place) -> Result<String, ConfigError> {
+fn check_rigs(tables: &[RigTable], cameras: &[CameraConfig], place: &Place) -> Result<Vec<RigConfig>, ConfigError> {
+    let known: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let mut rigs: Vec<RigConfig> = Vec::new();
+    for table in tables {
+        let taken: Vec<&str> = known.iter().copied().chain(rigs.iter().map(|rig| rig.name.as_str())).collect();
+        let name = check_name(("rig.name", &table.name), &taken, place)?;
+        let members = table.cameras.get_ref();
+        let refuse = |problem: String| Err(place.refuse(&table.cameras.span(), "rig.cameras", problem));
+        if members.len() < 2 {
+            return refuse("a rig has two cameras or more; name them".to_owned());
+        }
+        for (k, member) in members.iter().enumerate() {
+            if !known.contains(&member.as_str()) {
+                return refuse(format!("there is no camera `{member}`; name those of the [[camera]] tables"));
+            }
+            if members[..k].contains(member) {
+                return refuse(format!("`{member}` is named twice; name each camera once"));
+            }
+        }
+        rigs.push(RigConfig { name, cameras: members.clone() });
+    }
+    Ok(rigs)
+}
+
+fn check_name((key, name): (&str, &Spanned<String>), taken: &[&str], place: &Place) -> Result<String, ConfigError> {
     let text = name.get_ref();
-    let refuse = |problem: &str| Err(place.refuse(&name.span(), "camera.name", format!("`{text}` {problem}")));
+    let refuse = |problem: &str| Err(place.refuse(&name.span(), key, format!("`{text}` {problem}")));
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     if text.is_empty() || text.len() > 64 || !text.chars().all(allowed) {
         return refuse("is no name; use 1 to 64 letters, digits, `-` and `_`");
     }
-    if before.iter().any(|camera| camera.name == *text) {
-        return refuse("is used twice; each camera needs its own name");
+    if taken.contains(&text.as_str()) {
+        return refuse("is used twice; each camera and each rig needs its own name");
     }
     Ok(text.clone())
 }
@@ -310,6 +360,7 @@ mod tests {
             store_path: "plumb-data".into(),
             auto_approve: true,
             cameras: Vec::new(),
+            rigs: Vec::new(),
         };
         assert_eq!(config, expected);
     }

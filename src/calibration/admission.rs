@@ -113,6 +113,14 @@ impl Rejections {
         self.counts.get(kind).copied().unwrap_or(0)
     }
 
+    /// Becomes the sum of others.
+    pub fn set_sum<'a>(&mut self, others: impl IntoIterator<Item = &'a Self>) {
+        *self = Self::default();
+        for (kind, count) in others.into_iter().flat_map(Self::iter) {
+            *self.counts.entry(kind).or_default() += count;
+        }
+    }
+
     /// How many frames were turned away.
     pub fn total(&self) -> u64 {
         self.counts.values().sum()

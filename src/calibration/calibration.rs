@@ -6,12 +6,12 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-/// A finished calibration of one camera. Never changed once made: a new solve is a new calibration.
+/// A finished calibration of one camera, or of a rig of cameras. Never changed once made: a new solve is a new calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// Sortable by time.
     pub id: String,
-    /// The camera's name; `None` for a solve outside a daemon.
+    /// The camera's name, or the rig's; `None` for a solve outside a daemon.
     pub camera: Option<String>,
     /// The session it came from; `None` outside a daemon.
     pub session: Option<String>,
@@ -25,12 +25,32 @@ pub struct Calibration {
     pub infrared: Option<SensorCalibration>,
     /// The depth sensor's calibration.
     pub depth: Option<DepthCalibration>,
+    /// The cameras of a rig, in its order; empty for one camera.
+    pub cameras: Vec<RigCamera>,
     /// Where the sensors are relative to each other; empty for one sensor.
     pub extrinsics: Vec<Extrinsics>,
     /// How well it did beyond the views it was fitted to.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
+}
+
+impl Calibration {
+    /// Its picture sensors with their names, in the order of documents: `color`, `infrared`, or a rig's cameras.
+    pub fn picture_sensors(&self) -> impl Iterator<Item = (&str, &SensorCalibration)> {
+        let own = [("color", &self.color), ("infrared", &self.infrared)];
+        let own = own.into_iter().filter_map(|(name, sensor)| Some((name, sensor.as_ref()?)));
+        own.chain(self.cameras.iter().map(|camera| (camera.name.as_str(), &camera.sensor)))
+    }
+}
+
+/// A camera of a rig, calibrated together with the others.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigCamera {
+    /// Its name in the configuration.
+    pub name: String,
+    /// Its picture sensor.
+    pub sensor: SensorCalibration,
 }
 
 /// One picture sensor: its lens and how well it is known.

@@ -161,6 +161,22 @@ impl Session {
             && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options).is_ok()
     }
 
+    /// Keeps a detection that teaches this camera nothing new, for what it teaches of a rig: another camera of it saw the
+    /// board at the same moment. The number of the view; `None` where it cannot be a view at all.
+    pub fn keep_shared(&mut self, frame: &FrameFacts, detection: &Detection) -> Option<u32> {
+        let room = self.views.len() < self.options.view_limit as usize;
+        let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
+        let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
+        let number = self.views.len() as u32;
+        self.add(View { number, frame: frame.clone(), detection: detection.clone() }, placement);
+        Some(number)
+    }
+
+    /// Whether the views reach the goals of `finish` but for its time.
+    pub fn reaches(&self, finish: &Finish) -> bool {
+        self.goals_reached(finish)
+    }
+
     /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves the one before.
     pub fn estimated(&mut self, estimate: Option<RunningEstimate>) -> Vec<Action> {
         self.estimating = false;

@@ -84,13 +84,39 @@ pub struct RunningEstimate {
     pub views: u32,
 }
 
+/// What one camera of a rig contributes to a session.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SessionMember {
+    /// The camera's name.
+    pub camera: String,
+    /// Frames looked at.
+    pub frames_seen: u64,
+    /// Frames in which the board was found.
+    pub boards_seen: u64,
+    /// Views kept.
+    pub views_kept: u32,
+    /// Views kept of moments at which another camera's was kept too.
+    pub views_shared: u32,
+    /// Why the other frames were not kept.
+    pub rejected: Rejections,
+    /// Where in the image corners were seen.
+    pub coverage: Coverage,
+    /// What to do next for this camera.
+    pub guidance: Guidance,
+    /// What its views amount to; `None` before there are enough.
+    pub estimate: Option<RunningEstimate>,
+}
+
 /// A session as seen from outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionRecord {
     /// Sortable by time.
     pub id: String,
-    /// The camera's name.
+    /// The camera's name, or the rig's.
     pub camera: String,
+    /// What each camera of a rig contributes, in the rig's order; empty for one camera. What the record itself says of
+    /// frames and boards is then the sum, of coverage and estimate the worst camera's, and of views the moments kept.
+    pub members: Vec<SessionMember>,
     /// What was asked for.
     pub request: SessionRequest,
     /// Where it stands.
@@ -127,6 +153,7 @@ impl SessionRecord {
         Self {
             id: id.to_owned(),
             camera: camera.to_owned(),
+            members: Vec::new(),
             request,
             state: SessionState::Collecting,
             reason: None,

@@ -85,7 +85,7 @@ fn summary(estimate: &CameraEstimate) -> ProjectionUncertainty {
     ProjectionUncertainty { center, median, worst }
 }
 
-fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
+pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
     let view = |view: &crate::estimation::camera::ViewEstimate| CalibratedView {
         name: view.name.clone(),
         used: view.fault.is_none(),

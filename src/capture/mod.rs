@@ -19,7 +19,7 @@ use std::time::Duration;
 
 pub use error::CaptureError;
 pub use replay::{Pace, Replay, ReplayOptions};
-pub use simulated::Simulated;
+pub use simulated::{Simulated, SimulatedClock};
 
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;

@@ -1,5 +1,6 @@
 //! A simulated camera as a source: frames of a rendered world at the pace of a real one.
 
+use std::sync::OnceLock;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -17,23 +18,40 @@ pub struct Simulated {
     world: World,
     options: WorldOptions,
     pace: Pace,
+    clock: SimulatedClock,
     started: Option<(Instant, i64)>,
     next: u64,
 }
 
 impl Simulated {
     /// Starts the world that `options` describe.
-    pub fn new(options: &WorldOptions, pace: Pace) -> Self {
-        Self { world: World::new(options), options: options.clone(), pace, started: None, next: 0 }
+    pub fn new(options: &WorldOptions, pace: Pace, clock: SimulatedClock) -> Self {
+        Self { world: World::new(options), options: options.clone(), pace, clock, started: None, next: 0 }
     }
 
     /// The world's clock: when frame 0 was due, on this machine's clock and in UTC.
     fn start(&mut self) -> (Instant, i64) {
-        *self.started.get_or_insert_with(|| {
-            let utc_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
-            (Instant::now(), utc_ns)
+        *self.started.get_or_insert_with(|| match self.clock {
+            SimulatedClock::Own => now(),
+            SimulatedClock::Shared => *SHARED_START.get_or_init(now),
         })
     }
+}
+
+/// When a simulated world begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SimulatedClock {
+    /// With the source's first frame.
+    Own,
+    /// With the first frame of all that share the clock: cameras of one rig see the board at the same places.
+    Shared,
+}
+
+static SHARED_START: OnceLock<(Instant, i64)> = OnceLock::new();
+
+fn now() -> (Instant, i64) {
+    let utc_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+    (Instant::now(), utc_ns)
 }
 
 impl FrameSource for Simulated {
@@ -82,7 +100,7 @@ mod tests {
     #[test]
     fn every_frame_comes_at_the_fastest_and_the_same_again() {
         let options = WorldOptions::new(3, ImageSize::new(160, 120));
-        let mut sources = [(); 2].map(|()| Simulated::new(&options, Pace::Fastest));
+        let mut sources = [(); 2].map(|()| Simulated::new(&options, Pace::Fastest, SimulatedClock::Own));
         for index in 0..5 {
             let [a, b] = sources.each_mut().map(|source| source.next_frame(Duration::ZERO).unwrap());
             assert_eq!((a.sequence, a.device_time), (index, b.device_time));
@@ -93,7 +111,7 @@ mod tests {
     #[test]
     fn no_frame_comes_before_it_is_due() {
         let options = WorldOptions { fps: 1.0 / 3600.0, ..WorldOptions::new(3, ImageSize::new(64, 48)) };
-        let mut source = Simulated::new(&options, Pace::Recorded);
+        let mut source = Simulated::new(&options, Pace::Recorded, SimulatedClock::Own);
         assert_eq!(source.next_frame(Duration::ZERO).unwrap().sequence, 0);
         let early = source.next_frame(Duration::ZERO).unwrap_err();
         assert_eq!(early, CaptureError::TimedOut { waited: Duration::ZERO });

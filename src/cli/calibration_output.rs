@@ -77,6 +77,7 @@ pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration
         color: Some(solved.sensor),
         infrared: None,
         depth: None,
+        cameras: Vec::new(),
         extrinsics: Vec::new(),
         checks: solved.checks,
         verdict: solved.verdict,

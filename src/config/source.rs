@@ -6,7 +6,7 @@
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is) or `path` of a .bag file |
 //! | `recording` | `path`; `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
-//! | `simulator` | `seed` (default 1), `width` and `height` (default 640 × 480), `fps` (default 30) |
+//! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30) |
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -69,6 +69,8 @@ pub enum SourceConfig {
         size: ImageSize,
         /// Frames a second.
         fps: f64,
+        /// Which camera of a rig: `None` for one that stands alone.
+        seat: Option<u32>,
     },
 }
 
@@ -112,6 +114,7 @@ pub(crate) struct WrittenSource {
     pace: Option<Spanned<String>>,
     repeat: Option<Spanned<bool>>,
     seed: Option<Spanned<u64>>,
+    seat: Option<Spanned<u32>>,
     width: Option<Spanned<u32>>,
     height: Option<Spanned<u32>>,
     format: Option<Spanned<String>>,
@@ -125,6 +128,8 @@ const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
 const LARGEST_SIDE: u32 = 16_384;
 const HIGHEST_FPS: f64 = 1000.0;
 const FOLDER_FPS: f64 = 10.0;
+/// The last camera of a simulated rig.
+const LAST_SEAT: u32 = 7;
 const SIMULATOR_FPS: f64 = 30.0;
 const SIMULATOR_SIZE: ImageSize = ImageSize::new(640, 480);
 
@@ -146,11 +151,16 @@ impl WrittenSource {
             "realsense" => self.realsense(place),
             "recording" => self.recording(span, place),
             "simulator" => {
-                self.takes_only(&["seed", "width", "height", "fps"], place)?;
+                self.takes_only(&["seed", "seat", "width", "height", "fps"], place)?;
                 let mode = self.mode(place)?;
                 let seed = self.seed.as_ref().map_or(1, |seed| *seed.get_ref());
                 let (size, fps) = (mode.size.unwrap_or(SIMULATOR_SIZE), mode.fps.unwrap_or(SIMULATOR_FPS));
-                Ok(SourceConfig::Simulator { seed, size, fps })
+                let seat = self.seat.as_ref().map(|seat| (*seat.get_ref(), seat.span()));
+                if let Some((seat, span)) = seat.clone().filter(|(seat, _)| *seat > LAST_SEAT) {
+                    let problem = format!("{seat} is no seat; write 0 to {LAST_SEAT}");
+                    return Err(place.refuse(&span, "camera.source.seat", problem));
+                }
+                Ok(SourceConfig::Simulator { seed, size, fps, seat: seat.map(|(seat, _)| seat) })
             }
             other => {
                 Err(place.refuse(&self.kind.span(), "camera.source.kind", format!("`{other}` is no kind; {KINDS}")))
@@ -262,6 +272,7 @@ impl WrittenSource {
             ("pace", self.pace.as_ref().map(Spanned::span)),
             ("repeat", self.repeat.as_ref().map(Spanned::span)),
             ("seed", self.seed.as_ref().map(Spanned::span)),
+            ("seat", self.seat.as_ref().map(Spanned::span)),
             ("width", self.width.as_ref().map(Spanned::span)),
             ("height", self.height.as_ref().map(Spanned::span)),
             ("format", self.format.as_ref().map(Spanned::span)),
@@ -297,7 +308,7 @@ mod tests {
 
     #[test]
     fn each_kind_with_its_defaults() {
-        let simulator = SourceConfig::Simulator { seed: 1, size: ImageSize::new(640, 480), fps: 30.0 };
+        let simulator = SourceConfig::Simulator { seed: 1, size: ImageSize::new(640, 480), fps: 30.0, seat: None };
         assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
         let recording = SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
         assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));

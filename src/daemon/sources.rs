@@ -6,10 +6,9 @@ use crate::capture::realsense::{self, Origin};
 use crate::capture::uvc;
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
-use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SourceOpener};
+use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SimulatedClock, SourceOpener};
 use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, SourceConfig};
-use crate::geometry::pixel::ImageSize;
 use crate::pipeline::CameraPlan;
 use crate::simulation::WorldOptions;
 
@@ -31,7 +30,12 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             let options = ReplayOptions { pace, repeat, fps };
             Box::new(move || open_recording(&path, &options))
         }
-        SourceConfig::Simulator { seed, size, fps } => Box::new(move || Ok(simulator(seed, size, fps))),
+        SourceConfig::Simulator { seed, size, fps, seat } => {
+            let options = WorldOptions { fps, ..WorldOptions::on_rig(seed, size, seat.unwrap_or(0)) };
+            let clock = if seat.is_some() { SimulatedClock::Shared } else { SimulatedClock::Own };
+            let open = move || Box::new(Simulated::new(&options, Pace::Recorded, clock)) as Box<dyn FrameSource>;
+            Box::new(move || Ok(open()))
+        }
         #[cfg(target_os = "linux")]
         SourceConfig::V4l2 { device, mode, controls, lock } => {
             let options = v4l2::CameraOptions { device, mode, controls, lock };
@@ -54,11 +58,6 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
 fn open_recording(path: &Path, options: &ReplayOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
     let replay = Replay::open(path, options).map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
     Ok(Box::new(replay))
-}
-
-fn simulator(seed: u64, size: ImageSize, fps: f64) -> Box<dyn FrameSource> {
-    let options = WorldOptions { fps, ..WorldOptions::new(seed, size) };
-    Box::new(Simulated::new(&options, Pace::Recorded))
 }
 
 fn realsense_camera(origin: Origin) -> Box<dyn SourceOpener> {

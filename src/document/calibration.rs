@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::calibration::{
-    CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, SensorCalibration,
+    CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, RigCamera, SensorCalibration,
 };
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::document::depth::DepthDocument;
@@ -20,12 +20,12 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::decode::MAX_PIXELS;
 
-/// A finished calibration of one camera.
+/// A finished calibration of one camera, or of a rig of cameras.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CalibrationDocument {
     /// Sortable by time.
     pub id: String,
-    /// The camera's name; null outside a daemon.
+    /// The camera's name, or the rig's; null outside a daemon.
     pub camera: Option<String>,
     /// The session it came from; null outside a daemon.
     pub session: Option<String>,
@@ -36,6 +36,9 @@ pub struct CalibrationDocument {
     pub target: Option<TargetDocument>,
     /// Each calibrated sensor. A camera with one sensor has it under `color`, grey or not.
     pub sensors: SensorsDocument,
+    /// The cameras of a rig, in its order; left out for one camera.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<RigCameraDocument>,
     /// Where the sensors are relative to each other; empty for one sensor.
     #[serde(default)]
     pub extrinsics: Vec<ExtrinsicsDocument>,
@@ -67,6 +70,15 @@ pub struct SensorsDocument {
     /// Distance per pixel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<DepthDocument>,
+}
+
+/// A camera of a rig.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct RigCameraDocument {
+    /// Its name, as in the extrinsics' `left_from_right`.
+    pub name: String,
+    /// Its calibrated sensors.
+    pub sensors: SensorsDocument,
 }
 
 /// One picture sensor.
@@ -132,7 +144,7 @@ pub struct ViewDocument {
 /// Where one sensor is relative to another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExtrinsicsDocument {
-    /// What it maps, as in `color_from_depth`.
+    /// What it maps, as in `color_from_depth`; between the cameras of a rig, as in `left_from_right`.
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
@@ -157,6 +169,7 @@ impl From<&Calibration> for CalibrationDocument {
                 infrared: calibration.infrared.as_ref().map(SensorDocument::from),
                 depth: calibration.depth.as_ref().map(DepthDocument::from),
             },
+            cameras: calibration.cameras.iter().map(RigCameraDocument::from).collect(),
             extrinsics: calibration.extrinsics.iter().map(ExtrinsicsDocument::from).collect(),
             checks: calibration.checks.into(),
             verdict: (&calibration.verdict).into(),
@@ -176,6 +189,9 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             Extrinsics::try_from(extrinsics).map_err(|e| e.inside(&format!("extrinsics[{i}]")))
         };
         let depth = document.sensors.depth.as_ref().map(DepthCalibration::try_from);
+        let camera = |(i, camera): (usize, &RigCameraDocument)| {
+            RigCamera::try_from(camera).map_err(|e| e.inside(&format!("cameras[{i}]")))
+        };
         Ok(Self {
             id: document.id.clone(),
             camera: document.camera.clone(),
@@ -185,10 +201,27 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             color: sensor(&document.sensors.color, "color")?,
             infrared: sensor(&document.sensors.infrared, "infrared")?,
             depth: depth.transpose().map_err(|e| e.inside("sensors.depth"))?,
+            cameras: document.cameras.iter().enumerate().map(camera).collect::<Result<_, _>>()?,
             extrinsics: document.extrinsics.iter().enumerate().map(extrinsics).collect::<Result<_, _>>()?,
             checks: document.checks.into(),
             verdict: (&document.verdict).into(),
         })
+    }
+}
+
+impl From<&RigCamera> for RigCameraDocument {
+    fn from(camera: &RigCamera) -> Self {
+        let sensors = SensorsDocument { color: Some((&camera.sensor).into()), ..SensorsDocument::default() };
+        Self { name: camera.name.clone(), sensors }
+    }
+}
+
+impl TryFrom<&RigCameraDocument> for RigCamera {
+    type Error = DocumentError;
+    fn try_from(document: &RigCameraDocument) -> Result<Self, DocumentError> {
+        let missing = || DocumentError::field("sensors.color", "is missing");
+        let sensor = SensorCalibration::try_from(document.sensors.color.as_ref().ok_or_else(missing)?);
+        Ok(Self { name: document.name.clone(), sensor: sensor.map_err(|e| e.inside("sensors.color"))? })
     }
 }
 
@@ -384,6 +417,7 @@ pub(crate) mod tests {
             color: Some(sensor),
             infrared: None,
             depth: None,
+            cameras: Vec::new(),
             extrinsics: vec![Extrinsics {
                 name: "color_from_infrared".into(),
                 target_from_source,

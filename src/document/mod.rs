@@ -16,6 +16,7 @@ pub mod pose;
 pub mod problem;
 pub mod reading;
 pub mod recording;
+pub mod rig;
 pub mod sensors_file;
 pub mod session;
 pub mod target;

@@ -8,7 +8,9 @@ use utoipa::ToSchema;
 use crate::calibration::admission::Rejections;
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
-use crate::calibration::session_record::{Finish, RunningEstimate, SessionRecord, SessionRequest, SessionState};
+use crate::calibration::session_record::{
+    Finish, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
+};
 use crate::document::calibration::UncertaintyDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensRequest};
@@ -134,8 +136,12 @@ impl From<SessionState> for SessionStateName {
 pub struct SessionDocument {
     /// Sortable by time.
     pub id: String,
-    /// The camera's name.
+    /// The camera's name, or the rig's.
     pub camera: String,
+    /// What each camera of a rig contributes, in the rig's order; left out for one camera. For a rig, `frames_seen` and
+    /// `boards_seen` are sums, `coverage` and `estimate` the worst camera's, and `views_kept` counts moments.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub cameras: Vec<SessionMemberDocument>,
     /// Where it stands.
     pub state: SessionStateName,
     /// Why it failed, waits or was given up.
@@ -168,6 +174,29 @@ pub struct SessionDocument {
     pub estimate: Option<EstimateDocument>,
     /// The identifier of the resulting calibration.
     pub calibration: Option<String>,
+}
+
+/// What one camera of a rig contributes to a session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SessionMemberDocument {
+    /// The camera's name.
+    pub camera: String,
+    /// Frames looked at.
+    pub frames_seen: u64,
+    /// Frames in which the board was found.
+    pub boards_seen: u64,
+    /// Views kept for the solve.
+    pub views_kept: u32,
+    /// Views kept of moments at which another camera's was kept too.
+    pub views_shared: u32,
+    /// Frames not kept, by reason.
+    pub rejected: BTreeMap<String, u64>,
+    /// Where in its image corners have been seen.
+    pub coverage: CoverageDocument,
+    /// What the person with the board should do next for it.
+    pub guidance: GuidanceDocument,
+    /// The estimate from its views so far; null before the first.
+    pub estimate: Option<EstimateDocument>,
 }
 
 /// Where in the image corners have been seen.
@@ -206,6 +235,7 @@ impl From<&SessionRecord> for SessionDocument {
         Self {
             id: record.id.clone(),
             camera: record.camera.clone(),
+            cameras: record.members.iter().map(SessionMemberDocument::from).collect(),
             state: record.state.into(),
             reason: record.reason.clone(),
             started_at: time::from_utc_ns(record.started_at_ns),
@@ -225,6 +255,44 @@ impl From<&SessionRecord> for SessionDocument {
     }
 }
 
+impl From<&SessionMember> for SessionMemberDocument {
+    fn from(member: &SessionMember) -> Self {
+        Self {
+            camera: member.camera.clone(),
+            frames_seen: member.frames_seen,
+            boards_seen: member.boards_seen,
+            views_kept: member.views_kept,
+            views_shared: member.views_shared,
+            rejected: rejected_counts(&member.rejected),
+            coverage: (&member.coverage).into(),
+            guidance: (&member.guidance).into(),
+            estimate: member.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
+        }
+    }
+}
+
+impl TryFrom<&SessionMemberDocument> for SessionMember {
+    type Error = DocumentError;
+    fn try_from(document: &SessionMemberDocument) -> Result<Self, DocumentError> {
+        let estimate = document.estimate.as_ref().map(RunningEstimate::try_from).transpose();
+        Ok(Self {
+            camera: document.camera.clone(),
+            frames_seen: document.frames_seen,
+            boards_seen: document.boards_seen,
+            views_kept: document.views_kept,
+            views_shared: document.views_shared,
+            rejected: rejections(&document.rejected),
+            coverage: document.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
+            guidance: document.guidance.clone().into(),
+            estimate: estimate.map_err(|e| e.inside("estimate"))?,
+        })
+    }
+}
+
+fn rejections(counts: &BTreeMap<String, u64>) -> Rejections {
+    Rejections::from_counts(counts.iter().map(|(kind, count)| (kind.as_str(), *count)))
+}
+
 /// Whether a document can say it: JSON has no number for infinity.
 fn is_finite(estimate: &RunningEstimate) -> bool {
     estimate.lens.parameters().into_iter().chain([estimate.rms_px]).all(f64::is_finite)
@@ -242,6 +310,7 @@ impl SessionDocument {
         Ok(SessionRecord {
             id: self.id.clone(),
             camera: self.camera.clone(),
+            members: self.cameras.iter().map(SessionMember::try_from).collect::<Result<_, _>>()?,
             request: (&start).try_into()?,
             state: self.state.into(),
             reason: self.reason.clone(),
@@ -250,7 +319,7 @@ impl SessionDocument {
             frames_seen: self.frames_seen,
             boards_seen: self.boards_seen,
             views_kept: self.views_kept,
-            rejected: Rejections::from_counts(self.rejected.iter().map(|(kind, count)| (kind.as_str(), *count))),
+            rejected: rejections(&self.rejected),
             collecting_s,
             coverage: self.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
             guidance: self.guidance.clone().into(),
@@ -328,6 +397,12 @@ pub struct SessionsDocument {
 pub struct SessionViewDocument {
     /// Its number in the session, from 0: its picture is `…/views/{n}.jpg`.
     pub n: u32,
+    /// The camera of a rig; left out for one camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera: Option<String>,
+    /// The moment that a rig's cameras saw together, from 0; left out for one camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moment: Option<u32>,
     /// The frame's path or sequence number.
     pub name: String,
     /// When its frame was received.

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | what is given | [`problem`] |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
-//! | several sensors fixed to each other | [`rig`] |
+//! | several sensors fixed to each other | [`rig`], [`board_turns`] |
 //! | a camera from one view of points in space | [`dlt`] |
 //! | where a board is, the lens known | [`board_pose`] |
 //! | a start without any guess | [`zhang`] (closed form), `start` |
@@ -17,6 +17,7 @@
 //! | why there is no answer | [`error`] |
 
 pub mod board_pose;
+pub mod board_turns;
 pub mod camera;
 pub mod depth_error;
 pub mod dlt;

@@ -17,16 +17,24 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::{Shared, on_a_blocking_thread};
 
+/// How a calibration is to be written.
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[expect(dead_code, reason = "describes the query; Parameters reads it")]
+pub(super) struct ExportParameters {
+    /// json (when left out), ros, opencv, kalibr, mrcal or colmap.
+    format: Option<String>,
+    /// For pictures scaled to this width.
+    width: Option<u32>,
+    /// For pictures scaled to this height.
+    height: Option<u32>,
+}
+
 const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap";
 
 /// The camera's current calibration: the one that was approved last.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/calibration", tag = "calibrations",
-    params(
-        ("camera" = String, Path, description = "its name in the configuration"),
-        ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
-        ("width" = Option<u32>, Query, description = "for pictures scaled to this width"),
-        ("height" = Option<u32>, Query, description = "for pictures scaled to this height"),
-    ),
+    params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
             (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
@@ -38,18 +46,28 @@ pub(super) async fn current(
     Address(camera): Address<String>,
     parameters: Parameters,
 ) -> Result<Response, Problem> {
-    let format = format(&parameters)?;
     shared.fleet.camera(&camera)?;
-    let asked = camera.clone();
+    current_of(&shared, &format!("camera `{camera}`"), &camera, &parameters).await
+}
+
+/// The current calibration of the camera or rig `name`, in the format that is asked for; `who` is what to call it.
+pub(super) async fn current_of(
+    shared: &Shared,
+    who: &str,
+    name: &str,
+    parameters: &Parameters,
+) -> Result<Response, Problem> {
+    let format = format(parameters)?;
+    let asked = name.to_owned();
     let found = shared
         .stored(move |store| store.current_calibration_id(&asked)?.map_or(Ok(None), |id| store.calibration(&id)))
         .await?;
     let none = || {
         Problem::not_found(format!(
-            "camera `{camera}` has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
+            "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&scaled(found.ok_or_else(none)?, &parameters)?, format)
+    written(&scaled(found.ok_or_else(none)?, parameters)?, format)
 }
 
 /// Every calibration of a camera, newest first.
@@ -64,18 +82,18 @@ pub(super) async fn history(
     Address(camera): Address<String>,
 ) -> Result<Json<CalibrationsDocument>, Problem> {
     shared.fleet.camera(&camera)?;
-    let calibrations = shared.stored(move |store| store.calibrations(&camera)).await?;
+    history_of(&shared, camera).await
+}
+
+/// Every calibration of the camera or rig `name`, newest first.
+pub(super) async fn history_of(shared: &Shared, name: String) -> Result<Json<CalibrationsDocument>, Problem> {
+    let calibrations = shared.stored(move |store| store.calibrations(&name)).await?;
     Ok(Json(CalibrationsDocument { calibrations: calibrations.iter().map(CalibrationDocument::from).collect() }))
 }
 
 /// One calibration, approved or not.
 #[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
-    params(
-        ("id" = String, Path, description = "the calibration's"),
-        ("format" = Option<String>, Query, description = "json (when left out), ros, opencv, kalibr, mrcal or colmap"),
-        ("width" = Option<u32>, Query, description = "for pictures scaled to this width"),
-        ("height" = Option<u32>, Query, description = "for pictures scaled to this height"),
-    ),
+    params(("id" = String, Path, description = "the calibration's"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
             (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),

@@ -30,7 +30,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 /// sends the last one it saw as `Last-Event-ID` gets what it missed, as far as it is remembered.
 #[utoipa::path(get, path = "/v1/events", tag = "events",
     params(
-        ("camera" = Option<String>, Query, description = "only this camera's"),
+        ("camera" = Option<String>, Query, description = "only this camera's, or this rig's"),
         ("Last-Event-ID" = Option<u64>, Header, description = "the last event that was seen"),
     ),
     responses(
@@ -43,7 +43,9 @@ pub(super) async fn follow(
     parameters: Parameters,
 ) -> Result<Sse<impl Stream<Item = Result<SentEvent, Infallible>>>, Problem> {
     let camera = parameters.text("camera").map(str::to_owned);
-    if let Some(camera) = &camera {
+    if let Some(camera) = &camera
+        && shared.fleet.rig(camera).is_err()
+    {
         shared.fleet.camera(camera)?;
     }
     // An id that is none of ours counts as no id, as the standard's clients expect.

@@ -16,6 +16,7 @@ mod page;
 pub mod problem;
 mod recordings;
 mod request;
+mod rigs;
 mod router;
 mod serve;
 mod sessions;

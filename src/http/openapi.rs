@@ -3,7 +3,7 @@
 use utoipa::OpenApi;
 
 use crate::http::{
-    calibrations, cameras, events, focus, frames, health, recordings, sessions, solve, uncertainty, views,
+    calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve, uncertainty, views,
 };
 
 #[derive(OpenApi)]
@@ -22,6 +22,11 @@ use crate::http::{
         frames::frame,
         frames::preview,
         focus::focus,
+        rigs::list,
+        rigs::one,
+        rigs::start,
+        rigs::calibration,
+        rigs::calibrations,
         sessions::start,
         sessions::list,
         sessions::one,
@@ -49,6 +54,7 @@ use crate::http::{
     )),
     tags(
         (name = "cameras", description = "the configured cameras and what they see"),
+        (name = "rigs", description = "cameras that are fixed to each other"),
         (name = "sessions", description = "collecting views towards a calibration"),
         (name = "calibrations", description = "results, their history and their approval"),
         (name = "recordings", description = "frames on the daemon's disk"),

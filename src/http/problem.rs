@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::reading::to_json;
-use crate::pipeline::fleet::{ApproveError, UnknownCamera};
+use crate::pipeline::fleet::{ApproveError, UnknownCamera, UnknownRig};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::StoreError;
 
@@ -114,6 +114,12 @@ impl From<DocumentError> for Problem {
     }
 }
 
+impl From<UnknownRig> for Problem {
+    fn from(error: UnknownRig) -> Self {
+        Self::not_found(error.to_string())
+    }
+}
+
 impl From<UnknownCamera> for Problem {
     fn from(error: UnknownCamera) -> Self {
         Self::not_found(error.to_string())
@@ -143,7 +149,7 @@ impl From<StartError> for Problem {
     fn from(error: StartError) -> Self {
         let detail = error.to_string();
         match error {
-            StartError::UnknownCamera { .. } => Self::not_found(detail),
+            StartError::UnknownCamera { .. } | StartError::UnknownRig { .. } => Self::not_found(detail),
             StartError::Busy { .. } => Self::conflict(detail),
             StartError::Store { .. } => Self::broken(detail),
             StartError::Stopping => Self::unavailable(detail),

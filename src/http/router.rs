@@ -13,8 +13,8 @@ use utoipa_swagger_ui::SwaggerUi;
 
 use crate::http::problem::Problem;
 use crate::http::{
-    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, sessions, solve,
-    uncertainty, views,
+    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, rigs, sessions,
+    solve, uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -32,6 +32,11 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/cameras/{camera}/sessions", post(sessions::start))
         .route("/v1/cameras/{camera}/calibration", get(calibrations::current))
         .route("/v1/cameras/{camera}/calibrations", get(calibrations::history))
+        .route("/v1/rigs", get(rigs::list))
+        .route("/v1/rigs/{rig}", get(rigs::one))
+        .route("/v1/rigs/{rig}/sessions", post(rigs::start))
+        .route("/v1/rigs/{rig}/calibration", get(rigs::calibration))
+        .route("/v1/rigs/{rig}/calibrations", get(rigs::calibrations))
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{id}", get(sessions::one).delete(sessions::abort))
         .route("/v1/sessions/{id}/stop", post(sessions::stop))

@@ -36,9 +36,13 @@ pub(super) async fn start(
 ) -> Result<impl IntoResponse, Problem> {
     shared.fleet.camera(&camera)?;
     let start: StartDocument = document(request, SMALL_BODY).await?;
-    let record = shared.fleet.start_session(&camera, SessionRequest::try_from(&start)?).await?;
+    Ok(created(&shared.fleet.start_session(&camera, SessionRequest::try_from(&start)?).await?))
+}
+
+/// A session that was begun.
+pub(super) fn created(record: &SessionRecord) -> impl IntoResponse + use<> {
     let location = format!("/v1/sessions/{}", record.id);
-    Ok((StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(&record))))
+    (StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(record)))
 }
 
 /// Every session, newest first.

@@ -55,6 +55,7 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
         color: Some(solved.sensor),
         infrared: None,
         depth: None,
+        cameras: Vec::new(),
         extrinsics: Vec::new(),
         checks: solved.checks,
         verdict: solved.verdict,

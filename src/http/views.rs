@@ -20,6 +20,7 @@ use crate::http::{Shared, on_a_blocking_thread};
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::picture_file::frame_from_file;
+use crate::store::RigPlace;
 
 const JPEG: &str = "image/jpeg";
 const JPEG_QUALITY: u8 = 90;
@@ -36,14 +37,14 @@ pub(super) async fn list(
     Address(id): Address<String>,
 ) -> Result<Json<SessionViewsDocument>, Problem> {
     let record = session(&shared, &id).await?;
-    let (views, calibration) = shared
+    let (views, places, calibration) = shared
         .stored(move |store| {
             let calibration = record.calibration.as_deref().map(|id| store.calibration(id)).transpose()?;
-            Ok((store.views(&record.id)?, calibration.flatten()))
+            Ok((store.views(&record.id)?, store.rig_places(&record.id)?, calibration.flatten()))
         })
         .await?;
-    let views = views.iter().map(|view| view_document(&id, view, calibration.as_ref())).collect();
-    Ok(Json(SessionViewsDocument { views }))
+    let view = |view: &View| view_document(&id, view, &Place::of(view, &places), calibration.as_ref());
+    Ok(Json(SessionViewsDocument { views: views.iter().map(view).collect() }))
 }
 
 /// The picture of a kept view, as JPEG.
@@ -75,14 +76,45 @@ fn to_jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }
 
-fn view_document(session_id: &str, view: &View, calibration: Option<&Calibration>) -> SessionViewDocument {
-    let sensor = calibration.and_then(|calibration| calibration.color.as_ref());
-    let calibrated = sensor.and_then(|sensor| sensor.views.get(view.number as usize));
+/// Which of a sensor's views a view is.
+struct Place<'a> {
+    /// Of a rig: the camera and the moment.
+    rig: Option<&'a RigPlace>,
+    /// Counts the views of the sensor, from 0.
+    number: usize,
+}
+
+impl<'a> Place<'a> {
+    fn of(view: &View, places: &'a [RigPlace]) -> Self {
+        let Some(place) = places.iter().find(|place| place.number == view.number) else {
+            return Self { rig: None, number: view.number as usize };
+        };
+        let before = |other: &&RigPlace| other.camera == place.camera && other.number < place.number;
+        Self { rig: Some(place), number: places.iter().filter(before).count() }
+    }
+
+    /// The sensor that a calibration has for it.
+    fn sensor<'c>(&self, calibration: &'c Calibration) -> Option<&'c SensorCalibration> {
+        let Some(place) = self.rig else { return calibration.color.as_ref() };
+        calibration.cameras.iter().find(|camera| camera.name == place.camera).map(|camera| &camera.sensor)
+    }
+}
+
+fn view_document(
+    session_id: &str,
+    view: &View,
+    place: &Place<'_>,
+    calibration: Option<&Calibration>,
+) -> SessionViewDocument {
+    let sensor = calibration.and_then(|calibration| place.sensor(calibration));
+    let calibrated = sensor.and_then(|sensor| sensor.views.get(place.number));
     let target = calibration.and_then(|calibration| calibration.target);
     let residuals = sensor.zip(calibrated).zip(target);
     let corners = || view.detection.corners.iter();
     SessionViewDocument {
         n: view.number,
+        camera: place.rig.map(|place| place.camera.clone()),
+        moment: place.rig.map(|place| place.moment),
         name: view.frame.display_name(),
         taken_at: time::from_utc_ns(view.frame.host_time_ns),
         corners: view.detection.corners.len() as u32,

@@ -93,6 +93,7 @@ pub(super) fn start_camera(
         admission: options.admission,
         session: None,
         board_look: BoardLook::default(),
+        lent_to: None,
     };
     // Before the first frame, so that a replay begins with what is to be looked for.
     if let Some((record, views)) = unfinished {

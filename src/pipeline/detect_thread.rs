@@ -10,6 +10,7 @@ use crate::pipeline::event::{EventKind, FrameEvent};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::{LiveFrame, Look};
 use crate::pipeline::message::{Captured, CapturedFrame, Message};
+use crate::pipeline::rig_inbox::Looked;
 use crate::pipeline::search::Search;
 
 pub(super) struct Detect {
@@ -28,6 +29,7 @@ impl Detect {
                 Captured::Frame(captured) => self.look_at(captured),
                 Captured::End { search, reason } => Some(Message::Ended { search, reason }),
             };
+            let message = message.and_then(hand_to_rig);
             if let Some(message) = message
                 && self.camera.messages.blocking_send(message).is_err()
             {
@@ -67,5 +69,26 @@ impl Detect {
             metrics.boards.with_label_values(&[name]).inc();
         }
         Look::of(sighting, elapsed * 1e3)
+    }
+}
+
+/// Hands what a rig's session looks for to the rig; what is left is the camera's own.
+fn hand_to_rig(message: Message) -> Option<Message> {
+    match message {
+        Message::Looked { captured, search, look } => match &search.rig {
+            Some(seat) => {
+                seat.inbox.put(&search.session, seat.member, Looked { captured, look });
+                None
+            }
+            None => Some(Message::Looked { captured, search, look }),
+        },
+        Message::Ended { search: Some(search), reason } => match &search.rig {
+            Some(seat) => {
+                seat.inbox.end(&search.session, seat.member, &reason);
+                None
+            }
+            None => Some(Message::Ended { search: Some(search), reason }),
+        },
+        message => Some(message),
     }
 }

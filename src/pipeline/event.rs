@@ -5,10 +5,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::watch;
 
+use crate::calibration::admission::Rejection;
 use crate::calibration::calibration::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
+use crate::pipeline::live_frame::Look;
+use crate::pipeline::message::CapturedFrame;
 
 /// Something that happened to a camera.
 #[derive(Debug, Clone)]
@@ -91,6 +94,28 @@ pub struct DetectionEvent {
     pub elapsed_ms: f64,
 }
 
+impl DetectionEvent {
+    /// What a session made of a frame that was looked at.
+    pub(super) fn of(
+        (captured, look): (&CapturedFrame, &Look),
+        session: &str,
+        admission: &Result<u32, Rejection>,
+    ) -> Self {
+        let corners = look.outcome.iter().flat_map(|detection| detection.corners.iter());
+        let rejection = admission.as_ref().err();
+        Self {
+            sequence: captured.frame_set.sequence,
+            session: session.to_owned(),
+            found: look.outcome.is_ok(),
+            corners_px: corners.map(|corner| corner.pixel).collect(),
+            kept_view: admission.as_ref().ok().copied(),
+            rejection: rejection.map(Rejection::kind),
+            reason: rejection.map(ToString::to_string),
+            elapsed_ms: look.elapsed_ms,
+        }
+    }
+}
+
 /// A calibration that was made or became current.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CalibrationEvent {
@@ -109,9 +134,13 @@ pub struct CalibrationEvent {
 }
 
 impl CalibrationEvent {
-    /// What an event tells of `calibration`; `None` if it has no picture sensor.
+    /// What an event tells of `calibration`; of a rig, its least certain camera's figures. `None` if it has no picture
+    /// sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
-        let sensor = calibration.color.as_ref().or(calibration.infrared.as_ref())?;
+        let own = calibration.color.as_ref().or(calibration.infrared.as_ref());
+        let of_rig = calibration.cameras.iter().map(|camera| &camera.sensor);
+        let worst = of_rig.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));
+        let sensor = own.or(worst)?;
         Some(Self {
             id: calibration.id.clone(),
             session: calibration.session.clone(),

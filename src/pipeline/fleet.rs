@@ -7,15 +7,19 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::pipeline::board_look::BoardLook;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::camera_threads::{CameraPlan, FleetOptions, SharedParts, start_camera};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
+use crate::pipeline::live_rig::{LiveRig, RigPlan, RigStatus};
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
+use crate::pipeline::rig_inbox::RigMessage;
+use crate::pipeline::rig_thread::RigThread;
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::{Store, StoreError};
 
@@ -25,6 +29,14 @@ use crate::store::{Store, StoreError};
 pub struct UnknownCamera {
     /// The name that was asked for.
     pub camera: String,
+}
+
+/// No such rig is configured.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("there is no rig `{rig}`; see GET /v1/rigs for those there are")]
+pub struct UnknownRig {
+    /// The name that was asked for.
+    pub rig: String,
 }
 
 /// Why the cameras were not set going.
@@ -77,6 +89,7 @@ const GLANCE: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 pub struct Fleet {
     cameras: RwLock<Vec<RunningCamera>>,
+    rigs: RwLock<Vec<RunningRig>>,
     shared: SharedParts,
     options: FleetOptions,
 }
@@ -88,6 +101,30 @@ struct RunningCamera {
     threads: Vec<JoinHandle<()>>,
 }
 
+/// A rig with the thread that works for it.
+#[derive(Debug)]
+struct RunningRig {
+    rig: Arc<LiveRig>,
+    thread: JoinHandle<()>,
+}
+
+/// Whose a session is.
+enum Owner {
+    Camera(Arc<LiveCamera>),
+    Rig(Arc<LiveRig>),
+}
+
+impl Owner {
+    fn session(&self) -> &watch::Sender<Option<Arc<SessionRecord>>> {
+        match self {
+            Self::Camera(camera) => &camera.session,
+            Self::Rig(rig) => &rig.session,
+        }
+    }
+}
+
+type EndReply = oneshot::Sender<Result<SessionRecord, EndError>>;
+
 impl Fleet {
     /// Sets every camera going, and goes on with the sessions that an earlier run left unfinished.
     ///
@@ -98,16 +135,80 @@ impl Fleet {
         // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in JavaScript.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
         let shared = SharedParts { events, metrics: Arc::new(metrics), store };
-        let fleet = Self { cameras: RwLock::default(), shared, options: options.clone() };
+        let fleet = Self { cameras: RwLock::default(), rigs: RwLock::default(), shared, options: options.clone() };
         // A fleet that is dropped half started ends the threads that it has.
         fleet.replace_cameras(&[], plans)?;
         for (record, _) in fleet.shared.store.unfinished_sessions()? {
-            if fleet.link(&record.camera).is_err() {
+            if record.members.is_empty() && fleet.link(&record.camera).is_err() {
                 let SessionRecord { id, camera, .. } = record;
                 tracing::warn!(session = id, camera, "unfinished session of a camera that is not configured");
             }
         }
         Ok(fleet)
+    }
+
+    /// Sets rigs of the fleet's cameras going, with the sessions that were left unfinished.
+    ///
+    /// # Errors
+    /// [`FleetError`].
+    pub fn start_rigs(&self, plans: Vec<RigPlan>) -> Result<(), FleetError> {
+        let mut unfinished = self.shared.store.unfinished_sessions()?;
+        for plan in plans {
+            let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
+            let left = left.map(|at| unfinished.remove(at).0);
+            let calibration = self.shared.store.current_calibration_id(&plan.name)?;
+            let rig = Arc::new(LiveRig {
+                plan,
+                session: watch::Sender::new(left.clone().map(Arc::new)),
+                calibration: watch::Sender::new(calibration),
+                inbox: Arc::default(),
+            });
+            let thread = RigThread {
+                rig: Arc::clone(&rig),
+                store: Arc::clone(&self.shared.store),
+                events: Arc::clone(&self.shared.events),
+                auto_approve: self.options.auto_approve,
+                admission: self.options.admission,
+                current: None,
+                board_look: BoardLook::default(),
+            };
+            let name = rig.plan.name.clone();
+            let thread = std::thread::Builder::new().name(format!("rig-{name}")).spawn(move || thread.run());
+            let thread = thread.map_err(|error| FleetError::Thread { camera: name, detail: error.to_string() })?;
+            if let (Some(record), Ok(cameras)) = (left, self.cameras_of(&rig.plan)) {
+                rig.inbox.ask(RigMessage::Resume(Box::new(record), cameras));
+            }
+            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(RunningRig { rig, thread });
+        }
+        Ok(())
+    }
+
+    /// Every rig, in the order of the configuration.
+    pub fn rigs(&self) -> Vec<RigStatus> {
+        self.running_rigs().iter().map(|running| running.rig.status()).collect()
+    }
+
+    /// One rig.
+    ///
+    /// # Errors
+    /// [`UnknownRig`].
+    pub fn rig(&self, name: &str) -> Result<RigStatus, UnknownRig> {
+        Ok(self.rig_link(name)?.status())
+    }
+
+    /// Starts a session on the rig `name`; it is stored when this returns.
+    ///
+    /// # Errors
+    /// [`StartError`], also when one of its cameras is in a session.
+    pub async fn start_rig_session(&self, name: &str, request: SessionRequest) -> Result<SessionRecord, StartError> {
+        let rig = self.rig_link(name).map_err(|UnknownRig { rig }| StartError::UnknownRig { rig })?;
+        let cameras =
+            self.cameras_of(&rig.plan).map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
+        let (reply, answer) = oneshot::channel();
+        if !rig.inbox.ask(RigMessage::Start(request, cameras, reply)) {
+            return Err(StartError::Stopping);
+        }
+        answer.await.map_err(|_| StartError::Stopping)?
     }
 
     /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that were left unfinished. The
@@ -134,8 +235,15 @@ impl Fleet {
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second: a
     /// thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
+        // Rigs first: a replay may wait for one.
+        let rigs = std::mem::take(&mut *self.rigs.write().unwrap_or_else(PoisonError::into_inner));
+        rigs.iter().for_each(|running| running.rig.inbox.close());
         let leaving = std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
         stop(&leaving);
+        let until = Instant::now() + LAST_WAIT;
+        while rigs.iter().any(|running| !running.thread.is_finished()) && Instant::now() < until {
+            std::thread::sleep(GLANCE);
+        }
     }
 
     /// Makes a calibration its camera's current one.
@@ -149,6 +257,8 @@ impl Fleet {
         self.shared.store.set_current(name, id)?;
         if let Ok(camera) = self.link(name) {
             camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+        } else if let Ok(rig) = self.rig_link(name) {
+            rig.calibration.send_replace(Some(id.to_owned()));
         }
         if let Some(event) = CalibrationEvent::of(&calibration, true) {
             self.shared.events.publish(name, EventKind::Calibration(event));
@@ -216,14 +326,18 @@ impl Fleet {
         Ok(self.link(name)?.frames.subscribe())
     }
 
-    /// The newest session of each camera since the daemon started, running or over. Older ones are in the store.
+    /// The newest session of each camera and each rig since the daemon started, running or over. Older ones are in the
+    /// store.
     pub fn live_sessions(&self) -> Vec<Arc<SessionRecord>> {
-        self.running().iter().filter_map(|running| running.camera.session.borrow().clone()).collect()
+        let of_rigs: Vec<_> =
+            self.running_rigs().iter().filter_map(|running| running.rig.session.borrow().clone()).collect();
+        let of_cameras = self.running().iter().filter_map(|running| running.camera.session.borrow().clone()).collect();
+        [of_cameras, of_rigs].concat()
     }
 
-    /// The session `id`, if it is the newest of its camera since the daemon started. Older ones are in the store.
+    /// The session `id`, if it is the newest of its camera or rig since the daemon started. Older ones are in the store.
     pub fn live_session(&self, id: &str) -> Option<Arc<SessionRecord>> {
-        self.session_link(id).and_then(|camera| camera.session.borrow().clone())
+        self.owner(id).and_then(|owner| owner.session().borrow().clone())
     }
 
     /// Starts a session on the camera `name`; it is stored when this returns.
@@ -243,7 +357,7 @@ impl Fleet {
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
     pub async fn stop_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Message::Stop).await
+        self.end_session(id, Message::Stop, RigMessage::Stop).await
     }
 
     /// Gives session `id` up; its views stay stored.
@@ -251,7 +365,7 @@ impl Fleet {
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
     pub async fn abort_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Message::Abort).await
+        self.end_session(id, Message::Abort, RigMessage::Abort).await
     }
 
     /// Waits until session `id` has ended.
@@ -260,7 +374,7 @@ impl Fleet {
     /// [`EndError::UnknownSession`] if it is not, or stops being, the newest of its camera; [`EndError::Stopping`].
     pub async fn session_over(&self, id: &str) -> Result<Arc<SessionRecord>, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
-        let mut session = self.session_link(id).ok_or_else(unknown)?.session.subscribe();
+        let mut session = self.owner(id).ok_or_else(unknown)?.session().subscribe();
         let ended = |record: &Option<Arc<SessionRecord>>| {
             record.as_ref().is_none_or(|record| record.id != id || record.state.is_over())
         };
@@ -276,11 +390,17 @@ impl Fleet {
     async fn end_session(
         &self,
         id: &str,
-        request: fn(String, oneshot::Sender<Result<SessionRecord, EndError>>) -> Message,
+        of_camera: fn(String, EndReply) -> Message,
+        of_rig: fn(String, EndReply) -> RigMessage,
     ) -> Result<SessionRecord, EndError> {
-        let link = self.session_link(id).ok_or_else(|| EndError::UnknownSession { id: id.to_owned() })?;
         let (reply, answer) = oneshot::channel();
-        link.messages.send(request(id.to_owned(), reply)).await.map_err(|_| EndError::Stopping)?;
+        match self.owner(id).ok_or_else(|| EndError::UnknownSession { id: id.to_owned() })? {
+            Owner::Camera(camera) => {
+                camera.messages.send(of_camera(id.to_owned(), reply)).await.map_err(|_| EndError::Stopping)?;
+            }
+            // One that takes no more messages drops the reply, and so answers.
+            Owner::Rig(rig) => drop(rig.inbox.ask(of_rig(id.to_owned(), reply))),
+        }
         answer.await.map_err(|_| EndError::Stopping)?
     }
 
@@ -289,9 +409,27 @@ impl Fleet {
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
-    fn session_link(&self, id: &str) -> Option<Arc<LiveCamera>> {
-        let has = |camera: &&Arc<LiveCamera>| camera.session.borrow().as_ref().is_some_and(|record| record.id == id);
-        self.running().iter().map(|running| &running.camera).find(has).cloned()
+    fn rig_link(&self, name: &str) -> Result<Arc<LiveRig>, UnknownRig> {
+        let found = self.running_rigs().iter().map(|running| &running.rig).find(|rig| rig.plan.name == name).cloned();
+        found.ok_or_else(|| UnknownRig { rig: name.to_owned() })
+    }
+
+    fn cameras_of(&self, plan: &RigPlan) -> Result<Vec<Arc<LiveCamera>>, UnknownCamera> {
+        plan.cameras.iter().map(|camera| self.link(camera)).collect()
+    }
+
+    /// Whose newest session `id` is.
+    fn owner(&self, id: &str) -> Option<Owner> {
+        let has = |session: &watch::Sender<Option<Arc<SessionRecord>>>| {
+            session.borrow().as_ref().is_some_and(|record| record.id == id)
+        };
+        let camera = self.running().iter().map(|running| &running.camera).find(|camera| has(&camera.session)).cloned();
+        let rig = || self.running_rigs().iter().map(|running| &running.rig).find(|rig| has(&rig.session)).cloned();
+        camera.map(Owner::Camera).or_else(|| rig().map(Owner::Rig))
+    }
+
+    fn running_rigs(&self) -> RwLockReadGuard<'_, Vec<RunningRig>> {
+        self.rigs.read().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn running(&self) -> RwLockReadGuard<'_, Vec<RunningCamera>> {

@@ -60,6 +60,10 @@ pub(super) enum Message {
     Stop(String, oneshot::Sender<Result<SessionRecord, EndError>>),
     /// Give it up.
     Abort(String, oneshot::Sender<Result<SessionRecord, EndError>>),
+    /// Search for a rig's session, and begin none of the camera's own until it is given back.
+    Lend(Search, oneshot::Sender<Result<(), StartError>>),
+    /// The rig's session with this id needs the camera no more.
+    GiveBack(String),
     /// Look whether to stop.
     Wake,
 }

@@ -6,6 +6,9 @@
 //! `session-<camera>`, which owns the session, performs its actions and answers requests. Solves run beside them on
 //! `solve-<camera>`, so that no frame waits for one.
 //!
+//! A rig of cameras is one more thread, `rig-<name>`: while its session collects, the detect threads of its cameras hand
+//! over to it what they see, and it puts together what was seen at one moment.
+//!
 //! [`fleet::Fleet`] is the one object that the layers above talk to.
 
 mod board_look;
@@ -22,9 +25,12 @@ mod frame_slot;
 mod guarded;
 mod live_camera;
 pub mod live_frame;
+mod live_rig;
 mod message;
 mod metrics;
 pub mod recorder;
+mod rig_inbox;
+mod rig_thread;
 mod search;
 pub mod session_request;
 mod session_thread;
@@ -34,3 +40,4 @@ mod view_picture;
 
 pub use camera_threads::{CameraPlan, FleetOptions};
 pub use capture_thread::Supervision;
+pub use live_rig::{RigPlan, RigStatus};

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::geometry::board::BoardSize;
+use crate::pipeline::rig_inbox::RigSeat;
 
 /// One session's wish: look for this board, and say so in its name.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -11,6 +12,8 @@ pub(super) struct Search {
     pub(super) session: String,
     /// What it looks for.
     pub(super) board: BoardSize,
+    /// For a rig's session: where what is seen is handed over.
+    pub(super) rig: Option<RigSeat>,
 }
 
 /// The search of the moment, read with every frame.

@@ -11,6 +11,12 @@ pub enum StartError {
         /// The name that was asked for.
         camera: String,
     },
+    /// No such rig is configured.
+    #[error("there is no rig `{rig}`; see GET /v1/rigs for those there are")]
+    UnknownRig {
+        /// The name that was asked for.
+        rig: String,
+    },
     /// One session a camera.
     #[error("camera `{camera}` is in session {session} already; stop or abort that one first")]
     Busy {

@@ -37,6 +37,8 @@ pub(super) struct SessionThread {
     pub(super) session: Option<Session>,
     /// For the frames that are kept.
     pub(super) board_look: BoardLook,
+    /// The rig's session that the camera is lent to.
+    pub(super) lent_to: Option<String>,
 }
 
 impl SessionThread {
@@ -93,15 +95,23 @@ impl SessionThread {
             Message::Abort(id, reply) => {
                 let _ = reply.send(self.end(&id, Session::abort));
             }
+            Message::Lend(search, reply) => {
+                let _ = reply.send(self.lend(search));
+            }
+            Message::GiveBack(id) => {
+                if self.lent_to.take_if(|lent_to| *lent_to == id).is_some() {
+                    self.camera.search.set(None);
+                    self.camera.status.send_modify(|status| status.session = None);
+                    self.camera.announce();
+                }
+            }
             Message::Wake => {}
         }
     }
 
     fn start(&mut self, request: SessionRequest) -> Result<SessionRecord, StartError> {
         let camera = self.camera.name.clone();
-        if let Some(running) = self.session.as_ref().filter(|session| !session.record().state.is_over()) {
-            return Err(StartError::Busy { camera, session: running.record().id.clone() });
-        }
+        self.is_free()?;
         let record = SessionRecord::begin(&Ulid::generate().to_string(), &camera, request, utc_now_ns());
         self.store.begin_session(&record).map_err(|error| StartError::Store { detail: error.to_string() })?;
         let session = Session::begin(record.clone(), &self.admission);
@@ -114,10 +124,29 @@ impl SessionThread {
         Ok(record)
     }
 
+    /// Whether no session has the camera.
+    fn is_free(&self) -> Result<(), StartError> {
+        let own = self.session.as_ref().map(Session::record).filter(|record| !record.state.is_over());
+        match own.map(|record| &record.id).or(self.lent_to.as_ref()) {
+            Some(session) => Err(StartError::Busy { camera: self.camera.name.clone(), session: session.clone() }),
+            None => Ok(()),
+        }
+    }
+
+    fn lend(&mut self, search: Search) -> Result<(), StartError> {
+        self.is_free()?;
+        let id = search.session.clone();
+        self.lent_to = Some(id.clone());
+        self.camera.search.set(Some(search));
+        self.camera.status.send_modify(|status| status.session = Some(id));
+        self.camera.announce();
+        Ok(())
+    }
+
     fn begin_search(&self, session: &Session) {
         let record = session.record();
         if record.state == SessionState::Collecting {
-            let search = Search { session: record.id.clone(), board: record.request.target.size };
+            let search = Search { session: record.id.clone(), board: record.request.target.size, rig: None };
             self.camera.search.set(Some(search));
         }
     }
@@ -343,22 +372,13 @@ impl SessionThread {
         if let Some(rejection) = rejection {
             metrics.rejected.with_label_values(&[name, rejection.kind()]).inc();
         }
-        let corners = look.outcome.iter().flat_map(|detection| detection.corners.iter());
-        self.camera.publish(EventKind::Detection(DetectionEvent {
-            sequence: captured.frame_set.sequence,
-            session: search.session.clone(),
-            found: look.outcome.is_ok(),
-            corners_px: corners.map(|corner| corner.pixel).collect(),
-            kept_view: observed.admission.as_ref().ok().copied(),
-            rejection: rejection.map(Rejection::kind),
-            reason: rejection.map(ToString::to_string),
-            elapsed_ms: look.elapsed_ms,
-        }));
+        let looked = (captured, look);
+        self.camera.publish(EventKind::Detection(DetectionEvent::of(looked, &search.session, &observed.admission)));
         metrics.latency_seconds.with_label_values(&[name]).observe(captured.arrived.elapsed().as_secs_f64());
     }
 }
 
-fn frame_facts(captured: &CapturedFrame) -> FrameFacts {
+pub(super) fn frame_facts(captured: &CapturedFrame) -> FrameFacts {
     let frame_set = &captured.frame_set;
     FrameFacts {
         sequence: frame_set.sequence,

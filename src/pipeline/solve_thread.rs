@@ -108,6 +108,7 @@ impl Job {
             color: Some(solved.sensor),
             infrared: None,
             depth: None,
+            cameras: Vec::new(),
             extrinsics: Vec::new(),
             checks: solved.checks,
             verdict: solved.verdict,

@@ -19,6 +19,7 @@ mod picture_sensor;
 mod rays;
 mod renderer;
 mod rgbd_world;
+mod seat;
 mod walk;
 mod world;
 
@@ -28,5 +29,6 @@ pub use depth_sensor::{DepthError, DepthSensor};
 pub use picture_sensor::PictureSensor;
 pub use renderer::Renderer;
 pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
+pub use seat::Seat;
 pub use walk::{Walk, WalkOptions};
 pub use world::{FrameTruth, SimulatedFrame, World, WorldOptions};

@@ -13,6 +13,7 @@ pub(super) enum Purpose {
     Picture = 4,
     Rig = 5,
     Depth = 6,
+    Seat = 7,
 }
 
 /// The stream of `seed` for `purpose`, the `index`-th of its kind.

@@ -16,6 +16,7 @@ use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
 use crate::simulation::picture_sensor::PictureSensor;
 use crate::simulation::renderer::Renderer;
+use crate::simulation::seat::Seat;
 use crate::simulation::walk::{Walk, WalkOptions};
 
 /// What is simulated.
@@ -33,6 +34,8 @@ pub struct WorldOptions {
     pub walk: WalkOptions,
     /// Rectangles on the wall behind it.
     pub clutter: usize,
+    /// Where the camera is, if it is not the one that the board is carried about before.
+    pub seat: Option<Seat>,
 }
 
 impl WorldOptions {
@@ -41,7 +44,20 @@ impl WorldOptions {
     pub fn new(seed: u64, size: ImageSize) -> Self {
         let board = Chessboard { size: BoardSize { cols: 9, rows: 6 }, square_m: 0.025 };
         let sensor = PictureSensor::new(size, ordinary_lens(seed, size));
-        Self { seed, fps: 15.0, sensor, board, walk: WalkOptions::default(), clutter: 24 }
+        Self { seed, fps: 15.0, sensor, board, walk: WalkOptions::default(), clutter: 24, seat: None }
+    }
+}
+
+impl WorldOptions {
+    /// As [`Self::new`] for the `number`-th camera of the rig of `seed`, which has a lens of its own. Number 0 is the camera
+    /// of [`Self::new`].
+    pub fn on_rig(seed: u64, size: ImageSize, number: u32) -> Self {
+        let first = Self::new(seed, size);
+        if number == 0 {
+            return first;
+        }
+        let own = PictureSensor::new(size, ordinary_lens(seed.wrapping_add(u64::from(number) << 32), size));
+        Self { seat: Some(Seat::on_rig(seed, number, first.sensor.lens)), sensor: own, ..first }
     }
 }
 
@@ -104,6 +120,7 @@ pub struct World {
     fps: f64,
     walk: Walk,
     renderer: Renderer,
+    seat: Option<Seat>,
 }
 
 impl World {
@@ -111,10 +128,11 @@ impl World {
     pub fn new(options: &WorldOptions) -> Self {
         let pattern = BoardPattern::new(options.board);
         let sensor = &options.sensor;
-        let walk = Walk::new(options.seed, pattern, sensor.lens, sensor.size, &options.walk);
+        let planned_for = options.seat.map_or(sensor.lens, |seat| seat.first_lens);
+        let walk = Walk::new(options.seed, pattern, planned_for, sensor.size, &options.walk);
         let background = Background::new(options.seed, options.clutter);
         let renderer = Renderer::new(sensor.clone(), pattern, &background);
-        Self { seed: options.seed, fps: options.fps, walk, renderer }
+        Self { seed: options.seed, fps: options.fps, walk, renderer, seat: options.seat }
     }
 
     /// The camera.
@@ -130,19 +148,25 @@ impl World {
     /// What is true of the `index`-th picture.
     pub fn truth(&mut self, index: u64) -> FrameTruth {
         let time_s = index as f64 / self.fps;
-        let Self { walk, renderer, .. } = self;
-        let (camera_from_board, motion_px) = motion(renderer, time_s, |time_s| walk.camera_from_board(time_s));
+        let Self { walk, renderer, seat, .. } = self;
+        let pose = |time_s| seen_from(*seat, walk.camera_from_board(time_s));
+        let (camera_from_board, motion_px) = motion(renderer, time_s, pose);
         FrameTruth { index, time_s, camera_from_board, motion_px }
     }
 
     /// The `index`-th picture.
     pub fn frame(&mut self, index: u64) -> SimulatedFrame {
-        let Self { walk, renderer, .. } = self;
+        let Self { walk, renderer, seat, .. } = self;
         let time_s = index as f64 / self.fps;
-        let Exposure { light, camera_from_board, motion_px } =
-            exposed(renderer, time_s, |time_s| walk.camera_from_board(time_s));
+        let pose = |time_s| seen_from(*seat, walk.camera_from_board(time_s));
+        let Exposure { light, camera_from_board, motion_px } = exposed(renderer, time_s, pose);
         let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
-        SimulatedFrame { image: self.sensor().develop(&light, self.seed, index), truth }
+        SimulatedFrame { image: self.sensor().develop(&light, self.seed, self.picture_number(index)), truth }
+    }
+
+    /// No two cameras of a rig draw the same noise.
+    fn picture_number(&self, index: u64) -> u64 {
+        index + self.seat.map_or(0, |seat| u64::from(seat.number) << 40)
     }
 
     /// How the board is carried.
@@ -156,6 +180,11 @@ impl World {
         let lens = &self.sensor().lens;
         corners.iter().map(|corner| lens.pixel_from_point(&(truth.camera_from_board * *corner))).collect()
     }
+}
+
+/// Where a camera in `seat` sees a board that the first camera sees at `first_from_board`.
+fn seen_from(seat: Option<Seat>, first_from_board: Pose) -> Pose {
+    seat.map_or(first_from_board, |seat| seat.camera_from_first * first_from_board)
 }
 
 /// An exposed sensor.

@@ -10,6 +10,7 @@ mod calibrations;
 pub mod companions;
 pub mod error;
 mod json;
+mod rig_views;
 mod sessions;
 mod upgrades;
 mod views;
@@ -21,6 +22,7 @@ use rusqlite::{Connection, ErrorCode};
 
 pub use crate::store::companions::Companion;
 pub use crate::store::error::StoreError;
+pub use crate::store::rig_views::RigPlace;
 pub use crate::store::views::Picture;
 
 /// The database's name in the store's folder.

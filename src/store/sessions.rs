@@ -134,6 +134,7 @@ pub(super) mod tests {
         SessionRecord {
             id: id.into(),
             camera: "front".into(),
+            members: Vec::new(),
             request: SessionRequest {
                 target: Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.1 * third).unwrap(),
                 lens: LensRequest::Brown.into(),

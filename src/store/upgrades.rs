@@ -7,8 +7,12 @@ use rusqlite::Connection;
 use crate::store::error::StoreError;
 
 /// What leads from each version to the next: the first makes an empty database version 1.
-const UPGRADES: &[&str] =
-    &[include_str!("upgrades/001.sql"), include_str!("upgrades/002.sql"), include_str!("upgrades/003.sql")];
+const UPGRADES: &[&str] = &[
+    include_str!("upgrades/001.sql"),
+    include_str!("upgrades/002.sql"),
+    include_str!("upgrades/003.sql"),
+    include_str!("upgrades/004.sql"),
+];
 
 /// Marks the file as Plumb's: "Plmb" in ASCII.
 const APPLICATION_ID: i64 = 0x506c_6d62;

@@ -1,6 +1,6 @@
 //! The table of kept views, each with its picture.
 
-use rusqlite::{OptionalExtension, Row, params};
+use rusqlite::{Connection, OptionalExtension, Row, params};
 
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
@@ -31,25 +31,8 @@ impl Store {
         media_type: &str,
         picture: &[u8],
     ) -> Result<(), StoreError> {
-        let detection = json::write(&DetectionDocument::from(&view.detection), || row_name(session_id, view.number))?;
-        let frame = &view.frame;
-        let row = params![
-            session_id,
-            view.number,
-            // SQLite has no unsigned integers: the bits are kept.
-            frame.sequence as i64,
-            frame.name,
-            frame.host_time_ns,
-            frame.device_time_ns,
-            frame.image_size.width,
-            frame.image_size.height,
-            detection,
-            media_type,
-            picture
-        ];
-        let sql = "INSERT INTO views (session, number, sequence, name, host_time_ns, device_time_ns, width, height,
-            detection, media_type, picture) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
-        self.connection().execute(sql, row).map_err(|e| self.failed(&e))?;
+        let insert = insert_view(session_id, view, media_type, picture)?;
+        insert(&self.connection()).map_err(|e| self.failed(&e))?;
         Ok(())
     }
 
@@ -84,6 +67,36 @@ impl Store {
             .optional()
             .map_err(|e| self.failed(&e))
     }
+}
+
+/// What writes a view down, on whatever connection or transaction.
+pub(super) fn insert_view<'a>(
+    session_id: &'a str,
+    view: &'a View,
+    media_type: &'a str,
+    picture: &'a [u8],
+) -> Result<impl Fn(&Connection) -> Result<usize, rusqlite::Error> + 'a, StoreError> {
+    let detection = json::write(&DetectionDocument::from(&view.detection), || row_name(session_id, view.number))?;
+    let frame = &view.frame;
+    Ok(move |connection: &Connection| {
+        let row = params![
+            session_id,
+            view.number,
+            // SQLite has no unsigned integers: the bits are kept.
+            frame.sequence as i64,
+            frame.name,
+            frame.host_time_ns,
+            frame.device_time_ns,
+            frame.image_size.width,
+            frame.image_size.height,
+            detection,
+            media_type,
+            picture
+        ];
+        let sql = "INSERT INTO views (session, number, sequence, name, host_time_ns, device_time_ns, width, height,
+            detection, media_type, picture) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
+        connection.execute(sql, row)
+    })
 }
 
 fn row_name(session_id: &str, number: u32) -> String {

@@ -13,5 +13,6 @@ mod live_session;
 mod program;
 mod recordings;
 mod rgbd_session;
+mod rig_session;
 mod served;
 mod shared_data;

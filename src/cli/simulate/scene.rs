@@ -4,6 +4,7 @@
 //! seed = 1
 //! frames = 150
 //! fps = 15
+//! seat = 0                       # of a rig: 1 is its second camera, whose board is carried about before its first one
 //! clutter = 24                   # rectangles on the wall behind the board
 //! [board]
 //! cols = 9
@@ -66,6 +67,7 @@ struct WrittenScene {
     seed: Option<u64>,
     frames: Option<u64>,
     fps: Option<f64>,
+    seat: Option<u32>,
     clutter: Option<usize>,
     board: WrittenBoard,
     camera: WrittenCamera,
@@ -139,7 +141,8 @@ impl WrittenScene {
             |key, given: Option<u32>, default| ranged(key, given.map(f64::from), f64::from(default), [16.0, 8192.0]);
         let width = side("camera.width", camera.width, SIZE.width)? as u32;
         let height = side("camera.height", camera.height, SIZE.height)? as u32;
-        let mut world = WorldOptions::new(seed, ImageSize::new(width, height));
+        let seat = ranged("seat", self.seat.map(f64::from), 0.0, [0.0, 7.0])? as u32;
+        let mut world = WorldOptions::on_rig(seed, ImageSize::new(width, height), seat);
         world.fps = ranged("fps", self.fps, world.fps, [0.1, 1000.0])?;
         world.clutter = self.clutter.unwrap_or(world.clutter).min(10_000);
         let size = BoardSize::new(

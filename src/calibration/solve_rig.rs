@@ -1,0 +1,429 @@
+//! The solve of several cameras that are fixed to each other: each by itself, then all that share views jointly.
+
+use nalgebra::{Matrix3, Matrix6, Vector3};
+
+use crate::calibration::calibration::{Checks, Extrinsics, Grade, RigCamera, SensorCalibration, Verdict};
+use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
+use crate::calibration::solve_rgbd::pose_std;
+use crate::estimation::board_turns::{SensorPoses, consistent_turns};
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::error::EstimationError;
+use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
+use crate::geometry::board::Chessboard;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+
+/// A rig to calibrate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigInput {
+    /// The board.
+    pub board: Chessboard,
+    /// Its cameras.
+    pub cameras: Vec<RigCameraInput>,
+}
+
+/// One camera of a rig and what it saw.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigCameraInput {
+    /// Its name.
+    pub name: String,
+    /// The size of its images.
+    pub image_size: ImageSize,
+    /// What it saw, and at which moment: those of the same number were seen together.
+    pub views: Vec<(usize, BoardView)>,
+}
+
+/// A solved rig.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SolvedRig {
+    /// The cameras that could be calibrated, in the rig's order.
+    pub cameras: Vec<RigCamera>,
+    /// `a_from_b` of each camera b that shares views, directly or through others, with an earlier camera a; a is the first
+    /// of those that it is connected with.
+    pub extrinsics: Vec<Extrinsics>,
+    /// The worst of each figure over the cameras.
+    pub checks: Checks,
+    /// How far to trust it.
+    pub verdict: Verdict,
+}
+
+/// Why a rig could not be calibrated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RigError {
+    /// Fewer than two cameras could be calibrated by themselves.
+    #[error("only {solved} of {all} cameras can be calibrated; camera `{camera}`: {source}")]
+    TooFewCameras {
+        /// How many could be.
+        solved: usize,
+        /// Of how many.
+        all: usize,
+        /// The first that could not be.
+        camera: String,
+        /// Why not.
+        source: EstimationError,
+    },
+    /// No two cameras saw the board at one moment.
+    #[error("no two cameras saw the whole board at the same moment: hold it still where two of them see all of it")]
+    NothingShared,
+    /// All together could not be.
+    #[error("the cameras together: {0}")]
+    Joint(EstimationError),
+}
+
+/// A camera that was calibrated by itself.
+struct Alone<'a> {
+    input: &'a RigCameraInput,
+    solved: SolvedCamera,
+}
+
+/// Calibrates each camera by itself, then those that share views jointly, lenses and poses.
+///
+/// # Errors
+/// [`RigError`]. A camera that cannot be calibrated, or shares no view with any other, costs the others nothing: the
+/// verdict names it.
+pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
+    let (mut alone, mut failed) = (Vec::new(), Vec::new());
+    for camera in &input.cameras {
+        let views = camera.views.iter().map(|(_, view)| view.clone()).collect();
+        match solve_views(&CameraProblem { image_size: camera.image_size, views }, options) {
+            Ok(solved) => alone.push(Alone { input: camera, solved }),
+            Err(source) => failed.push((camera.name.clone(), source)),
+        }
+    }
+    if alone.len() < 2 {
+        let (camera, source) = failed.into_iter().next().unwrap_or((String::new(), EstimationError::NoFit));
+        return Err(RigError::TooFewCameras { solved: alone.len(), all: input.cameras.len(), camera, source });
+    }
+    let groups = connected(&alone);
+    if groups.iter().all(|group| group.len() < 2) {
+        return Err(RigError::NothingShared);
+    }
+    let mut findings = Vec::new();
+    for (camera, source) in &failed {
+        findings.push((Grade::Usable, format!("camera `{camera}` is left out: {source}")));
+    }
+    let mut sensors: Vec<SensorCalibration> = alone.iter().map(|one| one.solved.sensor.clone()).collect();
+    let mut extrinsics = Vec::new();
+    for group in &groups {
+        if let [lonely] = group.as_slice() {
+            let name = &alone[*lonely].input.name;
+            let reason = "saw the whole board at no moment at which another camera did: show it to both at once";
+            findings.push((Grade::Usable, format!("where camera `{name}` is stays open: it {reason}")));
+            continue;
+        }
+        let cameras: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
+        let joint = Joint::solve(input, &cameras)?;
+        for (index, sensor) in group.iter().zip(&joint.sensors) {
+            sensors[*index] = sensor.clone();
+        }
+        findings.extend(joint.findings());
+        extrinsics.extend(joint.extrinsics);
+    }
+    let cameras = alone.iter().zip(sensors).map(|(one, sensor)| RigCamera { name: one.input.name.clone(), sensor });
+    Ok(SolvedRig { cameras: cameras.collect(), extrinsics, checks: checks(&alone), verdict: verdict(&alone, findings) })
+}
+
+/// Which cameras share moments, directly or through others; each group in order, and the groups by their first camera.
+fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
+    let moments = |one: &Alone<'_>| one.poses().into_iter().map(|(moment, _)| moment).collect::<Vec<_>>();
+    let moments: Vec<Vec<usize>> = alone.iter().map(moments).collect();
+    let share = |a: usize, b: usize| moments[a].iter().any(|moment| moments[b].contains(moment));
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    for camera in 0..alone.len() {
+        let (joined, apart): (Vec<_>, Vec<_>) =
+            groups.into_iter().partition(|group| group.iter().any(|other| share(*other, camera)));
+        let mut joined = joined.concat();
+        joined.push(camera);
+        joined.sort_unstable();
+        groups = apart;
+        groups.push(joined);
+        groups.sort();
+    }
+    groups
+}
+
+impl Alone<'_> {
+    /// The pose of every view that took part, with its moment.
+    fn poses(&self) -> SensorPoses {
+        let views = self.input.views.iter().zip(&self.solved.estimate.views);
+        let pose = |((moment, _), view): (&(usize, BoardView), &crate::estimation::camera::ViewEstimate)| {
+            Some((*moment, view.camera_from_board.filter(|_| view.fault.is_none())?))
+        };
+        views.filter_map(pose).collect()
+    }
+
+    /// What it saw, with the points of each view where `turns` say that they are.
+    fn turned(&self, board_from_labels: &[Pose], chosen: &[usize]) -> Vec<(usize, BoardView)> {
+        let good =
+            self.solved.estimate.views.iter().map(|view| view.fault.is_none() && view.camera_from_board.is_some());
+        let mut chosen = chosen.iter();
+        let views = self.input.views.iter().zip(good);
+        let turned = |((moment, view), good): (&(usize, BoardView), bool)| {
+            let turn = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
+            let mut view = view.clone();
+            for corner in &mut view.correspondences {
+                corner.point_in_board = board_from_labels[turn] * corner.point_in_board;
+            }
+            (*moment, view)
+        };
+        views.map(turned).collect()
+    }
+}
+
+/// Cameras that were solved together.
+struct Joint {
+    sensors: Vec<SensorCalibration>,
+    extrinsics: Vec<Extrinsics>,
+    /// For each camera: its noise together with the others over that by itself.
+    strain: Vec<(String, f64)>,
+}
+
+impl Joint {
+    fn solve(input: &RigInput, group: Vec<&Alone<'_>>) -> Result<Self, RigError> {
+        let turns = turns(&input.board);
+        let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
+        let chosen = consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);
+        let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
+            name: one.input.name.clone(),
+            image_size: one.input.image_size,
+            views: one.turned(&board_from_labels, chosen),
+            options: CameraOptions {
+                lens: LensChoice::Model(one.solved.sensor.lens.model()),
+                ..CameraOptions::default()
+            },
+        };
+        let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();
+        let instants = sensors.iter().flat_map(|sensor| &sensor.views).map(|(moment, _)| moment + 1).max();
+        let problem = RigProblem { sensors, instants: instants.unwrap_or(0) };
+        let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
+        let reference = &group[0].input.name;
+        let placed = group.iter().zip(&estimate.places).skip(1);
+        let with_comparison = |(one, camera): (&&Alone<'_>, _)| SensorCalibration {
+            compared: one.solved.sensor.compared.clone(),
+            ..sensor_calibration(camera)
+        };
+        let strain = group
+            .iter()
+            .zip(&estimate.cameras)
+            .map(|(one, camera)| (one.input.name.clone(), camera.rms_px / one.solved.estimate.rms_px.max(1e-3)));
+        Ok(Self {
+            sensors: group.iter().zip(&estimate.cameras).map(with_comparison).collect(),
+            extrinsics: placed.map(|(one, place)| reference_from(reference, &one.input.name, place)).collect(),
+            strain: strain.collect(),
+        })
+    }
+
+    fn findings(&self) -> Vec<(Grade, String)> {
+        let strained = self.strain.iter().filter(|(_, strain)| *strain > STRAINED).map(|(name, strain)| {
+            let cause =
+                "the board moved between the cameras' pictures, or the cameras against each other: hold it still";
+            (
+                Grade::Usable,
+                format!("camera `{name}` fits {strain:.1} times worse with the others than by itself; {cause}"),
+            )
+        });
+        let open = self.extrinsics.iter().filter_map(|known| {
+            let (turn_deg, shift_m) = (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
+            let loose =
+                turn_deg > LOOSE_DEG || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
+            let advice = "show the board to both in more places, near and tilted";
+            let name = &known.name;
+            loose.then(|| {
+                let reason = format!("{name} is known to {turn_deg:.2}° and {:.1} mm only: {advice}", 1e3 * shift_m);
+                (Grade::Usable, reason)
+            })
+        });
+        strained.chain(open).collect()
+    }
+}
+
+/// A camera whose residuals grow by more than this when it is solved with the others was not where they say.
+const STRAINED: f64 = 1.5;
+/// A turn that is less known than this, in degrees, or a shift by this part of its length, is worth telling.
+const LOOSE_DEG: f64 = 0.1;
+const LOOSE_PART: f64 = 0.01;
+
+fn largest(values: [f64; 3]) -> f64 {
+    values.into_iter().fold(0.0, f64::max)
+}
+
+/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`, a turn ω and a shift τ
+/// of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
+fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> Extrinsics {
+    let rig_from_sensor = place.sensor_from_rig.inverse();
+    let back = rig_from_sensor.rotation_matrix();
+    let mut by_place = Matrix6::zeros();
+    by_place.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
+    by_place.fixed_view_mut::<3, 3>(3, 3).copy_from(&-back);
+    by_place.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
+    let (rotation_std, translation_std) = pose_std(&(by_place * place.covariance * by_place.transpose()));
+    Extrinsics {
+        name: format!("{reference}_from_{name}"),
+        target_from_source: rig_from_sensor,
+        rotation_std: rotation_std.into(),
+        translation_std_m: translation_std.into(),
+    }
+}
+
+fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
+    v.cross_matrix()
+}
+
+/// What a board looks the same after, as `board_from_board`; the identity first.
+fn turns(board: &Chessboard) -> Vec<Pose> {
+    if !board.size.orientation_ambiguous() {
+        return vec![Pose::identity()];
+    }
+    let far = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1);
+    let quarter = |quarters: i32, shift: Vector3<f64>| {
+        Pose::from_axis_angle(Vector3::z() * (f64::from(quarters) * std::f64::consts::FRAC_PI_2), shift)
+    };
+    let mut turns = vec![Pose::identity(), quarter(2, far.coords)];
+    if board.size.cols == board.size.rows {
+        turns.push(quarter(1, Vector3::new(far.x, 0.0, 0.0)));
+        turns.push(quarter(3, Vector3::new(0.0, far.y, 0.0)));
+    }
+    turns
+}
+
+fn checks(alone: &[Alone<'_>]) -> Checks {
+    let all = || alone.iter().map(|one| &one.solved.checks);
+    let worst = |figure: fn(&Checks) -> Option<f64>| all().filter_map(figure).reduce(f64::max);
+    Checks {
+        split_half_ratio: worst(|checks| checks.split_half_ratio),
+        held_out_rms_px: worst(|checks| checks.held_out_rms_px),
+        outlier_fraction: worst(|checks| Some(checks.outlier_fraction)).unwrap_or(0.0),
+        coverage: all().map(|checks| checks.coverage).reduce(f64::min).unwrap_or(0.0),
+    }
+}
+
+/// What holds of each camera by itself, and of all together.
+fn verdict(alone: &[Alone<'_>], mut findings: Vec<(Grade, String)>) -> Verdict {
+    for one in alone {
+        let Verdict { grade, reasons } = &one.solved.verdict;
+        findings.extend(reasons.iter().map(|reason| (*grade, format!("{}: {reason}", one.input.name))));
+    }
+    let grades = alone.iter().map(|one| one.solved.verdict.grade).chain(findings.iter().map(|(grade, _)| *grade));
+    let grade = grades.min().unwrap_or(Grade::Good);
+    findings.sort_by_key(|(grade, _)| *grade);
+    Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+    use crate::estimation::problem::Correspondence;
+    use crate::geometry::board::BoardSize;
+    use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::lens::{Lens, LensModel};
+
+    const SIZE: ImageSize = ImageSize::new(640, 480);
+    const NOISE_PX: f64 = 0.05;
+
+    fn lens(fx: f64) -> Lens {
+        Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 320.0, cy: 240.0, skew: 0.0 })
+    }
+
+    fn camera_from_first() -> [Pose; 3] {
+        let place = |turn: [f64; 3], shift: [f64; 3]| Pose::from_axis_angle(turn.into(), shift.into());
+        [Pose::identity(), place([0.01, 0.1, 0.0], [-0.12, 0.0, 0.01]), place([-0.02, 0.22, 0.01], [-0.25, 0.0, 0.03])]
+    }
+
+    /// What three cameras see of a board that each may take for turned; `sees` tells which camera looks at which moment.
+    fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
+        let mut rng = ChaCha8Rng::seed_from_u64(11);
+        let middle = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1).coords * 0.5;
+        let mut random = |from: f64, to: f64| rng.random_range(from..to);
+        let first_from_board: Vec<Pose> = (0..30)
+            .map(|_| {
+                let turn = Vector3::new(random(-0.6, 0.6), random(-0.6, 0.6), random(-0.4, 0.4));
+                let place = Vector3::new(random(-0.12, 0.22), random(-0.1, 0.1), random(0.55, 0.9));
+                let turned = Pose::from_axis_angle(turn, Vector3::zeros());
+                Pose::new(turned.rotation(), place - turned.rotation() * middle)
+            })
+            .collect();
+        let turns = turns(&board);
+        let camera = |(camera, from_first): (usize, Pose)| {
+            let mut views = Vec::new();
+            for (moment, first_from_board) in first_from_board.iter().enumerate() {
+                let labelled = turns[(random(0.0, 1.0) * turns.len() as f64) as usize % turns.len()];
+                let pixels = board.corners_in_board().into_iter().map(|point| {
+                    let pixel = lens(520.0 + 20.0 * camera as f64)
+                        .pixel_from_point(&(from_first * *first_from_board * point))?;
+                    let noisy = crate::geometry::pixel::Pixel::new(
+                        pixel.x + NOISE_PX * random(-1.7, 1.7),
+                        pixel.y + NOISE_PX * random(-1.7, 1.7),
+                    );
+                    SIZE.contains(noisy).then_some((labelled.inverse() * point, noisy))
+                });
+                let seen: Option<Vec<_>> = pixels.collect();
+                if let Some(seen) = seen.filter(|_| sees(camera, moment)) {
+                    let correspondences = seen
+                        .into_iter()
+                        .map(|(point_in_board, pixel)| Correspondence { point_in_board, pixel, std_px: NOISE_PX })
+                        .collect();
+                    views.push((moment, BoardView { name: moment.to_string(), correspondences }));
+                }
+            }
+            RigCameraInput { name: ["left", "right", "far"][camera].to_owned(), image_size: SIZE, views }
+        };
+        RigInput { board, cameras: camera_from_first().into_iter().enumerate().map(camera).collect() }
+    }
+
+    fn options() -> CameraOptions {
+        CameraOptions { lens: LensChoice::Model(LensModel::Pinhole), ..CameraOptions::default() }
+    }
+
+    #[track_caller]
+    fn within_prediction(known: &Extrinsics, truth: &Pose) {
+        let turn = (known.target_from_source.rotation() * truth.rotation().inverse()).scaled_axis();
+        let shift = known.target_from_source.translation() - truth.translation();
+        for axis in 0..3 {
+            assert!(
+                turn[axis].abs() < 4.0 * known.rotation_std[axis],
+                "{}: {turn} ± {:?}",
+                known.name,
+                known.rotation_std
+            );
+            let std = known.translation_std_m[axis];
+            assert!(
+                shift[axis].abs() < 4.0 * std && std < 2e-3,
+                "{}: {shift} ± {:?}",
+                known.name,
+                known.translation_std_m
+            );
+        }
+    }
+
+    #[test]
+    fn boards_that_look_the_same_turned_place_cameras_through_others() {
+        for size in [BoardSize::new(8, 6).unwrap(), BoardSize::new(6, 6).unwrap()] {
+            let board = Chessboard::new(size, 0.03).unwrap();
+            // The far camera shares moments with the right one only.
+            let solved =
+                solve_rig(&input(board, |camera, moment| camera != [2, 9, 0][moment % 3]), &options()).unwrap();
+            let names: Vec<&str> = solved.extrinsics.iter().map(|known| known.name.as_str()).collect();
+            assert_eq!(names, ["left_from_right", "left_from_far"]);
+            for (known, truth) in solved.extrinsics.iter().zip(&camera_from_first()[1..]) {
+                within_prediction(known, &truth.inverse());
+            }
+            assert_eq!(solved.cameras.len(), 3);
+        }
+    }
+
+    #[test]
+    fn a_camera_that_shares_nothing_costs_the_others_nothing() {
+        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+        let solved = solve_rig(&input(board, |camera, moment| (camera == 2) == (moment < 12)), &options()).unwrap();
+        assert_eq!(solved.extrinsics.len(), 1);
+        assert_eq!(solved.cameras.len(), 3);
+        let told = solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
+        assert!(told && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);
+        let nothing = solve_rig(&input(board, |camera, moment| moment % 3 == camera), &options()).unwrap_err();
+        assert_eq!(nothing, RigError::NothingShared);
+    }
+}

@@ -1,0 +1,99 @@
+//! The configured rigs: cameras that are fixed to each other, calibrated in one session.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Request, State};
+use axum::response::{IntoResponse, Response};
+
+use crate::calibration::session_record::SessionRequest;
+use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
+use crate::document::rig::{RigDocument, RigsDocument};
+use crate::document::session::{SessionDocument, StartDocument};
+use crate::http::Shared;
+use crate::http::calibrations::{self, ExportParameters};
+use crate::http::problem::Problem;
+use crate::http::request::{Address, Parameters, SMALL_BODY, document};
+use crate::http::sessions::created;
+use crate::pipeline::RigStatus;
+
+/// Every configured rig, in the order of the configuration.
+#[utoipa::path(get, path = "/v1/rigs", tag = "rigs", responses((status = 200, description = "the rigs", body = RigsDocument)))]
+pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<RigsDocument> {
+    Json(RigsDocument { rigs: shared.fleet.rigs().into_iter().map(rig_document).collect() })
+}
+
+/// One rig.
+#[utoipa::path(get, path = "/v1/rigs/{rig}", tag = "rigs",
+    params(("rig" = String, Path, description = "its name in the configuration")),
+    responses(
+        (status = 200, description = "the rig", body = RigDocument),
+        (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn one(
+    State(shared): State<Arc<Shared>>,
+    Address(rig): Address<String>,
+) -> Result<Json<RigDocument>, Problem> {
+    Ok(Json(rig_document(shared.fleet.rig(&rig)?)))
+}
+
+/// Starts a session on all cameras of a rig: lenses and where the cameras are, from one board shown to all of them.
+#[utoipa::path(post, path = "/v1/rigs/{rig}/sessions", tag = "rigs",
+    params(("rig" = String, Path, description = "its name in the configuration")),
+    request_body = StartDocument,
+    responses(
+        (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
+        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "the rig, or one of its cameras, is in a session already", body = Problem, content_type = "application/problem+json"),
+        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
+        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn start(
+    State(shared): State<Arc<Shared>>,
+    Address(rig): Address<String>,
+    request: Request,
+) -> Result<impl IntoResponse, Problem> {
+    shared.fleet.rig(&rig)?;
+    let start: StartDocument = document(request, SMALL_BODY).await?;
+    Ok(created(&shared.fleet.start_rig_session(&rig, SessionRequest::try_from(&start)?).await?))
+}
+
+/// The rig's current calibration: the one that was approved last.
+#[utoipa::path(get, path = "/v1/rigs/{rig}/calibration", tag = "rigs",
+    params(("rig" = String, Path, description = "its name in the configuration"), ExportParameters),
+    responses(
+        (status = 200, description = "the calibration", content(
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+        (status = 404, description = "no such rig, or none approved yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown format, or one that cannot hold it", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn calibration(
+    State(shared): State<Arc<Shared>>,
+    Address(rig): Address<String>,
+    parameters: Parameters,
+) -> Result<Response, Problem> {
+    shared.fleet.rig(&rig)?;
+    calibrations::current_of(&shared, &format!("rig `{rig}`"), &rig, &parameters).await
+}
+
+/// Every calibration of a rig, newest first.
+#[utoipa::path(get, path = "/v1/rigs/{rig}/calibrations", tag = "rigs",
+    params(("rig" = String, Path, description = "its name in the configuration")),
+    responses(
+        (status = 200, description = "the calibrations", body = CalibrationsDocument),
+        (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn calibrations(
+    State(shared): State<Arc<Shared>>,
+    Address(rig): Address<String>,
+) -> Result<Json<CalibrationsDocument>, Problem> {
+    shared.fleet.rig(&rig)?;
+    calibrations::history_of(&shared, rig).await
+}
+
+fn rig_document(status: RigStatus) -> RigDocument {
+    let RigStatus { name, cameras, session, calibration } = status;
+    RigDocument { name, cameras, session, calibration }
+}

@@ -1,0 +1,162 @@
+//! A rig of three cameras through the daemon: one session, one calibration, held to the truth that the pictures were made of.
+
+use serde_json::{Value, json};
+
+use crate::served::{Served, recording};
+
+const CAMERAS: [&str; 3] = ["left", "right", "far"];
+
+fn configuration() -> String {
+    let camera = |name: &str| {
+        let path = recording(&format!("rig-{name}.mcap")).display().to_string();
+        format!("[[camera]]\nname = {name:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\" }}\n")
+    };
+    CAMERAS.map(camera).concat() + "[[rig]]\nname = \"head\"\ncameras = [\"left\", \"right\", \"far\"]\n"
+}
+
+fn request() -> Value {
+    json!({"target": {"kind": "chessboard", "cols": 8, "rows": 6, "square_m": 0.03}, "lens": "brown"})
+}
+
+fn truth_of(camera: &str) -> Value {
+    serde_json::from_slice(&std::fs::read(recording(&format!("rig-{camera}.truth.json"))).unwrap()).unwrap()
+}
+
+fn pose(document: &Value) -> plumb::geometry::pose::Pose {
+    let of = |value: &Value, key: &str| value[key].as_f64().unwrap();
+    let rotation = &document["rotation"];
+    let quaternion =
+        nalgebra::Quaternion::new(of(rotation, "w"), of(rotation, "x"), of(rotation, "y"), of(rotation, "z"));
+    let translation = document["translation"].as_array().unwrap();
+    let at = |k: usize| translation[k].as_f64().unwrap();
+    let rotation = nalgebra::UnitQuaternion::from_quaternion(quaternion);
+    plumb::geometry::pose::Pose::new(rotation, nalgebra::Vector3::new(at(0), at(1), at(2)))
+}
+
+/// Where a camera truly is: both saw one board at the first frame.
+fn left_from(camera: &str) -> plumb::geometry::pose::Pose {
+    let [left, other] = ["left", camera].map(|name| pose(&truth_of(name)["frames"][0]["camera_from_board"]));
+    left * other.inverse()
+}
+
+/// Runs a session over the recordings; the finished session.
+fn calibrate(served: &Served) -> Value {
+    let mut events = served.events("?camera=head", Some("0"));
+    let started = served.post("/v1/rigs/head/sessions", &request());
+    assert_eq!(started.status, 201, "{}", started.text());
+    let id = started.json()["id"].as_str().unwrap().to_owned();
+    assert_eq!(started.location, Some(format!("/v1/sessions/{id}")));
+    let ended = |data: &Value| data["reason"].as_str().is_some_and(|reason| reason.contains("has ended"));
+    events.until(|event| event.name == "session" && event.data["id"] == *id && ended(&event.data));
+    let stopped = served.post_nothing(&format!("/v1/sessions/{id}/stop"));
+    assert_eq!(stopped.status, 200, "{}", stopped.text());
+    let session = stopped.json();
+    assert_eq!(session["state"], "finished", "{session}");
+    session
+}
+
+#[test]
+fn a_rig_is_found_to_within_its_prediction() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    let session = calibrate(&served);
+    assert_eq!(session["camera"], "head");
+    for (member, camera) in session["cameras"].as_array().unwrap().iter().zip(CAMERAS) {
+        assert_eq!((&member["camera"], &member["frames_seen"]), (&json!(camera), &json!(30)), "{member}");
+        assert!(member["views_shared"].as_u64() > Some(5), "{member}");
+    }
+    let calibration = served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+    for camera in calibration["cameras"].as_array().unwrap() {
+        let name = camera["name"].as_str().unwrap();
+        let (color, truth) = (&camera["sensors"]["color"], truth_of(name));
+        for parameter in ["fx", "fy", "cx", "cy"] {
+            let of = |lens: &Value| lens[parameter].as_f64().unwrap();
+            let (found, truly, std) =
+                (of(&color["lens"]), of(&truth["sensors"]["color"]["lens"]), of(&color["lens_std"]));
+            assert!((found - truly).abs() < 3.5 * std, "{name} {parameter}: {found}, truly {truly} ± {std}");
+        }
+    }
+    let extrinsics = calibration["extrinsics"].as_array().unwrap();
+    assert_eq!(extrinsics.len(), 2);
+    for (found, camera) in extrinsics.iter().zip(&CAMERAS[1..]) {
+        assert_eq!(found["name"], format!("left_from_{camera}"));
+        let (found_pose, truly) = (pose(found), left_from(camera));
+        let turn = (found_pose.rotation() * truly.rotation().inverse()).scaled_axis();
+        let shift = found_pose.translation() - truly.translation();
+        for axis in 0..3 {
+            let std = |key: &str| found[key][axis].as_f64().unwrap();
+            let (turn_std, shift_std) = (std("rotation_std"), std("translation_std"));
+            assert!(turn[axis].abs() < 3.5 * turn_std, "{camera}: {turn} ± {turn_std}");
+            assert!(shift[axis].abs() < 3.5 * shift_std, "{camera}: {shift} ± {shift_std}");
+            assert!(turn_std < 1e-3 && shift_std < 1e-3, "{found}");
+        }
+    }
+}
+
+#[test]
+fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    assert_eq!(served.get("/v1/rigs").json()["rigs"][0]["cameras"], json!(CAMERAS));
+    assert_eq!(served.get("/v1/rigs/head/calibration").status, 404);
+    for unknown in ["/v1/rigs/tail", "/v1/rigs/tail/calibration", "/v1/rigs/tail/calibrations"] {
+        assert_eq!(served.get(unknown).status, 404);
+    }
+    assert_eq!(served.post("/v1/rigs/tail/sessions", &request()).status, 404);
+    assert_eq!(served.post("/v1/rigs/head/sessions", &json!({})).status, 422);
+
+    let own = served.post("/v1/cameras/far/sessions", &request()).json();
+    let busy = served.post("/v1/rigs/head/sessions", &request());
+    assert_eq!(busy.status, 409, "{}", busy.text());
+    assert_eq!(served.get("/v1/cameras/left").json()["session"], Value::Null, "none is kept where one is busy");
+    assert_eq!(served.delete(&format!("/v1/sessions/{}", own["id"].as_str().unwrap())).status, 200);
+
+    let started = served.post("/v1/rigs/head/sessions", &request()).json();
+    assert_eq!(served.post("/v1/rigs/head/sessions", &request()).status, 409);
+    assert_eq!(served.post("/v1/cameras/left/sessions", &request()).status, 409);
+    assert_eq!(served.get("/v1/cameras/left").json()["session"], started["id"]);
+    let path = format!("/v1/sessions/{}", started["id"].as_str().unwrap());
+    assert_eq!(served.delete(&path).status, 200);
+    assert_eq!(served.get(&path).json()["state"], "aborted");
+    assert_eq!(served.get("/v1/rigs/head").json()["session"], Value::Null);
+
+    let session = calibrate(&served);
+    let id = session["calibration"].as_str().unwrap();
+    assert_eq!(served.post_nothing(&format!("/v1/calibrations/{id}/approve")).status, 200);
+    assert_eq!(served.get("/v1/rigs/head").json()["calibration"], id);
+    assert_eq!(served.get("/v1/rigs/head/calibration").json()["id"], id);
+    assert_eq!(served.get("/v1/rigs/head/calibrations").json()["calibrations"][0]["id"], id);
+    let views = served.get(&format!("/v1/sessions/{}/views", session["id"].as_str().unwrap())).json();
+    let views = views["views"].as_array().unwrap();
+    let of_one_moment = views.iter().filter(|view| view["moment"] == views[0]["moment"]);
+    assert!(of_one_moment.count() > 1 && views[0]["camera"] == "left", "{}", views[0]);
+    assert!(views.iter().all(|view| view["rms_px"].as_f64().is_some()), "each view finds its residuals");
+    let picture = served.get(views[1]["picture"].as_str().unwrap());
+    assert_eq!((picture.status, picture.media_type.as_str()), (200, "image/jpeg"));
+}
+
+#[test]
+fn a_killed_daemon_goes_on_with_a_rig_s_session_and_replays_come_out_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    let mut events = served.events("?camera=head", Some("0"));
+    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
+    let kept = |data: &Value| data["views_kept"].as_u64() >= Some(3);
+    events.until(|event| event.name == "session" && kept(&event.data));
+    served.kill();
+    let served = Served::start(folder.path(), &configuration());
+    let session = served.get(&format!("/v1/sessions/{id}")).json();
+    assert!(session["state"] == "collecting" && kept(&session), "{session}");
+    assert_eq!(served.delete(&format!("/v1/sessions/{id}")).status, 200);
+
+    let replay = || {
+        let session = calibrate(&served);
+        let mut calibration =
+            served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+        for key in ["id", "session", "created_at"] {
+            calibration.as_object_mut().unwrap().remove(key);
+        }
+        calibration.to_string()
+    };
+    assert_eq!(replay(), replay());
+}
