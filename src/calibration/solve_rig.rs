@@ -180,7 +180,7 @@ struct Joint {
 }
 
 impl Joint {
-    fn solve(input: &RigInput, group: Vec<&Alone<'_>>) -> Result<Self, RigError> {
+    fn solve(input: &RigInput, group: &[&Alone<'_>]) -> Result<Self, RigError> {
         let turns = turns(&input.board);
         let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
         let chosen = consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);

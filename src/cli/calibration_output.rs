@@ -9,7 +9,7 @@ use crate::cli::files::write_file;
 use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
-use crate::export::{Format, export};
+use crate::export::{ExportOptions, Format, export};
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 
@@ -47,9 +47,9 @@ impl OutputArgs {
     /// # Errors
     /// When the format cannot hold it, or it cannot be written.
     pub fn give(&self, calibration: &Calibration, elapsed_ms: Option<f64>) -> Result<(), Failure> {
-        let format = self.format.map(Format::from);
+        let (format, options) = (self.format.map(Format::from), ExportOptions::default());
         if let Some(path) = &self.out {
-            let exported = export(calibration, format.unwrap_or(Format::Json)).map_err(Failure::failed)?;
+            let exported = export(calibration, format.unwrap_or(Format::Json), &options).map_err(Failure::failed)?;
             if let Some(note) = &exported.note {
                 tracing::warn!("{}: {note}", path.display());
             }
@@ -60,7 +60,9 @@ impl OutputArgs {
             return output::print_json(&document);
         }
         match (format, &self.out) {
-            (Some(format), None) => output::print_bytes(&export(calibration, format).map_err(Failure::failed)?.bytes),
+            (Some(format), None) => {
+                output::print_bytes(&export(calibration, format, &options).map_err(Failure::failed)?.bytes)
+            }
             _ => output::print_text(&summary(calibration)),
         }
     }

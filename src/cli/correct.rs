@@ -4,26 +4,32 @@ use std::cell::LazyCell;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use image::{ImageFormat, RgbImage};
 use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::sources::{FrameSets, is_recording};
 use crate::cli::{Failure, output, progress};
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, SensorKind};
 use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::point_cloud::to_ply;
 use crate::imaging::registration::DepthRegistration;
 
-/// Writes corrected (and registered) depth as 16-bit PNG
+/// Writes corrected (and registered) depth as 16-bit PNG, and coloured point clouds
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Bring depth into this sensor's picture
-    #[arg(long, value_name = "SENSOR", value_parser = ["color"])]
+    /// Bring depth into the colour picture (color), or colour into the depth picture, as NAME-color.png beside it (depth)
+    #[arg(long, value_name = "SENSOR", value_parser = ["color", "depth"])]
     register: Option<String>,
+    /// Write the points as NAME.ply too, in the colour camera's frame; with their colours where the colour picture is there
+    #[arg(long)]
+    cloud: bool,
     /// Metres per unit of what is written; 0 is no reading
     #[arg(long, value_name = "METRES", default_value_t = 0.001)]
     unit: f64,
@@ -77,11 +83,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
     let spinner = progress::spinner("correcting");
     let (mut written, mut failures) = (Vec::new(), Vec::new());
-    let mut give = |path: String, name: String, picture: Result<DepthImage, String>| {
+    let mut give = |path: String, name: String, picture: Result<(DepthImage, Option<RgbImage>), String>| {
         spinner.inc(1);
-        let outcome = picture.and_then(|picture| {
+        let outcome = picture.and_then(|(picture, color)| {
             fits(&picture, depth.camera.image_size)?;
-            correct(args, (&registration, depth.invalid), (&path, &name), &picture)
+            correct(args, (&registration, depth.invalid), (&path, &name), (&picture, color.as_ref()))
         });
         match outcome {
             Ok(one) => written.push(one),
@@ -92,17 +98,19 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let place = Path::new(source);
         if place.is_dir() && !place.join("depth").is_dir() {
             for path in pictures_in(place)? {
-                give(path.display().to_string(), stem(&path), read(&path));
+                give(path.display().to_string(), stem(&path), read(&path).map(|depth| (depth, None)));
             }
         } else if place.is_dir() || is_recording(place) {
             for frames in FrameSets::new(std::iter::once(source.clone())) {
                 let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
                 let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
                 let name = frames.set.name.clone().unwrap_or_else(|| format!("{:06}", frames.set.sequence));
-                give(frames.path(), name, decoded(frame));
+                let color = frames.set.frame(SensorKind::Color).filter(|_| needs_color(args)).map(decode::rgb);
+                let color = color.transpose().map_err(|error| format!("its colour picture: {error}"));
+                give(frames.path(), name, decoded(frame).and_then(|depth| Ok((depth, color?))));
             }
         } else {
-            give(source.clone(), stem(place), read(place));
+            give(source.clone(), stem(place), read(place).map(|depth| (depth, None)));
         }
     }
     spinner.finish_and_clear();
@@ -113,23 +121,46 @@ fn correct(
     args: &Args,
     (registration, invalid): (&DepthRegistration, Option<u16>),
     (path, name): (&str, &str),
-    picture: &DepthImage,
+    (picture, color): (&DepthImage, Option<&RgbImage>),
 ) -> Result<Written, String> {
     let mut corrected = registration.correct(picture, invalid, args.unit);
-    if args.register.is_some() {
+    let write = |name: String, bytes: &[u8]| {
+        let out = args.out.join(name);
+        write_file(&out, bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+        Ok::<_, String>(out.display().to_string())
+    };
+    if needs_color(args) {
+        let depths = registration.depths_m(picture, invalid);
+        if args.cloud {
+            write(format!("{name}.ply"), &to_ply(&registration.points(&depths, color), "color"))?;
+        }
+        if args.register.as_deref() == Some("depth") {
+            let color = color.ok_or("there is no colour picture with it; give a recording with colour and depth")?;
+            write(format!("{name}-color.png"), &encode_png(&registration.color_in_depth(&depths, color))?)?;
+        }
+    }
+    if args.register.as_deref() == Some("color") {
         let registered = registration.register(picture, invalid, args.unit);
         corrected.picture = registered.picture;
         corrected.overflowed = registered.overflowed;
     }
-    let out = args.out.join(format!("{name}.png"));
-    write_file(&out, &corrected.picture.to_png()).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
     Ok(Written {
         path: path.to_owned(),
-        out: out.display().to_string(),
+        out: write(format!("{name}.png"), &corrected.picture.to_png())?,
         readings: corrected.picture.readings().iter().filter(|reading| **reading > 0).count(),
         beyond_calibrated_range: corrected.beyond,
         too_far_for_unit: corrected.overflowed,
     })
+}
+
+fn needs_color(args: &Args) -> bool {
+    args.cloud || args.register.as_deref() == Some("depth")
+}
+
+fn encode_png(picture: &RgbImage) -> Result<Vec<u8>, String> {
+    let mut file = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut file, ImageFormat::Png).map_err(|error| error.to_string())?;
+    Ok(file.into_inner())
 }
 
 fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), Failure> {

@@ -6,11 +6,10 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use serde::Serialize;
 
-use crate::calibration::calibration::Calibration;
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::export::at_size::at_size;
-use crate::export::{Exported, Format, export};
+use crate::export::{ExportOptions, Exported, Format, export};
 use crate::geometry::pixel::ImageSize;
 
 /// Converts a stored calibration to another program's format.
@@ -22,9 +21,10 @@ pub struct Args {
     /// The format to write.
     #[arg(long)]
     format: FormatName,
-    /// Which sensor, where the calibration has several and the format holds one.
-    #[arg(long)]
-    sensor: Option<SensorName>,
+    /// Which sensor, where the calibration has several and the format holds one: color, infrared, depth, or a rig's camera
+    /// [default: color].
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
     /// Width of the pictures to write it for, where they are scaled from those it was made with.
     #[arg(long, value_name = "PIXELS", requires = "height")]
     width: Option<u32>,
@@ -54,6 +54,12 @@ pub enum FormatName {
     Mrcal,
     /// COLMAP cameras.txt
     Colmap,
+    /// Where the sensors are: URDF with fixed joints
+    Urdf,
+    /// Where the sensors are: YAML of ROS static transforms
+    Tf,
+    /// What depth readings mean, corrected: text (docs/depth-correction reads it)
+    Depth,
 }
 
 impl From<FormatName> for Format {
@@ -65,14 +71,11 @@ impl From<FormatName> for Format {
             FormatName::Kalibr => Self::Kalibr,
             FormatName::Mrcal => Self::Mrcal,
             FormatName::Colmap => Self::Colmap,
+            FormatName::Urdf => Self::Urdf,
+            FormatName::Tf => Self::Tf,
+            FormatName::Depth => Self::Depth,
         }
     }
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum SensorName {
-    Color,
-    Infrared,
 }
 
 #[derive(Debug, Serialize)]
@@ -90,11 +93,6 @@ struct ExportedDocument<'a> {
 /// When the calibration cannot be read, or the format cannot hold it.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
-    let calibration = match args.sensor {
-        None => calibration,
-        Some(SensorName::Color) => Calibration { infrared: None, ..calibration },
-        Some(SensorName::Infrared) => Calibration { color: None, ..calibration },
-    };
     let in_file = |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
     let calibration = match (args.width, args.height) {
         (Some(width), Some(height)) => {
@@ -103,7 +101,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         _ => calibration,
     };
     let format = Format::from(args.format);
-    let exported = export(&calibration, format).map_err(|error| in_file(&error))?;
+    let options = ExportOptions { sensor: args.sensor.clone() };
+    let exported = export(&calibration, format, &options).map_err(|error| in_file(&error))?;
     if let Some(note) = &exported.note {
         tracing::warn!("{note}");
     }

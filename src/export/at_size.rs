@@ -1,7 +1,7 @@
 //! The same calibration for pictures of another size, on explicit request only.
 
 use crate::calibration::calibration::{
-    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, SensorCalibration,
+    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, RigCamera, SensorCalibration,
 };
 use crate::geometry::image_region::{RegionError, lens_at_size};
 use crate::geometry::pixel::ImageSize;
@@ -12,12 +12,15 @@ use crate::geometry::pixel::ImageSize;
 /// [`RegionError`] when a sensor's pictures would be stretched.
 pub fn at_size(calibration: &Calibration, size: ImageSize) -> Result<Calibration, RegionError> {
     let resized = |sensor: &Option<SensorCalibration>| sensor.as_ref().map(|s| sensor_at_size(s, size)).transpose();
-    let picture = calibration.color.as_ref().or(calibration.infrared.as_ref());
+    let picture = calibration.picture_sensors().next().map(|(_, sensor)| sensor);
+    let camera =
+        |camera: &RigCamera| Ok(RigCamera { name: camera.name.clone(), sensor: sensor_at_size(&camera.sensor, size)? });
     let scale = picture.map_or(1.0, |sensor| f64::from(size.width) / f64::from(sensor.image_size.width));
     let held_out_rms_px = calibration.checks.held_out_rms_px.map(|rms| rms * scale);
     Ok(Calibration {
         color: resized(&calibration.color)?,
         infrared: resized(&calibration.infrared)?,
+        cameras: calibration.cameras.iter().map(camera).collect::<Result<_, RegionError>>()?,
         checks: Checks { held_out_rms_px, ..calibration.checks },
         ..calibration.clone()
     })

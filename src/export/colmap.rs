@@ -1,7 +1,7 @@
 //! COLMAP's `cameras.txt`, a camera for each picture sensor.
 
-use crate::calibration::calibration::SensorCalibration;
 use crate::export::number::decimal;
+use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 
@@ -10,17 +10,17 @@ use crate::geometry::lens::{Lens, LensModel};
 const CORNER_TO_CENTER_PX: f64 = 0.5;
 
 /// One line a sensor, numbered from 1 in the order of documents.
-pub(super) fn cameras(sensors: &[(&'static str, &SensorCalibration)]) -> Result<String, ExportError> {
+pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
     if sensors.is_empty() {
         return Err(ExportError::NoSensor { format: Format::Colmap });
     }
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
-    for (k, (name, sensor)) in sensors.iter().enumerate() {
+    for (k, sensor) in sensors.iter().enumerate() {
         without_skew(sensor, Format::Colmap)?;
-        let (model, parameters) = camera(&sensor.lens);
+        let (model, parameters) = camera(sensor.lens);
         let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
         let (width, height) = (sensor.image_size.width, sensor.image_size.height);
-        text += &format!("# {name}\n{} {model} {width} {height} {}\n", k + 1, parameters.join(" "));
+        text += &format!("# {}\n{} {model} {width} {height} {}\n", sensor.name, k + 1, parameters.join(" "));
     }
     Ok(text)
 }

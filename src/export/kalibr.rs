@@ -1,21 +1,55 @@
 //! Kalibr's camera chain YAML: `pinhole` with `none`, `radtan` (k1, k2, p1, p2) or `equidistant`.
 
-use crate::calibration::calibration::SensorCalibration;
+use crate::calibration::calibration::Calibration;
 use crate::export::number::list;
+use crate::export::sensors::{self, Sensor};
 use crate::export::{ExportError, Format, refit, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pose::Pose;
 
 /// A refit that is further off than this anywhere in the image is refused.
 const WORST_REFIT_PX: f64 = 0.5;
 
-/// The chain of one camera, and what its reader must know. A lens with more coefficients than `radtan` has is refitted.
-pub(super) fn camera_chain(
-    camera: &str,
-    sensor_name: &str,
-    sensor: &SensorCalibration,
-) -> Result<(String, Option<String>), ExportError> {
-    without_skew(sensor, Format::Kalibr)?;
-    let (lens, note) = held_lens(sensor)?;
+/// The cameras of a chain: colour and infrared (the depth sensor where there is no infrared picture), or a rig's.
+pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
+    let mut cameras = sensors::all(calibration);
+    if cameras.iter().any(|sensor| sensor.name == "infrared") {
+        cameras.retain(|sensor| sensor.name != "depth");
+    }
+    match cameras.as_slice() {
+        [] => Err(ExportError::NoSensor { format: Format::Kalibr }),
+        [only] if only.rms_px.is_none() => Err(ExportError::NoSensor { format: Format::Kalibr }),
+        [_] => Ok(cameras),
+        _ => {
+            cameras.retain(|sensor| sensor.first_from_sensor.is_some());
+            Ok(cameras)
+        }
+    }
+}
+
+/// The chain of `cameras`, and what its reader must know. A lens with more coefficients than `radtan` has is refitted.
+pub(super) fn camera_chain(camera: &str, cameras: &[Sensor<'_>]) -> Result<(String, Option<String>), ExportError> {
+    let (mut text, mut notes) = (String::new(), Vec::new());
+    for (k, sensor) in cameras.iter().enumerate() {
+        without_skew(sensor, Format::Kalibr)?;
+        let (lens, note) = held_lens(sensor)?;
+        notes.extend(note.map(|note| if cameras.len() > 1 { format!("{}: {note}", sensor.name) } else { note }));
+        let others: Vec<String> = (0..cameras.len()).filter(|other| *other != k).map(|k| k.to_string()).collect();
+        text += &format!("cam{k}:\n");
+        if let Some(before) = k.checked_sub(1).and_then(|k| cameras[k].first_from_sensor)
+            && let Some(first_from_sensor) = sensor.first_from_sensor
+        {
+            text += &step(&(first_from_sensor.inverse() * before));
+        }
+        text += &format!("  cam_overlaps: [{}]\n{}", others.join(", "), entry(sensor, &lens));
+        text += &format!("  rostopic: {}\n", serde_json::Value::from(sensor.topic(camera)));
+    }
+    let note = (!notes.is_empty()).then(|| notes.join("; "));
+    let comment = note.as_ref().map_or_else(String::new, |note| format!("# {note}\n"));
+    Ok((comment + &text, note))
+}
+
+fn entry(sensor: &Sensor<'_>, lens: &Lens) -> String {
     let coefficients = lens.distortion.coefficients();
     let (distortion, coefficients) = match lens.model() {
         LensModel::Pinhole => ("none", Vec::new()),
@@ -24,22 +58,26 @@ pub(super) fn camera_chain(
         LensModel::Brown | LensModel::Rational => ("radtan", coefficients[..4].to_vec()),
     };
     let k = lens.matrix;
-    let comment = note.as_ref().map_or_else(String::new, |note| format!("# {note}\n"));
-    let text = format!(
-        "{comment}cam0:\n  cam_overlaps: []\n  camera_model: pinhole\n  distortion_coeffs: [{}]\n  distortion_model: {distortion}\n  \
-         intrinsics: [{}]\n  resolution: [{}, {}]\n  rostopic: {}\n",
+    format!(
+        "  camera_model: pinhole\n  distortion_coeffs: [{}]\n  distortion_model: {distortion}\n  \
+         intrinsics: [{}]\n  resolution: [{}, {}]\n",
         list(&coefficients),
         list(&[k.fx, k.fy, k.cx, k.cy]),
         sensor.image_size.width,
         sensor.image_size.height,
-        serde_json::Value::from(format!("/{camera}/{sensor_name}")),
-    );
-    Ok((text, note))
+    )
+}
+
+/// Where the camera before is in this one's frame, row by row.
+fn step(this_from_before: &Pose) -> String {
+    let (turn, shift) = (this_from_before.rotation_matrix(), this_from_before.translation());
+    let row = |k: usize| format!("  - [{}]\n", list(&[turn[(k, 0)], turn[(k, 1)], turn[(k, 2)], shift[k]]));
+    format!("  T_cn_cnm1:\n{}{}{}  - [0.0, 0.0, 0.0, 1.0]\n", row(0), row(1), row(2))
 }
 
 /// The lens itself, or the nearest one that `radtan` holds.
-fn held_lens(sensor: &SensorCalibration) -> Result<(Lens, Option<String>), ExportError> {
-    let lens = sensor.lens;
+fn held_lens(sensor: &Sensor<'_>) -> Result<(Lens, Option<String>), ExportError> {
+    let lens = *sensor.lens;
     let held = match lens.model() {
         LensModel::Pinhole | LensModel::Radial | LensModel::KannalaBrandt => true,
         LensModel::Brown => lens.distortion.coefficients()[4] == 0.0,

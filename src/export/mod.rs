@@ -3,19 +3,26 @@
 //! **Never truncates.** A lens that a format cannot hold exactly is refused by name ([`ExportError::Lens`],
 //! [`ExportError::Skew`]), or refitted where the format's users would otherwise have nothing, with the refit's error stated
 //! in the file and in [`Exported::note`]. Numbers are written with every digit of their double.
+//!
+//! A calibration of several sensors goes whole into the formats that hold several; of the others, it is one sensor's:
+//! colour's unless [`ExportOptions::sensor`] says another.
 
 pub mod at_size;
 mod colmap;
+mod depth;
 mod kalibr;
 mod mrcal;
 mod number;
 mod opencv;
 mod refit;
 mod ros;
+mod sensors;
+mod transforms;
 
-use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::calibration::calibration::Calibration;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
+use crate::export::sensors::{Sensor, one_sensor, placed_sensors};
 use crate::geometry::lens::LensModel;
 
 /// A format that a calibration can be written in.
@@ -33,11 +40,27 @@ pub enum Format {
     Mrcal,
     /// COLMAP's `cameras.txt`.
     Colmap,
+    /// Where the sensors are, as a URDF of fixed joints between optical frames.
+    Urdf,
+    /// Where the sensors are, as a YAML list of ROS `geometry_msgs/TransformStamped`.
+    Tf,
+    /// The meaning and the correction of a depth sensor's readings; docs/depth-correction has readers of it.
+    Depth,
 }
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 6] = [Self::Json, Self::Ros, Self::Opencv, Self::Kalibr, Self::Mrcal, Self::Colmap];
+    pub const ALL: [Self; 9] = [
+        Self::Json,
+        Self::Ros,
+        Self::Opencv,
+        Self::Kalibr,
+        Self::Mrcal,
+        Self::Colmap,
+        Self::Urdf,
+        Self::Tf,
+        Self::Depth,
+    ];
 
     /// Its name on the command line and in `?format=`.
     pub fn name(self) -> &'static str {
@@ -48,6 +71,9 @@ impl Format {
             Self::Kalibr => "kalibr",
             Self::Mrcal => "mrcal",
             Self::Colmap => "colmap",
+            Self::Urdf => "urdf",
+            Self::Tf => "tf",
+            Self::Depth => "depth",
         }
     }
 
@@ -59,8 +85,9 @@ impl Format {
     fn media_type(self) -> &'static str {
         match self {
             Self::Json => "application/json",
-            Self::Ros | Self::Opencv | Self::Kalibr => "application/yaml",
-            Self::Mrcal | Self::Colmap => "text/plain; charset=utf-8",
+            Self::Ros | Self::Opencv | Self::Kalibr | Self::Tf => "application/yaml",
+            Self::Urdf => "application/xml",
+            Self::Mrcal | Self::Colmap | Self::Depth => "text/plain; charset=utf-8",
         }
     }
 
@@ -72,6 +99,9 @@ impl Format {
             Self::Kalibr => format!("{camera}-camchain.yaml"),
             Self::Mrcal => format!("{camera}.cameramodel"),
             Self::Colmap => "cameras.txt".to_owned(),
+            Self::Urdf => format!("{camera}.urdf"),
+            Self::Tf => format!("{camera}-tf.yaml"),
+            Self::Depth => format!("{camera}-depth.txt"),
         }
     }
 }
@@ -135,11 +165,32 @@ pub enum ExportError {
         skew_px: f64,
     },
     /// The format holds one camera.
-    #[error("the {format} format holds one sensor, and this calibration has color and infrared; ask for one of them")]
+    #[error("the {format} format holds one sensor, and this calibration has several: ask for one of {known}")]
     SeveralSensors {
         /// The format.
         format: Format,
+        /// The calibration's sensors.
+        known: String,
     },
+    /// There is no such sensor.
+    #[error("this calibration has no sensor `{sensor}`; ask for one of {known}")]
+    UnknownSensor {
+        /// What was asked for.
+        sensor: String,
+        /// The calibration's sensors.
+        known: String,
+    },
+    /// There is nothing to place.
+    #[error(
+        "the {format} format says where sensors are, and this calibration has no two whose places are known: calibrate a camera with colour and depth, or a rig"
+    )]
+    NoPlaces {
+        /// The format.
+        format: Format,
+    },
+    /// There is no depth.
+    #[error("the depth format is for depth sensors, and this calibration has none")]
+    NoDepth,
     /// There is nothing to write.
     #[error("this calibration has no picture sensor, which is what the {format} format holds; export to json")]
     NoSensor {
@@ -154,24 +205,51 @@ pub enum ExportError {
     },
 }
 
+/// What of a calibration is written.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct ExportOptions {
+    /// The sensor, for formats that hold one: `color`, `infrared`, `depth` or a camera of a rig. Default: the only one, or
+    /// colour's.
+    pub sensor: Option<String>,
+}
+
 /// Writes `calibration` in `format`.
 ///
 /// # Errors
 /// [`ExportError`] where the format cannot hold it.
-pub fn export(calibration: &Calibration, format: Format) -> Result<Exported, ExportError> {
+pub fn export(calibration: &Calibration, format: Format, options: &ExportOptions) -> Result<Exported, ExportError> {
     let camera = calibration.camera.as_deref().unwrap_or("camera");
-    let (text, note) = match format {
-        Format::Json => (json(calibration)?, None),
-        Format::Ros => (ros::camera_info(camera, only_sensor(calibration, format)?.1)?, None),
-        Format::Opencv => (opencv::file_storage(calibration, only_sensor(calibration, format)?.1)?, None),
-        Format::Kalibr => {
-            let (sensor_name, sensor) = only_sensor(calibration, format)?;
-            kalibr::camera_chain(camera, sensor_name, sensor)?
+    let one = || one_sensor(calibration, format, options.sensor.as_deref());
+    let (text, file, note) = match format {
+        Format::Json => (json(calibration)?, camera.to_owned(), None),
+        Format::Ros | Format::Opencv | Format::Mrcal => {
+            let (sensor, note) = one()?;
+            let text = match format {
+                Format::Ros => ros::camera_info(&sensor.frame_name(camera), &sensor)?,
+                Format::Opencv => opencv::file_storage(calibration, &sensor)?,
+                _ => mrcal::camera_model(&sensor)?,
+            };
+            (text, sensor.frame_name(camera), note)
         }
-        Format::Mrcal => (mrcal::camera_model(only_sensor(calibration, format)?.1)?, None),
-        Format::Colmap => (colmap::cameras(&sensors(calibration))?, None),
+        Format::Kalibr => {
+            let (text, note) = match &options.sensor {
+                Some(_) => kalibr::camera_chain(camera, &[one()?.0])?,
+                None => kalibr::camera_chain(camera, &kalibr::chain_of(calibration)?)?,
+            };
+            (text, camera.to_owned(), note)
+        }
+        Format::Colmap => (colmap::cameras(&sensors::pictures(calibration))?, camera.to_owned(), None),
+        Format::Urdf | Format::Tf => {
+            let (placed, note) = placed_sensors(calibration, format)?;
+            let write = if format == Format::Urdf { transforms::urdf } else { transforms::stamped };
+            (write(camera, &placed), camera.to_owned(), note)
+        }
+        Format::Depth => {
+            let depth = calibration.depth.as_ref().ok_or(ExportError::NoDepth)?;
+            (depth::correction_file(camera, depth), camera.to_owned(), None)
+        }
     };
-    let file_name = format.file_name(camera);
+    let file_name = format.file_name(&file);
     Ok(Exported { bytes: text.into_bytes(), media_type: format.media_type(), file_name, note })
 }
 
@@ -180,21 +258,7 @@ fn json(calibration: &Calibration) -> Result<String, ExportError> {
     to_json_pretty(&document).map_err(|error| ExportError::Json { reason: error.to_string() })
 }
 
-/// The picture sensors with their names, in the order of documents.
-fn sensors(calibration: &Calibration) -> Vec<(&'static str, &SensorCalibration)> {
-    let named = [("color", &calibration.color), ("infrared", &calibration.infrared)];
-    named.into_iter().filter_map(|(name, sensor)| Some((name, sensor.as_ref()?))).collect()
-}
-
-fn only_sensor(calibration: &Calibration, format: Format) -> Result<(&'static str, &SensorCalibration), ExportError> {
-    match sensors(calibration).as_slice() {
-        [] => Err(ExportError::NoSensor { format }),
-        [only] => Ok(*only),
-        _ => Err(ExportError::SeveralSensors { format }),
-    }
-}
-
-fn without_skew(sensor: &SensorCalibration, format: Format) -> Result<(), ExportError> {
+fn without_skew(sensor: &Sensor<'_>, format: Format) -> Result<(), ExportError> {
     match sensor.lens.matrix.skew {
         0.0 => Ok(()),
         skew_px => Err(ExportError::Skew { format, skew_px }),
@@ -203,9 +267,15 @@ fn without_skew(sensor: &SensorCalibration, format: Format) -> Result<(), Export
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use nalgebra::Vector3;
+
     use super::*;
+    use crate::calibration::calibration::{Extrinsics, RigCamera};
     use crate::document::calibration::tests::example;
     use crate::geometry::lens::Lens;
+    use crate::geometry::pose::Pose;
 
     fn with_lens(model: LensModel, parameters: &[f64]) -> Calibration {
         let mut calibration = example();
@@ -216,13 +286,22 @@ mod tests {
     }
 
     fn text(calibration: &Calibration, format: Format) -> String {
-        String::from_utf8(export(calibration, format).unwrap().bytes).unwrap()
+        String::from_utf8(export(calibration, format, &ExportOptions::default()).unwrap().bytes).unwrap()
+    }
+
+    fn refused(calibration: &Calibration, format: Format) -> ExportError {
+        export(calibration, format, &ExportOptions::default()).unwrap_err()
+    }
+
+    /// Those that hold a lens.
+    fn lens_formats() -> impl Iterator<Item = Format> {
+        Format::ALL.into_iter().filter(|format| !matches!(format, Format::Urdf | Format::Tf | Format::Depth))
     }
 
     #[test]
     fn every_digit_reaches_every_format() {
         let calibration = with_lens(LensModel::Radial, &[532.123_456_789_012_3, 531.0, 319.5, 239.5, 0.0, -1e-7]);
-        for format in Format::ALL {
+        for format in lens_formats() {
             let text = text(&calibration, format);
             assert!(text.contains("532.1234567890123"), "{format}: {text}");
             assert!(format == Format::Json || text.contains("-0.0000001"), "{format}: {text}");
@@ -232,36 +311,100 @@ mod tests {
     #[test]
     fn what_a_format_lacks_is_refused_by_name() {
         let fisheye = with_lens(LensModel::KannalaBrandt, &[200.0, 200.0, 320.0, 240.0, 0.0, 0.01, 0.0, 0.0, 0.0]);
-        let refused = export(&fisheye, Format::Mrcal).unwrap_err().to_string();
-        assert!(refused.contains("mrcal") && refused.contains("kannala_brandt"), "{refused}");
+        let line = refused(&fisheye, Format::Mrcal).to_string();
+        assert!(line.contains("mrcal") && line.contains("kannala_brandt"), "{line}");
 
         let skewed = with_lens(LensModel::Pinhole, &[470.0, 430.0, 290.0, 220.0, 8.0]);
-        for format in Format::ALL.into_iter().filter(|format| *format != Format::Json) {
-            assert_eq!(export(&skewed, format), Err(ExportError::Skew { format, skew_px: 8.0 }));
+        for format in lens_formats().filter(|format| *format != Format::Json) {
+            assert_eq!(refused(&skewed, format), ExportError::Skew { format, skew_px: 8.0 });
         }
 
         let two = Calibration { infrared: fisheye.color.clone(), ..example() };
-        assert_eq!(export(&two, Format::Ros), Err(ExportError::SeveralSensors { format: Format::Ros }));
         assert_eq!(text(&two, Format::Colmap).lines().filter(|line| line.contains("640 480")).count(), 2);
 
         let none = Calibration { color: None, ..example() };
-        for format in Format::ALL.into_iter().filter(|format| *format != Format::Json) {
-            assert_eq!(export(&none, format), Err(ExportError::NoSensor { format }));
+        for format in lens_formats().filter(|format| *format != Format::Json) {
+            assert_eq!(refused(&none, format), ExportError::NoSensor { format });
         }
     }
 
     #[test]
     fn a_refit_states_its_error_or_is_refused() {
         let parameters = [532.8, 532.9, 342.5, 233.9, 0.0, -0.281, 0.08, 0.0012, -0.0014, -0.01];
-        let exported = export(&with_lens(LensModel::Brown, &parameters), Format::Kalibr).unwrap();
+        let brown = with_lens(LensModel::Brown, &parameters);
+        let exported = export(&brown, Format::Kalibr, &ExportOptions::default()).unwrap();
         let note = exported.note.unwrap();
         assert!(note.contains("px at worst"), "{note}");
         assert!(String::from_utf8(exported.bytes).unwrap().starts_with(&format!("# {note}\n")));
 
         let mut strong = parameters;
         strong[9] = 3.0;
-        let refused = export(&with_lens(LensModel::Brown, &strong), Format::Kalibr).unwrap_err();
-        assert!(matches!(refused, ExportError::Refit { worst_px, .. } if worst_px > 0.5), "{refused}");
+        let line = refused(&with_lens(LensModel::Brown, &strong), Format::Kalibr);
+        assert!(matches!(line, ExportError::Refit { worst_px, .. } if worst_px > 0.5), "{line}");
+    }
+
+    /// Two cameras of a rig, a quarter of a metre apart.
+    fn rig() -> Calibration {
+        let camera = |name: &str| RigCamera { name: name.into(), sensor: example().color.unwrap() };
+        let target_from_source = Pose::from_axis_angle(Vector3::z() * FRAC_PI_2, Vector3::new(0.25, 0.0, -0.5));
+        let name = "left_from_right".into();
+        let extrinsics = Extrinsics { name, target_from_source, rotation_std: [0.0; 3], translation_std_m: [0.0; 3] };
+        let cameras = vec![camera("left"), camera("right"), camera("lonely")];
+        Calibration { camera: Some("head".into()), color: None, cameras, extrinsics: vec![extrinsics], ..example() }
+    }
+
+    #[test]
+    fn one_sensor_of_several_is_asked_for_by_name() {
+        let of = |sensor: &str| ExportOptions { sensor: Some(sensor.into()) };
+        let known = || "left, right, lonely".to_owned();
+        let several = ExportError::SeveralSensors { format: Format::Ros, known: known() };
+        assert_eq!(refused(&rig(), Format::Ros), several);
+        let ros = export(&rig(), Format::Ros, &of("right")).unwrap();
+        assert!(String::from_utf8(ros.bytes).unwrap().contains("camera_name: \"right\""));
+        assert_eq!(ros.file_name, "right.yaml");
+        let unknown = ExportError::UnknownSensor { sensor: "rear".into(), known: known() };
+        assert_eq!(export(&rig(), Format::Opencv, &of("rear")), Err(unknown));
+
+        let two = Calibration { infrared: example().color, ..example() };
+        let color = export(&two, Format::Ros, &ExportOptions::default()).unwrap();
+        assert!(color.note.unwrap().contains("color, infrared"), "what is left out is told");
+        let infrared = export(&two, Format::Ros, &of("infrared")).unwrap();
+        assert!(String::from_utf8(infrared.bytes).unwrap().contains("camera_name: \"front_infrared\""));
+    }
+
+    #[test]
+    fn places_are_written_from_the_first_sensor_and_what_has_none_is_told() {
+        let urdf = export(&rig(), Format::Urdf, &ExportOptions::default()).unwrap();
+        assert!(urdf.note.as_ref().unwrap().contains("lonely"), "{urdf:?}");
+        let text = String::from_utf8(urdf.bytes).unwrap();
+        assert!(text.contains("<parent link=\"left_optical_frame\"/>"), "{text}");
+        assert!(text.contains("<child link=\"right_optical_frame\"/>"), "{text}");
+        let numbers = |start: &str| -> Vec<f64> {
+            let rest = text.split_once(start).unwrap().1;
+            rest.split_once('"').unwrap().0.split(' ').map(|number| number.parse().unwrap()).collect()
+        };
+        assert_eq!(numbers("xyz=\""), [0.25, 0.0, -0.5]);
+        assert!((numbers("rpy=\"")[2] - FRAC_PI_2).abs() < 1e-12, "{text}");
+        let tf = self::text(&rig(), Format::Tf);
+        assert!(tf.contains("child_frame_id: \"right_optical_frame\""), "{tf}");
+        assert_eq!(refused(&example(), Format::Urdf), ExportError::NoPlaces { format: Format::Urdf });
+    }
+
+    #[test]
+    fn a_chain_says_where_each_camera_is_from_the_one_before() {
+        let two = Calibration { cameras: rig().cameras[..2].to_vec(), ..rig() };
+        let chain = text(&two, Format::Kalibr);
+        let cam1 = chain.split_once("cam1:").unwrap().1;
+        assert!(cam1.contains("rostopic: \"/right/color\""), "{chain}");
+        let rows: Vec<Vec<f64>> = cam1
+            .lines()
+            .filter_map(|line| line.trim().strip_prefix("- [")?.strip_suffix(']'))
+            .map(|row| row.split(", ").map(|number| number.parse().unwrap()).collect())
+            .collect();
+        // right_from_left: a point at the right camera's place in the left one's frame is its origin.
+        let at = |row: &[f64]| row[0] * 0.25 + row[2] * -0.5 + row[3];
+        assert!(rows.len() == 4 && rows[..3].iter().all(|row| at(row).abs() < 1e-12), "{chain}");
+        assert_eq!(rows[3], [0.0, 0.0, 0.0, 1.0]);
     }
 
     #[test]

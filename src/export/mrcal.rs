@@ -1,15 +1,15 @@
 //! mrcal's `.cameramodel`: a Python literal with comments.
 
-use crate::calibration::calibration::SensorCalibration;
 use crate::export::number::list;
+use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::LensModel;
 
 /// The model at the reference's origin. mrcal's OPENCV4, 5 and 8 take OpenCV's coefficients in OpenCV's order; it has no
 /// fisheye of OpenCV's kind.
-pub(super) fn camera_model(sensor: &SensorCalibration) -> Result<String, ExportError> {
+pub(super) fn camera_model(sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Mrcal)?;
-    let lens = &sensor.lens;
+    let lens = sensor.lens;
     let mut coefficients = lens.distortion.coefficients();
     let model = match lens.model() {
         LensModel::Pinhole => "LENSMODEL_PINHOLE",

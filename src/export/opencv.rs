@@ -1,15 +1,16 @@
 //! OpenCV `FileStorage` YAML, with the field names of OpenCV's own calibration sample.
 
-use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::calibration::calibration::Calibration;
 use crate::export::number::{decimal, list};
+use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::LensModel;
 
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1: the coefficients are
 /// those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their fisheye twins.
-pub(super) fn file_storage(calibration: &Calibration, sensor: &SensorCalibration) -> Result<String, ExportError> {
+pub(super) fn file_storage(calibration: &Calibration, sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Opencv)?;
-    let lens = &sensor.lens;
+    let lens = sensor.lens;
     let mut coefficients = lens.distortion.coefficients();
     if matches!(lens.model(), LensModel::Pinhole | LensModel::Radial) {
         coefficients.resize(5, 0.0);
@@ -24,7 +25,9 @@ pub(super) fn file_storage(calibration: &Calibration, sensor: &SensorCalibration
     text += &format!("fisheye_model: {}\n", i32::from(lens.model() == LensModel::KannalaBrandt));
     text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
     text += &matrix("distortion_coefficients", coefficients.len(), &coefficients);
-    text += &format!("avg_reprojection_error: {}\n", decimal(sensor.rms_px));
+    if let Some(rms_px) = sensor.rms_px {
+        text += &format!("avg_reprojection_error: {}\n", decimal(rms_px));
+    }
     Ok(text)
 }
 

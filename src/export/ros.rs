@@ -1,16 +1,16 @@
 //! ROS `camera_info` YAML, as `camera_info_manager` and `camera_calibration_parsers` read it.
 
-use crate::calibration::calibration::SensorCalibration;
 use crate::export::number::list;
+use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 
 /// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the projection matrix keeps
 /// the camera matrix: a rectified image has the same focal length and principal point, so that nothing is resampled more
 /// than the distortion asks for.
-pub(super) fn camera_info(camera: &str, sensor: &SensorCalibration) -> Result<String, ExportError> {
+pub(super) fn camera_info(name: &str, sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Ros)?;
-    let (model, coefficients) = distortion(&sensor.lens);
+    let (model, coefficients) = distortion(sensor.lens);
     let k = sensor.lens.matrix;
     let camera_matrix = list(&[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
     let rectification = list(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
@@ -26,7 +26,7 @@ pub(super) fn camera_info(camera: &str, sensor: &SensorCalibration) -> Result<St
          projection_matrix:\n  rows: 3\n  cols: 4\n  data: [{projection}]\n",
         width = sensor.image_size.width,
         height = sensor.image_size.height,
-        name = serde_json::Value::from(camera),
+        name = serde_json::Value::from(name),
         count = coefficients.len(),
         coefficients = list(&coefficients),
     ))

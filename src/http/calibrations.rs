@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use crate::calibration::calibration::Calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::export::at_size::at_size;
-use crate::export::{Exported, Format, export};
+use crate::export::{ExportError, ExportOptions, Exported, Format, export};
 use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
@@ -22,15 +22,18 @@ use crate::http::{Shared, on_a_blocking_thread};
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "describes the query; Parameters reads it")]
 pub(super) struct ExportParameters {
-    /// json (when left out), ros, opencv, kalibr, mrcal or colmap.
+    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors are); depth (what readings
+    /// mean, corrected).
     format: Option<String>,
+    /// For formats that hold one sensor: color, infrared, depth, or a rig's camera; color when left out.
+    sensor: Option<String>,
     /// For pictures scaled to this width.
     width: Option<u32>,
     /// For pictures scaled to this height.
     height: Option<u32>,
 }
 
-const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap";
+const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap, urdf, tf, depth";
 
 /// The camera's current calibration: the one that was approved last.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/calibration", tag = "calibrations",
@@ -67,7 +70,7 @@ pub(super) async fn current_of(
             "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&scaled(found.ok_or_else(none)?, parameters)?, format)
+    written(&scaled(found.ok_or_else(none)?, parameters)?, format, parameters)
 }
 
 /// Every calibration of a camera, newest first.
@@ -106,7 +109,7 @@ pub(super) async fn one(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     let format = format(&parameters)?;
-    written(&scaled(calibration(&shared, &id).await?, &parameters)?, format)
+    written(&scaled(calibration(&shared, &id).await?, &parameters)?, format, &parameters)
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -149,8 +152,13 @@ fn format(parameters: &Parameters) -> Result<Format, Problem> {
     Ok(parameters.one_of("format", Format::from_name, FORMATS)?.unwrap_or(Format::Json))
 }
 
-fn written(calibration: &Calibration, format: Format) -> Result<Response, Problem> {
-    let exported = export(calibration, format).map_err(|e| Problem::field("format", &e.to_string()))?;
+fn written(calibration: &Calibration, format: Format, parameters: &Parameters) -> Result<Response, Problem> {
+    let options = ExportOptions { sensor: parameters.text("sensor").map(str::to_owned) };
+    let field = |error: &ExportError| match error {
+        ExportError::SeveralSensors { .. } | ExportError::UnknownSensor { .. } => "sensor",
+        _ => "format",
+    };
+    let exported = export(calibration, format, &options).map_err(|e| Problem::field(field(&e), &e.to_string()))?;
     let Exported { bytes, media_type, file_name, note } = exported;
     let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
     let mut set = |name: HeaderName, value: &str| {

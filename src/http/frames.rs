@@ -11,6 +11,7 @@ use tokio::sync::watch;
 
 use crate::geometry::pixel::Pixel;
 use crate::http::problem::Problem;
+use crate::http::registered::{self, registration};
 use crate::http::request::{Address, Parameters};
 use crate::http::undistorted::undistortion;
 use crate::http::{Shared, on_a_blocking_thread};
@@ -31,17 +32,32 @@ struct Look {
     overlay: bool,
     guidance: bool,
     undistorted: bool,
+    /// Depth in colour's picture, or colour in depth's.
+    registered: bool,
+}
+
+/// What of a frame is asked for.
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+#[expect(dead_code, reason = "describes the query; Parameters reads it")]
+struct LookParameters {
+    /// color (when left out), infrared or depth.
+    sensor: Option<String>,
+    /// Draw the corners that were found, and with `registered=color` the edges of depth over colour. When left out: false for
+    /// a picture, true for the preview.
+    overlay: Option<bool>,
+    /// Draw where to hold the board next; as `overlay` when left out.
+    guidance: Option<bool>,
+    /// Through the current calibration; false when left out.
+    undistorted: Option<bool>,
+    /// With `sensor=depth`, color: depth in colour's picture; with `sensor=color`, depth: colour in depth's picture. By the
+    /// current calibration.
+    registered: Option<String>,
 }
 
 /// The newest frame as JPEG.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/frame.jpg", tag = "cameras",
-    params(
-        ("camera" = String, Path, description = "its name in the configuration"),
-        ("sensor" = Option<String>, Query, description = "color (when left out), infrared or depth"),
-        ("overlay" = Option<bool>, Query, description = "draw the corners that were found; false when left out"),
-        ("guidance" = Option<bool>, Query, description = "draw where to hold the board next; as `overlay` when left out"),
-        ("undistorted" = Option<bool>, Query, description = "through the current calibration; false when left out"),
-    ),
+    params(("camera" = String, Path, description = "its name in the configuration"), LookParameters),
     responses(
         (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
@@ -65,13 +81,7 @@ pub(super) async fn frame(
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/preview.mjpg", tag = "cameras",
-    params(
-        ("camera" = String, Path, description = "its name in the configuration"),
-        ("sensor" = Option<String>, Query, description = "color (when left out), infrared or depth"),
-        ("overlay" = Option<bool>, Query, description = "draw the corners that were found; true when left out"),
-        ("guidance" = Option<bool>, Query, description = "draw where to hold the board next; as `overlay` when left out"),
-        ("undistorted" = Option<bool>, Query, description = "through the current calibration; false when left out"),
-    ),
+    params(("camera" = String, Path, description = "its name in the configuration"), LookParameters),
     responses(
         (status = 200, description = "an endless picture", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
@@ -120,14 +130,27 @@ async fn next_part(
 
 fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
     let overlay = parameters.flag("overlay", overlay)?;
+    let sensor = parameters.one_of("sensor", SensorKind::from_name, "color, infrared, depth")?;
+    let sensor = sensor.unwrap_or(SensorKind::Color);
     Ok(Look {
-        sensor: parameters
-            .one_of("sensor", SensorKind::from_name, "color, infrared, depth")?
-            .unwrap_or(SensorKind::Color),
+        sensor,
         overlay,
         guidance: parameters.flag("guidance", overlay)?,
         undistorted: parameters.flag("undistorted", false)?,
+        registered: registered(parameters, sensor)?,
     })
+}
+
+/// Whether the sensor is to be shown in the other one's picture.
+fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Problem> {
+    let Some(to) = parameters.one_of("registered", SensorKind::from_name, "color, depth")? else { return Ok(false) };
+    match (sensor, to) {
+        (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),
+        _ => {
+            let problem = "shows depth in color's picture (sensor=depth&registered=color) or color in depth's (sensor=color&registered=depth)";
+            Err(Problem::field("registered", problem))
+        }
+    }
 }
 
 fn no_frame(shared: &Shared, camera: &str) -> Problem {
@@ -154,6 +177,14 @@ async fn picture(shared: &Shared, camera: &str, live: Arc<LiveFrame>, look: Look
         let detail = format!("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", look.sensor.name());
         return Err(Problem::not_found(detail));
     }
+    if look.registered {
+        let registration = registration(shared, camera).await?;
+        let shown = on_a_blocking_thread(move || match look.sensor {
+            SensorKind::Depth => registered::depth_in_color(&registration, &live.frame_set, look.overlay),
+            _ => registered::color_in_depth(&registration, &live.frame_set),
+        });
+        return Ok(decode::encode_jpeg_rgb(&shown.await??, JPEG_QUALITY));
+    }
     let wish = wish(shared, camera, look);
     let undistortion = match look.undistorted {
         true => Some(undistortion(shared, camera, look.sensor).await?),
@@ -169,6 +200,9 @@ fn drawn(
     undistortion: Option<&Undistortion>,
 ) -> Result<Vec<u8>, Problem> {
     let frame = live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
+    if look.sensor == SensorKind::Depth {
+        return Ok(decode::encode_jpeg_rgb(&registered::shaded_depth(&live.frame_set)?, JPEG_QUALITY));
+    }
     let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
     let seen = seen.filter(|_| look.overlay && look.sensor == SensorKind::Color);
     let plain = seen.is_none() && wish.is_empty() && !look.undistorted;

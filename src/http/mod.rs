@@ -11,10 +11,12 @@ mod events;
 mod focus;
 mod frames;
 mod health;
+mod kept;
 mod openapi;
 mod page;
 pub mod problem;
 mod recordings;
+mod registered;
 mod request;
 mod rigs;
 mod router;
@@ -30,6 +32,7 @@ use std::sync::Arc;
 use tokio::sync::{Semaphore, watch};
 
 use crate::http::problem::Problem;
+use crate::http::registered::Registrations;
 use crate::http::undistorted::Undistortions;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Store, StoreError};
@@ -57,6 +60,7 @@ struct Shared {
     /// How many stateless solves may run at once.
     solves: Semaphore,
     undistortions: Undistortions,
+    registrations: Registrations,
     /// Becomes true when the daemon goes down: endless answers end.
     stopping: watch::Receiver<bool>,
 }

@@ -11,8 +11,8 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 
+use crate::http::kept::Kept;
 use crate::http::router::router;
-use crate::http::undistorted::Undistortions;
 use crate::http::{Service, Shared};
 
 /// How many connections are open at once; more wait to be accepted.
@@ -33,8 +33,8 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 pub async fn serve(listener: TcpListener, service: Service, stop: impl Future<Output = ()>) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
     let Service { fleet, store, token } = service;
-    let (solves, undistortions) = (Semaphore::new(SOLVES), Undistortions::default());
-    let shared = Shared { fleet, store, token, solves, undistortions, stopping: watched };
+    let (solves, undistortions, registrations) = (Semaphore::new(SOLVES), Kept::default(), Kept::default());
+    let shared = Shared { fleet, store, token, solves, undistortions, registrations, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);

@@ -14,6 +14,7 @@ use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::{Shared, on_a_blocking_thread};
+use crate::imaging::draw;
 
 /// Grid columns along the image's longer side.
 const COLUMNS: u32 = 49;
@@ -21,17 +22,6 @@ const COLUMNS: u32 = 49;
 const LONGER_SIDE: u32 = 640;
 /// Contours lie at these values, in pixels; colours go from the first to the last.
 const LEVELS_PX: [f64; 8] = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0];
-/// Dark is certain, bright is not: equal steps for the eye, also for one that sees no red or green (after "viridis").
-const COLORS: [[u8; 3]; 8] = [
-    [68, 1, 84],
-    [70, 50, 126],
-    [54, 92, 141],
-    [39, 127, 142],
-    [31, 161, 135],
-    [74, 193, 109],
-    [160, 218, 57],
-    [253, 231, 37],
-];
 /// Where the lens sees nothing.
 const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
 
@@ -40,7 +30,7 @@ const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty.png", tag = "calibrations",
     params(
         ("id" = String, Path, description = "the calibration's"),
-        ("sensor" = Option<String>, Query, description = "color (when left out) or infrared"),
+        ("sensor" = Option<String>, Query, description = "color, infrared, or a rig's camera; the first there is when left out"),
         ("distance_m" = Option<f64>, Query, description = "how far away things are, in metres; at infinity when left out"),
     ),
     responses(
@@ -54,21 +44,20 @@ pub(super) async fn picture(
     parameters: Parameters,
 ) -> Result<impl IntoResponse, Problem> {
     let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
-    let infrared = parameters.one_of("sensor", is_infrared, "color, infrared")?.unwrap_or(false);
     let found = calibration(&shared, &id).await?;
-    let sensor = if infrared { found.infrared } else { found.color };
+    let known: Vec<&str> =
+        ["color", "infrared"].into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
+    let is_known = |name: &str| known.contains(&name).then(|| name.to_owned());
+    let asked = parameters.one_of("sensor", is_known, &known.join(", "))?;
+    let mut sensors = found.picture_sensors();
+    let sensor = sensors.find(|(name, _)| asked.as_ref().is_none_or(|asked| asked == name));
     let unknown = || Problem::not_found(format!("calibration {id} tells no covariance of this sensor; solve it again"));
-    let sensor = sensor.filter(|sensor| !sensor.lens_covariance.is_empty()).ok_or_else(unknown)?;
+    let sensor = sensor
+        .map(|(_, sensor)| sensor.clone())
+        .filter(|sensor| !sensor.lens_covariance.is_empty())
+        .ok_or_else(unknown)?;
     let png = on_a_blocking_thread(move || heat_map(&sensor, distance)).await?.ok_or_else(unknown)?;
     Ok(([(CONTENT_TYPE, "image/png")], png))
-}
-
-fn is_infrared(name: &str) -> Option<bool> {
-    match name {
-        "color" => Some(false),
-        "infrared" => Some(true),
-        _ => None,
-    }
 }
 
 fn heat_map(sensor: &SensorCalibration, distance: Distance) -> Option<Vec<u8>> {
@@ -122,15 +111,9 @@ fn level_of(std_px: f64) -> f64 {
     }
 }
 
+/// Dark is certain, bright is not.
 fn color(level: f64) -> Rgb<u8> {
-    let level = level.clamp(0.0, (COLORS.len() - 1) as f64);
-    let first = (level as usize).min(COLORS.len() - 2);
-    let part = level - first as f64;
-    let channel = |i: usize| {
-        let (from, to) = (f64::from(COLORS[first][i]), f64::from(COLORS[first + 1][i]));
-        (from + (to - from) * part).round() as u8
-    };
-    Rgb([channel(0), channel(1), channel(2)])
+    draw::shade((level / (LEVELS_PX.len() - 1) as f64) as f32)
 }
 
 #[cfg(test)]

@@ -1,36 +1,15 @@
 //! Pictures through a camera's current calibration: the maps that undistort them, kept for the next picture.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use crate::http::kept::Kept;
 use crate::http::problem::Problem;
 use crate::http::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::undistort::{UndistortOptions, Undistortion};
 
-/// How many maps are kept; each takes some bytes for every pixel of its picture.
-const KEPT: usize = 4;
-
-/// The maps used lately, by calibration and sensor, the latest last.
-#[derive(Debug, Default)]
-pub(super) struct Undistortions(Mutex<Vec<(Key, Arc<Undistortion>)>>);
-
-type Key = (String, SensorKind);
-
-impl Undistortions {
-    fn get(&self, key: &Key) -> Option<Arc<Undistortion>> {
-        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.iter().find(|(known, _)| known == key).map(|(_, undistortion)| Arc::clone(undistortion))
-    }
-
-    fn keep(&self, key: Key, undistortion: &Arc<Undistortion>) {
-        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.retain(|(known, _)| *known != key);
-        if kept.len() == KEPT {
-            kept.remove(0);
-        }
-        kept.push((key, Arc::clone(undistortion)));
-    }
-}
+/// The maps used lately, by calibration and sensor.
+pub(super) type Undistortions = Kept<(String, SensorKind), Undistortion>;
 
 /// How to undistort the pictures of a camera's sensor with its current calibration.
 ///
@@ -63,7 +42,5 @@ pub(super) async fn undistortion(
     let made = on_a_blocking_thread(move || {
         Undistortion::new(&calibrated.lens, calibrated.image_size, &UndistortOptions::default())
     });
-    let made = Arc::new(made.await?);
-    shared.undistortions.keep(key, &made);
-    Ok(made)
+    Ok(shared.undistortions.keep(key, made.await?))
 }

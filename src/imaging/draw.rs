@@ -15,6 +15,31 @@ pub const FIRST: Color = Rgb([255, 93, 122]);
 /// Where the board should be.
 pub const WISHED: Color = Rgb([255, 216, 77]);
 
+/// From dark to bright in equal steps for the eye, also for one that sees no red or green (after "viridis").
+const SHADES: [[u8; 3]; 8] = [
+    [68, 1, 84],
+    [70, 50, 126],
+    [54, 92, 141],
+    [39, 127, 142],
+    [31, 161, 135],
+    [74, 193, 109],
+    [160, 218, 57],
+    [253, 231, 37],
+];
+
+/// The colour of a value between 0, the darkest, and 1, the brightest; beyond them, theirs.
+pub fn shade(value: f32) -> Color {
+    let steps = (SHADES.len() - 1) as f32;
+    let along = if value.is_finite() { (value * steps).clamp(0.0, steps) } else { 0.0 };
+    let first = (along as usize).min(SHADES.len() - 2);
+    let part = along - first as f32;
+    let channel = |i: usize| {
+        let (from, to) = (f32::from(SHADES[first][i]), f32::from(SHADES[first + 1][i]));
+        (from + (to - from) * part).round() as u8
+    };
+    Rgb([channel(0), channel(1), channel(2)])
+}
+
 /// How a line is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pen {

@@ -2,6 +2,7 @@
 
 pub mod decode;
 pub mod depth_image;
+pub mod depth_picture;
 pub mod draw;
 pub mod factory;
 pub mod frame;
@@ -9,6 +10,7 @@ pub mod gray;
 mod jpeg;
 pub mod picture_file;
 pub mod pixel_format;
+pub mod point_cloud;
 pub mod registration;
 pub mod remap;
 pub mod timestamp;

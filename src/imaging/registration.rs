@@ -1,6 +1,7 @@
 //! Depth corrected, and depth and colour brought into each other's pictures.
 
-use nalgebra::{Point3, Vector2, Vector3};
+use image::{Rgb, RgbImage};
+use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::depth_correction::PixelCorrection;
@@ -8,6 +9,7 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
+use crate::imaging::point_cloud::CloudPoint;
 
 /// Metric depth as 16-bit readings.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,7 +37,9 @@ pub struct DepthRegistration {
 #[derive(Debug, Clone)]
 struct ColorView {
     size: ImageSize,
-    color_from_depth: Pose,
+    /// `color_from_depth`, in single precision.
+    rotation: Matrix3<f32>,
+    translation: Vector3<f32>,
     lens: Lens,
     lookup: DistortionLookup,
 }
@@ -50,6 +54,8 @@ struct DistortionLookup {
 }
 
 const LOOKUP: usize = 160;
+/// A point is hidden from the colour camera by what is nearer than this part of its distance.
+const HIDDEN: f32 = 1.03;
 
 impl DistortionLookup {
     /// Over what the lens sees of its picture, and a little more.
@@ -122,7 +128,8 @@ impl DepthRegistration {
         let corrections = camera.correction.as_ref().map(|correction| pixels().map(|p| correction.at(p)).collect());
         let color = ColorView {
             size: color_size,
-            color_from_depth: *color_from_depth,
+            rotation: color_from_depth.rotation_matrix().cast(),
+            translation: color_from_depth.translation().cast(),
             lens: *color,
             lookup: DistortionLookup::new(color, color_size),
         };
@@ -167,8 +174,46 @@ impl DepthRegistration {
         CorrectedDepth { picture, beyond: 0, overflowed }
     }
 
+    /// The measured points in the colour camera's frame, row by row of the depth picture; each has the colour that `color`
+    /// shows there, black where the colour camera does not see it (outside its picture, or behind something nearer).
+    /// `depths` are those of [`Self::depths_m`].
+    pub fn points(&self, depths: &[f32], color: Option<&RgbImage>) -> Vec<CloudPoint> {
+        let nearest = self.nearest_in_color(depths);
+        let point = |(ray, depth): (&[f32; 2], &f32)| {
+            let point = self.point_in_color(*ray, *depth)?;
+            let color = color.and_then(|picture| self.color_of(&point, &nearest, picture));
+            Some(CloudPoint { point_m: point.into(), color: color.unwrap_or_default() })
+        };
+        self.rays.iter().zip(depths).filter_map(point).collect()
+    }
+
+    /// The colour picture as the depth camera would see it, as far as depth was measured; black elsewhere, and where
+    /// something nearer hides a point from the colour camera. `depths` are those of [`Self::depths_m`].
+    pub fn color_in_depth(&self, depths: &[f32], color: &RgbImage) -> RgbImage {
+        let nearest = self.nearest_in_color(depths);
+        let width = self.camera.image_size.width;
+        RgbImage::from_fn(width, self.camera.image_size.height, |x, y| {
+            let at = (y * width + x) as usize;
+            let point =
+                self.rays.get(at).zip(depths.get(at)).and_then(|(ray, depth)| self.point_in_color(*ray, *depth));
+            Rgb(point.and_then(|point| self.color_of(&point, &nearest, color)).unwrap_or_default())
+        })
+    }
+
+    /// What the colour picture shows of a point, unless something nearer hides it.
+    fn color_of(&self, point: &Vector3<f32>, nearest: &[f32], color: &RgbImage) -> Option<[u8; 3]> {
+        let [x, y] = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
+        let ColorView { size, .. } = self.color;
+        if color.dimensions() != (size.width, size.height) || !(x > -0.5 && y > -0.5) {
+            return None;
+        }
+        let (x, y) = (x.round().max(0.0) as u32, y.round().max(0.0) as u32);
+        let seen = nearest.get((y * size.width + x) as usize).filter(|_| x < size.width && y < size.height)?;
+        (point.z <= *seen * HIDDEN).then(|| color.get_pixel(x, y).0)
+    }
+
     /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none.
-    fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
+    pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
         let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
         let mut nearest = vec![0.0f32; width * height];
         let scale = self.color.lens.matrix.fx / self.camera.lens.matrix.fx;
@@ -189,14 +234,18 @@ impl DepthRegistration {
 
     /// Where the colour camera sees a reading, and how far away.
     fn seen_in_color(&self, ray: [f32; 2], depth: f32) -> Option<([f32; 2], f32)> {
-        if depth <= 0.0 {
+        let point = self.point_in_color(ray, depth)?;
+        let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
+        (pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
+    }
+
+    /// The point that a depth stands for, in the colour camera's frame; `None` for no reading, and behind the camera.
+    fn point_in_color(&self, ray: [f32; 2], depth: f32) -> Option<Vector3<f32>> {
+        if !(depth > 0.0 && ray[0].is_finite() && ray[1].is_finite()) {
             return None;
         }
-        let point = self.color.color_from_depth.rotation_matrix().cast::<f32>()
-            * Vector3::new(ray[0] * depth, ray[1] * depth, depth)
-            + self.color.color_from_depth.translation().cast::<f32>();
-        let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
-        (point.z > 0.0 && pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
+        let point = self.color.rotation * Vector3::new(ray[0] * depth, ray[1] * depth, depth) + self.color.translation;
+        (point.z > 0.0).then_some(point)
     }
 }
 
@@ -263,6 +312,42 @@ mod tests {
         assert!((36..=40).contains(&counts(480, 520)), "{middle:?}");
         assert!((5..=12).contains(&counts(0, 1)), "{middle:?}");
         assert_eq!(counts(0, 1) + counts(480, 520) + counts(1950, 2050), 128, "{middle:?}");
+    }
+
+    #[test]
+    fn color_behind_a_box_is_hidden_from_depth() {
+        let near = |x: usize, y: usize| (20..40).contains(&x) && (15..35).contains(&y);
+        let raw = |k: usize| {
+            if near(k % 64, k / 64) {
+                500
+            } else if k % 64 == 3 {
+                0
+            } else {
+                2000
+            }
+        };
+        let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
+        let registration = registration(None);
+        let depths = registration.depths_m(&picture, None);
+        // Red where the colour camera sees the box, blue where it sees the wall.
+        let nearest = registration.nearest_in_color(&depths);
+        let color = RgbImage::from_fn(128, 96, |x, y| {
+            let seen = nearest[(y * 128 + x) as usize];
+            if seen > 0.0 && seen < 1.0 { Rgb([255, 0, 0]) } else { Rgb([0, 0, 255]) }
+        });
+        let in_depth = registration.color_in_depth(&depths, &color);
+        assert_eq!(in_depth.dimensions(), (64, 48));
+        let row: Vec<[u8; 3]> = (0..64).map(|x| in_depth.get_pixel(x, 24).0).collect();
+        let count = |wanted: [u8; 3], from: usize, to: usize| row[from..to].iter().filter(|c| **c == wanted).count();
+        assert!(count([255, 0, 0], 20, 40) >= 19, "{row:?}");
+        assert_eq!(count([255, 0, 0], 0, 20) + count([255, 0, 0], 40, 64), 0, "no red beside the box: {row:?}");
+        assert_eq!(row[3], [0; 3], "a hole stays one");
+        // The box hides a strip of the wall: (25 mm / 0.5 m - 25 mm / 2 m) * 58 px.
+        assert!((2..=4).contains(&count([0; 3], 40, 64)) || (2..=4).contains(&count([0; 3], 10, 20)), "{row:?}");
+
+        let points = registration.points(&depths, Some(&color));
+        assert_eq!(points.len(), 63 * 48);
+        assert!(points.iter().all(|point| point.color != [255, 0, 0] || point.point_m[2] < 0.6));
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod bad_input;
 mod cli;
 mod config_examples;
 mod decoding;
+mod depth_file;
 mod http_api;
 mod layering;
 mod lens_conformance;

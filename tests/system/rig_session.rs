@@ -9,7 +9,9 @@ const CAMERAS: [&str; 3] = ["left", "right", "far"];
 fn configuration() -> String {
     let camera = |name: &str| {
         let path = recording(&format!("rig-{name}.mcap")).display().to_string();
-        format!("[[camera]]\nname = {name:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\" }}\n")
+        format!(
+            "[[camera]]\nname = {name:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\" }}\n"
+        )
     };
     CAMERAS.map(camera).concat() + "[[rig]]\nname = \"head\"\ncameras = [\"left\", \"right\", \"far\"]\n"
 }

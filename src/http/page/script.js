@@ -5,13 +5,15 @@
 const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const FORMATS = ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"];
+const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
   no_board: "no board", partial: "partly out of view", blurred: "blurred", moving: "moving",
   too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
 
-let camera = null;      // the newest camera document
+let camera = null;      // the newest camera document; for a rig, what its document has in common with one
+let rig = null;         // the rig document, where a rig is shown
 let session = null;     // the session that is shown
 let result = null;      // the calibration that is shown
 let views = [];         // the views of the session that is shown
@@ -54,12 +56,21 @@ function drawn(name, attributes) {
   return made;
 }
 
-// ---- the camera and its picture
+// ---- the camera, or the rig, and its picture
+
+const home = () => (rig ? at`/v1/rigs/${rig.name}` : at`/v1/cameras/${camera.name}`);
+const later = (act) => setTimeout(() => { act().catch(() => later(act)); }, 2000);
+// Until the daemon has said what there is, nothing is shown that could be taken for it.
+function wait(text) {
+  for (const id of ["start-form", "session", "result", "kept", "past"]) show(id, false);
+  say("loading", text);
+}
 
 async function begin() {
-  let cameras = [];
+  let [cameras, rigs] = [[], []];
+  wait("Asking the daemon for the session…");
   try {
-    cameras = (await ask("/v1/cameras")).cameras;
+    [{ cameras }, { rigs }] = await Promise.all([ask("/v1/cameras"), ask("/v1/rigs")]);
   } catch (error) {
     say("placeholder", `The daemon does not answer: ${error.message}`);
     setTimeout(begin, 2000);
@@ -67,26 +78,64 @@ async function begin() {
   }
   if (!cameras.length) {
     say("placeholder", "No camera is configured. Add a [[camera]] to the configuration and start again.");
-    show("start-form", false);
+    say("loading", "");
     return;
   }
   const wanted = decodeURIComponent(location.hash.slice(1));
-  camera = cameras.find((one) => one.name === wanted) || cameras.find((one) => one.session) || cameras[0];
-  $("cameras").replaceChildren(...cameras.map((one) => {
-    const link = element("a", { href: at`#${one.name}` }, one.name);
+  const named = (list) => list.find((one) => one.name === wanted);
+  const busy = (list) => list.find((one) => one.session);
+  rig = named(rigs) || (!named(cameras) && busy(rigs)) || null;
+  camera = rig ? ofRig(cameras) : named(cameras) || busy(cameras) || cameras[0];
+  $("cameras").replaceChildren(...[...cameras, ...rigs].map((one) => {
+    const text = one.cameras ? `${one.name} (${one.cameras.length} cameras)` : one.name;
+    const link = element("a", { href: at`#${one.name}` }, text);
     if (one.name === camera.name) link.setAttribute("aria-current", "page");
     return link;
   }));
+  say("start-title", rig ? `Calibrate the rig of ${rig.cameras.join(", ")}` : "Calibrate");
+  listSensors();
   showCamera();
   showPicture();
   follow();
-  await showNewest();
+  await showNewest().catch(() => later(showNewest));
+}
+
+// What is shown of a rig in a camera's place: streaming while all its cameras are.
+function ofRig(cameras) {
+  const own = cameras.filter((one) => rig.cameras.includes(one.name));
+  const bad = own.find((one) => one.state !== "streaming");
+  const slowest = Math.min(...own.map((one) => one.fps || 0));
+  return {
+    name: rig.name, backend: `rig of ${rig.cameras.join(", ")}`, state: bad ? bad.state : "streaming", sensors: {}, fps: slowest,
+    reason: bad && bad.reason ? `${bad.name}: ${bad.reason}` : null, dropped_frames: 0, calibration: rig.calibration, session: rig.session,
+  };
+}
+
+// A camera with depth can be looked at in several ways.
+function listSensors() {
+  const names = Object.keys(camera.sensors);
+  const choices = names.map((name) => [name, name]);
+  if (names.includes("depth") && names.includes("color") && camera.calibration) {
+    choices.push(["depth&registered=color", "depth edges over color"], ["color&registered=depth", "color as depth sees it"]);
+  }
+  const select = $("sensor");
+  const shown = select.value;
+  if (choices.length !== select.options.length) {
+    select.replaceChildren(...choices.map(([value, text]) => element("option", { value }, text)));
+    if (choices.some(([value]) => value === shown)) select.value = shown;
+  }
+  show("sensors", choices.length > 1);
 }
 
 async function showNewest() {
   const { sessions } = await ask(at`/v1/sessions?camera=${camera.name}`);
+  say("loading", "");
   await setSession(sessions[0] || null);
-  showHistory();
+  await showHistory();
+  if (!rig && camera.session && !sessions.some((one) => one.id === camera.session)) {
+    const lent = await ask(at`/v1/sessions/${camera.session}`);
+    wait(`This camera is in a session of the rig ${lent.camera}: choose it above to see how far it is.`);
+  }
 }
 
 function showCamera() {
@@ -104,7 +153,21 @@ function showCamera() {
 // The corners are drawn by the daemon, into the very frame that they were found in.
 function showPicture() {
   const picture = $("picture");
-  const source = () => at`/v1/cameras/${camera.name}/preview.mjpg?overlay=${$("show-corners").checked}&guidance=false&at=${Date.now()}`;
+  const corners = $("show-corners").checked;
+  show("picture", !rig);
+  show("overlay", !rig);
+  show("tiles", Boolean(rig));
+  if (rig) {
+    picture.removeAttribute("src");
+    show("placeholder", false);
+    $("tiles").replaceChildren(...rig.cameras.map((name) => element("figure", {}, element("img", {
+      alt: `live picture of camera ${name}`, src: at`/v1/cameras/${name}/preview.mjpg?overlay=${corners}&guidance=false&at=${Date.now()}`,
+    }), element("figcaption", {}, name))));
+    return;
+  }
+  const sensor = $("sensor").value || "color";
+  const edges = sensor.includes("&") || corners;
+  const source = () => at`/v1/cameras/${camera.name}/preview.mjpg?overlay=${edges}&guidance=false&at=${Date.now()}` + `&sensor=${sensor}`;
   picture.alt = `live picture of camera ${camera.name}`;
   picture.onload = () => show("placeholder", false);
   picture.onerror = () => {
@@ -123,7 +186,7 @@ function layer(name) {
 function showCoverage() {
   const group = layer("cell");
   const collecting = session && session.state === "collecting";
-  if (!$("show-coverage").checked || !collecting) { group.replaceChildren(); return; }
+  if (!$("show-coverage").checked || !collecting || rig) { group.replaceChildren(); return; }
   const { x, y, width, height } = $("overlay").viewBox.baseVal;
   const cells = session.coverage.cells;
   const [high, wide] = [height / cells.length, width / cells[0].length];
@@ -146,14 +209,20 @@ function showWish() {
 
 function follow() {
   if (events) events.close();
-  events = new EventSource(at`/v1/events?camera=${camera.name}`);
+  events = new EventSource(rig ? "/v1/events" : at`/v1/events?camera=${camera.name}`);
+  const mine = (name) => name === camera.name || Boolean(rig && rig.cameras.includes(name));
   events.onopen = () => { if (!$("link").hidden) { show("link", false); refresh(); } };
   events.onerror = () => show("link", true);
   const on = (name, act) => events.addEventListener(name, (event) => act(JSON.parse(event.data)));
-  on("camera", (document) => { camera = document; showCamera(); });
+  on("camera", (document) => {
+    if (!mine(document.name)) return;
+    if (rig) refreshCamera().catch(() => {}); else { camera = document; showCamera(); }
+  });
   on("detection", showLast);
-  on("session", (document) => { if (!session || document.id >= session.id) setSession(document); });
-  on("calibration", () => { refreshCamera().then(showHistory); });
+  on("session", (document) => {
+    if (document.camera === camera.name && (!session || document.id >= session.id)) setSession(document);
+  });
+  on("calibration", (document) => { if (document.camera === camera.name) refreshCamera().then(showHistory); });
 }
 
 async function refresh() {
@@ -163,20 +232,28 @@ async function refresh() {
 }
 
 async function refreshCamera() {
-  camera = await ask(at`/v1/cameras/${camera.name}`);
+  if (rig) {
+    const [document, { cameras }] = await Promise.all([ask(home()), ask("/v1/cameras")]);
+    rig = document;
+    camera = ofRig(cameras);
+  } else {
+    camera = await ask(home());
+  }
   showCamera();
+  listSensors();
   showApproval();
 }
 
 function showLast(detection) {
   if (!session || detection.session !== session.id || session.state !== "collecting") return;
   if (detection.kept_view != null) {
-    say("last", `View ${detection.kept_view + 1} kept.`, "last kept");
-    flash(`view ${detection.kept_view + 1} kept`);
+    const what = `${rig ? `${detection.camera}: ` : ""}view ${detection.kept_view + 1} kept`;
+    say("last", `${what}.`, "last kept");
+    flash(what);
     beep();
   } else {
     const text = detection.reason || REASONS[detection.rejection] || "";
-    say("last", text && `Not kept: ${text}`, "last refused");
+    say("last", text && `${rig ? `${detection.camera}: ` : ""}not kept: ${text}`, "last refused");
   }
   $("last").hidden = false;
 }
@@ -234,6 +311,10 @@ function showNumbers(running) {
   $("session-reason").classList.toggle("error", session.state === "failed");
   const counts = Object.entries(session.rejected).filter(([, count]) => count);
   $("rejected").replaceChildren(...counts.map(([kind, count]) => element("li", {}, `${REASONS[kind] || kind} ${count}`)));
+  const members = session.cameras || [];
+  show("members", members.length > 0);
+  fill("members", members.map((one) => [one.camera, one.views_kept, one.views_shared, `${Math.round(one.coverage.fraction * 100)} %`,
+    px(one.estimate && one.estimate.uncertainty_px.median)]));
   showGoal(estimate);
   show("stop", running);
   show("abort", running);
@@ -281,7 +362,7 @@ async function showViews() {
 
 function viewItem(view, i) {
   const picture = element("img", { src: view.picture, alt: "", loading: "lazy" });
-  const words = element("span", {}, element("b", {}, String(view.n + 1)), element("i", {}));
+  const words = element("span", {}, element("b", {}, `${view.camera ? `${view.camera} ` : ""}${view.n + 1}`), element("i", {}));
   return element("li", {}, element("button", { type: "button", onclick: () => showLarge(i) }, picture, words));
 }
 
@@ -297,6 +378,15 @@ function showLarge(i) {
 
 // ---- the result
 
+const fill = (id, rows) => $(id).querySelector("tbody").replaceChildren(...rows.map((row) =>
+  element("tr", {}, ...row.map((cell) => element("td", {}, String(cell))))));
+
+// The picture sensors of a calibration by name: a camera's own, or a rig's cameras.
+function picturesOf(calibration) {
+  const own = ["color", "infrared"].filter((name) => calibration.sensors[name]).map((name) => [name, calibration.sensors[name]]);
+  return new Map([...own, ...(calibration.cameras || []).map((one) => [one.name, one.sensors.color])]);
+}
+
 async function showResult(id) {
   try {
     result = await ask(at`/v1/calibrations/${id}`);
@@ -304,28 +394,62 @@ async function showResult(id) {
     say("session-error", error.message);
     return;
   }
-  const sensor = result.sensors.color || result.sensors.infrared;
+  const pictures = picturesOf(result);
   const { grade, reasons } = result.verdict;
   say("verdict", VERDICTS[grade], "");
   $("verdict").dataset.grade = grade;
   $("verdict").style.color = `var(--${grade})`;
-  say("result-what", `${when(result.created_at)} · ${sensor.image_size.join(" × ")} · ${sensor.views.filter((view) => view.used).length} of ${sensor.views.length} views`);
   $("reasons").replaceChildren(...reasons.map((reason) => element("li", {}, reason)));
+  $("result-sensor").replaceChildren(...[...pictures.keys()].map((name) => element("option", { value: name }, name)));
+  show("result-sensors", pictures.size > 1);
+  if (pictures.size) showSensor();
+  showPlaces(result.extrinsics || []);
+  showDepth(result.sensors.depth);
+  const links = [...FORMATS, ...(result.extrinsics && result.extrinsics.length ? ["urdf", "tf"] : []), ...(result.sensors.depth ? ["depth"] : [])];
+  const names = [...pictures.keys(), ...(result.sensors.depth ? ["depth"] : [])];
+  $("downloads").replaceChildren(...links.flatMap((format) => {
+    const several = OF_ONE_SENSOR.includes(format) && names.length > 1;
+    return (several ? names : [null]).map((name) => element("a", {
+      href: at`/v1/calibrations/${id}?format=${format}` + (name ? at`&sensor=${name}` : ""), download: format === "json" ? `${result.camera}.json` : "",
+    }, name ? `${format}: ${name}` : format));
+  }));
+  say("result-error", "");
+  show("result", true);
+  showApproval();
+}
+
+function showSensor() {
+  const name = $("result-sensor").value;
+  const sensor = picturesOf(result).get(name);
+  say("result-what", `${when(result.created_at)} · ${sensor.image_size.join(" × ")} · ${sensor.views.filter((view) => view.used).length} of ${sensor.views.length} views`);
   const numbers = [
     ["rms", px(sensor.rms_px)], ["uncertainty", px(sensor.uncertainty_px.median)], ["worst", px(sensor.uncertainty_px.worst)],
     ["held out", px(result.checks.held_out_rms_px)], ["coverage", `${Math.round(result.checks.coverage * 100)} %`],
     ["lens", sensor.lens.model],
   ];
   $("result-numbers").replaceChildren(...numbers.map(([name, value]) => element("div", {}, element("dt", {}, name), element("dd", {}, value))));
-  $("heat").src = at`/v1/calibrations/${id}/uncertainty.png`;
+  $("heat").src = at`/v1/calibrations/${result.id}/uncertainty.png?sensor=${name}`;
   const rows = Object.entries(sensor.lens).filter(([name]) => name !== "model").map(([name, value]) =>
     element("tr", {}, element("td", {}, name), element("td", {}, value.toFixed(6)), element("td", {}, sensor.lens_std[name] ? sensor.lens_std[name].toPrecision(2) : "fixed")));
   $("lens-table").tBodies[0].replaceChildren(...rows);
-  $("downloads").replaceChildren(...FORMATS.map((format) =>
-    element("a", { href: at`/v1/calibrations/${id}?format=${format}`, download: format === "json" ? `${result.camera}.json` : "" }, format)));
-  say("result-error", "");
-  show("result", true);
-  showApproval();
+}
+
+function showPlaces(extrinsics) {
+  show("places", extrinsics.length > 0);
+  const mm = (values, digits) => values.map((value) => (1000 * value).toFixed(digits)).join(", ");
+  const degrees = (radians, digits) => (radians * 180 / Math.PI).toFixed(digits);
+  fill("places", extrinsics.map((one) => [one.name, mm(one.translation, 2), mm(one.translation_std, 3),
+    degrees(2 * Math.acos(Math.min(1, one.rotation.w)), 3), degrees(Math.max(...one.rotation_std), 4)]));
+}
+
+function showDepth(depth) {
+  show("depth", Boolean(depth));
+  if (!depth) return;
+  const corrected = depth.correction ? "Corrected; each range by what was fitted to other views." : "The device's own depth is as good: nothing is corrected.";
+  const noise = (z) => (1000 * (depth.noise_m.constant + depth.noise_m.quadratic * z * z)).toFixed(1);
+  say("depth-what", `${corrected} One reading's noise: ${noise(1)} mm at 1 m, ${noise(2)} mm at 2 m.`);
+  fill("depth", depth.bias_m.ranges.map((range) => [`${range.from.toFixed(2)} to ${range.to.toFixed(2)}`,
+    (1000 * range.before).toFixed(1), (1000 * range.after).toFixed(1), (1000 * range.rms_after).toFixed(1)]));
 }
 
 function showApproval() {
@@ -336,10 +460,10 @@ function showApproval() {
 }
 
 async function showHistory() {
-  const { calibrations } = await ask(at`/v1/cameras/${camera.name}/calibrations`);
+  const { calibrations } = await ask(`${home()}/calibrations`);
   show("past", calibrations.length > 0);
   $("history").tBodies[0].replaceChildren(...calibrations.map((one) => {
-    const sensor = one.sensors.color || one.sensors.infrared;
+    const [sensor] = picturesOf(one).values();
     const grade = element("span", { className: `pill ${one.verdict.grade}` }, one.verdict.grade);
     const current = one.id === camera.calibration ? element("span", { className: "pill good" }, "current") : "";
     const open = element("button", { className: "small", type: "button", onclick: () => openResult(one) }, "show");
@@ -381,7 +505,7 @@ $("start-form").addEventListener("submit", (event) => {
   const body = { target, lens: form.lens };
   if (form.finish) body.finish = { uncertainty_px: +form.goal, min_views: 10 };
   press($("start"), "start-error", async () => {
-    const started = await ask(at`/v1/cameras/${camera.name}/sessions`, {
+    const started = await ask(`${home()}/sessions`, {
       method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
     });
     await setSession(started);
@@ -407,7 +531,9 @@ $("again").addEventListener("click", () => {
 });
 $("show-coverage").addEventListener("change", showCoverage);
 $("show-corners").addEventListener("change", showPicture);
-window.addEventListener("hashchange", () => { session = null; result = null; begin(); });
+$("sensor").addEventListener("change", showPicture);
+$("result-sensor").addEventListener("change", showSensor);
+window.addEventListener("hashchange", () => { session = null; result = null; viewsOf = null; begin(); });
 setInterval(() => { if (session && session.state === "collecting") showClock(); }, 1000);
 setInterval(() => { if (camera && !document.hidden) refreshCamera().catch(() => {}); }, 5000);
 

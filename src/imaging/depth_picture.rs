@@ -1,0 +1,93 @@
+//! Depth made visible: near is bright, far is dark, nothing measured is black; and where it jumps.
+
+use image::{Rgb, RgbImage};
+
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::draw::shade;
+
+/// The distances between which shades change, in metres: equal ratios are equal steps.
+const NEAR_M: f32 = 0.25;
+const FAR_M: f32 = 8.0;
+/// Depth jumps where it grows by this part from one pixel to the next.
+const JUMP: f32 = 0.04;
+/// The edge of what is measured counts as a jump only where so many pixels beyond it are empty: single holes do not.
+const GAP: usize = 4;
+
+/// A picture of `size` from depths in metres, row by row; 0 for none.
+pub fn shaded(depths: &[f32], size: ImageSize) -> RgbImage {
+    let color = |depth: f32| match depth {
+        depth if depth > 0.0 => shade(1.0 - (depth / NEAR_M).ln() / (FAR_M / NEAR_M).ln()),
+        _ => Rgb([0; 3]),
+    };
+    let width = size.width as usize;
+    RgbImage::from_fn(size.width, size.height, |x, y| {
+        color(depths.get(y as usize * width + x as usize).copied().unwrap_or_default())
+    })
+}
+
+/// Whether each pixel is the near side of an edge: beside it, depth jumps away or ends.
+pub fn edges(depths: &[f32], size: ImageSize) -> Vec<bool> {
+    let (width, height) = (size.width as usize, size.height as usize);
+    let at = |x: usize, y: usize| depths.get(y * width + x).copied().unwrap_or_default();
+    // Along one axis: the next measured pixel within the gap is farther by a jump, or there is none.
+    let ends = |here: f32, ahead: &mut dyn Iterator<Item = f32>| {
+        let mut seen = 0;
+        for other in ahead.take(GAP) {
+            if other > 0.0 {
+                return other > here * (1.0 + JUMP);
+            }
+            seen += 1;
+        }
+        seen == GAP
+    };
+    let is_edge = |x: usize, y: usize| {
+        let here = at(x, y);
+        here > 0.0
+            && (ends(here, &mut (x + 1..width).map(|x| at(x, y)))
+                || ends(here, &mut (0..x).rev().map(|x| at(x, y)))
+                || ends(here, &mut (y + 1..height).map(|y| at(x, y)))
+                || ends(here, &mut (0..y).rev().map(|y| at(x, y))))
+    };
+    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| is_edge(x, y)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SIZE: ImageSize = ImageSize::new(40, 30);
+
+    /// A box at 1 m before a wall at 2 m, with a shadow of `shadow` pixels at the box's left and one hole in it.
+    fn scene(shadow: usize) -> Vec<f32> {
+        let depth = |x: usize, y: usize| match (x, y) {
+            (20, 15) => 0.0,
+            (15..30, 10..20) => 1.0,
+            (x, 10..20) if x < 15 && x + shadow >= 15 => 0.0,
+            _ => 2.0,
+        };
+        (0..30).flat_map(|y| (0..40).map(move |x| (x, y))).map(|(x, y)| depth(x, y)).collect()
+    }
+
+    #[test]
+    fn the_outline_of_what_is_near_is_drawn_and_holes_are_not() {
+        for shadow in [0, 2, 6] {
+            let edges = edges(&scene(shadow), SIZE);
+            let on = |x: usize, y: usize| edges[y * 40 + x];
+            for y in 10..20 {
+                for x in 15..30 {
+                    let outline = x == 15 || x == 29 || y == 10 || y == 19;
+                    assert_eq!(on(x, y), outline, "{x} {y} with a shadow of {shadow}");
+                }
+            }
+            assert!((0..40).all(|x| !on(x, 5)), "not on the wall");
+        }
+    }
+
+    #[test]
+    fn near_is_brighter_than_far_and_nothing_is_black() {
+        let picture = shaded(&[0.3, 1.0, 7.0, 0.0], ImageSize::new(4, 1));
+        let light = |x: u32| picture.get_pixel(x, 0).0.iter().map(|c| u32::from(*c)).sum::<u32>();
+        assert!(light(0) > light(1) && light(1) > light(2) && light(2) > light(3), "{picture:?}");
+        assert_eq!(light(3), 0);
+    }
+}
