@@ -19,6 +19,7 @@ pub mod recording;
 pub mod rig;
 pub mod sensors_file;
 pub mod session;
+pub mod session_member;
 pub mod target;
 pub mod time;
 pub mod truth;

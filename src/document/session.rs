@@ -15,6 +15,7 @@ use crate::document::calibration::UncertaintyDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensRequest};
 use crate::document::pose::PoseDocument;
+use crate::document::session_member::SessionMemberDocument;
 use crate::document::target::TargetDocument;
 use crate::document::time;
 use crate::geometry::board::Chessboard;
@@ -176,29 +177,6 @@ pub struct SessionDocument {
     pub calibration: Option<String>,
 }
 
-/// What one camera of a rig contributes to a session.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct SessionMemberDocument {
-    /// The camera's name.
-    pub camera: String,
-    /// Frames looked at.
-    pub frames_seen: u64,
-    /// Frames in which the board was found.
-    pub boards_seen: u64,
-    /// Views kept for the solve.
-    pub views_kept: u32,
-    /// Views kept of moments at which another camera's was kept too.
-    pub views_shared: u32,
-    /// Frames not kept, by reason.
-    pub rejected: BTreeMap<String, u64>,
-    /// Where in its image corners have been seen.
-    pub coverage: CoverageDocument,
-    /// What the person with the board should do next for it.
-    pub guidance: GuidanceDocument,
-    /// The estimate from its views so far; null before the first.
-    pub estimate: Option<EstimateDocument>,
-}
-
 /// Where in the image corners have been seen.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct CoverageDocument {
@@ -255,46 +233,13 @@ impl From<&SessionRecord> for SessionDocument {
     }
 }
 
-impl From<&SessionMember> for SessionMemberDocument {
-    fn from(member: &SessionMember) -> Self {
-        Self {
-            camera: member.camera.clone(),
-            frames_seen: member.frames_seen,
-            boards_seen: member.boards_seen,
-            views_kept: member.views_kept,
-            views_shared: member.views_shared,
-            rejected: rejected_counts(&member.rejected),
-            coverage: (&member.coverage).into(),
-            guidance: (&member.guidance).into(),
-            estimate: member.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
-        }
-    }
-}
-
-impl TryFrom<&SessionMemberDocument> for SessionMember {
-    type Error = DocumentError;
-    fn try_from(document: &SessionMemberDocument) -> Result<Self, DocumentError> {
-        let estimate = document.estimate.as_ref().map(RunningEstimate::try_from).transpose();
-        Ok(Self {
-            camera: document.camera.clone(),
-            frames_seen: document.frames_seen,
-            boards_seen: document.boards_seen,
-            views_kept: document.views_kept,
-            views_shared: document.views_shared,
-            rejected: rejections(&document.rejected),
-            coverage: document.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
-            guidance: document.guidance.clone().into(),
-            estimate: estimate.map_err(|e| e.inside("estimate"))?,
-        })
-    }
-}
-
-fn rejections(counts: &BTreeMap<String, u64>) -> Rejections {
+/// As [`rejected_counts`], the other way round.
+pub(super) fn rejections(counts: &BTreeMap<String, u64>) -> Rejections {
     Rejections::from_counts(counts.iter().map(|(kind, count)| (kind.as_str(), *count)))
 }
 
 /// Whether a document can say it: JSON has no number for infinity.
-fn is_finite(estimate: &RunningEstimate) -> bool {
+pub(super) fn is_finite(estimate: &RunningEstimate) -> bool {
     estimate.lens.parameters().into_iter().chain([estimate.rms_px]).all(f64::is_finite)
 }
 

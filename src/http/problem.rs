@@ -8,7 +8,8 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::reading::to_json;
-use crate::pipeline::fleet::{ApproveError, UnknownCamera, UnknownRig};
+use crate::pipeline::UnknownRig;
+use crate::pipeline::fleet::{ApproveError, UnknownCamera};
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::StoreError;
 

@@ -7,19 +7,18 @@ use std::time::{Duration, Instant};
 use tokio::sync::{oneshot, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
-use crate::pipeline::board_look::BoardLook;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::camera_threads::{CameraPlan, FleetOptions, SharedParts, start_camera};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
+use crate::pipeline::fleet_rigs::RunningRig;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
-use crate::pipeline::live_rig::{LiveRig, RigPlan, RigStatus};
+use crate::pipeline::live_rig::LiveRig;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 use crate::pipeline::rig_inbox::RigMessage;
-use crate::pipeline::rig_thread::RigThread;
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::store::{Store, StoreError};
 
@@ -29,14 +28,6 @@ use crate::store::{Store, StoreError};
 pub struct UnknownCamera {
     /// The name that was asked for.
     pub camera: String,
-}
-
-/// No such rig is configured.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("there is no rig `{rig}`; see GET /v1/rigs for those there are")]
-pub struct UnknownRig {
-    /// The name that was asked for.
-    pub rig: String,
 }
 
 /// Why the cameras were not set going.
@@ -89,9 +80,9 @@ const GLANCE: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 pub struct Fleet {
     cameras: RwLock<Vec<RunningCamera>>,
-    rigs: RwLock<Vec<RunningRig>>,
-    shared: SharedParts,
-    options: FleetOptions,
+    pub(super) rigs: RwLock<Vec<RunningRig>>,
+    pub(super) shared: SharedParts,
+    pub(super) options: FleetOptions,
 }
 
 /// A camera with the threads that work for it.
@@ -99,13 +90,6 @@ pub struct Fleet {
 struct RunningCamera {
     camera: Arc<LiveCamera>,
     threads: Vec<JoinHandle<()>>,
-}
-
-/// A rig with the thread that works for it.
-#[derive(Debug)]
-struct RunningRig {
-    rig: Arc<LiveRig>,
-    thread: JoinHandle<()>,
 }
 
 /// Whose a session is.
@@ -145,70 +129,6 @@ impl Fleet {
             }
         }
         Ok(fleet)
-    }
-
-    /// Sets rigs of the fleet's cameras going, with the sessions that were left unfinished.
-    ///
-    /// # Errors
-    /// [`FleetError`].
-    pub fn start_rigs(&self, plans: Vec<RigPlan>) -> Result<(), FleetError> {
-        let mut unfinished = self.shared.store.unfinished_sessions()?;
-        for plan in plans {
-            let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
-            let left = left.map(|at| unfinished.remove(at).0);
-            let calibration = self.shared.store.current_calibration_id(&plan.name)?;
-            let rig = Arc::new(LiveRig {
-                plan,
-                session: watch::Sender::new(left.clone().map(Arc::new)),
-                calibration: watch::Sender::new(calibration),
-                inbox: Arc::default(),
-            });
-            let thread = RigThread {
-                rig: Arc::clone(&rig),
-                store: Arc::clone(&self.shared.store),
-                events: Arc::clone(&self.shared.events),
-                auto_approve: self.options.auto_approve,
-                admission: self.options.admission,
-                current: None,
-                board_look: BoardLook::default(),
-            };
-            let name = rig.plan.name.clone();
-            let thread = std::thread::Builder::new().name(format!("rig-{name}")).spawn(move || thread.run());
-            let thread = thread.map_err(|error| FleetError::Thread { camera: name, detail: error.to_string() })?;
-            if let (Some(record), Ok(cameras)) = (left, self.cameras_of(&rig.plan)) {
-                rig.inbox.ask(RigMessage::Resume(Box::new(record), cameras));
-            }
-            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(RunningRig { rig, thread });
-        }
-        Ok(())
-    }
-
-    /// Every rig, in the order of the configuration.
-    pub fn rigs(&self) -> Vec<RigStatus> {
-        self.running_rigs().iter().map(|running| running.rig.status()).collect()
-    }
-
-    /// One rig.
-    ///
-    /// # Errors
-    /// [`UnknownRig`].
-    pub fn rig(&self, name: &str) -> Result<RigStatus, UnknownRig> {
-        Ok(self.rig_link(name)?.status())
-    }
-
-    /// Starts a session on the rig `name`; it is stored when this returns.
-    ///
-    /// # Errors
-    /// [`StartError`], also when one of its cameras is in a session.
-    pub async fn start_rig_session(&self, name: &str, request: SessionRequest) -> Result<SessionRecord, StartError> {
-        let rig = self.rig_link(name).map_err(|UnknownRig { rig }| StartError::UnknownRig { rig })?;
-        let cameras =
-            self.cameras_of(&rig.plan).map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
-        let (reply, answer) = oneshot::channel();
-        if !rig.inbox.ask(RigMessage::Start(request, cameras, reply)) {
-            return Err(StartError::Stopping);
-        }
-        answer.await.map_err(|_| StartError::Stopping)?
     }
 
     /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that were left unfinished. The
@@ -404,18 +324,9 @@ impl Fleet {
         answer.await.map_err(|_| EndError::Stopping)?
     }
 
-    fn link(&self, name: &str) -> Result<Arc<LiveCamera>, UnknownCamera> {
+    pub(super) fn link(&self, name: &str) -> Result<Arc<LiveCamera>, UnknownCamera> {
         let found = self.running().iter().map(|running| &running.camera).find(|camera| camera.name == name).cloned();
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
-    }
-
-    fn rig_link(&self, name: &str) -> Result<Arc<LiveRig>, UnknownRig> {
-        let found = self.running_rigs().iter().map(|running| &running.rig).find(|rig| rig.plan.name == name).cloned();
-        found.ok_or_else(|| UnknownRig { rig: name.to_owned() })
-    }
-
-    fn cameras_of(&self, plan: &RigPlan) -> Result<Vec<Arc<LiveCamera>>, UnknownCamera> {
-        plan.cameras.iter().map(|camera| self.link(camera)).collect()
     }
 
     /// Whose newest session `id` is.
@@ -426,10 +337,6 @@ impl Fleet {
         let camera = self.running().iter().map(|running| &running.camera).find(|camera| has(&camera.session)).cloned();
         let rig = || self.running_rigs().iter().map(|running| &running.rig).find(|rig| has(&rig.session)).cloned();
         camera.map(Owner::Camera).or_else(|| rig().map(Owner::Rig))
-    }
-
-    fn running_rigs(&self) -> RwLockReadGuard<'_, Vec<RunningRig>> {
-        self.rigs.read().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn running(&self) -> RwLockReadGuard<'_, Vec<RunningCamera>> {

@@ -20,6 +20,7 @@ mod companions;
 mod detect_thread;
 pub mod event;
 pub mod fleet;
+mod fleet_rigs;
 mod frame_rate;
 mod frame_slot;
 mod guarded;
@@ -40,4 +41,5 @@ mod view_picture;
 
 pub use camera_threads::{CameraPlan, FleetOptions};
 pub use capture_thread::Supervision;
+pub use fleet_rigs::UnknownRig;
 pub use live_rig::{RigPlan, RigStatus};
