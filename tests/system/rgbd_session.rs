@@ -52,4 +52,40 @@ fn colour_and_depth_are_calibrated_together_through_the_daemon() {
     let apart_m = (vector(&found["translation"]) - vector(&truly["translation"])).norm();
     let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
     assert!(apart_m < 1e-3 && apart_deg < 0.05, "{apart_m} m, {apart_deg}°, ± {}; {verdict}", found["translation_std"]);
+    is_of_use(&served, session["calibration"].as_str().unwrap());
+}
+
+/// What a user does with it: the sensors in each other's pictures, live, and the numbers in other programs' formats.
+fn is_of_use(served: &Served, id: &str) {
+    let frame = |query: &str| served.get(&format!("/v1/cameras/front/frame.jpg?{query}"));
+    let registered = "sensor=depth&registered=color&overlay=true";
+    // A good calibration is current by itself; another one is made so.
+    if served.get("/v1/cameras/front").json()["calibration"].is_null() {
+        assert_eq!(frame(registered).status, 409);
+        assert_eq!(served.post_nothing(&format!("/v1/calibrations/{id}/approve")).status, 200);
+    }
+    for query in ["sensor=depth", registered, "sensor=depth&registered=color", "sensor=color&registered=depth"] {
+        let answer = frame(query);
+        assert_eq!((answer.status, answer.media_type.as_str()), (200, "image/jpeg"), "{query}: {}", answer.text());
+        let picture = image::load_from_memory(&answer.bytes).unwrap().into_rgb8();
+        assert_eq!(picture.dimensions(), (640, 480), "{query}");
+        let colorful =
+            picture.pixels().filter(|pixel| pixel.0.iter().max() > pixel.0.iter().min().map(|c| c + 60).as_ref());
+        assert!(query.contains("registered=depth") || colorful.count() > 200, "{query} shows no depth");
+    }
+    for query in ["sensor=infrared&registered=color", "sensor=depth&registered=infrared", "registered=color"] {
+        assert_eq!(frame(query).status, 422, "{query}");
+    }
+    let exported = |query: &str| {
+        let answer = served.get(&format!("/v1/cameras/front/calibration?format={query}"));
+        assert_eq!(answer.status, 200, "{query}: {}", answer.text());
+        answer.text()
+    };
+    assert!(exported("ros").contains("camera_name: \"front\""));
+    assert!(exported("ros&sensor=depth").contains("camera_name: \"front_depth\""));
+    assert!(exported("kalibr").contains("cam1:\n  T_cn_cnm1:"));
+    assert!(exported("urdf").contains("<child link=\"front_depth_optical_frame\"/>"));
+    assert!(exported("tf").contains("child_frame_id: \"front_infrared_optical_frame\""));
+    assert!(exported("depth").starts_with("plumb_depth_correction 1\n"));
+    assert_eq!(served.get("/v1/cameras/front/calibration?format=ros&sensor=x").json()["field"], "sensor");
 }
