@@ -13,7 +13,7 @@ CAMERA = f"{ADDRESS}/v1/cameras/front"
 REQUEST = {
     "target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025},
     "lens": "brown",
-    "finish": {"uncertainty_px": 0.2, "min_views": 12, "max_seconds": 60},
+    "finish": {"uncertainty_px": 0.05, "min_views": 20, "max_seconds": 60},
 }
 
 
