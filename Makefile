@@ -5,6 +5,8 @@
 
 VENV := target/venv
 PACKAGES := tests/setup/system-packages
+# The one build of all tests, and of the binary they run: a plain `cargo build` would take other features and build it again.
+TESTED := cargo test --lib --bins --tests
 
 build:
 	$(PACKAGES) build
@@ -21,17 +23,17 @@ test: rust-test python-test page-test device-test
 
 rust-test:
 	$(PACKAGES) build test
-	cargo test --lib --bins --tests --no-run
-	timeout --kill-after=10 1200 cargo test --lib --bins --tests
+	$(TESTED) --no-run
+	timeout --kill-after=10 1200 $(TESTED)
 
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings.
 python-test: $(VENV)/installed
-	cargo build
+	$(TESTED) --no-run
 	PLUMB=target/debug/plumb timeout --kill-after=10 300 $(VENV)/bin/python -m pytest -q tests/python
 
 # The live page, driven in a real browser.
 page-test: $(VENV)/installed
-	cargo build
+	$(TESTED) --no-run
 	PLUMB=target/debug/plumb timeout --kill-after=10 600 $(VENV)/bin/python -m pytest -q tests/page
 
 # Real cameras: a small machine with a real V4L2 stack. Says so where none can be made.
