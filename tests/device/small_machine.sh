@@ -10,7 +10,7 @@
 # Output and exit status are PROGRAM's own; 124: no end in time; 125: the guest died; 126: a module did not load.
 set -euo pipefail
 HOME_DIR=${SMALL_MACHINE_HOME:-${XDG_CACHE_HOME:-$HOME/.cache}/plumb-small-machine}
-PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils)
+PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils xz-utils)
 MODULES=(vivid v4l2loopback uvcvideo usb_f_uvc dummy_hcd virtio_pci 9pnet_virtio 9p)
 # Raised when a change here must remake what is prepared.
 RECIPE=1
@@ -49,7 +49,9 @@ installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = i
 unpack_kernel() {
   local image=$1 tree=$2
   (cd "$HOME_DIR" && rm -f ./*.deb && apt-get download "$image")
-  dpkg-deb --fsys-tarfile "$HOME_DIR/${image}"_*.deb | tar -x -C "$tree" ./boot ./lib/modules
+  dpkg-deb --extract "$HOME_DIR/${image}"_*.deb "$tree"
+  # From Debian 13 on the modules are under /usr, and compressed.
+  if [ -d "$tree/usr/lib/modules" ]; then mkdir -p "$tree/lib"; mv "$tree/usr/lib/modules" "$tree/lib/"; fi
   rm -f "$HOME_DIR/${image}"_*.deb
 }
 
@@ -71,7 +73,7 @@ make_initramfs() {
   for module in "${MODULES[@]}"; do
     # The order in which insmod must load them.
     /sbin/modprobe -d "$tree" -S "$version" --show-depends "$module" | awk '$1 == "insmod" { print $2 }' |
-      while read -r path; do cp -n "$path" "$root/modules/"; basename "$path"; done >"$root/lists/$module"
+      while read -r path; do unpacked_module "$path" "$root/modules"; done >"$root/lists/$module"
   done
   cat >"$root/modprobe" <<'GUEST'
 #!/run/machine/busybox sh
@@ -105,6 +107,15 @@ GUEST
   chmod +x "$root/init" "$root/modprobe"
   (cd "$root" && find . | cpio -o -H newc --quiet) | gzip -1 >"$HOME_DIR/initramfs"
   rm -rf "$root"
+}
+
+# Copies a module, without its compression, and prints its name.
+unpacked_module() {
+  local name; name=$(basename "$1" .xz)
+  if [ ! -e "$2/$name" ]; then
+    if [ "$name" = "$(basename "$1")" ]; then cp "$1" "$2/$name"; else xz -dc "$1" >"$2/$name"; fi
+  fi
+  echo "$name"
 }
 
 run() {
