@@ -12,7 +12,7 @@ use axum::response::IntoResponse;
 use crate::document::recording::{RecordDocument, RecordingDocument, RecordingStateName, RecordingsDocument};
 use crate::document::time;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, SMALL_BODY, document};
+use crate::http::request::{Address, BodyRefusals, SMALL_BODY, document};
 use crate::http::{Shared, on_a_blocking_thread};
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 
@@ -24,6 +24,7 @@ use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, Re
         (status = 201, description = "it records", body = RecordingDocument, headers(("Location" = String, description = "where it is"))),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the camera is being recorded already", body = Problem, content_type = "application/problem+json"),
+        BodyRefusals,
         (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(

@@ -92,6 +92,24 @@ impl Parameters {
     }
 }
 
+/// How every route that takes a document refuses a body, beside fields that cannot be.
+#[derive(utoipa::IntoResponses)]
+#[expect(dead_code, reason = "describes what `document` answers")]
+pub(super) enum BodyRefusals {
+    /// not JSON
+    #[response(status = 400, content_type = "application/problem+json")]
+    Syntax(Problem),
+    /// it did not arrive within a minute
+    #[response(status = 408, content_type = "application/problem+json")]
+    Slow(Problem),
+    /// too large
+    #[response(status = 413, content_type = "application/problem+json")]
+    Large(Problem),
+    /// another media type than JSON
+    #[response(status = 415, content_type = "application/problem+json")]
+    MediaType(Problem),
+}
+
 /// The body as a document of at most `limit` bytes.
 ///
 /// # Errors

@@ -13,7 +13,7 @@ use crate::document::session::{SessionDocument, StartDocument};
 use crate::http::Shared;
 use crate::http::calibrations::{self, ExportParameters};
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters, SMALL_BODY, document};
+use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
 use crate::http::sessions::created;
 use crate::pipeline::RigStatus;
 
@@ -43,11 +43,9 @@ pub(super) async fn one(
     request_body = StartDocument,
     responses(
         (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
-        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the rig, or one of its cameras, is in a session already", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        BodyRefusals,
         (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(

@@ -12,7 +12,7 @@ use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::document::session::{SessionDocument, SessionsDocument, StartDocument};
 use crate::http::Shared;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters, SMALL_BODY, document};
+use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
 use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
@@ -22,11 +22,9 @@ use crate::store::Store;
     request_body = StartDocument,
     responses(
         (status = 201, description = "it collects", body = SessionDocument, headers(("Location" = String, description = "where it is"))),
-        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "the camera is in a session already", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        BodyRefusals,
         (status = 422, description = "a field that cannot be", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn start(

@@ -14,16 +14,14 @@ use crate::document::time;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::CameraProblem;
 use crate::http::problem::Problem;
-use crate::http::request::{LARGE_BODY, document};
+use crate::http::request::{BodyRefusals, LARGE_BODY, document};
 use crate::http::{Shared, on_a_blocking_thread};
 
 /// Calibrates from given correspondences; nothing is stored.
 #[utoipa::path(post, path = "/v1/solve", tag = "calibrations", request_body = ProblemDocument,
     responses(
         (status = 200, description = "the calibration", body = CalibrationDocument),
-        (status = 400, description = "not JSON", body = Problem, content_type = "application/problem+json"),
-        (status = 413, description = "too large", body = Problem, content_type = "application/problem+json"),
-        (status = 415, description = "another media type than JSON", body = Problem, content_type = "application/problem+json"),
+        BodyRefusals,
         (status = 422, description = "a field that cannot be, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn solve(
