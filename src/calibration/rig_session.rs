@@ -404,11 +404,11 @@ const WANTED_SHARED: u32 = 6;
 /// What to do next for the camera that lacks most.
 fn next_step(members: &[SessionMember]) -> String {
     if let Some(lonely) = members.iter().find(|member| member.views_kept > 2 && member.views_shared < WANTED_SHARED) {
-        return format!("hold the board still where `{}` and another camera see all of it", lonely.camera);
+        return format!("hold the board still where {} and another camera see all of it", lonely.camera);
     }
     let open = members.iter().filter(|member| !member.guidance.message.is_empty());
     let least = open.min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
-    least.map(|member| format!("for `{}`: {}", member.camera, member.guidance.message)).unwrap_or_default()
+    least.map(|member| format!("{}: {}", member.camera, member.guidance.message)).unwrap_or_default()
 }
 
 /// Whether two cameras saw the board in the same place: at the same time, or with a board that hardly moved meanwhile.

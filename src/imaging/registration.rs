@@ -54,6 +54,8 @@ struct DistortionLookup {
 }
 
 const LOOKUP: usize = 160;
+/// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours leaves no cracks between.
+const FOOTPRINT: f32 = 1.25;
 /// A point is hidden from the colour camera by what is nearer than this part of its distance.
 const HIDDEN: f32 = 1.03;
 
@@ -219,7 +221,7 @@ impl DepthRegistration {
         let scale = self.color.lens.matrix.fx / self.camera.lens.matrix.fx;
         for (ray, depth) in self.rays.iter().zip(depths) {
             let Some((pixel, z)) = self.seen_in_color(*ray, *depth) else { continue };
-            let half = (0.5 * scale as f32 * depth / z).max(0.5);
+            let half = (0.5 * FOOTPRINT * scale as f32 * depth / z).max(0.5);
             let columns = covered(pixel[0], half, width);
             for y in covered(pixel[1], half, height) {
                 for held in &mut nearest[y * width..][columns.clone()] {

@@ -129,8 +129,8 @@ function listSensors() {
 
 async function showNewest() {
   const { sessions } = await ask(at`/v1/sessions?camera=${camera.name}`);
-  say("loading", "");
   await setSession(sessions[0] || null);
+  say("loading", "");
   await showHistory();
   if (!rig && camera.session && !sessions.some((one) => one.id === camera.session)) {
     const lent = await ask(at`/v1/sessions/${camera.session}`);
@@ -160,9 +160,7 @@ function showPicture() {
   if (rig) {
     picture.removeAttribute("src");
     show("placeholder", false);
-    $("tiles").replaceChildren(...rig.cameras.map((name) => element("figure", {}, element("img", {
-      alt: `live picture of camera ${name}`, src: at`/v1/cameras/${name}/preview.mjpg?overlay=${corners}&guidance=false&at=${Date.now()}`,
-    }), element("figcaption", {}, name))));
+    $("tiles").replaceChildren(...rig.cameras.map((name) => element("figure", {}, tile(name, corners), element("figcaption", {}, name))));
     return;
   }
   const sensor = $("sensor").value || "color";
@@ -175,6 +173,19 @@ function showPicture() {
     setTimeout(() => { picture.src = source(); }, 1500);
   };
   picture.src = source();
+}
+
+// One picture after the other: a browser keeps few connections to one place, and endless ones would take them all.
+function tile(name, corners) {
+  const picture = element("img", { alt: `live picture of camera ${name}` });
+  const next = () => {
+    if (picture.parentNode && !picture.isConnected) return;
+    picture.src = at`/v1/cameras/${name}/frame.jpg?overlay=${corners}&guidance=false&at=${Date.now()}`;
+  };
+  picture.onload = () => setTimeout(next, 150);
+  picture.onerror = () => setTimeout(next, 1000);
+  next();
+  return picture;
 }
 
 function layer(name) {
@@ -438,8 +449,11 @@ function showPlaces(extrinsics) {
   show("places", extrinsics.length > 0);
   const mm = (values, digits) => values.map((value) => (1000 * value).toFixed(digits)).join(", ");
   const degrees = (radians, digits) => (radians * 180 / Math.PI).toFixed(digits);
-  fill("places", extrinsics.map((one) => [one.name, mm(one.translation, 2), mm(one.translation_std, 3),
-    degrees(2 * Math.acos(Math.min(1, one.rotation.w)), 3), degrees(Math.max(...one.rotation_std), 4)]));
+  $("places").querySelector("dl").replaceChildren(...extrinsics.flatMap((one) => [
+    element("dt", {}, one.name),
+    element("dd", {}, `${mm(one.translation, 2)} mm (± ${mm(one.translation_std, 3)})`),
+    element("dd", {}, `turned by ${degrees(2 * Math.acos(Math.min(1, one.rotation.w)), 3)}° (± ${degrees(Math.max(...one.rotation_std), 4)}°)`),
+  ]));
 }
 
 function showDepth(depth) {
