@@ -1,6 +1,6 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: build demo test lint rust-test device-test realsense-test python-test page-test
+.PHONY: build demo test lint rust-test device-test realsense-test python-test page-test elsewhere deb
 .DEFAULT_GOAL := build
 
 VENV := target/venv
@@ -19,7 +19,7 @@ demo:
 	/usr/bin/python3 demo/calibrate.py target/release/plumb
 
 # Everything that must hold. One build serves the unit tests, the system tests, and the checks that run the same binary.
-test: rust-test python-test page-test device-test
+test: rust-test python-test page-test device-test realsense-test
 
 rust-test:
 	$(PACKAGES) build test
@@ -41,11 +41,22 @@ device-test: $(VENV)/installed
 	cargo test --test device --no-run
 	timeout --kill-after=10 600 cargo test --test device
 
-# The RealSense library itself, on a recording. Not yet part of `test`: the library made here refuses to play the file.
+# The RealSense library itself, on recordings: a real one, and one that it makes.
 realsense-test: $(VENV)/installed
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
 	cargo test --features realsense --test realsense --no-run && \
 	timeout --kill-after=10 600 cargo test --features realsense --test realsense
+
+# That it compiles for macOS and Windows.
+elsewhere:
+	$(PACKAGES) build
+	tests/setup/check-elsewhere
+
+# A Debian package with the systemd unit; installs cargo-deb.
+deb:
+	$(PACKAGES) build
+	cargo deb --version >/dev/null 2>&1 || cargo install --locked cargo-deb
+	cargo deb --strip
 
 lint:
 	cargo fmt --check

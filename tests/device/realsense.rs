@@ -6,19 +6,32 @@
     clippy::unwrap_used,
     clippy::print_stderr,
     clippy::excessive_precision,
+    dead_code,
     reason = "a test program"
 )]
 
+#[path = "../system/served.rs"]
+mod served;
 #[path = "../system/shared_data.rs"]
 mod shared_data;
+mod software_device;
 
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use plumb::capture::realsense::{Camera, CameraOptions, Origin, list_devices};
 use plumb::capture::{CaptureError, FrameSource, SourceOpener};
 use plumb::geometry::lens::LensModel;
-use plumb::imaging::frame::SensorKind;
+use plumb::imaging::decode;
+use plumb::imaging::depth_image::DepthImage;
+use plumb::imaging::frame::{FrameSet, SensorKind};
+use plumb::imaging::gray::GrayImage;
+use plumb::recording::Recording;
+use serde_json::{Value, json};
+use served::{Served, recording};
 use shared_data::shared_data;
+use software_device::{Device, Pictures, StatedCamera, Stream, record};
 
 const POLL: Duration = Duration::from_millis(200);
 
@@ -111,4 +124,137 @@ fn without_a_device_that_is_told_at_once() {
     let listing = list_devices();
     assert!(listing.devices.is_empty());
     assert!(listing.missing.unwrap().contains("the library sees no camera"));
+}
+
+/// Slower than the daemon looks, on a busy machine too: every frame of the walk is to be looked at.
+const PACE: Duration = Duration::from_millis(200);
+
+fn pictures(set: &FrameSet) -> Pictures {
+    let frame = |sensor| set.frame(sensor).unwrap();
+    let depth = DepthImage::from_frame(frame(SensorKind::Depth)).unwrap();
+    let depth = depth.readings().iter().flat_map(|reading| reading.to_le_bytes()).collect();
+    let mut infrared = GrayImage::default();
+    decode::luma(frame(SensorKind::Infrared), &mut infrared).unwrap();
+    let color = decode::rgb(frame(SensorKind::Color)).unwrap().into_raw();
+    [(Stream::Depth, depth), (Stream::Infrared, infrared.pixels().to_vec()), (Stream::Color, color)]
+}
+
+/// A camera that states what it is not: a hundredth off, as factories are off after years.
+fn stated(lens: &Value) -> StatedCamera {
+    let number = |name: &str| lens[name].as_f64().unwrap() as f32;
+    StatedCamera {
+        focal_px: [number("fx") * 1.01, number("fy") * 1.01],
+        principal_px: [number("cx") + 2.0, number("cy") - 2.0],
+        coefficients: ["k1", "k2", "p1", "p2", "k3"].map(number),
+    }
+}
+
+/// The shipped walk of a board before colour, infrared and depth, as the library records it; and what is true of it.
+fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
+    let truth: Value = serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
+    let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
+    let sets = std::iter::from_fn(|| walk.next_frame_set().unwrap());
+    let sets: Vec<Pictures> = sets.take(count).map(|set| pictures(&set)).collect();
+    let device = Device {
+        serial: "000000012345",
+        size: [640, 480],
+        fps: 5,
+        depth_unit_m: 0.001,
+        cameras: ["depth", "color"].map(|sensor| stated(&truth["sensors"][sensor]["lens"])),
+        color_from_depth: ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.025, 0.0, 0.0]),
+    };
+    let path = folder.join("walk.bag");
+    record(&path, &device, if count > 10 { PACE } else { Duration::from_millis(30) }, &sets);
+    (path, truth)
+}
+
+/// What was fed to the library's software device comes out of its recording, to the byte.
+#[test]
+fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, _) = made_bag(folder.path(), 6);
+    let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
+    let fed: Vec<Pictures> = (0..6).map(|_| pictures(&walk.next_frame_set().unwrap().unwrap())).collect();
+    let mut source = open(Origin::Bag(path)).unwrap();
+    let description = source.description();
+    assert_eq!(description.serial.as_deref(), Some("000000012345"));
+    assert!(description.mode.as_ref().is_some_and(|mode| mode.contains("firmware 5.16.0.1")), "{description:?}");
+    let mut whole = 0;
+    let error = loop {
+        match source.next_frame(POLL) {
+            Ok(set) if set.frames.len() == 3 => {
+                let seen = pictures(&set);
+                assert!(fed.contains(&seen), "frame set {} is none of those recorded", set.sequence);
+                whole += 1;
+            }
+            Ok(_) | Err(CaptureError::TimedOut { .. }) => {}
+            Err(error) => break error,
+        }
+    };
+    assert_eq!(error, CaptureError::Ended);
+    // Starting takes the first; the library drops what it has no time for.
+    assert!(whole >= 3, "{whole} of 6 frame sets came");
+}
+
+fn rotation(pose: &Value) -> UnitQuaternion<f64> {
+    let [w, x, y, z] = ["w", "x", "y", "z"].map(|k| pose["rotation"][k].as_f64().unwrap());
+    UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z))
+}
+
+fn translation(pose: &Value) -> Vector3<f64> {
+    Vector3::from_iterator((0..3).map(|k| pose["translation"][k].as_f64().unwrap()))
+}
+
+fn named<'a>(extrinsics: &'a Value, name: &str) -> &'a Value {
+    extrinsics.as_array().unwrap().iter().find(|pose| pose["name"] == name).unwrap()
+}
+
+/// The product on the library: a session over HTTP on the recorded walk; and a device that stops, told within 2 s.
+#[test]
+fn a_made_walk_is_calibrated_by_the_daemon() {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, truth) = made_bag(folder.path(), usize::MAX);
+    let source = format!("{{ kind = \"realsense\", path = {:?} }}", path.display().to_string());
+    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let mut events = served.events("", Some("0"));
+    let request = json!({"target": truth["target"], "lens": "brown"});
+    let started = served.post("/v1/cameras/front/sessions", &request);
+    assert_eq!(started.status, 201, "{}", started.text());
+    let id = started.json()["id"].as_str().unwrap().to_owned();
+    let mut last_frame = Instant::now();
+    loop {
+        let event = events.next();
+        if event.name == "frame" {
+            last_frame = Instant::now();
+        }
+        let ended = event.data["reason"].as_str().is_some_and(|reason| reason.contains("has ended"));
+        if event.name == "session" && event.data["id"] == *id && ended {
+            break;
+        }
+    }
+    let silence = last_frame.elapsed();
+    assert!(silence < Duration::from_secs(2), "told {silence:?} after the last frame");
+    let camera = served.get("/v1/cameras/front").json();
+    assert_eq!(camera["identity"]["serial"], "000000012345", "{camera}");
+    assert!(camera["reason"].as_str().unwrap().starts_with("the recording has ended"), "{camera}");
+    let session = served.post_nothing(&format!("/v1/sessions/{id}/stop")).json();
+    assert_eq!(session["state"], "finished", "{session}");
+    let calibration = served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+
+    let sensors = &calibration["sensors"];
+    assert!(sensors["infrared"]["lens"].is_object() && sensors["depth"].is_object(), "{}", calibration["verdict"]);
+    for sensor in ["color", "infrared"] {
+        for name in ["fx", "fy", "cx", "cy"] {
+            let number = |of: &Value| of[name].as_f64().unwrap();
+            let off = number(&sensors[sensor]["lens"]) - number(&truth["sensors"][sensor]["lens"]);
+            let sigmas = off.abs() / number(&sensors[sensor]["lens_std"]);
+            assert!(sigmas < 4.5, "{sensor} {name}: off by {off:.3}, {sigmas:.1} standard deviations");
+        }
+    }
+    let found = named(&calibration["extrinsics"], "color_from_depth");
+    let truly = named(&truth["extrinsics"], "color_from_depth");
+    let apart_m = (translation(found) - translation(truly)).norm();
+    let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
+    assert!(apart_m < 1e-3 && apart_deg < 0.05, "{apart_m} m, {apart_deg}°; {}", calibration["verdict"]);
+    eprintln!("colour from depth: off by {:.2} mm and {apart_deg:.4}°; {}", apart_m * 1e3, calibration["verdict"]);
 }

@@ -45,12 +45,23 @@ impl Answer {
 impl Served {
     /// Starts `plumb serve` with this configuration, kept with its store in `folder`, on a free port.
     pub fn start(folder: &Path, config: &str) -> Self {
+        Self::start_in(folder, config, &[])
+    }
+
+    /// The same, with variables in its environment.
+    pub fn start_in(folder: &Path, config: &str, environment: &[(&str, &str)]) -> Self {
         let file = folder.join("plumb.toml");
         let store = folder.join("store");
         std::fs::write(&file, format!("[store]\npath = {:?}\n{config}", store.display().to_string())).unwrap();
+        Self::run(&file, environment)
+    }
+
+    /// Starts it with the configuration in `file`, on a free port.
+    pub fn run(file: &Path, environment: &[(&str, &str)]) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_plumb"))
             .args(["serve", "--listen", "127.0.0.1:0", "--config"])
-            .arg(&file)
+            .arg(file)
+            .envs(environment.iter().copied())
             .env("RUST_LOG", "info")
             .stdin(Stdio::null())
             .stdout(Stdio::null())
