@@ -6,6 +6,7 @@ pub mod admission;
 pub mod calibration;
 pub mod coverage;
 pub mod depth_calibration;
+pub mod drift;
 pub mod guidance;
 pub mod placement;
 pub mod rgbd_calibration;

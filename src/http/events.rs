@@ -11,6 +11,7 @@ use futures_util::{Stream, StreamExt};
 use serde::Serialize;
 use utoipa::ToSchema;
 
+use crate::calibration::drift::Drift;
 use crate::document::calibration::UncertaintyDocument;
 use crate::document::session::SessionDocument;
 use crate::document::time;
@@ -19,7 +20,7 @@ use crate::http::Shared;
 use crate::http::cameras::camera_document;
 use crate::http::problem::Problem;
 use crate::http::request::Parameters;
-use crate::pipeline::event::{CalibrationEvent, DetectionEvent, DriftEvent, Event, EventKind, EventStream, FrameEvent};
+use crate::pipeline::event::{CalibrationEvent, DetectionEvent, Event, EventKind, EventStream, FrameEvent};
 
 /// How long a client waits before it connects again.
 const RETRY: Duration = Duration::from_secs(1);
@@ -172,20 +173,24 @@ fn calibration_document<'a>(camera: &'a str, event: &'a CalibrationEvent) -> Cal
     }
 }
 
-/// The current calibration explains what is seen worse than it should (`drift`).
+/// The current calibration may not hold any more (`drift`): the device's focus, zoom or exposure was moved, or the boards
+/// of a later session are explained worse than they should be.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct DriftEventDocument<'a> {
     /// The camera's name.
     camera: &'a str,
     /// The current calibration.
     calibration: &'a str,
-    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels.
-    rms_px: f64,
+    /// What has changed and what to do.
+    reason: &'a str,
+    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels; null where the device
+    /// told that it was moved, or its pictures have another size.
+    rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     expected_px: f64,
 }
 
-fn drift_document<'a>(camera: &'a str, event: &'a DriftEvent) -> DriftEventDocument<'a> {
-    let DriftEvent { calibration, rms_px, expected_px } = event;
-    DriftEventDocument { camera, calibration, rms_px: *rms_px, expected_px: *expected_px }
+fn drift_document<'a>(camera: &'a str, drift: &'a Drift) -> DriftEventDocument<'a> {
+    let Drift { calibration, reason, rms_px, expected_px } = drift;
+    DriftEventDocument { camera, calibration, reason, rms_px: *rms_px, expected_px: *expected_px }
 }

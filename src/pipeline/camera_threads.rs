@@ -94,6 +94,7 @@ pub(super) fn start_camera(
         session: None,
         board_look: BoardLook::default(),
         lent_to: None,
+        drift: None,
     };
     // Before the first frame, so that a replay begins with what is to be looked for.
     if let Some((record, views)) = unfinished {

@@ -28,6 +28,8 @@ pub struct Supervision {
     pub first_retry: Duration,
     /// The longest such wait. Default: 5 s.
     pub longest_retry: Duration,
+    /// How often a device is asked whether it still stands as the last session held it. Default: 2 s.
+    pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
     /// A device that is silent for so long, and for ten of its frames, is lost. Default: 2 s.
@@ -40,6 +42,7 @@ impl Default for Supervision {
             first_retry: Duration::from_millis(250),
             longest_retry: Duration::from_secs(5),
             failed_retry: Duration::from_secs(10),
+            moved_check: Duration::from_secs(2),
             stall: Duration::from_secs(2),
         }
     }
@@ -49,8 +52,6 @@ impl Default for Supervision {
 const POLL: Duration = Duration::from_millis(200);
 /// How soon a waiting thread sees that a session began.
 const GLANCE: Duration = Duration::from_millis(20);
-/// How often a device is asked whether it still stands as the last session held it.
-const MOVED_CHECK: Duration = Duration::from_secs(2);
 const LONGEST_PACE: Duration = Duration::from_secs(1);
 
 /// Why a source is no longer read.
@@ -160,7 +161,7 @@ impl Capture {
                     if opened.elapsed() > self.supervision.longest_retry {
                         self.retry = self.supervision.first_retry;
                     }
-                    if search.is_none() && held.is_some_and(|since| since.elapsed() > MOVED_CHECK) {
+                    if search.is_none() && held.is_some_and(|since| since.elapsed() >= self.supervision.moved_check) {
                         self.tell_moved(source);
                         held = Some(Instant::now());
                     }
@@ -204,7 +205,12 @@ impl Capture {
 
     /// Shows what has moved since the last session: the calibration may no longer hold.
     fn tell_moved(&self, source: &dyn FrameSource) {
-        self.camera.set_state(CameraState::Streaming, source.moved_since_calibrating().as_deref());
+        let moved = source.moved_since_calibrating();
+        let known = self.camera.status.borrow().reason == moved;
+        self.camera.set_state(CameraState::Streaming, moved.as_deref());
+        if let Some(moved) = moved.filter(|_| !known) {
+            let _ = self.camera.messages.blocking_send(Message::Moved(moved));
+        }
     }
 
     fn count_losses(&self, losses: Losses, counted: &mut Losses) {

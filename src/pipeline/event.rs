@@ -7,6 +7,7 @@ use tokio::sync::watch;
 
 use crate::calibration::admission::Rejection;
 use crate::calibration::calibration::{Calibration, Grade, ProjectionUncertainty};
+use crate::calibration::drift::Drift;
 use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
@@ -37,8 +38,8 @@ pub enum EventKind {
     Calibration(CalibrationEvent),
     /// A camera changed its state.
     Camera(Box<CameraStatus>),
-    /// The current calibration explains what is seen worse than it should.
-    Drift(DriftEvent),
+    /// The current calibration may not hold any more: the lens was moved, or explains what is seen worse than it should.
+    Drift(Drift),
 }
 
 impl EventKind {
@@ -150,17 +151,6 @@ impl CalibrationEvent {
             uncertainty_px: sensor.uncertainty_px,
         })
     }
-}
-
-/// The current calibration explains what is seen worse than it should.
-#[derive(Debug, Clone, PartialEq)]
-pub struct DriftEvent {
-    /// The current calibration's id.
-    pub calibration: String,
-    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels.
-    pub rms_px: f64,
-    /// What the calibration had when it was made, in pixels.
-    pub expected_px: f64,
 }
 
 /// Events that come with every frame, as many as are remembered.

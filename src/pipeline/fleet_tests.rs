@@ -4,10 +4,12 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 
 use super::*;
+use crate::calibration::calibration::{Calibration, Checks, Grade, ProjectionUncertainty, SensorCalibration, Verdict};
 use crate::calibration::session_record::SessionState;
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::timestamp::HostTime;
@@ -22,6 +24,8 @@ enum Step {
     Frame,
     Fail(CaptureError),
     Panic,
+    /// Somebody turned its focus ring.
+    Move,
 }
 
 fn lost(reason: &str) -> CaptureError {
@@ -33,6 +37,7 @@ struct Scripted {
     steps: Receiver<Step>,
     sequence: u64,
     waits: bool,
+    moved: bool,
 }
 
 fn gray_frame(sequence: u64) -> FrameSet {
@@ -57,6 +62,10 @@ impl FrameSource for Scripted {
             }
             Ok(Step::Fail(error)) => Err(error),
             Ok(Step::Panic) => panic!("the driver's binding broke"),
+            Ok(Step::Move) => {
+                self.moved = true;
+                Err(CaptureError::TimedOut { waited: Duration::ZERO })
+            }
             Err(RecvTimeoutError::Timeout) => Err(CaptureError::TimedOut { waited: timeout }),
             Err(RecvTimeoutError::Disconnected) => Err(CaptureError::Ended),
         }
@@ -64,6 +73,10 @@ impl FrameSource for Scripted {
 
     fn description(&self) -> SourceDescription {
         SourceDescription { identity: "camera 7".to_owned(), waits: self.waits, ..SourceDescription::default() }
+    }
+
+    fn moved_since_calibrating(&self) -> Option<String> {
+        self.moved.then(|| "focus is 30, was 10".to_owned())
     }
 }
 
@@ -85,7 +98,7 @@ fn scripted(name: &str) -> (CameraPlan, Script) {
     let (openings, next) = channel::<Result<Receiver<Step>, CaptureError>>();
     let open = move || {
         let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: false }) as Box<dyn FrameSource>)
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false }) as Box<dyn FrameSource>)
     };
     let plan = CameraPlan { name: name.to_owned(), kind: "v4l2".to_owned(), open: Box::new(open), may_stall: true };
     (plan, Script { openings })
@@ -94,7 +107,8 @@ fn scripted(name: &str) -> (CameraPlan, Script) {
 /// A fleet that retries at once and has patience with silence unless told otherwise.
 fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration) -> Fleet {
     let soon = Duration::from_millis(1);
-    let supervision = Supervision { first_retry: soon, longest_retry: soon, failed_retry: soon, stall };
+    let supervision =
+        Supervision { first_retry: soon, longest_retry: soon, moved_check: Duration::ZERO, failed_retry: soon, stall };
     let options = FleetOptions { supervision, ..FleetOptions::default() };
     Fleet::start(plans, Arc::new(Store::open(folder.path()).unwrap()), &options).unwrap()
 }
@@ -241,7 +255,7 @@ fn replay(frames: u64) -> CameraPlan {
     let open = move || {
         let (feed, steps) = channel();
         (0..frames).for_each(|_| feed.send(Step::Frame).unwrap());
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: true }) as Box<dyn FrameSource>)
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: true, moved: false }) as Box<dyn FrameSource>)
     };
     CameraPlan { name: "front".to_owned(), kind: "recording".to_owned(), open: Box::new(open), may_stall: false }
 }
@@ -274,4 +288,60 @@ async fn an_unfinished_session_goes_on_under_its_id() {
     until_session(&mut events, |record| record.id == id && record.frames_seen >= 10).await;
     let unknown = fleet.stop_session("other").await.unwrap_err();
     assert_eq!(unknown.to_string(), "there is no session `other`; see GET /v1/sessions for those there are");
+}
+
+/// A calibration of camera `front` that is current.
+fn calibrated(folder: &tempfile::TempDir) {
+    let lens = Lens::from_parameters(LensModel::Pinhole, &[60.0, 60.0, 32.0, 24.0, 0.0]).unwrap();
+    let sensor = SensorCalibration {
+        image_size: ImageSize::new(64, 48),
+        lens,
+        lens_std: vec![0.1; 5],
+        lens_covariance: Vec::new(),
+        rms_px: 0.1,
+        uncertainty_px: ProjectionUncertainty::default(),
+        views: Vec::new(),
+        compared: Vec::new(),
+    };
+    let calibration = Calibration {
+        id: "c1".to_owned(),
+        camera: Some("front".to_owned()),
+        session: None,
+        created_at_ns: 1,
+        target: None,
+        color: Some(sensor),
+        infrared: None,
+        depth: None,
+        extrinsics: Vec::new(),
+        checks: Checks::default(),
+        verdict: Verdict { grade: Grade::Good, reasons: Vec::new() },
+    };
+    let store = Store::open(folder.path()).unwrap();
+    store.append_calibration(&calibration).unwrap();
+    store.set_current("front", "c1").unwrap();
+}
+
+#[tokio::test]
+async fn a_focus_that_moves_after_a_session_is_a_drift() {
+    let folder = tempfile::tempdir().unwrap();
+    calibrated(&folder);
+    let (plan, script) = scripted("front");
+    let feed = script.plug_in();
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    feed.send(Step::Frame).unwrap();
+    until_state(&mut events, "front", CameraState::Streaming).await;
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    feed.send(Step::Frame).unwrap();
+    until_frame(&mut events, "front").await;
+    fleet.abort_session(&id).await.unwrap();
+    feed.send(Step::Move).unwrap();
+    (0..3).for_each(|_| feed.send(Step::Frame).unwrap());
+    let drift = until(&mut events, |event| match &event.kind {
+        EventKind::Drift(drift) => Some(drift.clone()),
+        _ => None,
+    })
+    .await;
+    assert_eq!((drift.calibration.as_str(), drift.reason.as_str()), ("c1", "focus is 30, was 10"));
+    assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
 }

@@ -48,6 +48,8 @@ pub(super) enum Message {
     CameraLost(String),
     /// It gives frames again.
     CameraBack,
+    /// The device is no longer as the last session held it: what has changed, in words.
+    Moved(String),
     /// So many seconds went by without a frame.
     Waited(f64),
     /// A running estimate of a session, if it could be made.

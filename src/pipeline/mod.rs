@@ -18,6 +18,7 @@ mod capture_thread;
 mod clock;
 mod companions;
 mod detect_thread;
+mod drift;
 pub mod event;
 pub mod fleet;
 mod fleet_rigs;

@@ -10,6 +10,7 @@ use ulid::Ulid;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::calibration::{Calibration, Grade};
+use crate::calibration::drift::DriftWatch;
 use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::solve_rgbd::RgbdInput;
@@ -39,6 +40,8 @@ pub(super) struct SessionThread {
     pub(super) board_look: BoardLook,
     /// The rig's session that the camera is lent to.
     pub(super) lent_to: Option<String>,
+    /// The calibration that held when the session began.
+    pub(super) drift: Option<DriftWatch>,
 }
 
 impl SessionThread {
@@ -60,6 +63,7 @@ impl SessionThread {
         tracing::info!(camera = self.camera.name, session = record.id, views = views.len(), "session goes on");
         let (session, actions) = Session::resume(record, views, &self.admission);
         self.begin_search(&session);
+        self.drift = self.drift_watch();
         self.session = Some(session);
         self.perform(actions);
         self.show();
@@ -74,6 +78,7 @@ impl SessionThread {
                 }
             }
             Message::CameraLost(reason) => self.tell(|session| session.camera_lost(&reason)),
+            Message::Moved(what) => self.tell_moved(what),
             Message::CameraBack => self.tell(Session::camera_back),
             Message::Waited(seconds) => self.tell(|session| session.waited(seconds)),
             Message::Estimated { session: id, estimate } => {
@@ -117,6 +122,7 @@ impl SessionThread {
         let session = Session::begin(record.clone(), &self.admission);
         tracing::info!(camera, session = record.id, "session begins");
         self.begin_search(&session);
+        self.drift = self.drift_watch();
         self.session = Some(session);
         self.show();
         self.publish_session();
@@ -229,6 +235,7 @@ impl SessionThread {
             tracing::error!(camera = self.camera.name, session = id, view = number, "its depth is not stored: {error}");
         }
         self.save(session.record());
+        self.look_for_drift(number);
     }
 
     /// Lets something happen to the session, if there is one, and performs what it decides.

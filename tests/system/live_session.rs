@@ -191,6 +191,48 @@ fn a_hangup_exchanges_the_cameras_that_changed() {
     assert_eq!(served.get(&format!("/v1/sessions/{id}")).json()["state"], "collecting", "left did not notice");
 }
 
+/// What a camera gave, recorded and replayed, gives what the camera itself gives: no frame is encoded anew.
+#[test]
+fn a_recorded_camera_calibrates_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &walking(&["front"], "fastest"));
+    let live = calibration_of(&served, &calibrate(&served, "front", &request("brown")));
+    drop(served);
+    let (config, copy) = (folder.path().join("plumb.toml"), folder.path().join("copy.mcap"));
+    let recorded =
+        plumb(["record", "--camera", "front", "--out", copy.to_str().unwrap(), "--config", config.to_str().unwrap()]);
+    assert_eq!(recorded.code, Some(0), "{}", recorded.stderr);
+    let source = format!("{{ kind = \"recording\", path = {:?}, pace = \"fastest\" }}", copy.display().to_string());
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let replayed = calibration_of(&served, &calibrate(&served, "front", &request("brown")));
+    assert_eq!(without_ids_and_times(replayed), without_ids_and_times(live));
+}
+
+#[test]
+fn a_lens_that_was_changed_since_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &walking(&["front"], "fastest"));
+    let good = calibration_of(&served, &calibrate(&served, "front", &request("brown")));
+    assert_eq!(good["verdict"]["grade"], "good", "{}", good["verdict"]);
+    // The same lens again is no drift.
+    let mut events = served.events("?camera=front", None);
+    calibrate(&served, "front", &request("brown"));
+    // Another lens of another focal length under the same name.
+    let file = folder.path().join("plumb.toml");
+    std::fs::write(&file, std::fs::read_to_string(&file).unwrap().replace("walk.mcap", "hard.mcap")).unwrap();
+    served.signal("HUP");
+    events.until(|event| {
+        assert_ne!(event.name, "drift", "{}", event.data);
+        event.name == "camera" && event.data["identity"]["bus"].as_str().is_some_and(|bus| bus.ends_with("hard.mcap"))
+    });
+    let id = start_session(&served, "front", &request("brown"));
+    let drift = events.until(|event| event.name == "drift").data;
+    assert!(drift["reason"].as_str().unwrap().contains("calibrate again"), "{drift}");
+    assert!(drift["rms_px"].as_f64().unwrap() > drift["expected_px"].as_f64().unwrap(), "{drift}");
+    assert_eq!(served.delete(&format!("/v1/sessions/{id}")).json()["state"], "aborted");
+}
+
 #[test]
 fn what_cannot_be_served_is_said_in_one_line() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,0 +1,169 @@
+//! Whether a calibration still explains the boards that are seen now.
+//!
+//! Each board's pose is fitted under the calibrated lens. What the boards of several views leave unexplained, beyond what
+//! the calibration's own views left, is how far the lens has moved; a calibration allows as much of that as it is
+//! uncertain. One session's fresh views are the measure: it costs a pose a kept view, and needs nothing of the session.
+
+use crate::calibration::calibration::SensorCalibration;
+use crate::estimation::board_pose::board_poses;
+use crate::estimation::problem::BoardView;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+
+/// A misfit of this many of the calibration's own standard deviations is one.
+const LIMIT_SIGMAS: f64 = 3.0;
+/// No misfit below this is told from the pictures' own imperfections, in pixels.
+const LEAST_LIMIT_PX: f64 = 0.1;
+/// Views that are looked at together: one alone may be blurred, or its board bent by a hand.
+const VIEWS: usize = 5;
+
+/// Holds a calibration against what is seen.
+#[derive(Debug, Clone)]
+pub struct DriftWatch {
+    calibration: String,
+    image_size: ImageSize,
+    lens: Lens,
+    expected_px: f64,
+    limit_px: f64,
+    /// Root mean square misfit of each view so far, in pixels.
+    misfits_px: Vec<f64>,
+    told: bool,
+}
+
+/// A calibration that does not hold any more.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Drift {
+    /// The calibration's id.
+    pub calibration: String,
+    /// What has changed and what to do, in words.
+    pub reason: String,
+    /// The reprojection error of the boards seen, with only their poses fitted, in pixels; `None` where pictures of
+    /// another size cannot be compared.
+    pub rms_px: Option<f64>,
+    /// What the calibration had when it was made, in pixels.
+    pub expected_px: f64,
+}
+
+impl DriftWatch {
+    /// Watches the picture sensor of the calibration with this id.
+    pub fn new(calibration: &str, sensor: &SensorCalibration) -> Self {
+        let uncertain_px = LIMIT_SIGMAS * sensor.uncertainty_px.median;
+        Self {
+            calibration: calibration.to_owned(),
+            image_size: sensor.image_size,
+            lens: sensor.lens,
+            expected_px: sensor.rms_px,
+            limit_px: uncertain_px.max(LEAST_LIMIT_PX).max(sensor.rms_px),
+            misfits_px: Vec::new(),
+            told: false,
+        }
+    }
+
+    /// Takes in a board seen in a picture of `size`; the drift, once, when it is beyond doubt.
+    pub fn see(&mut self, view: &BoardView, size: ImageSize) -> Option<Drift> {
+        if self.told {
+            return None;
+        }
+        if size != self.image_size {
+            let reason =
+                format!("pictures are {size} now, the calibration is for {}: calibrate again", self.image_size);
+            return Some(self.tell(reason, None));
+        }
+        // A view that determines no pose says nothing about the lens.
+        self.misfits_px.push(board_poses(&self.lens, view).ok()?.first()?.rms_px);
+        if self.misfits_px.len() < VIEWS {
+            return None;
+        }
+        let mut latest = self.misfits_px[self.misfits_px.len() - VIEWS..].to_vec();
+        latest.sort_by(f64::total_cmp);
+        let rms_px = latest[VIEWS / 2];
+        let moved_px = (rms_px.powi(2) - self.expected_px.powi(2)).max(0.0).sqrt();
+        if moved_px <= self.limit_px {
+            return None;
+        }
+        let reason = format!(
+            "the lens has changed since it was calibrated (refocused, zoomed, knocked?): boards are off by {rms_px:.2} px, \
+             {:.2} px expected; calibrate again",
+            self.expected_px
+        );
+        Some(self.tell(reason, Some(rms_px)))
+    }
+
+    fn tell(&mut self, reason: String, rms_px: Option<f64>) -> Drift {
+        self.told = true;
+        Drift { calibration: self.calibration.clone(), reason, rms_px, expected_px: self.expected_px }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::calibration::calibration::ProjectionUncertainty;
+    use crate::estimation::problem::Correspondence;
+    use crate::geometry::board::{BoardSize, Chessboard};
+    use crate::geometry::lens::LensModel;
+    use crate::geometry::pose::Pose;
+
+    const SIZE: ImageSize = ImageSize::new(640, 480);
+
+    fn lens(f: f64, k1: f64) -> Lens {
+        Lens::from_parameters(LensModel::Brown, &[f, f, 320.0, 240.0, 0.0, k1, 0.0, 0.0, 0.0, 0.0]).unwrap()
+    }
+
+    /// A tilted board as `lens` shows it, without noise.
+    fn view(lens: &Lens, k: usize) -> BoardView {
+        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
+        let turn = Vector3::new(0.5 - 0.2 * k as f64, 0.1 + 0.15 * k as f64, 0.1);
+        let shift = Vector3::new(-0.12 + 0.02 * k as f64, -0.08, 0.4);
+        let camera_from_board = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
+        let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row)));
+        let correspondences = corners.map(|(col, row)| {
+            let point_in_board = board.corner_in_board(col, row);
+            let pixel = lens.pixel_from_point(&(camera_from_board * point_in_board)).unwrap();
+            Correspondence { point_in_board, pixel, std_px: 0.05 }
+        });
+        BoardView { name: k.to_string(), correspondences: correspondences.collect() }
+    }
+
+    fn watch(lens: Lens) -> DriftWatch {
+        let uncertainty_px = ProjectionUncertainty { center: 0.02, median: 0.05, worst: 0.3 };
+        let sensor = SensorCalibration {
+            image_size: SIZE,
+            lens,
+            lens_std: Vec::new(),
+            lens_covariance: Vec::new(),
+            rms_px: 0.06,
+            uncertainty_px,
+            views: Vec::new(),
+            compared: Vec::new(),
+        };
+        DriftWatch::new("c1", &sensor)
+    }
+
+    #[test]
+    fn the_same_lens_has_not_moved() {
+        let mut watch = watch(lens(600.0, -0.1));
+        for k in 0..8 {
+            assert_eq!(watch.see(&view(&lens(600.0, -0.1), k % 5), SIZE), None);
+        }
+    }
+
+    #[test]
+    fn a_refocused_lens_is_told_once_after_some_views() {
+        let mut watch = watch(lens(600.0, -0.1));
+        let told: Vec<Option<Drift>> = (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
+        assert_eq!(told.iter().flatten().count(), 1);
+        let drift = told[VIEWS - 1].as_ref().unwrap();
+        assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");
+        assert_eq!((drift.calibration.as_str(), drift.expected_px), ("c1", 0.06));
+    }
+
+    #[test]
+    fn pictures_of_another_size_are_told_at_once() {
+        let mut watch = watch(lens(600.0, -0.1));
+        let drift = watch.see(&view(&lens(600.0, -0.1), 0), ImageSize::new(1280, 720)).unwrap();
+        assert!(drift.reason.contains("1280") && drift.rms_px.is_none(), "{drift:?}");
+    }
+}

@@ -1,0 +1,47 @@
+//! Tells that the camera's current calibration may not hold any more: the device was moved, or the views that a session
+//! keeps do not agree with it.
+
+use crate::calibration::calibration::SensorCalibration;
+use crate::calibration::drift::{Drift, DriftWatch};
+use crate::pipeline::event::EventKind;
+use crate::pipeline::session_thread::SessionThread;
+
+impl SessionThread {
+    /// What to hold the views of a session against that begins now; `None` before there is a calibration.
+    pub(super) fn drift_watch(&self) -> Option<DriftWatch> {
+        let (id, sensor) = self.current_calibration()?;
+        Some(DriftWatch::new(&id, &sensor))
+    }
+
+    /// Holds a kept view against the current calibration.
+    pub(super) fn look_for_drift(&mut self, number: u32) {
+        let (Some(watch), Some(session)) = (&mut self.drift, &self.session) else { return };
+        let Some(view) = session.views().get(number as usize) else { return };
+        let seen = view.to_board_view(&session.record().request.target);
+        if let Some(drift) = watch.see(&seen, view.frame.image_size) {
+            self.publish_drift(drift);
+        }
+    }
+
+    /// The device tells that what a session held still is no longer as it was.
+    pub(super) fn tell_moved(&self, what: String) {
+        if let Some((calibration, sensor)) = self.current_calibration() {
+            self.publish_drift(Drift { calibration, reason: what, rms_px: None, expected_px: sensor.rms_px });
+        }
+    }
+
+    fn publish_drift(&self, drift: Drift) {
+        let Drift { calibration, reason, .. } = &drift;
+        tracing::warn!(camera = self.camera.name, calibration, "{reason}");
+        self.camera.publish(EventKind::Drift(drift));
+    }
+
+    fn current_calibration(&self) -> Option<(String, SensorCalibration)> {
+        let id = self.camera.status.borrow().calibration.clone()?;
+        let calibration = self.store.calibration(&id).unwrap_or_else(|error| {
+            tracing::error!(camera = self.camera.name, calibration = id, "drift is not watched: {error}");
+            None
+        })?;
+        Some((id, calibration.color.or(calibration.infrared)?))
+    }
+}
