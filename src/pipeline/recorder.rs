@@ -234,6 +234,8 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 
 #[cfg(test)]
 mod tests {
+    use rand::{Rng, SeedableRng};
+
     use super::*;
     use crate::geometry::pixel::ImageSize;
     use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
@@ -241,7 +243,11 @@ mod tests {
     use crate::recording::Recording;
 
     fn frame_set(sequence: u64) -> Arc<FrameSet> {
-        let bytes: Arc<[u8]> = vec![sequence as u8; 640 * 480].into();
+        // Noise, which no compression makes smaller.
+        let mut noise = rand_chacha::ChaCha8Rng::seed_from_u64(sequence);
+        let mut bytes = vec![0; 640 * 480];
+        noise.fill_bytes(&mut bytes);
+        let bytes: Arc<[u8]> = bytes.into();
         let size = ImageSize::new(640, 480);
         let frame = Frame { sensor: SensorKind::Color, size, format: PixelFormat::Mono8, stride: 640, bytes };
         let host_time = HostTime { utc_ns: 1_770_000_000_000_000_000 + sequence as i64 * 100_000_000 };
@@ -286,6 +292,34 @@ mod tests {
             assert!(read.len() >= 9 && read.len() < 20, "{}", read.len());
             assert_eq!(read.len() as u64, finished.frame_sets);
         }
+    }
+
+    /// `/dev/full` answers as a full disk does.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_disk_ends_it_and_is_told() {
+        let path = PathBuf::from("/dev/full");
+        let writer = McapWriter::create(&path, "front").unwrap();
+        let status = Mutex::new(RecordingStatus {
+            id: "1".to_owned(),
+            camera: "front".to_owned(),
+            path,
+            state: RecordingState::Recording,
+            reason: None,
+            started_at_ns: 0,
+            finished_at_ns: None,
+            frame_sets: 0,
+            dropped: 0,
+            bytes: 0,
+        });
+        let (frames, waiting) = sync_channel(10);
+        (0..10).for_each(|sequence| frames.send(frame_set(sequence)).unwrap());
+        drop(frames);
+        write_all(&waiting, writer, RecordingLimits::default(), &status);
+        let ended = lock(&status).clone();
+        assert_eq!(ended.state, RecordingState::Failed);
+        let reason = ended.reason.unwrap();
+        assert!(reason.contains("No space left on device") && !reason.contains('\n'), "{reason}");
     }
 
     #[test]

@@ -34,6 +34,10 @@ impl Topic {
     /// What the topic `name` carries; `None` for any that Plumb does not know.
     pub(super) fn parse(name: &str) -> Option<Self> {
         let name = name.strip_prefix('/').unwrap_or(name);
+        // Names become part of one-line messages.
+        if name.contains(char::is_control) {
+            return None;
+        }
         if let Some(sensor) = name.strip_suffix("/calibration") {
             let (camera, sensor) = sensor.rsplit_once('/')?;
             return Some(Self::Calibration { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? });
@@ -110,7 +114,7 @@ pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Re
             let format = match message.format.to_ascii_lowercase().as_str() {
                 "png" => PixelFormat::Png,
                 text if text.contains("jpeg") || text.contains("jpg") => PixelFormat::Jpeg,
-                other => return Err(format!("images compressed as `{other}`, not jpeg or png")),
+                other => return Err(format!("images compressed as {other:?}, not jpeg or png")),
             };
             let size = file_size(&message.data).unwrap_or(ImageSize::new(0, 0));
             Ok(Frame { sensor, size, format, stride: 0, bytes: message.data.as_ref().into() })
@@ -128,13 +132,13 @@ pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Re
                 "16UC1" | "mono16" => PixelFormat::Depth16,
                 other => {
                     let known = "mono8, mono16, yuyv, uyvy, nv12, rgb8, bgr8 or 16UC1";
-                    return Err(format!("raw images encoded as `{other}`, not {known}"));
+                    return Err(format!("raw images encoded as {other:?}, not {known}"));
                 }
             };
             let size = ImageSize::new(message.width, message.height);
             Ok(Frame { sensor, size, format, stride: message.step as usize, bytes: message.data.as_ref().into() })
         }
-        other => Err(format!("messages of schema `{other}`, not {COMPRESSED_IMAGE} or {RAW_IMAGE}")),
+        other => Err(format!("messages of schema {other:?}, not {COMPRESSED_IMAGE} or {RAW_IMAGE}")),
     }
 }
 
@@ -176,7 +180,7 @@ mod tests {
         for name in ["/front/color", "/a/b/depth", "/front/infrared/calibration"] {
             assert_eq!(Topic::parse(name).unwrap().name(), name);
         }
-        for name in ["/front/colour", "/color", "", "/front/color/info"] {
+        for name in ["/front/colour", "/color", "", "/front/color/info", "/fr\nont/color"] {
             assert_eq!(Topic::parse(name), None, "{name}");
         }
     }

@@ -1,14 +1,14 @@
 //! The records of an MCAP file, one after the other, out of chunks or not: as much as a damaged or unfinished file holds.
 //!
-//! Framing is done here and not by the `mcap` crate's reader, whose arithmetic trusts the lengths inside a chunk; a record's own
-//! contents are parsed by the crate.
+//! Framing is done here and not by the `mcap` crate's reader, whose arithmetic trusts the lengths inside a chunk (of a
+//! compressed one too: a wrong one would ask for all memory there is); a record's own contents are parsed by the crate.
 
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use mcap::records::{ChunkHeader, Record, op};
+use mcap::records::{Record, op};
 
 /// The longest record that is believed: above an uncompressed picture of 120 megapixels in 16 bits.
 const LONGEST_RECORD: u64 = 256 << 20;
@@ -107,8 +107,7 @@ impl RecordReader {
         const FIXED: u64 = 8 + 8 + 8 + 4 + 4;
         let fixed: [u8; FIXED as usize] = self.read_array()?;
         let word = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| fixed[at + i]));
-        let short = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| fixed[at + i]));
-        let name_length = u64::from(short(28));
+        let name_length = u64::from(u32::from_le_bytes(std::array::from_fn(|i| fixed[28 + i])));
         if name_length > 64 {
             return Err(damaged("a chunk with a compression of no name"));
         }
@@ -121,20 +120,17 @@ impl RecordReader {
             self.chunk_left = Some(compressed_size);
             return Ok(());
         }
-        let header = ChunkHeader {
-            message_start_time: word(0),
-            message_end_time: word(8),
-            uncompressed_size: word(16),
-            uncompressed_crc: short(24),
-            compression,
-            compressed_size,
-        };
-        if header.uncompressed_size > LONGEST_RECORD {
-            return Err(damaged("a chunk is longer than any picture"));
-        }
-        let body = self.read_vec(compressed_size)?;
-        for record in mcap::read::ChunkReader::new(header, &body).map_err(|error| damaged(&error.to_string()))? {
-            self.unpacked.push_back(record.map_err(|error| damaged(&error.to_string()))?.into_owned());
+        let packed = self.read_vec(compressed_size)?;
+        let chunk = unpack(&compression, &packed, word(16))?;
+        let mut rest = chunk.as_slice();
+        while !rest.is_empty() {
+            let longer = || damaged("a record is longer than its chunk");
+            let (header, after) = rest.split_at_checked(RECORD_HEADER as usize).ok_or_else(longer)?;
+            let length = u64::from_le_bytes(std::array::from_fn(|i| header[1 + i]));
+            let length = usize::try_from(length).ok().filter(|length| *length <= after.len()).ok_or_else(longer)?;
+            let (body, after) = after.split_at(length);
+            self.unpacked.push_back(parsed(header[0], body)?);
+            rest = after;
         }
         Ok(())
     }
@@ -153,6 +149,24 @@ impl RecordReader {
         let mut bytes = Vec::with_capacity(length.min(1 << 16) as usize);
         let read = (&mut self.file).take(length).read_to_end(&mut bytes).map_err(Broken::Io)?;
         if (read as u64) < length { Err(Broken::Cut) } else { Ok(bytes) }
+    }
+}
+
+/// The records of a compressed chunk, of which its header says that they are `length` bytes.
+fn unpack(compression: &str, packed: &[u8], length: u64) -> Result<Vec<u8>, Broken> {
+    if length > LONGEST_RECORD {
+        return Err(damaged("a chunk is longer than any picture"));
+    }
+    let mut bytes = Vec::new();
+    let read = match compression {
+        "zstd" => zstd::Decoder::with_buffer(packed).and_then(|chunk| chunk.take(length).read_to_end(&mut bytes)),
+        "lz4" => lz4::Decoder::new(packed).and_then(|chunk| chunk.take(length).read_to_end(&mut bytes)),
+        other => return Err(damaged(&format!("chunks compressed by {other:?}, not zstd or lz4"))),
+    };
+    match read {
+        Ok(read) if read as u64 == length => Ok(bytes),
+        Ok(_) => Err(damaged("a chunk's size contradicts itself")),
+        Err(error) => Err(damaged(&format!("a chunk does not unpack: {error}"))),
     }
 }
 
