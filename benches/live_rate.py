@@ -3,12 +3,16 @@
 people write with OpenCV, on the same frames.
 
     cargo build --release && target/venv/bin/python benches/live_rate.py --seconds 60
+    target/venv/bin/python benches/live_rate.py --memory 10000
+
+The second looks at so many frames as fast as it can, in one session, and tells how resident memory goes on the way.
 
 Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
 arrival to what was seen in it, resident memory at the middle and the end, frames looked at and lost.
 """
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -22,7 +26,7 @@ from pathlib import Path
 FPS = 30
 ADDRESS = "127.0.0.1:8690"
 SCENE = "seed = 11\nframes = 300\nfps = 30\n[camera]\nwidth = 1280\nheight = 720\n"
-CAMERA = '[[camera]]\nname = "front"\nsource = {{ kind = "recording", path = "{path}", pace = "recorded", repeat = true }}\n'
+CAMERA = '[[camera]]\nname = "front"\nsource = {{ kind = "recording", path = "{path}", pace = "{pace}", repeat = true }}\n'
 TARGET = {"target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025}, "lens": "brown"}
 
 
@@ -31,8 +35,8 @@ def processor_seconds(pid):
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def resident_mb(pid):
-    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1]) / 1024
+def resident_mb(pid, which="VmRSS"):
+    return int(re.search(which + r":\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1]) / 1024
 
 
 def request(path, body=None):
@@ -55,10 +59,13 @@ def percentile_99(before, after):
     return next((le * 1000 for le in sorted(counts) if counts[le] >= 0.99 * max(counts.values())), None)
 
 
-def measure_plumb(plumb, recording, seconds):
+@contextlib.contextmanager
+def session(plumb, recording, pace):
+    """A daemon with a session on the recording, which is shown over and over."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder, "plumb.toml")
-        config.write_text(f'[server]\nlisten = "{ADDRESS}"\n[store]\npath = "{folder}/store"\n' + CAMERA.format(path=recording))
+        camera = CAMERA.format(path=recording, pace=pace)
+        config.write_text(f'[server]\nlisten = "{ADDRESS}"\n[store]\npath = "{folder}/store"\n' + camera)
         daemon = subprocess.Popen([plumb, "serve", "--config", config], stderr=subprocess.DEVNULL)
         try:
             deadline = time.monotonic() + 30
@@ -71,24 +78,47 @@ def measure_plumb(plumb, recording, seconds):
                         raise
                     time.sleep(0.1)
             request("/v1/cameras/front/sessions", TARGET)
-            time.sleep(5)
-            before, used, began = request("/metrics"), processor_seconds(daemon.pid), time.monotonic()
-            time.sleep(seconds / 2)
-            middle = resident_mb(daemon.pid)
-            time.sleep(seconds / 2)
-            after, elapsed = request("/metrics"), time.monotonic() - began
-            difference = lambda name: metric(after, name) - metric(before, name)
-            return {
-                "what": "plumb",
-                "cores": round((processor_seconds(daemon.pid) - used) / elapsed, 3),
-                "p99_ms": percentile_99(before, after),
-                "resident_mb": [round(middle, 1), round(resident_mb(daemon.pid), 1)],
-                "looked_at_per_s": round(difference("plumb_frames_searched_total") / elapsed, 1),
-                "lost": difference("plumb_frames_dropped_total"),
-            }
+            yield daemon
         finally:
             daemon.terminate()
             daemon.wait()
+
+
+def measure_memory(plumb, recording, frames):
+    """Resident memory at every tenth of the way, from the first tenth on."""
+    with session(plumb, recording, "fastest") as daemon:
+        began, resident, looked = time.monotonic(), [], 0
+        while looked < frames:
+            time.sleep(0.2)
+            looked = metric(request("/metrics"), "plumb_frames_searched_total")
+            if looked * 10 >= frames * (len(resident) + 1):
+                resident.append(round(resident_mb(daemon.pid), 1))
+        return {
+            "what": "plumb, as fast as it can",
+            "frames": int(looked),
+            "frames_per_s": round(looked / (time.monotonic() - began), 1),
+            "resident_mb": resident,
+            "highest_mb": round(resident_mb(daemon.pid, "VmHWM"), 1),
+        }
+
+
+def measure_plumb(plumb, recording, seconds):
+    with session(plumb, recording, "recorded") as daemon:
+        time.sleep(5)
+        before, used, began = request("/metrics"), processor_seconds(daemon.pid), time.monotonic()
+        time.sleep(seconds / 2)
+        middle = resident_mb(daemon.pid)
+        time.sleep(seconds / 2)
+        after, elapsed = request("/metrics"), time.monotonic() - began
+        difference = lambda name: metric(after, name) - metric(before, name)
+        return {
+            "what": "plumb",
+            "cores": round((processor_seconds(daemon.pid) - used) / elapsed, 3),
+            "p99_ms": percentile_99(before, after),
+            "resident_mb": [round(middle, 1), round(resident_mb(daemon.pid), 1)],
+            "looked_at_per_s": round(difference("plumb_frames_searched_total") / elapsed, 1),
+            "lost": difference("plumb_frames_dropped_total"),
+        }
 
 
 def measure_opencv(recording, seconds):
@@ -132,11 +162,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plumb", default="target/release/plumb")
     parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--memory", type=int, metavar="FRAMES")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         scene, recording = Path(folder, "scene.toml"), Path(folder, "street.mcap")
         scene.write_text(SCENE)
         subprocess.run([arguments.plumb, "simulate", "--config", scene, "--out", recording], check=True, stdout=sys.stderr)
+        if arguments.memory:
+            print(json.dumps(measure_memory(arguments.plumb, recording, arguments.memory)), flush=True)
+            return
         print(json.dumps(measure_plumb(arguments.plumb, recording, arguments.seconds)), flush=True)
         print(json.dumps(measure_opencv(recording, arguments.seconds)), flush=True)
 

@@ -16,4 +16,6 @@ mod recordings;
 mod rgbd_session;
 mod rig_session;
 mod served;
+#[cfg(target_os = "linux")]
+mod service;
 mod shared_data;
