@@ -313,6 +313,7 @@ fn calibrated(folder: &tempfile::TempDir) {
         infrared: None,
         depth: None,
         extrinsics: Vec::new(),
+        cameras: Vec::new(),
         checks: Checks::default(),
         verdict: Verdict { grade: Grade::Good, reasons: Vec::new() },
     };
