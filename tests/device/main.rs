@@ -11,6 +11,8 @@ mod guest;
 mod loopback;
 mod replug;
 mod small_machine;
+mod usb;
+mod usb_camera;
 mod walk;
 
 use std::panic::catch_unwind;
@@ -29,6 +31,7 @@ const SCENARIOS: &[(&str, Scenario)] = &[
     ("busy", faults::a_camera_in_use_is_told_with_its_holder),
     ("injected_faults", faults::each_injected_fault_is_told_and_survived),
     ("stall", faults::a_stalled_device_never_blocks),
+    ("usb", usb::a_usb_camera_streams_holds_still_and_comes_back),
     ("walk", walk::a_walk_is_calibrated_over_http),
     ("replug", replug::two_hundred_rounds_leave_nothing_behind),
 ];

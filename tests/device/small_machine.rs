@@ -19,6 +19,7 @@ pub fn run_this_program(names: &[String]) -> ExitCode {
         .args(["run", "-t", LIMIT_SECONDS])
         .args(["-m", "vivid n_devs=2 node_types=0x1,0x1 num_inputs=1,1 input_types=0x0,0x0"])
         .args(["-m", "v4l2loopback devices=2 video_nr=20,21 card_label=Walk,Street exclusive_caps=0,0"])
+        .args(["-m", "vhci_hcd", "-m", "uvcvideo"])
         .arg("--")
         .arg(program)
         .args(names)

@@ -11,9 +11,9 @@
 set -euo pipefail
 HOME_DIR=${SMALL_MACHINE_HOME:-${XDG_CACHE_HOME:-$HOME/.cache}/plumb-small-machine}
 PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils xz-utils)
-MODULES=(vivid v4l2loopback uvcvideo usb_f_uvc dummy_hcd virtio_pci 9pnet_virtio 9p)
+MODULES=(vivid v4l2loopback uvcvideo vhci_hcd virtio_pci 9pnet_virtio 9p)
 # Raised when a change here must remake what is prepared.
-RECIPE=1
+RECIPE=2
 
 fail() { echo "small machine: $*" >&2; exit 125; }
 

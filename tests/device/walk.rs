@@ -21,7 +21,7 @@ name = "vivid"
 source = { kind = "v4l2", device = "/dev/video0", width = 320, height = 180, format = "GREY", fps = 5 }
 "#;
 /// The shipped recording of a board that is walked about, and what is true of it; the guest sees the host's files.
-const WALK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
+pub const WALK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
 const WALK_TRUTH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.truth.json");
 const FPS: &str = "6";
 const ENOUGH_VIEWS: u64 = 14;
