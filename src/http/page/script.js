@@ -258,13 +258,13 @@ async function refreshCamera() {
 function showLast(detection) {
   if (!session || detection.session !== session.id || session.state !== "collecting") return;
   if (detection.kept_view != null) {
-    const what = `${rig ? `${detection.camera}: ` : ""}view ${detection.kept_view + 1} kept`;
-    say("last", `${what}.`, "last kept");
-    flash(what);
+    const of = rig ? `${detection.camera}: ` : "";
+    say("last", `${of}${rig ? "view" : "View"} ${detection.kept_view + 1} kept.`, "last kept");
+    flash(`${of}view ${detection.kept_view + 1} kept`);
     beep();
   } else {
     const text = detection.reason || REASONS[detection.rejection] || "";
-    say("last", text && `${rig ? `${detection.camera}: ` : ""}not kept: ${text}`, "last refused");
+    say("last", text && `${rig ? `${detection.camera}: not` : "Not"} kept: ${text}`, "last refused");
   }
   $("last").hidden = false;
 }
