@@ -8,10 +8,12 @@ use crate::estimation::model_check::ModelCheck;
 /// The worst uncertainty of the image for a good calibration, and for a usable one, as parts of the image's diagonal:
 /// 0.4 and 4 px at 640x480.
 const UNCERTAINTY: [f64; 2] = [0.0005, 0.005];
-/// The split-half ratio likewise: about 1 where the model is right, and its scatter stays below 2.
-const SPLIT_HALF: [f64; 2] = [2.0, 6.0];
+/// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred such sets.
+const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 /// The correlation of neighbouring corners' residuals; blur and pixels alone make some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
+/// How many times larger the uncertainty is than if each corner erred by itself.
+const SHARED: [f64; 2] = [2.0, 8.0];
 /// The part of the corners that took no part.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
 /// The part of the image with corners.
@@ -28,8 +30,7 @@ pub(crate) fn judge(
 ) -> Verdict {
     let mut findings: Vec<(Grade, String)> = Vec::new();
     findings.extend(uncertainty(sensor));
-    findings.extend(model(estimate, check));
-    findings.extend(smooth_residuals(check));
+    findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
@@ -63,30 +64,70 @@ fn uncertainty(sensor: &SensorCalibration) -> Option<(Grade, String)> {
     worse_than_good(graded(worst, limits), reason)
 }
 
-fn model(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
-    let cause = "another lens model, a board that is not flat, or corners in motion (rolling shutter) may be why";
+/// That the model does not fit, and why, as far as it can be told.
+fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
+    let mut findings: Vec<(Grade, String)> =
+        [halves(estimate, check), shared_error(estimate), smooth_residuals(check)].into_iter().flatten().collect();
+    if let Some(worst) = findings.iter().map(|(grade, _)| *grade).min() {
+        findings.push((worst, cause(estimate, check)));
+    }
+    findings
+}
+
+fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
+    let shutter = check.misfit.rolling_shutter.map(|part| {
+        let percent = part * 100.0;
+        format!(
+            "motion while the rows of the picture were read explains {percent:.0} % of what is left (rolling shutter): hold board and camera still for each view"
+        )
+    });
+    let uneven = check.misfit.unevenness_m.map(|metres| {
+        let millimetres = metres * 1000.0;
+        format!(
+            "the residuals turn with the board: it seems bent or uneven by {millimetres:.2} mm; use a flat, stiff one"
+        )
+    });
+    let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
+    if !known.is_empty() {
+        return known.join("; ");
+    }
+    let others = "check that the board is flat and held still, and that focus and zoom stay as they are";
+    if estimate.compared.is_empty() {
+        return format!("let the lens model be chosen (auto); else {others}");
+    }
+    others.to_owned()
+}
+
+fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
     let enough = estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
     let Some(ratio) = check.split_half_ratio else {
-        let reason = format!("two halves of the views differ too much to be compared: the model does not fit; {cause}");
+        let reason = "two halves of the views differ too much to be compared: the model does not fit".to_owned();
         return enough.then_some((Grade::Poor, reason));
     };
     let change = check.focal_change.unwrap_or(0.0) * 100.0;
     let reason = format!(
-        "two halves of the views differ {ratio:.1} times as much as predicted (fx by {change:.2} %): the model does not fit; {cause}"
+        "two halves of the views differ {ratio:.1} times as much as predicted (fx by {change:.2} %): the model does not fit"
     );
     worse_than_good(graded(ratio, SPLIT_HALF), reason)
 }
 
+fn shared_error(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+    let factor = estimate.shared_error.sqrt();
+    let reason = format!(
+        "the corners of a view err together, which makes the uncertainty {factor:.1} times what it were if each erred by itself: the model does not fit"
+    );
+    worse_than_good(graded(factor, SHARED), reason)
+}
+
 fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
     let correlation = check.residual_correlation?;
-    let reason = format!(
-        "neighbouring corners are off together (correlation {correlation:.2}): the model does not fit; let the lens model be chosen, and check that the board is flat"
-    );
+    let reason =
+        format!("neighbouring corners are off together (correlation {correlation:.2}): the model does not fit");
     worse_than_good(graded(correlation, CORRELATION), reason)
 }
 
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
-    let [x, y] = check.bow_m?.map(|m| m * 1000.0);
+    let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
         "the residuals turn with the board: it seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns; use a flat, stiff one"
     );

@@ -9,7 +9,6 @@ use crate::cli::calibration_output::{OutputArgs, finished};
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
 use crate::document::problem::{Method, ProblemDocument};
-use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// Calibrates a camera from given correspondences of points and pixels.
@@ -20,13 +19,29 @@ pub struct Args {
     lens: Option<LensName>,
     #[command(flatten)]
     output: OutputArgs,
-    /// The most threads to use; the result does not depend on it.
+    /// Estimate skew too; else it is 0.
+    #[arg(long)]
+    skew: bool,
+    /// Let fx be fy.
+    #[arg(long)]
+    square_pixels: bool,
+    /// A lens parameter that is known, as fx=600; may be given several times.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = parameter)]
+    given: Vec<(String, f64)>,
+    /// The most threads to use. A solve takes one: it is done in milliseconds, and the result could not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// The problem: {"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]}, metres and pixels;
     /// with "method":"dlt" one view of points that do not lie on a plane.
     #[arg(value_name = "PROBLEM.json")]
     problem: PathBuf,
+}
+
+/// Reads `NAME=VALUE`.
+fn parameter(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, as fx=600")?;
+    let value = value.parse().map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
+    Ok((name.to_owned(), value))
 }
 
 /// Runs the command.
@@ -38,8 +53,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let document: ProblemDocument = read_document(&args.problem)?;
     let in_file = |error: &dyn std::fmt::Display| Failure::failed(format!("{}: {error}", args.problem.display()));
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
-    let lens = args.lens.map(LensChoice::from).or(document.lens.map(LensChoice::from)).unwrap_or(LensChoice::Auto);
-    let options = CameraOptions { lens, ..CameraOptions::default() };
+    let mut options = document.options();
+    options.lens = args.lens.map_or(options.lens, LensChoice::from);
+    options.square_pixels |= args.square_pixels;
+    options.skew |= args.skew;
+    options.given.extend(args.given.iter().cloned());
     let started = Instant::now();
     let solved = match document.method {
         Method::Calibrate => solve_views(&problem, &options),

@@ -1,5 +1,7 @@
 //! The solve problem: correspondences in, for `plumb solve` and `POST /v1/solve`.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -7,6 +9,7 @@ use utoipa::ToSchema;
 use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
 use crate::document::lens::LensRequest;
+use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::pixel::Pixel;
 
@@ -24,6 +27,28 @@ pub struct ProblemDocument {
     /// How to solve; `calibrate` when left out.
     #[serde(default)]
     pub method: Method,
+    /// Whether skew is estimated; else it is 0.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub skew: bool,
+    /// Whether fx = fy.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub square_pixels: bool,
+    /// Lens parameters that are known, by name, with their values: `{"fx": 600, "fy": 600, "k3": 0}`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub given: BTreeMap<String, f64>,
+}
+
+impl ProblemDocument {
+    /// What is to be estimated.
+    pub fn options(&self) -> CameraOptions {
+        CameraOptions {
+            lens: self.lens.unwrap_or_default().into(),
+            skew: self.skew,
+            square_pixels: self.square_pixels,
+            given: self.given.iter().map(|(name, value)| (name.clone(), *value)).collect(),
+            ..CameraOptions::default()
+        }
+    }
 }
 
 /// How to solve.
@@ -92,6 +117,9 @@ impl From<&CameraProblem> for ProblemDocument {
             views: problem.views.iter().map(view).collect(),
             lens: None,
             method: Method::Calibrate,
+            skew: false,
+            square_pixels: false,
+            given: BTreeMap::new(),
         }
     }
 }
@@ -107,6 +135,15 @@ mod tests {
         let problem = CameraProblem::try_from(&from_json::<ProblemDocument>(json.as_bytes()).unwrap()).unwrap();
         let written = to_json(&ProblemDocument::from(&problem)).unwrap();
         assert_eq!(CameraProblem::try_from(&from_json::<ProblemDocument>(written.as_bytes()).unwrap()), Ok(problem));
+    }
+
+    #[test]
+    fn what_is_known_reaches_the_estimate() {
+        let json =
+            r#"{"image_size":[640,480],"views":[],"lens":"brown","square_pixels":true,"given":{"k3":0,"cx":320}}"#;
+        let options = from_json::<ProblemDocument>(json.as_bytes()).unwrap().options();
+        assert_eq!(options.given, [("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)]);
+        assert!(options.square_pixels && !options.skew);
     }
 
     #[test]

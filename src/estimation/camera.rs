@@ -4,6 +4,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
+use crate::estimation::joint::normal::chain;
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::lens_choice::{self, LensTrial};
 use crate::estimation::model_check::ModelCheck;
@@ -11,6 +12,7 @@ use crate::estimation::model_error::with_model_error;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{RobustFit, robust_fit};
+use crate::estimation::shared_error::shared_error;
 use crate::estimation::start::{self, Prepared};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
@@ -60,6 +62,9 @@ pub struct CameraEstimate {
     pub lens_covariance: DMatrix<f64>,
     /// The noise that the residuals tell of: the factor on each corner's own `std_px`.
     pub noise: f64,
+    /// How many times greater all variances are than if each corner erred by itself: 1 unless the views show that the
+    /// corners of a view err together. Covariances have it in them; for a rig it is not looked for.
+    pub shared_error: f64,
     /// Root mean square over the used corners of the distance between seen and projected, in pixels.
     pub rms_px: f64,
     /// Every view of the problem, in order.
@@ -391,9 +396,11 @@ pub(crate) fn assemble(
     let camera_from_board: Vec<Pose> = good.iter().map(|sight| pose_of(*sight)).collect();
     let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
     let unit = equations.global_covariance().ok_or_else(|| open(0, f64::INFINITY))?;
+    let shared_error = shared_error(fit, &unit);
+    let variance = noise2 * shared_error;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
-    let lens_covariance = &spread * of_lens * spread.transpose() * noise2;
+    let lens_covariance = &spread * of_lens * spread.transpose() * variance;
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
         let std = lens_covariance[(axis, axis)].sqrt() * (LEAST_NOISE / (part.noise * noise2.sqrt())).max(1.0);
@@ -406,13 +413,17 @@ pub(crate) fn assemble(
         let placed = residuals.iter().any(|r| r[0].is_finite());
         let pose = pose_of(index);
         let shift = pose.translation() - pose * prepared.center_in_board;
-        let known = fault.is_none() && part.sensor == 0;
-        let covariance = known.then(|| equations.instant_covariance(sight.instant, &unit)).flatten();
+        let chained = at.pose_at.map(|pose_at| {
+            let (by_sensor, by_board) = chain(state, (part.sensor, sight.instant));
+            (pose_at, by_sensor, by_board)
+        });
+        let known = fault.is_none();
+        let covariance = known.then(|| equations.pose_covariance(sight.instant, &unit, chained)).flatten();
         ViewEstimate {
             name: problem.views[index - part.first_sight].name.clone(),
             fault,
             camera_from_board: placed.then(|| Pose::new(pose.rotation(), shift)),
-            covariance: covariance.map(|c| c * noise2),
+            covariance: covariance.map(|c| c * variance),
             rms_px: placed.then(|| rms(residuals, &sight.inverse_std, |k| fault.is_some() || sight.used[k])),
             residuals_px: residuals.iter().zip(&sight.inverse_std).map(|(r, s)| r.map(|r| r / s)).collect(),
             used: sight.used.clone(),
@@ -424,6 +435,7 @@ pub(crate) fn assemble(
         lens,
         lens_covariance,
         noise: part.noise * noise2.sqrt(),
+        shared_error,
         rms_px: rms_of_views(&views),
         views,
         warp_m: fit.layout.warp.map(|_| state.warp),

@@ -10,7 +10,8 @@
 //! | a start without any guess | [`zhang`] (closed form), `start` |
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
-//! | whether the model is right at all | [`model_check`] |
+//! | whether the model is right at all, and if not, why | [`model_check`], `misfit` |
+//! | whether the corners of a view err together | `shared_error` |
 //! | colour and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
@@ -24,6 +25,7 @@ pub mod dlt;
 pub mod error;
 mod joint;
 pub mod lens_choice;
+mod misfit;
 pub mod model_check;
 mod model_error;
 pub(crate) mod planar_pose;
@@ -32,6 +34,7 @@ pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
+mod shared_error;
 mod start;
 pub mod uncertainty;
 pub mod view_fault;

@@ -7,6 +7,7 @@ use crate::estimation::camera::{CameraEstimate, CameraFit};
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::lens_choice::{refit, refit_within, squares_under};
+use crate::estimation::misfit::Misfit;
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
 use crate::geometry::lens::Lens;
 
@@ -23,6 +24,8 @@ pub struct ModelCheck {
     /// Correlation of the residuals of corners that follow each other on the board: near 0 for noise, near 1 where the model
     /// cannot follow the picture, and halves agree on the same wrong answer.
     pub residual_correlation: Option<f64>,
+    /// What seems to be wrong where halves or neighbouring corners show that something is.
+    pub misfit: Misfit,
     /// How far the board seems bent at its middle along x and y, in metres, where that explains a visible part of what is
     /// left and was not estimated.
     pub bow_m: Option<[f64; 2]>,
@@ -31,6 +34,10 @@ pub struct ModelCheck {
 /// The least part of the residuals' squares that a bent board must explain to be named, and the least of that in units of
 /// the noise's variance: chance alone explains 2.
 const BOW_GAIN: [f64; 2] = [0.05, 40.0];
+
+/// Above either of these, causes are looked for; clean data stays below.
+const SUSPICIOUS_RATIO: f64 = 2.0;
+const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
 /// Neighbours that it takes to tell a correlation from chance.
 const MIN_PAIRS: usize = 100;
@@ -44,7 +51,15 @@ impl ModelCheck {
 
     pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate) -> Self {
         let halves = Self::halves(fit, estimate).unwrap_or_default();
-        Self { bow_m: bow_m(fit), residual_correlation: residual_correlation(estimate), ..halves }
+        let residual_correlation = residual_correlation(estimate);
+        let suspicious = halves.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
+            || residual_correlation.is_some_and(|correlation| correlation > SUSPICIOUS_CORRELATION)
+            || estimate.shared_error > 1.0;
+        let views = some_views(fit);
+        let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
+        let look = suspicious && views.len() >= Self::MIN_VIEWS;
+        let misfit = if look { Misfit::of(fit, &views, size) } else { Misfit::default() };
+        Self { bow_m: bow_m(fit), residual_correlation, misfit, ..halves }
     }
 
     fn halves(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {
@@ -118,11 +133,11 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     enough.then(|| [step.global[step.global.len() - 2], step.global[step.global.len() - 1]])
 }
 
-/// The covariance of the lens that one half gives, with the noise of the whole.
+/// The covariance of the lens that one half gives, with the noise of the whole and what its views' corners share.
 fn lens_covariance(fit: &CameraFit, half: &Minimum, estimate: &CameraEstimate) -> Option<DMatrix<f64>> {
     let free = &fit.layout.sensors[0].lens;
     let unit = half.equations.global_covariance()?;
     let spread = free.spread(&estimate.lens);
     let unit = unit.view((0, 0), (free.free.len(), free.free.len())).into_owned();
-    Some(&spread * unit * spread.transpose() * estimate.noise.powi(2))
+    Some(&spread * unit * spread.transpose() * (estimate.noise.powi(2) * estimate.shared_error))
 }

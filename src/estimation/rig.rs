@@ -40,7 +40,7 @@ pub struct RigSensor {
 /// A calibrated rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigEstimate {
-    /// Each sensor's lens and views, as a camera by itself; pose covariances for the first sensor only.
+    /// Each sensor's lens and views, as a camera by itself.
     pub cameras: Vec<CameraEstimate>,
     /// Where each sensor is; the first is the identity.
     pub places: Vec<SensorPlace>,

@@ -11,7 +11,6 @@ use crate::calibration::solve::{solve_dlt, solve_views};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::problem::{Method, ProblemDocument};
 use crate::document::time;
-use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::CameraProblem;
 use crate::http::problem::Problem;
 use crate::http::request::{BodyRefusals, LARGE_BODY, document};
@@ -36,7 +35,7 @@ pub(super) async fn solve(
 
 fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
     let problem = CameraProblem::try_from(document)?;
-    let options = CameraOptions { lens: document.lens.unwrap_or_default().into(), ..CameraOptions::default() };
+    let options = document.options();
     let started = Instant::now();
     let solved = match document.method {
         Method::Calibrate => solve_views(&problem, &options),

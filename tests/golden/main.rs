@@ -8,6 +8,7 @@ mod corner_accuracy;
 mod detection;
 mod estimation;
 mod lens_choice;
+mod misfit;
 mod photographs;
 mod predicted_scatter;
 mod rig;

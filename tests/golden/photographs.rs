@@ -6,14 +6,18 @@ use serde_json::Value;
 
 use crate::shared_data::shared_data;
 
-/// Calibrates `sources` (glob patterns inside the folder `name` of the real pictures); `None` where there are none.
+/// The picture sensor of [`calibration`].
 fn calibrate(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
+    Some(calibration(name, pattern, board, square)?["sensors"]["color"].take())
+}
+
+/// Calibrates from `pattern` (a glob pattern inside the folder `name` of the real pictures); `None` where there are none.
+fn calibration(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
     let source = shared_data(name)?.join(pattern).display().to_string();
     let arguments = ["calibrate", "--json", "--lens", "brown", "--board", board, "--square", square, &source];
     let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let mut calibration: Value = serde_json::from_slice(&output.stdout).unwrap();
-    Some(calibration["sensors"]["color"].take())
+    Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
 /// Every picture is used, and the error is at most `rms_px`.
@@ -54,4 +58,22 @@ fn a_webcam_with_a_board_that_has_no_first_corner() {
 fn a_compact_camera() {
     let Some(sensor) = calibrate("boofcv-sony-chess", "*.jpg", "4x6", "30mm") else { return };
     expect(&sensor, 13, 0.157);
+}
+
+#[test]
+fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
+    let table = [
+        ("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm", "uneven"),
+        ("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm", "uneven"),
+        ("photon-lifecam/480", "*.png", "10x10", "1in", "rolling shutter"),
+        ("photon-lifecam/1280", "*.png", "10x10", "1in", "rolling shutter"),
+        ("boofcv-sony-chess", "*.jpg", "4x6", "30mm", "uneven"),
+    ];
+    for (name, pattern, board, square, cause) in table {
+        let Some(calibration) = calibration(name, pattern, board, square) else { return };
+        let ratio = calibration["checks"]["split_half_ratio"].as_f64().unwrap();
+        let reasons = calibration["verdict"]["reasons"].as_array().unwrap();
+        let says = |word: &str| reasons.iter().any(|reason| reason.as_str().unwrap().contains(word));
+        assert!(ratio < 2.5 && says(cause), "{name}: {ratio}, {reasons:?}");
+    }
 }

@@ -1,6 +1,6 @@
 //! Several sensors at once: where they are, to within the prediction; and what only a rig can find.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::error::EstimationError;
 use plumb::estimation::problem::LensChoice;
@@ -12,6 +12,19 @@ use crate::seeded_camera::SeededCamera;
 
 /// Two sensors of different lens and noise, six centimetres apart, and what each sees of `instants` boards.
 fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
+    let (problem, right_from_left, _) = stereo_with_poses(instants, seed);
+    (problem, right_from_left)
+}
+
+/// The mean of all points that were seen, which pose covariances are about.
+fn center_in_board(problem: &RigProblem) -> Point3<f64> {
+    let views = problem.sensors.iter().flat_map(|sensor| &sensor.views);
+    let points: Vec<_> = views.flat_map(|(_, view)| &view.correspondences).map(|c| c.point_in_board.coords).collect();
+    Point3::from(points.iter().sum::<Vector3<f64>>() / points.len() as f64)
+}
+
+/// As [`stereo`], with where the left sensor sees the board at each instant.
+fn stereo_with_poses(instants: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>) {
     let (left, mut right) = (SeededCamera::ordinary(), SeededCamera::ordinary());
     right.noise_px = 0.2;
     right.lens.matrix.fx = 500.0;
@@ -31,7 +44,7 @@ fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
     };
     let sensors =
         vec![sensor("left", &left, Pose::identity(), &mut rng), sensor("right", &right, right_from_left, &mut rng)];
-    (RigProblem { sensors, instants }, right_from_left)
+    (RigProblem { sensors, instants }, right_from_left, left_from_board)
 }
 
 #[test]
@@ -54,6 +67,34 @@ fn a_pair_is_found_to_within_its_prediction() {
     }
     let part = inside as f64 / f64::from(count);
     assert!((0.55..0.82).contains(&part), "{part} of the errors are within one standard deviation");
+}
+
+#[test]
+fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
+    let (mut inside, mut count) = ([0; 2], 0);
+    for seed in 40..60 {
+        let (problem, right_from_left, left_from_board) = stereo_with_poses(20, seed);
+        let estimate = calibrate_rig(&problem).unwrap();
+        let center = center_in_board(&problem);
+        for (sensor, from_left) in [(0, Pose::identity()), (1, right_from_left)] {
+            for ((instant, _), view) in problem.sensors[sensor].views.iter().zip(&estimate.cameras[sensor].views) {
+                let (found, truth) = (view.camera_from_board.unwrap(), from_left * left_from_board[*instant]);
+                let covariance = view.covariance.unwrap();
+                let turn = (found.rotation() * truth.rotation().inverse()).scaled_axis();
+                let shift = (found * center - truth * center).norm();
+                let turn_inside =
+                    turn.iter().enumerate().filter(|(k, e)| e.abs() < covariance[(*k, *k)].sqrt()).count();
+                inside[0] += turn_inside;
+                let predicted = (0..3).map(|k| covariance[(3 + k, 3 + k)]).sum::<f64>().sqrt();
+                inside[1] += usize::from(shift < predicted);
+                count += 1;
+            }
+        }
+    }
+    let turns = inside[0] as f64 / (3 * count) as f64;
+    let shifts = inside[1] as f64 / count as f64;
+    assert!((0.62..0.75).contains(&turns), "{turns} of the turns are within one standard deviation");
+    assert!((0.5..0.85).contains(&shifts), "{shifts} of the shifts are within the predicted length");
 }
 
 #[test]

@@ -200,15 +200,46 @@ impl NormalEquations {
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
+    /// What one instant alone tells of the global parameters, its pose eliminated, where these are the equations of that
+    /// instant: its part of the Schur complement and its gradient.
+    pub(crate) fn reduced(&self, instant: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
+        let size = self.global_gradient.len();
+        let block = &self.instants[instant];
+        let factor = cholesky6(&block.hessian, 0.0)?;
+        let half: Vec<[f64; 6]> = self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
+        let half_gradient = forward6(&factor, &block.gradient);
+        let information = DMatrix::from_fn(size, size, |i, j| self.global[(i, j)] - dot6(&half[i], &half[j]));
+        let gradient = DVector::from_fn(size, |i, _| self.global_gradient[i] - dot6(&half[i], &half_gradient));
+        Some((information, gradient))
+    }
+
     /// The covariance of one instant's pose step (ω, τ), given that of the global parameters.
     pub(crate) fn instant_covariance(&self, instant: usize, global: &DMatrix<f64>) -> Option<Matrix6<f64>> {
+        self.pose_covariance(instant, global, None)
+    }
+
+    /// As [`Self::instant_covariance`], of the board's pose as a sensor sees it that has a pose of its own: where that
+    /// lies among the global parameters, and A and B of [`chain`].
+    pub(crate) fn pose_covariance(
+        &self,
+        instant: usize,
+        global: &DMatrix<f64>,
+        sensor: Option<(usize, Matrix6<f64>, Matrix6<f64>)>,
+    ) -> Option<Matrix6<f64>> {
         let block = &self.instants[instant];
         let inverse = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky()?.inverse();
+        let by_board = sensor.map_or_else(Matrix6::identity, |(_, _, by_board)| by_board);
         let rows = self.coupling_of(instant);
         let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| rows[k][a]);
-        let through = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]) * coupling;
+        let eliminated = by_board * inverse;
+        let mut through = DMatrix::from_fn(6, 6, |a, b| -eliminated[(a, b)]) * coupling;
+        if let Some((pose_at, by_sensor, _)) = sensor {
+            let mut own = through.view_mut((0, pose_at), (6, 6));
+            own += by_sensor;
+        }
         let carried = &through * global * through.transpose();
-        Some(Matrix6::from_fn(|a, b| inverse[(a, b)] + carried[(a, b)]))
+        let alone = eliminated * by_board.transpose();
+        Some(Matrix6::from_fn(|a, b| alone[(a, b)] + carried[(a, b)]))
     }
 }
 

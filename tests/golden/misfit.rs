@@ -1,0 +1,114 @@
+//! When the model is wrong, the verdict says so and why; when it is right, it says nothing.
+
+use nalgebra::{UnitQuaternion, Vector3};
+use plumb::calibration::solve::{SolvedCamera, solve_views};
+use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::geometry::lens::LensModel;
+use plumb::geometry::pose::Pose;
+use rand_distr::{Distribution, Normal};
+
+use crate::seeded_camera::SeededCamera;
+
+fn brown() -> CameraOptions {
+    CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() }
+}
+
+fn says(solved: &SolvedCamera, word: &str) -> bool {
+    solved.verdict.reasons.iter().any(|reason| reason.contains(word))
+}
+
+/// A camera that reads its rows one after another while the board moves at random, each view otherwise: per picture's
+/// height by `shift_m` along each axis and `turn` about each.
+fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamera, CameraProblem) {
+    let camera = SeededCamera::ordinary();
+    let mut rng = SeededCamera::rng(seed);
+    let poses = camera.poses(views, &mut rng);
+    let mut problem = camera.problem(&poses, &mut rng);
+    let normal = Normal::new(0.0, 1.0).unwrap();
+    for (view, pose) in problem.views.iter_mut().zip(&poses) {
+        let [shift, turn] = [shift_m, turn].map(|scale| Vector3::from_fn(|_, _| scale * normal.sample(&mut rng)));
+        for corner in &mut view.correspondences {
+            let still = camera.lens.pixel_from_point(&(*pose * corner.point_in_board)).unwrap();
+            let mut seen = still;
+            for _ in 0..20 {
+                let time = (seen.y + 0.5) / f64::from(camera.size.height) - 0.5;
+                let turned = UnitQuaternion::from_scaled_axis(turn * time) * pose.rotation();
+                let moved = Pose::new(turned, pose.translation() + shift * time);
+                seen = camera.lens.pixel_from_point(&(moved * corner.point_in_board)).unwrap();
+            }
+            corner.pixel.x += seen.x - still.x;
+            corner.pixel.y += seen.y - still.y;
+        }
+    }
+    (camera, problem)
+}
+
+#[test]
+fn a_rolling_shutter_is_named() {
+    // Shears along rows and along columns differ by a turn alone: a view or two seen from the front may not tell.
+    let mut named = 0;
+    for seed in 0..8 {
+        let (_, problem) = rolling(14, seed, (0.002, 0.006));
+        let solved = solve_views(&problem, &brown()).unwrap();
+        assert!(says(&solved, "does not fit"), "seed {seed}: {:?}", solved.verdict);
+        named += usize::from(says(&solved, "rolling shutter"));
+    }
+    assert!(named >= 6, "named in {named} of 8");
+}
+
+#[test]
+fn what_moves_whole_views_is_in_the_uncertainty() {
+    let (mut observed, mut predicted, mut alone) = (0.0, 0.0, 0.0);
+    for seed in 0..40 {
+        let (camera, problem) = rolling(20, 100 + seed, (0.002, 0.006));
+        let estimate = solve_views(&problem, &brown()).unwrap().estimate;
+        let grid = PixelGrid::over(camera.size, 10);
+        let difference = projection_difference(&camera.lens, &estimate.lens, grid);
+        let seen: Vec<_> = difference.into_iter().flatten().collect();
+        observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
+        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        predicted += map.mean_square_px2();
+        alone += map.mean_square_px2() / estimate.shared_error;
+    }
+    let (ratio, naive) = (f64::sqrt(observed / predicted), f64::sqrt(observed / alone));
+    assert!((0.5..1.6).contains(&ratio), "observed over predicted {ratio}; corner by corner {naive}");
+    assert!(naive > 2.0, "the test means to have views that differ more than their corners' scatter: {naive}");
+}
+
+#[test]
+fn an_uneven_board_is_named_and_no_rolling_shutter() {
+    for seed in 0..8 {
+        let camera = SeededCamera::ordinary();
+        let mut rng = SeededCamera::rng(200 + seed);
+        let poses = camera.poses(20, &mut rng);
+        let mut problem = camera.problem(&poses, &mut rng);
+        for (view, pose) in problem.views.iter_mut().zip(&poses) {
+            for corner in &mut view.correspondences {
+                let mut point = corner.point_in_board;
+                // A twist: half a millimetre up at two corners of the board, as much down at the others.
+                point.z = 0.0005 * (point.x / 0.12 - 1.0) * (point.y / 0.075 - 1.0);
+                let [flat, bent] =
+                    [corner.point_in_board, point].map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
+                corner.pixel.x += bent.x - flat.x;
+                corner.pixel.y += bent.y - flat.y;
+            }
+        }
+        let solved = solve_views(&problem, &brown()).unwrap();
+        assert!(says(&solved, "uneven by 1.") || says(&solved, "uneven by 0.9"), "seed {seed}: {:?}", solved.verdict);
+        assert!(!says(&solved, "rolling shutter"), "seed {seed}: {:?}", solved.verdict);
+    }
+}
+
+#[test]
+fn a_right_model_is_not_accused() {
+    for seed in 0..30 {
+        let camera = SeededCamera::ordinary();
+        let mut rng = SeededCamera::rng(300 + seed);
+        let poses = camera.poses(8 + seed as usize, &mut rng);
+        let solved = solve_views(&camera.problem(&poses, &mut rng), &brown()).unwrap();
+        assert!(!says(&solved, "does not fit"), "seed {seed}: {:?}", solved.verdict);
+        assert_eq!(solved.estimate.shared_error, 1.0, "seed {seed}");
+    }
+}
