@@ -74,6 +74,7 @@ fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
         let ratio = calibration["checks"]["split_half_ratio"].as_f64().unwrap();
         let reasons = calibration["verdict"]["reasons"].as_array().unwrap();
         let says = |word: &str| reasons.iter().any(|reason| reason.as_str().unwrap().contains(word));
-        assert!(ratio < 2.5 && says(cause), "{name}: {ratio}, {reasons:?}");
+        assert!(ratio < 2.5 || says("two halves of the views differ"), "{name}: {ratio}, {reasons:?}");
+        assert!(ratio < 3.0 && says(cause), "{name}: {ratio}, {reasons:?}");
     }
 }
