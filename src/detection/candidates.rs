@@ -7,7 +7,7 @@ use super::response::{HALF_RING, REACH, Response};
 use crate::imaging::gray::GrayView;
 
 /// Tiles of the response, 4×4 pixels each, whose maximum is looked at.
-const MOST_TILES: usize = 2048;
+const MOST_TILES: usize = 1024;
 /// Candidates that go on.
 pub(super) const MOST: usize = 700;
 const TILE: usize = 4;
@@ -104,11 +104,25 @@ impl CandidateSearch {
 }
 
 fn column_maxima(rows: &[&[u8]; TILE], out: &mut [u8]) {
-    pulp::Arch::new().dispatch(|| {
-        for (i, out) in out.iter_mut().enumerate() {
-            *out = rows[0][i].max(rows[1][i]).max(rows[2][i].max(rows[3][i]));
+    pulp::Arch::new().dispatch(ColumnMaxima { rows, out });
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct ColumnMaxima<'a> {
+    rows: &'a [&'a [u8]; TILE],
+    out: &'a mut [u8],
+}
+
+impl pulp::NullaryFnOnce for ColumnMaxima<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let [first, second, third, fourth] = self.rows.map(|row| &row[..self.out.len()]);
+        for (i, out) in self.out.iter_mut().enumerate() {
+            *out = first[i].max(second[i]).max(third[i].max(fourth[i]));
         }
-    });
+    }
 }
 
 /// Whether no response within two pixels is larger; of equal ones the first in raster order counts.

@@ -10,7 +10,7 @@ use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
 use super::response::Response;
-use super::seeds::Neighbourhood;
+use super::seeds::{Neighbourhood, Seed};
 use super::tracking::LastBoard;
 use super::verification::verify;
 use crate::geometry::board::BoardSize;
@@ -20,7 +20,9 @@ use crate::imaging::gray::GrayView;
 const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
-const MOST_GRIDS: usize = 8;
+const MOST_GRIDS: usize = 4;
+/// Squares from which a grid is grown, on one level.
+const MOST_STARTS: usize = 100;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 
@@ -151,12 +153,16 @@ impl Detector {
         if best.is_some() {
             self.spend(level, true);
         }
-        let mut grids = 0;
+        let (mut grids, mut starts) = (0, 0);
         for first in 0..self.candidates.found.len() {
-            if grids == MOST_GRIDS || seen.too_large {
+            if grids == MOST_GRIDS || starts == MOST_STARTS || seen.too_large {
                 break;
             }
-            if self.used[first] || !self.grow_from(image, level, first, reach) {
+            let seed =
+                if self.used[first] { None } else { self.neighbourhood.seed(&self.candidates.found, first, reach) };
+            let Some(seed) = seed else { continue };
+            starts += 1;
+            if !self.grow_from(image, level, &seed) {
                 continue;
             }
             grids += 1;
@@ -180,13 +186,11 @@ impl Detector {
         None
     }
 
-    /// Grows a grid from candidate `first`; true if it is one worth judging.
-    fn grow_from(&mut self, image: GrayView<'_>, level: usize, first: usize, reach: f32) -> bool {
+    /// Grows a grid from `seed`; true if it is one worth judging.
+    fn grow_from(&mut self, image: GrayView<'_>, level: usize, seed: &Seed) -> bool {
         let view = self.pyramid.level(image, level);
-        let candidates = &self.candidates.found;
-        let Some(seed) = self.neighbourhood.seed(candidates, first, reach) else { return false };
         let radius = self.board.cols.max(self.board.rows) as i32 + 2;
-        self.growth.start(view, candidates, &seed, radius, &mut self.grid);
+        self.growth.start(view, &self.candidates.found, seed, radius, &mut self.grid);
         self.grid.members.len() >= 6
     }
 

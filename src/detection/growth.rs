@@ -15,7 +15,7 @@ use crate::imaging::gray::GrayView;
 /// Least alternation of the four squares, as a share of the contrast found.
 const LEAST_ALTERNATION: f32 = 0.3;
 /// How far a corner may lie from where it was predicted, in steps of the grid.
-const MOST_OFF: f32 = 0.3;
+const MOST_OFF: f32 = 0.4;
 /// The same where no neighbour is known.
 const MOST_OFF_FAR: f32 = 0.2;
 /// Part of the way to the neighbours that counts as very near.
@@ -53,7 +53,7 @@ pub(super) struct WindowSize {
 
 /// As large as squares allow.
 const WIDE: WindowSize =
-    WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.3 };
+    WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.4 };
 /// Beside something that covers the rest of the squares, and very close beside it.
 const NARROW: WindowSize =
     WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };

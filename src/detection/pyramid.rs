@@ -59,23 +59,38 @@ pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
 fn halve(source: GrayView<'_>, into: &mut Plane) {
     (into.width, into.height) = (source.width() / 2, source.height() / 2);
     into.pixels.resize(into.width * into.height, 0);
-    let width = into.width;
-    pulp::Arch::new().dispatch(|| {
-        for (y, out) in into.pixels.chunks_exact_mut(width.max(1)).enumerate() {
-            halve_rows(source.row(2 * y), source.row(2 * y + 1), out);
+    pulp::Arch::new().dispatch(Halve { source, width: into.width, pixels: &mut into.pixels });
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Halve<'a> {
+    source: GrayView<'a>,
+    width: usize,
+    pixels: &'a mut [u8],
+}
+
+impl pulp::NullaryFnOnce for Halve<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (y, out) in self.pixels.chunks_exact_mut(self.width.max(1)).enumerate() {
+            halve_rows(self.source.row(2 * y), self.source.row(2 * y + 1), out);
         }
-    });
+    }
 }
 
 #[inline(always)]
 fn halve_rows(upper: &[u8], lower: &[u8], out: &mut [u8]) {
-    let pair = |p: &[u8]| {
-        let both = u16::from_le_bytes([p[0], p[1]]);
-        (both & 0xff) + (both >> 8)
-    };
     for ((out, a), b) in out.iter_mut().zip(upper.chunks_exact(2)).zip(lower.chunks_exact(2)) {
         *out = ((pair(a) + pair(b) + 2) >> 2) as u8;
     }
+}
+
+#[inline(always)]
+fn pair(p: &[u8]) -> u16 {
+    let both = u16::from_le_bytes([p[0], p[1]]);
+    (both & 0xff) + (both >> 8)
 }
 
 #[cfg(test)]

@@ -38,15 +38,7 @@ impl Response {
         }
         self.values[..REACH * width].fill(0);
         self.values[(height - REACH) * width..].fill(0);
-        pulp::Arch::new().dispatch(|| {
-            for y in REACH..height - REACH {
-                let rows = std::array::from_fn(|i| image.row(y + i - REACH));
-                let out = &mut self.values[y * width..(y + 1) * width];
-                out[..REACH].fill(0);
-                out[width - REACH..].fill(0);
-                respond_row(&rows, &mut out[REACH..width - REACH]);
-            }
-        });
+        pulp::Arch::new().dispatch(Rows { image, values: &mut self.values });
     }
 
     /// Columns.
@@ -65,6 +57,28 @@ impl Response {
     }
 }
 
+/// The rows that are not at the border. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Rows<'a> {
+    image: GrayView<'a>,
+    values: &'a mut [u8],
+}
+
+impl pulp::NullaryFnOnce for Rows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let (width, height) = (self.image.width(), self.image.height());
+        for y in REACH..height - REACH {
+            let rows = std::array::from_fn(|i| self.image.row(y + i - REACH));
+            let out = &mut self.values[y * width..(y + 1) * width];
+            out[..REACH].fill(0);
+            out[width - REACH..].fill(0);
+            respond_row(&rows, &mut out[REACH..width - REACH]);
+        }
+    }
+}
+
 #[inline(always)]
 fn mean(a: u8, b: u8) -> u8 {
     ((u16::from(a) + u16::from(b) + 1) >> 1) as u8
@@ -75,28 +89,61 @@ fn apart(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-#[inline(always)]
-fn mean_of(v: [u8; 8]) -> u8 {
-    mean(mean(mean(v[0], v[1]), mean(v[2], v[3])), mean(mean(v[4], v[5]), mean(v[6], v[7])))
+/// A function of two neighbours at a time, of eight: the shape of a mean, a most and a least. Written out, because a closure
+/// in the loop over pixels may be left uninlined, and then none of it is vectorised.
+macro_rules! of_eight {
+    ($f:path, $v:expr) => {
+        $f($f($f($v[0], $v[1]), $f($v[2], $v[3])), $f($f($v[4], $v[5]), $f($v[6], $v[7])))
+    };
 }
 
 #[inline(always)]
 fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
     let n = out.len();
-    let shifted = |dx: i32, dy: i32| {
-        let start = (REACH as i32 + dx) as usize;
-        &rows[(REACH as i32 + dy) as usize][start..start + n]
-    };
-    let near: [&[u8]; 8] = std::array::from_fn(|k| shifted(HALF_RING[k].0, HALF_RING[k].1));
-    let far: [&[u8]; 8] = std::array::from_fn(|k| shifted(-HALF_RING[k].0, -HALF_RING[k].1));
-    let middle = [shifted(1, 0), shifted(-1, 0), shifted(0, 1), shifted(0, -1)];
+    macro_rules! shifted {
+        ($dx:expr, $dy:expr) => {{
+            let start = (REACH as i32 + $dx) as usize;
+            &rows[(REACH as i32 + $dy) as usize][start..start + n]
+        }};
+    }
+    macro_rules! half_ring {
+        ($sign:expr) => {{
+            let at: [(i32, i32); 8] = HALF_RING;
+            [
+                shifted!($sign * at[0].0, $sign * at[0].1),
+                shifted!($sign * at[1].0, $sign * at[1].1),
+                shifted!($sign * at[2].0, $sign * at[2].1),
+                shifted!($sign * at[3].0, $sign * at[3].1),
+                shifted!($sign * at[4].0, $sign * at[4].1),
+                shifted!($sign * at[5].0, $sign * at[5].1),
+                shifted!($sign * at[6].0, $sign * at[6].1),
+                shifted!($sign * at[7].0, $sign * at[7].1),
+            ]
+        }};
+    }
+    let near: [&[u8]; 8] = half_ring!(1);
+    let far: [&[u8]; 8] = half_ring!(-1);
+    let middle = [shifted!(1, 0), shifted!(-1, 0), shifted!(0, 1), shifted!(0, -1)];
     for i in 0..n {
-        let means: [u8; 8] = std::array::from_fn(|k| mean(near[k][i], far[k][i]));
-        let unlike: [u8; 8] = std::array::from_fn(|k| apart(near[k][i], far[k][i]));
-        let most = means.iter().fold(0, |m: u8, &a| m.max(a));
-        let least = means.iter().fold(255, |m: u8, &a| m.min(a));
+        macro_rules! pairs {
+            ($f:path) => {
+                [
+                    $f(near[0][i], far[0][i]),
+                    $f(near[1][i], far[1][i]),
+                    $f(near[2][i], far[2][i]),
+                    $f(near[3][i], far[3][i]),
+                    $f(near[4][i], far[4][i]),
+                    $f(near[5][i], far[5][i]),
+                    $f(near[6][i], far[6][i]),
+                    $f(near[7][i], far[7][i]),
+                ]
+            };
+        }
+        let means = pairs!(mean);
+        let unlike = pairs!(apart);
+        let range = of_eight!(u8::max, means) - of_eight!(u8::min, means);
         let center = mean(mean(middle[0][i], middle[1][i]), mean(middle[2][i], middle[3][i]));
-        let offset = apart(center, mean_of(means));
-        out[i] = (most - least).saturating_sub(mean_of(unlike)).saturating_sub(offset).saturating_sub(offset);
+        let offset = apart(center, of_eight!(mean, means));
+        out[i] = range.saturating_sub(of_eight!(mean, unlike)).saturating_sub(offset).saturating_sub(offset);
     }
 }
