@@ -72,8 +72,8 @@ impl Field {
             let weight = (1.0 + doubt).powi(-2);
             for row in 0..terms {
                 let weighted = weight * basis[row];
-                for col in 0..=row {
-                    sums.normal[row][col] += weighted * basis[col];
+                for (sum, other) in sums.normal[row].iter_mut().zip(&basis[..=row]) {
+                    *sum += weighted * other;
                 }
                 sums.right[row] += weighted * value;
             }
