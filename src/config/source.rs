@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
-//! | `realsense` | `serial` (default: the only one there is) or `path` of a .bag file |
+//! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
 //! | `recording` | `path`; `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
 //! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30) |
 
@@ -16,6 +16,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::capture::mode::ModeRequest;
+use crate::capture::realsense::{Preset, Settings};
 use crate::config::{ConfigError, Place};
 use crate::geometry::pixel::ImageSize;
 
@@ -44,6 +45,10 @@ pub enum SourceConfig {
     Realsense {
         /// Its serial number; `None` takes the only one there is.
         serial: Option<String>,
+        /// What to ask each of its streams for.
+        mode: ModeRequest,
+        /// What it is told besides.
+        settings: Settings,
     },
     /// A recording of a RealSense camera, in its own format.
     RealsenseBag {
@@ -121,6 +126,8 @@ pub(crate) struct WrittenSource {
     fps: Option<Spanned<f64>>,
     controls: Option<Spanned<BTreeMap<String, i64>>>,
     lock: Option<Spanned<bool>>,
+    preset: Option<Spanned<String>>,
+    emitter: Option<Spanned<bool>>,
 }
 
 const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
@@ -184,15 +191,32 @@ impl WrittenSource {
     }
 
     fn realsense(&self, place: &Place) -> Result<SourceConfig, ConfigError> {
-        self.takes_only(&["serial", "path"], place)?;
+        match self.path {
+            None => self.takes_only(&["serial", "width", "height", "fps", "preset", "emitter"], place)?,
+            Some(_) => self.takes_only(&["serial", "path"], place)?,
+        }
         match (&self.serial, &self.path) {
             (Some(serial), Some(_)) => {
                 let problem = "a serial number and a file exclude each other; leave one out";
                 Err(place.refuse(&serial.span(), "camera.source.serial", problem))
             }
             (None, Some(path)) => Ok(SourceConfig::RealsenseBag { path: self.existing_path(&path.span(), place)? }),
-            (serial, None) => Ok(SourceConfig::Realsense { serial: serial.as_ref().map(|s| s.get_ref().clone()) }),
+            (serial, None) => {
+                let serial = serial.as_ref().map(|serial| serial.get_ref().clone());
+                Ok(SourceConfig::Realsense { serial, mode: self.mode(place)?, settings: self.settings(place)? })
+            }
         }
+    }
+
+    fn settings(&self, place: &Place) -> Result<Settings, ConfigError> {
+        let unknown = |preset: &Spanned<String>| {
+            let names = Preset::ALL.map(Preset::name).join(", ");
+            let problem = format!("`{}` is no preset; write one of {names}", preset.get_ref());
+            place.refuse(&preset.span(), "camera.source.preset", problem)
+        };
+        let preset =
+            self.preset.as_ref().map(|preset| Preset::from_name(preset.get_ref()).ok_or_else(|| unknown(preset)));
+        Ok(Settings { preset: preset.transpose()?, emitter: self.emitter.as_ref().map(|emitter| *emitter.get_ref()) })
     }
 
     fn existing_path(&self, span: &Range<usize>, place: &Place) -> Result<PathBuf, ConfigError> {
@@ -279,6 +303,8 @@ impl WrittenSource {
             ("fps", self.fps.as_ref().map(Spanned::span)),
             ("controls", self.controls.as_ref().map(Spanned::span)),
             ("lock", self.lock.as_ref().map(Spanned::span)),
+            ("preset", self.preset.as_ref().map(Spanned::span)),
+            ("emitter", self.emitter.as_ref().map(Spanned::span)),
         ];
         for (key, span) in given {
             if let (Some(span), false) = (span, allowed.contains(&key)) {
@@ -312,7 +338,12 @@ mod tests {
         assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
         let recording = SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
         assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));
-        assert_eq!(source("{ kind = \"realsense\" }"), Ok(SourceConfig::Realsense { serial: None }));
+        let realsense = |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
+        assert_eq!(source("{ kind = \"realsense\" }"), realsense(ModeRequest::default(), Settings::default()));
+        let set = "{ kind = \"realsense\", width = 848, height = 480, fps = 30, preset = \"high_accuracy\", emitter = false }";
+        let mode = ModeRequest { size: Some(ImageSize::new(848, 480)), format: None, fps: Some(30.0) };
+        let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(false) };
+        assert_eq!(source(set), realsense(mode, settings));
         let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: ModeRequest::default() };
         assert_eq!(source("{ kind = \"uvc\", index = 0 }"), Ok(uvc));
     }
@@ -346,6 +377,8 @@ mod tests {
             ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
             ("{ kind = \"uvc\", index = 0, name = \"x\" }", "camera.source.index: give the camera's index or its name"),
             ("{ kind = \"realsense\", serial = \"1\", path = \"/\" }", "camera.source.serial: a serial number and a"),
+            ("{ kind = \"realsense\", preset = \"best\" }", "camera.source.preset: `best` is no preset; write one of"),
+            ("{ kind = \"realsense\", path = \"/\", emitter = true }", "camera.source.emitter: unknown for kind"),
             ("\"simulator\"", "source: invalid type: string"),
         ];
         for (text, expected) in cases {

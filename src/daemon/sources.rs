@@ -50,19 +50,20 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             };
             Box::new(uvc::Camera::new(uvc::CameraOptions { selector, mode }))
         }
-        SourceConfig::Realsense { serial } => realsense_camera(serial.map_or(Origin::OnlyDevice, Origin::Serial)),
-        SourceConfig::RealsenseBag { path } => realsense_camera(Origin::Bag(path)),
+        SourceConfig::Realsense { serial, mode, settings } => {
+            let origin = serial.map_or(Origin::OnlyDevice, Origin::Serial);
+            Box::new(realsense::Camera::new(realsense::CameraOptions { origin, mode, settings }))
+        }
+        SourceConfig::RealsenseBag { path } => {
+            let options = realsense::CameraOptions { origin: Origin::Bag(path), ..Default::default() };
+            Box::new(realsense::Camera::new(options))
+        }
     }
 }
 
 fn open_recording(path: &Path, options: &ReplayOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
     let replay = Replay::open(path, options).map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
     Ok(Box::new(replay))
-}
-
-fn realsense_camera(origin: Origin) -> Box<dyn SourceOpener> {
-    let options = realsense::CameraOptions { origin, ..realsense::CameraOptions::default() };
-    Box::new(realsense::Camera::new(options))
 }
 
 #[cfg(not(target_os = "linux"))]

@@ -9,12 +9,13 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use realsense_rust::config::Config;
 use realsense_rust::context::Context;
 use realsense_rust::device::Device;
-use realsense_rust::kind::{Rs2CameraInfo, Rs2Format, Rs2StreamKind};
+use realsense_rust::kind::{Rs2CameraInfo, Rs2Format, Rs2Option, Rs2StreamKind};
 use realsense_rust::pipeline::InactivePipeline;
+use realsense_rust::sensor::Sensor;
 
 use crate::capture::realsense::bag_file::check_bag;
 use crate::capture::realsense::source::{Opened, Source};
-use crate::capture::realsense::{CameraOptions, Origin};
+use crate::capture::realsense::{CameraOptions, Origin, Settings};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 
 /// Frames a second where none are asked for.
@@ -57,6 +58,10 @@ impl Camera {
         let pipeline = pipeline.start(Some(config)).map_err(unresolved)?;
         self.barren.fetch_add(1, Ordering::Relaxed);
         let is_bag = matches!(self.options.origin, Origin::Bag(_));
+        if !is_bag {
+            set(pipeline.profile().device(), self.options.settings)
+                .map_err(|problem| failed(&format!("{name}: {problem}")))?;
+        }
         let (next_sequence, barren) = (Arc::clone(&self.next_sequence), Arc::clone(&self.barren));
         Ok(Source::new(Opened { context, pipeline, name, is_bag, next_sequence, barren }))
     }
@@ -117,6 +122,22 @@ fn bag_config(path: &Path) -> Result<Config, CaptureError> {
     let enabled = config.enable_device_from_file(path, false).map(|_| ());
     enabled.map_err(|error| failed(&format!("{}: {error}", path.display())))?;
     Ok(config)
+}
+
+/// Makes the settings on whichever of the device's sensors takes them.
+fn set(device: &Device, settings: Settings) -> Result<(), String> {
+    let preset = settings.preset.map(|preset| (Rs2Option::VisualPreset, "preset", f32::from(preset.number())));
+    let emitter = settings.emitter.map(|on| (Rs2Option::EmitterEnabled, "emitter", f32::from(u8::from(on))));
+    for (option, key, value) in [preset, emitter].into_iter().flatten() {
+        let takes = |sensor: &Sensor| sensor.supports_option(option) && !sensor.is_option_read_only(option);
+        let mut sensor = device
+            .sensors()
+            .into_iter()
+            .find(takes)
+            .ok_or_else(|| format!("this device has no {key}: remove `{key}`"))?;
+        sensor.set_option(option, value).map_err(|error| format!("`{key}` cannot be set: {error}"))?;
+    }
+    Ok(())
 }
 
 /// What a device tells of itself.

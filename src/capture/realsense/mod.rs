@@ -12,6 +12,7 @@ mod factory;
 mod listing;
 #[cfg(feature = "realsense")]
 mod pixels;
+mod settings;
 #[cfg(feature = "realsense")]
 mod source;
 #[cfg(not(feature = "realsense"))]
@@ -26,6 +27,8 @@ pub use listing::list_devices;
 #[cfg(not(feature = "realsense"))]
 pub use without::{Camera, list_devices};
 
+pub use settings::{Preset, Settings};
+
 use crate::capture::mode::ModeRequest;
 
 /// Which device, and how it is to be set.
@@ -35,6 +38,8 @@ pub struct CameraOptions {
     pub origin: Origin,
     /// Size and rate of every stream; default: the device's own.
     pub mode: ModeRequest,
+    /// What the device is told besides; a recording is told nothing.
+    pub settings: Settings,
 }
 
 /// A device or a recording of one.
