@@ -74,7 +74,7 @@ impl Rejection {
     pub fn kind(&self) -> &'static str {
         match self {
             Self::NoBoard(NoBoard::Blurred { .. }) | Self::Blurred { .. } => "blurred",
-            Self::NoBoard(NoBoard::Incomplete { .. }) | Self::Partial { .. } => "partial",
+            Self::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. }) | Self::Partial { .. } => "partial",
             Self::NoBoard(_) => "no_board",
             Self::Moving { .. } => "moving",
             Self::TooSimilar { .. } => "too_similar",

@@ -93,7 +93,7 @@ fn obstacle(rejection: &Rejection) -> Option<String> {
         Rejection::NoBoard(NoBoard::Blurred { .. }) | Rejection::Blurred { .. } => {
             Some("the picture is blurred: hold the board still, add light, or focus the lens".to_owned())
         }
-        Rejection::NoBoard(NoBoard::Incomplete { .. }) | Rejection::Partial { .. } => {
+        Rejection::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. }) | Rejection::Partial { .. } => {
             Some("bring the whole board into the picture".to_owned())
         }
         Rejection::NoBoard(_) => Some("show the board to the camera".to_owned()),

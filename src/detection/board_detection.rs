@@ -94,8 +94,16 @@ pub enum NoBoard {
         /// What was looked for.
         board: BoardSize,
     },
+    /// Part of the board, because the rest is beyond the picture's border.
+    #[error("cut off: the picture's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
+    CutOff {
+        /// How many corners were seen.
+        seen: usize,
+        /// What was looked for.
+        board: BoardSize,
+    },
     /// Part of the board, where the whole was asked for.
-    #[error("only {seen} of {board}'s {} corners are seen; bring the whole board into view, or allow partial boards", board.corner_count())]
+    #[error("only {seen} of {board}'s {} corners are seen; uncover the board, or allow partial boards", board.corner_count())]
     Incomplete {
         /// How many corners were seen.
         seen: usize,
@@ -114,6 +122,7 @@ impl NoBoard {
             Self::NoCorners => "no_corners",
             Self::NoGrid { .. } => "no_grid",
             Self::OtherSize { .. } => "other_size",
+            Self::CutOff { .. } => "cut_off",
             Self::Incomplete { .. } => "incomplete",
         }
     }

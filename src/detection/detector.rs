@@ -132,7 +132,7 @@ impl Detector {
         }
         match best {
             Some((_, placement)) if options.allow_partial => self.report(image, placement, options),
-            Some((seen, _)) => Err(NoBoard::Incomplete { seen, board: self.board }),
+            Some((seen, _)) => Err(self.part_reason(image, seen)),
             None => Err(self.reason(image, coarsest, &seen)),
         }
     }

@@ -57,7 +57,7 @@ impl Detector {
         if partial && (!options.allow_partial || corners.len() < self.least_part()) {
             let seen = corners.len();
             self.spare = corners;
-            return Err(NoBoard::Incomplete { seen, board: self.board });
+            return Err(self.part_reason(image, seen));
         }
         self.whole = Some(placement).filter(|_| !partial);
         Ok(self.detection(placement, corners))

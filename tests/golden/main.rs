@@ -11,6 +11,7 @@ mod lens_choice;
 mod misfit;
 mod photographs;
 mod predicted_scatter;
+mod reasons;
 mod rig;
 mod seeded_camera;
 #[path = "../system/shared_data.rs"]

@@ -1,0 +1,132 @@
+//! Where no board is answered, the reason is the true one: a rendered picture for each.
+
+use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
+use plumb::detection::detector::Detector;
+use plumb::geometry::board::BoardSize;
+use plumb::imaging::gray::GrayImage;
+
+const BOARD: BoardSize = BoardSize { cols: 9, rows: 6 };
+
+/// A board of `cols` × `rows` inner corners, seen straight on, with the middle of its squares at `middle`.
+struct Straight {
+    size: (usize, usize),
+    corners: (u32, u32),
+    square_px: f64,
+    middle: (f64, f64),
+    colours: [f64; 2],
+    blur_px: f64,
+}
+
+impl Straight {
+    fn new(square_px: f64) -> Self {
+        Self {
+            size: (320, 240),
+            corners: (9, 6),
+            square_px,
+            middle: (160.0, 120.0),
+            colours: [40.0, 210.0],
+            blur_px: 0.7,
+        }
+    }
+
+    fn picture(&self) -> GrayImage {
+        let (width, height) = self.size;
+        let pixels = (0..width * height).map(|at| self.light((at % width) as f64, (at / width) as f64) as u8).collect();
+        GrayImage::from_pixels(width, height, pixels).unwrap()
+    }
+
+    /// Squares in blur: a product of two waves, each blurred along its own axis, on white paper.
+    fn light(&self, x: f64, y: f64) -> f64 {
+        let [dark, bright] = self.colours;
+        let (across, within_x) = self.wave(x - self.middle.0, self.corners.0);
+        let (down, within_y) = self.wave(y - self.middle.1, self.corners.1);
+        bright + (dark - bright) * 0.5 * (within_x * within_y + across * down)
+    }
+
+    /// 1 and −1 by turns from square to square, and 1 from the first to the last.
+    fn wave(&self, at: f64, corners: u32) -> (f64, f64) {
+        let last = corners + 1;
+        let rise = |k: u32| step((at - (f64::from(k) - f64::from(last) / 2.0) * self.square_px) / self.blur_px);
+        let sign = |k: u32| if k.is_multiple_of(2) { 1.0 } else { -1.0 };
+        let inner: f64 = (1..last).map(|k| 2.0 * sign(k) * rise(k)).sum();
+        (rise(0) + inner + sign(last) * rise(last), rise(0) - rise(last))
+    }
+}
+
+/// A step in blur of one, by a logistic curve.
+fn step(t: f64) -> f64 {
+    1.0 / (1.0 + (-1.702 * t).exp())
+}
+
+fn look(picture: &GrayImage, allow_partial: bool) -> Result<Detection, NoBoard> {
+    Detector::new(BOARD).find_board(picture.view(), &DetectOptions { allow_partial })
+}
+
+fn reason(board: &Straight) -> NoBoard {
+    look(&board.picture(), false).expect_err("no board")
+}
+
+#[test]
+fn the_board_itself_is_found() {
+    let found = look(&Straight::new(24.0).picture(), false).unwrap();
+    assert_eq!(found.corners.len(), 54);
+}
+
+#[test]
+fn a_flat_picture_has_too_little_contrast() {
+    let flat = Straight { colours: [100.0, 104.0], ..Straight::new(24.0) };
+    assert!(matches!(reason(&flat), NoBoard::LowContrast { range } if range <= 4), "{}", reason(&flat));
+}
+
+#[test]
+fn a_picture_out_of_focus_is_too_blurred() {
+    for blur_px in [22.0, 30.0] {
+        let soft = Straight { blur_px, ..Straight::new(24.0) };
+        let reason = reason(&soft);
+        assert!(matches!(reason, NoBoard::Blurred { blur_px } if blur_px > 4.0), "{reason}");
+        assert_eq!(reason.kind(), "blurred");
+    }
+}
+
+#[test]
+fn a_board_of_another_size_is_named_with_its_size() {
+    let other = Straight { corners: (7, 5), ..Straight::new(24.0) };
+    let reason = reason(&other);
+    assert_eq!(reason, NoBoard::OtherSize { cols: 7, rows: 5, board: BOARD });
+    assert!(reason.to_string().starts_with("a 7x5 board is seen, not 9x6"), "{reason}");
+}
+
+#[test]
+fn a_board_beyond_the_border_is_cut_off() {
+    for middle in [(90.0, 120.0), (160.0, 60.0), (240.0, 150.0)] {
+        let cut = Straight { middle, ..Straight::new(24.0) };
+        let reason = reason(&cut);
+        assert!(matches!(reason, NoBoard::CutOff { seen, .. } if (20..54).contains(&seen)), "{middle:?}: {reason}");
+        let part = look(&cut.picture(), true).unwrap();
+        assert!(part.partial);
+    }
+}
+
+#[test]
+fn a_covered_board_is_incomplete() {
+    let mut pixels = Straight::new(24.0).picture().into_pixels();
+    for y in 90..135 {
+        pixels[y * 320 + 120..y * 320 + 190].fill(128);
+    }
+    let covered = GrayImage::from_pixels(320, 240, pixels).unwrap();
+    let reason = look(&covered, false).expect_err("covered");
+    assert!(matches!(reason, NoBoard::Incomplete { seen, .. } if (30..54).contains(&seen)), "{reason}");
+}
+
+#[test]
+fn a_picture_too_small_for_the_board_says_so() {
+    let reason = look(&GrayImage::filled(30, 20, 0), false).expect_err("too small");
+    assert!(matches!(reason, NoBoard::ImageTooSmall { .. }), "{reason}");
+}
+
+#[test]
+fn a_picture_without_a_board_has_no_corners_of_one() {
+    let stripes = (0..320 * 240).map(|at| if at % 320 / 16 % 2 == 0 { 40 } else { 200 }).collect();
+    let reason = look(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");
+    assert!(matches!(reason, NoBoard::NoCorners | NoBoard::NoGrid { .. }), "{reason}");
+}
