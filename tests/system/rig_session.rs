@@ -110,7 +110,9 @@ fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
     let own = served.post("/v1/cameras/far/sessions", &request()).json();
     let busy = served.post("/v1/rigs/head/sessions", &request());
     assert_eq!(busy.status, 409, "{}", busy.text());
-    assert_eq!(served.get("/v1/cameras/left").json()["session"], Value::Null, "none is kept where one is busy");
+    // It is given back by its own thread, a moment after the answer.
+    let free = || served.get("/v1/cameras/left").json()["session"].is_null();
+    assert!((0..2000).any(|_| free()), "none is kept where one is busy");
     assert_eq!(served.delete(&format!("/v1/sessions/{}", own["id"].as_str().unwrap())).status, 200);
 
     let started = served.post("/v1/rigs/head/sessions", &request()).json();
