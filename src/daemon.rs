@@ -16,12 +16,12 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 
-use crate::config::{Config, RigConfig};
+use crate::config::Config;
 use crate::daemon::reload::Reload;
-use crate::daemon::sources::plan_of;
+use crate::daemon::sources::{plan_of, rig_of};
 use crate::http::{self, Service};
+use crate::pipeline::FleetOptions;
 use crate::pipeline::fleet::{Fleet, FleetError};
-use crate::pipeline::{FleetOptions, RigPlan};
 use crate::store::{Store, StoreError};
 
 /// Why the daemon did not run.
@@ -83,8 +83,7 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let plans = config.cameras.iter().map(plan_of).collect();
     let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
     let fleet = Arc::new(Fleet::start(plans, Arc::clone(&store), &options)?);
-    let rig = |rig: &RigConfig| RigPlan { name: rig.name.clone(), cameras: rig.cameras.clone() };
-    fleet.start_rigs(config.rigs.iter().map(rig).collect())?;
+    fleet.start_rigs(config.rigs.iter().map(rig_of).collect())?;
     if config.cameras.is_empty() {
         tracing::warn!("no camera is configured; give a file with [[camera]] tables with --config");
     }

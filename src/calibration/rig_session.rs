@@ -69,6 +69,8 @@ pub struct RigSession {
     record: SessionRecord,
     members: Vec<Member>,
     views: Vec<RigView>,
+    /// Numbers are never used twice, whatever became of the views that had them.
+    next_number: u32,
     moments: u32,
 }
 
@@ -94,12 +96,19 @@ impl RigSession {
             let own = SessionRecord::begin(&record.id, camera, request, record.started_at_ns);
             Member { camera: camera.clone(), session: Session::begin(own, options), before: None }
         };
-        let mut session = Self { members: cameras.iter().map(member).collect(), record, views: Vec::new(), moments: 0 };
+        let mut session = Self {
+            members: cameras.iter().map(member).collect(),
+            record,
+            views: Vec::new(),
+            next_number: 0,
+            moments: 0,
+        };
         session.renew();
         session
     }
 
-    /// A session as it was stored, with its views in order. One that was solving solves again.
+    /// A session as it was stored, with its views in order; those of a camera that is not in the rig any more have a place
+    /// that it does not have, and are left out. One that was solving solves again.
     pub fn resume(
         record: SessionRecord,
         cameras: &[String],
@@ -109,6 +118,7 @@ impl RigSession {
         let mut session = Self::begin(record, cameras, options);
         session.record.reason = None;
         for (place, view) in views {
+            session.next_number = session.next_number.max(place.number + 1);
             let Some(member) = session.members.get_mut(place.member) else { continue };
             if let Some(own) = member.session.keep_shared(&view.frame, &view.detection) {
                 session.moments = session.moments.max(place.moment + 1);
@@ -216,7 +226,8 @@ impl RigSession {
                 }
                 if let Some(Ok(view)) = admissions[other] {
                     moment_of[other] = Some(moment);
-                    let place = RigView { number: self.views.len() as u32, member: other, moment, view };
+                    let place = RigView { number: self.next_number, member: other, moment, view };
+                    self.next_number += 1;
                     self.views.push(place.clone());
                     actions.push(RigAction::Keep(place));
                 }

@@ -1,11 +1,12 @@
-//! SIGHUP: the configuration is read again, and the cameras that changed are exchanged; the others go on undisturbed.
+//! SIGHUP: the configuration is read again, and the cameras and rigs that changed are exchanged; the others go on
+//! undisturbed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::config::{CameraConfig, Config, Overrides};
+use crate::config::{CameraConfig, Config, Overrides, RigConfig};
 use crate::daemon::DaemonError;
-use crate::daemon::sources::plan_of;
+use crate::daemon::sources::{plan_of, rig_of};
 use crate::pipeline::fleet::Fleet;
 
 /// What is running, and from where it was read.
@@ -55,31 +56,51 @@ impl Reload {
                 return;
             }
         };
-        let Changes { stopped, started } = changes(&self.config.cameras, &config.cameras);
-        let plans = started.iter().map(plan_of).collect();
-        if let Err(error) = self.fleet.replace_cameras(&stopped, plans) {
-            tracing::error!("not every camera could be exchanged: {error}");
+        let changes = Changes::between(&self.config, &config);
+        self.fleet.stop_rigs(&changes.stopped_rigs);
+        let plans = changes.started.iter().map(plan_of).collect();
+        let exchanged = self.fleet.replace_cameras(&changes.stopped, plans);
+        let exchanged =
+            exchanged.and_then(|()| self.fleet.start_rigs(changes.started_rigs.iter().map(rig_of).collect()));
+        if let Err(error) = exchanged {
+            tracing::error!("not everything could be exchanged: {error}");
         }
-        let kept = Config { cameras: config.cameras.clone(), ..self.config.clone() };
+        let kept = Config { cameras: config.cameras.clone(), rigs: config.rigs.clone(), ..self.config.clone() };
         if kept != config {
-            tracing::warn!("only cameras change while plumb runs; what else changed holds from the next start");
+            tracing::warn!(
+                "only cameras and rigs change while plumb runs; what else changed holds from the next start"
+            );
         }
-        tracing::info!(stopped = stopped.len(), started = started.len(), "configuration read again");
+        let count = |cameras: usize, rigs: usize| format!("{cameras} cameras, {rigs} rigs");
+        let stopped = count(changes.stopped.len(), changes.stopped_rigs.len());
+        let started = count(changes.started.len(), changes.started_rigs.len());
+        tracing::info!(stopped, started, "configuration read again");
         self.config = kept;
     }
 }
 
-/// Which cameras go, and which come.
-#[derive(Debug, PartialEq)]
+/// What goes, and what comes.
+#[derive(Debug, PartialEq, Default)]
 struct Changes {
     stopped: Vec<String>,
     started: Vec<CameraConfig>,
+    stopped_rigs: Vec<String>,
+    started_rigs: Vec<RigConfig>,
 }
 
-fn changes(before: &[CameraConfig], after: &[CameraConfig]) -> Changes {
-    let stopped = before.iter().filter(|camera| !after.contains(camera)).map(|camera| camera.name.clone());
-    let started = after.iter().filter(|camera| !before.contains(camera)).cloned();
-    Changes { stopped: stopped.collect(), started: started.collect() }
+impl Changes {
+    /// A rig of which a camera is exchanged is exchanged too: it borrows the new one then.
+    fn between(before: &Config, after: &Config) -> Self {
+        let goes = |camera: &&CameraConfig| !after.cameras.contains(camera);
+        let stopped: Vec<String> = before.cameras.iter().filter(goes).map(|camera| camera.name.clone()).collect();
+        let stays = |rig: &&RigConfig| {
+            before.rigs.contains(rig) && after.rigs.contains(rig) && !rig.cameras.iter().any(|c| stopped.contains(c))
+        };
+        let stopped_rigs = before.rigs.iter().filter(|rig| !stays(rig)).map(|rig| rig.name.clone()).collect();
+        let started_rigs = after.rigs.iter().filter(|rig| !stays(rig)).cloned().collect();
+        let started = after.cameras.iter().filter(|camera| !before.cameras.contains(camera)).cloned().collect();
+        Self { stopped, started, stopped_rigs, started_rigs }
+    }
 }
 
 #[cfg(test)]
@@ -87,19 +108,39 @@ mod tests {
     use super::*;
     use crate::config::Written;
 
-    fn cameras(text: &str) -> Vec<CameraConfig> {
-        Written::parse(text, Path::new("plumb.toml")).unwrap().check(&Overrides::default()).unwrap().cameras
+    fn config(text: &[String]) -> Config {
+        Written::parse(&text.concat(), Path::new("plumb.toml")).unwrap().check(&Overrides::default()).unwrap()
+    }
+
+    fn camera(name: &str, seed: u32) -> String {
+        format!("[[camera]]\nname=\"{name}\"\nsource={{kind=\"simulator\",seed={seed}}}\n")
+    }
+
+    fn rig(name: &str, cameras: &[&str]) -> String {
+        format!("[[rig]]\nname=\"{name}\"\ncameras={cameras:?}\n")
     }
 
     #[test]
     fn only_what_changed_is_exchanged() {
-        let camera =
-            |name: &str, seed: u32| format!("[[camera]]\nname=\"{name}\"\nsource={{kind=\"simulator\",seed={seed}}}\n");
-        let before = cameras(&[camera("a", 1), camera("b", 1), camera("c", 1)].concat());
-        let after = cameras(&[camera("a", 1), camera("b", 2), camera("d", 1)].concat());
-        let Changes { stopped, started } = changes(&before, &after);
+        let before = config(&[camera("a", 1), camera("b", 1), camera("c", 1)]);
+        let after = config(&[camera("a", 1), camera("b", 2), camera("d", 1)]);
+        let Changes { stopped, started, .. } = Changes::between(&before, &after);
         assert_eq!(stopped, ["b", "c"]);
         assert_eq!(started.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(), ["b", "d"]);
-        assert_eq!(changes(&after, &after), Changes { stopped: Vec::new(), started: Vec::new() });
+        assert_eq!(Changes::between(&after, &after), Changes::default());
+    }
+
+    #[test]
+    fn a_rig_is_exchanged_with_its_cameras() {
+        let cameras = |of_c: u32| [camera("a", 1), camera("b", 1), camera("c", of_c)].concat();
+        let before = config(&[cameras(1), rig("ab", &["a", "b"]), rig("bc", &["b", "c"]), rig("ca", &["c", "a"])]);
+        let after = config(&[cameras(2), rig("ab", &["a", "b"]), rig("bc", &["b", "c"]), rig("ac", &["a", "c"])]);
+        let Changes { stopped_rigs, started_rigs, .. } = Changes::between(&before, &after);
+        assert_eq!(stopped_rigs, ["bc", "ca"]);
+        assert_eq!(started_rigs.iter().map(|rig| rig.name.as_str()).collect::<Vec<_>>(), ["bc", "ac"]);
+        let turned = config(&[cameras(1), rig("ab", &["b", "a"]), rig("bc", &["b", "c"]), rig("ca", &["c", "a"])]);
+        let Changes { stopped, stopped_rigs, started_rigs, .. } = Changes::between(&before, &turned);
+        assert_eq!((stopped.len(), stopped_rigs), (0, vec!["ab".to_owned()]));
+        assert_eq!(started_rigs[0].cameras, ["b", "a"]);
     }
 }

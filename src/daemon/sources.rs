@@ -8,8 +8,8 @@ use crate::capture::uvc;
 use crate::capture::v4l2;
 use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SimulatedClock, SourceOpener};
 use crate::config::source::UvcSelector;
-use crate::config::{CameraConfig, SourceConfig};
-use crate::pipeline::CameraPlan;
+use crate::config::{CameraConfig, RigConfig, SourceConfig};
+use crate::pipeline::{CameraPlan, RigPlan};
 use crate::simulation::WorldOptions;
 
 /// How the camera is set going.
@@ -20,6 +20,11 @@ pub fn plan_of(camera: &CameraConfig) -> CameraPlan {
         open: opener_of(&camera.source),
         may_stall: camera.source.may_stall(),
     }
+}
+
+/// How the rig is set going.
+pub fn rig_of(rig: &RigConfig) -> RigPlan {
+    RigPlan { name: rig.name.clone(), cameras: rig.cameras.clone() }
 }
 
 /// What opens the source, also again after it was lost.

@@ -66,6 +66,22 @@ impl Fleet {
         Ok(())
     }
 
+    /// Ends the rigs named `stopped` and gives their cameras back; a session that collects goes on when a rig of that name
+    /// is started again. Blocks until they have finished what they are computing.
+    pub fn stop_rigs(&self, stopped: &[String]) {
+        let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
+        let (leaving, staying): (Vec<_>, Vec<_>) =
+            rigs.drain(..).partition(|running| stopped.contains(&running.rig.plan.name));
+        *rigs = staying;
+        drop(rigs);
+        leaving.iter().for_each(|running| running.rig.inbox.close());
+        for RunningRig { rig, thread } in leaving {
+            if thread.join().is_err() {
+                tracing::error!(rig = rig.plan.name, "the rig's thread had ended by a fault");
+            }
+        }
+    }
+
     /// Every rig, in the order of the configuration.
     pub fn rigs(&self) -> Vec<RigStatus> {
         self.running_rigs().iter().map(|running| running.rig.status()).collect()

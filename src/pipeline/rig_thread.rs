@@ -57,9 +57,10 @@ impl RigThread {
                 Next::Ended(reason) => self.tell(|session| session.sources_ended(&reason, utc_now_ns())),
             }
         }
-        // The counts since the last view; the views themselves are stored already.
-        if let Some(current) = self.current.take().filter(|current| !current.session.record().state.is_over()) {
-            self.save(current.session.record());
+        if self.current.as_ref().is_some_and(|current| !current.session.record().state.is_over()) {
+            self.release();
+            // The counts since the last view; the views themselves are stored already.
+            self.save_session();
         }
     }
 
@@ -125,13 +126,14 @@ impl RigThread {
             tracing::error!(rig = self.rig.plan.name, session, "kept views are left out: {error}");
             Default::default()
         });
-        let member = |camera: &str| self.rig.plan.cameras.iter().position(|name| name == camera);
+        let members = &self.rig.plan.cameras;
+        let member = |camera: &str| members.iter().position(|name| name == camera).unwrap_or(members.len());
         let place = |place: &RigPlace| {
             let RigPlace { number, ref camera, moment } = *place;
-            Some(RigView { number, member: member(camera)?, moment, view: 0 })
+            RigView { number, member: member(camera), moment, view: 0 }
         };
         let of_place = |at: &RigPlace| views.iter().find(|view| view.number == at.number).cloned();
-        places.iter().filter_map(|at| Some((place(at)?, of_place(at)?))).collect()
+        places.iter().filter_map(|at| Some((place(at), of_place(at)?))).collect()
     }
 
     /// Has every camera search for the session's board, or none of them.

@@ -1,5 +1,7 @@
 //! A rig of three cameras through the daemon: one session, one calibration, held to the truth that the pictures were made of.
 
+use std::time::{Duration, Instant};
+
 use serde_json::{Value, json};
 
 use crate::served::{Served, recording};
@@ -163,4 +165,50 @@ fn a_killed_daemon_goes_on_with_a_rig_s_session_and_replays_come_out_the_same() 
         calibration.to_string()
     };
     assert_eq!(replay(), replay());
+}
+
+/// Asks until the answer is `wanted`: what a hangup changes is not announced.
+fn until(served: &Served, path: &str, wanted: impl Fn(u16, &Value) -> bool) {
+    let began = Instant::now();
+    loop {
+        let answer = served.get(path);
+        if wanted(answer.status, &answer.json()) {
+            return;
+        }
+        assert!(began.elapsed() < Duration::from_secs(60), "in vain: {path} is {}", answer.text());
+    }
+}
+
+#[test]
+fn a_hangup_exchanges_the_rigs_that_changed() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    let mut events = served.events("?camera=head", Some("0"));
+    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
+    let kept = |data: &Value| data["views_kept"].as_u64() >= Some(3);
+    events.until(|event| event.name == "session" && kept(&event.data));
+    let file = folder.path().join("plumb.toml");
+    let before = std::fs::read_to_string(&file).unwrap();
+    let without_rig = &before[..before.find("[[rig]]").unwrap()];
+    let rig = |name: &str, cameras: &[&str]| format!("[[rig]]\nname = {name:?}\ncameras = {cameras:?}\n");
+    let hangup = |rigs: &str| {
+        std::fs::write(&file, format!("{without_rig}{rigs}")).unwrap();
+        served.signal("HUP");
+    };
+
+    hangup(&(rig("head", &["left", "right"]) + &rig("tail", &["right", "far"])));
+    until(&served, "/v1/rigs/tail", |status, _| status == 200);
+    assert_eq!(served.get("/v1/rigs/head").json()["cameras"], json!(["left", "right"]));
+    until(&served, "/v1/cameras/right", |_, camera| camera["session"] == *id);
+    let session = served.get(&format!("/v1/sessions/{id}")).json();
+    assert!(session["state"] == "collecting" && session["cameras"].as_array().unwrap().len() == 2, "{session}");
+    let own = served.post("/v1/cameras/far/sessions", &request());
+    assert_eq!(own.status, 201, "the camera that left the rig is free: {}", own.text());
+    let stopped = served.post_nothing(&format!("/v1/sessions/{id}/stop")).json();
+    assert_ne!(stopped["state"], "collecting", "{stopped}");
+
+    hangup("");
+    until(&served, "/v1/rigs", |_, rigs| rigs["rigs"] == json!([]));
+    until(&served, "/v1/cameras/left", |_, camera| camera["session"].is_null());
+    assert_eq!(served.get("/v1/cameras/far").json()["session"], own.json()["id"], "far did not notice");
 }
