@@ -133,6 +133,8 @@ pub(crate) struct WrittenSource {
 const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
 /// No camera sees more; a larger size is a slip of the keyboard.
 const LARGEST_SIDE: u32 = 16_384;
+/// A picture every 17 minutes: seldomer ones make a session hopeless, and times between them impossible to count.
+const LOWEST_FPS: f64 = 0.001;
 const HIGHEST_FPS: f64 = 1000.0;
 const FOLDER_FPS: f64 = 10.0;
 /// The last camera of a simulated rig.
@@ -278,10 +280,10 @@ impl WrittenSource {
     fn fps(&self, place: &Place) -> Result<Option<f64>, ConfigError> {
         let Some(fps) = &self.fps else { return Ok(None) };
         let value = *fps.get_ref();
-        if value > 0.0 && value <= HIGHEST_FPS {
+        if (LOWEST_FPS..=HIGHEST_FPS).contains(&value) {
             return Ok(Some(value));
         }
-        let problem = format!("{value} frames a second are impossible; write more than 0 and at most {HIGHEST_FPS}");
+        let problem = format!("impossible; write {LOWEST_FPS} to {HIGHEST_FPS} frames a second");
         Err(place.refuse(&fps.span(), "camera.source.fps", problem))
     }
 
@@ -368,8 +370,9 @@ mod tests {
             ("{ kind = \"recording\" }", "camera.source.path: missing"),
             ("{ kind = \"recording\", path = \"/not/there.mcap\" }", "camera.source.path: `/not/there.mcap` cannot be"),
             ("{ kind = \"recording\", path = \"/\", pace = \"slow\" }", "camera.source.pace: `slow` is no pace"),
-            ("{ kind = \"recording\", path = \"/\", fps = 0 }", "camera.source.fps: 0 frames a second"),
-            ("{ kind = \"recording\", path = \"/\", fps = nan }", "camera.source.fps: NaN frames a second"),
+            ("{ kind = \"recording\", path = \"/\", fps = 0 }", "camera.source.fps: impossible; write 0.001 to 1000"),
+            ("{ kind = \"recording\", path = \"/\", fps = nan }", "camera.source.fps: impossible; write 0.001 to 1000"),
+            ("{ kind = \"simulator\", fps = 1e-300 }", "camera.source.fps: impossible; write 0.001 to 1000"),
             ("{ kind = \"recording\", path = \"/\", device = \"x\" }", "camera.source.device: unknown for kind"),
             ("{ kind = \"simulator\", width = 0, height = 480 }", "camera.source.width: 0 px is impossible"),
             ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),

@@ -217,7 +217,7 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     let planes = triples.filter_map(|triple| through(&triple.map(|k| k % count.max(1))));
     let best = planes.map(|plane| (median(deviations(&plane)), plane)).min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((scale, mut plane)) = best else { return tiles.clear() };
-    let limit = (4.0 * scale).clamp(0.002, tolerance);
+    let limit = (4.0 * scale).max(0.002).min(tolerance);
     for _ in 0..3 {
         let off = deviations(&plane);
         let near: Vec<usize> = (0..count).filter(|k| off[*k] <= limit).collect();

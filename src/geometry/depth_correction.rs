@@ -153,6 +153,13 @@ impl DepthCorrection {
 /// No correction has more terms.
 pub const MAX_TERMS: usize = 4;
 
+/// The nearest 1/z to `inverse_depth` among the depths `seen_m` [nearest, farthest], where a correction holds; `inverse_depth` itself
+/// where none were seen (nearest beyond farthest).
+pub(crate) fn held_inverse_depth(inverse_depth: f64, seen_m: [f64; 2]) -> f64 {
+    let [near, far] = seen_m.map(|depth| 1.0 / depth);
+    if far <= near { inverse_depth.clamp(far, near) } else { inverse_depth }
+}
+
 /// The correction of one pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PixelCorrection {
@@ -167,7 +174,7 @@ pub struct PixelCorrection {
 impl PixelCorrection {
     /// The corrected 1/z.
     pub fn correct(&self, inverse_depth: f64) -> f64 {
-        let held = inverse_depth.clamp(1.0 / self.seen_m[1], 1.0 / self.seen_m[0]);
+        let held = held_inverse_depth(inverse_depth, self.seen_m);
         let polynomial = |x: f64| self.terms.iter().rev().fold(0.0, |sum, term| sum * x + term);
         match self.quantity {
             CorrectedQuantity::InverseDepth => inverse_depth + polynomial(held),
@@ -210,5 +217,11 @@ mod tests {
         assert!((1.0 / correction.correct(pixel, 0.5).unwrap() - (2.0 + 0.01 - 0.04)).abs() < 1e-14);
         correction.coefficients = vec![-9.0, 0.0];
         assert_eq!(correction.correct(pixel, 0.5), None);
+    }
+
+    #[test]
+    fn a_correction_of_no_depths_is_held_nowhere() {
+        let none = DepthCorrection::none(CorrectedQuantity::Depth, 1, SplineGrid::constant(SIZE), [f64::INFINITY, 0.0]);
+        assert_eq!(none.correct(Pixel::new(3.0, 4.0), 0.5), Some(0.5));
     }
 }

@@ -107,7 +107,7 @@ pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
     // Across a line at 45 degrees its reach is longer by √2.
     let across = reach * std::f64::consts::SQRT_2;
     for major in range(first.min(last) - reach, first.max(last) + reach, limit) {
-        let on_line = f64::from(major).clamp(first.min(last), first.max(last));
+        let on_line = f64::from(major).max(first.min(last)).min(first.max(last));
         let middle = if steep { from.x + slope * (on_line - from.y) } else { from.y + slope * (on_line - from.x) };
         for minor in range(middle - across, middle + across, if steep { width } else { height }) {
             let (x, y) = if steep { (minor, major) } else { (major, minor) };
@@ -135,8 +135,9 @@ pub fn draw_ring(picture: &mut RgbImage, center: Pixel, radius_px: f64, pen: Pen
 
 /// The whole numbers from `first` to `last` that lie in a picture of `length`.
 fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
-    let first = first.ceil().clamp(0.0, length);
-    let last = (last.floor() + 1.0).clamp(first, length);
+    // `max` and `min` pass over what is not a number, as coordinates far outside may make it; `clamp` would panic.
+    let first = first.ceil().max(0.0).min(length);
+    let last = (last.floor() + 1.0).max(first).min(length);
     first as u32..last as u32
 }
 
@@ -193,6 +194,9 @@ mod tests {
         draw_polygon(&mut picture, &far[2..], PEN);
         draw_line(&mut picture, far[0], far[1], PEN);
         draw_corners(&mut picture, &far);
+        let beyond = [Pixel::new(-1e308, 1e308), Pixel::new(1e308, 1e308), Pixel::new(1e308, -1e308)];
+        draw_polygon(&mut picture, &beyond, PEN);
+        draw_ring(&mut picture, beyond[0], 3.0, PEN);
         assert_eq!(lit(&picture), []);
         draw_line(&mut picture, Pixel::new(-100.0, 1.0), Pixel::new(100.0, 1.0), PEN);
         assert_eq!(lit(&picture), [(0, 1), (1, 1), (2, 1), (3, 1)]);

@@ -13,7 +13,7 @@ use nalgebra::{Matrix2, Vector3};
 use crate::estimation::joint::normal::{NormalEquations, chain};
 use crate::estimation::joint::{Layout, State};
 use crate::geometry::depth_camera::DepthTile;
-use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection};
+use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, held_inverse_depth};
 use crate::geometry::lens::Lens;
 
 /// The board's surface as the depth sensor measured it at one instant.
@@ -125,7 +125,7 @@ pub(crate) fn ray(lens: &Lens, tile: &DepthTile) -> Option<Vector3<f64>> {
 pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
     let weights = correction.grid.weights(tile.pixel);
     let count = correction.grid.node_count();
-    let held = tile.inverse_depth.clamp(1.0 / correction.seen_m[1], 1.0 / correction.seen_m[0]);
+    let held = held_inverse_depth(tile.inverse_depth, correction.seen_m);
     let (base, factor) = match correction.quantity {
         CorrectedQuantity::InverseDepth => (held, 1.0),
         CorrectedQuantity::Depth => {
