@@ -18,6 +18,17 @@ pub struct DepthCalibration {
     pub bias: Vec<DepthBias>,
     /// The noise of single readings.
     pub noise: DepthNoise,
+    /// By how much its pictures are taken later than colour's, where the board's motion tells.
+    pub time_offset: Option<PictureDelay>,
+}
+
+/// By how much a sensor's pictures are taken later than the ones they come with.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PictureDelay {
+    /// In seconds.
+    pub seconds: f64,
+    /// Its standard deviation, in seconds.
+    pub std_s: f64,
 }
 
 /// The mean error of depth in one range of distances.
@@ -86,6 +97,9 @@ impl DepthCalibration {
             lens_std: (0..estimate.depth_covariance.nrows()).map(std).collect(),
             bias: bias(estimate),
             noise: DepthNoise::of(&estimate.judged),
+            time_offset: estimate
+                .time_offset
+                .map(|offset| PictureDelay { seconds: offset.seconds, std_s: offset.std_s }),
         }
     }
 }

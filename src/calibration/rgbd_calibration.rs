@@ -5,6 +5,7 @@ use nalgebra::DMatrix;
 use crate::calibration::calibration::{Calibration, Extrinsics, Grade, SensorCalibration, Verdict};
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
 use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
+use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
 
 /// `calibration`, which holds what colour gave by itself, with everything that the joint solve adds or makes surer.
@@ -26,9 +27,32 @@ pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &Solv
         calibration.extrinsics.push(extrinsics("color_from_infrared"));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
+    if let Some(reason) = without_color(input) {
+        calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
+        calibration.verdict.reasons.push(reason);
+    }
+    if !joint.not_together.is_empty() {
+        calibration.verdict.reasons.push(not_together(joint));
+    }
     calibration.verdict = judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
     calibration.depth = Some(depth);
     calibration
+}
+
+/// Views that colour tells nothing of, where they are many.
+pub fn without_color(input: &RgbdInput) -> Option<String> {
+    let views = || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
+    let (all, without) = (views().count(), views().filter(|capture| capture.color.is_empty()).count());
+    (3 * without > all).then(|| {
+        format!("the board was not seen in colour in {without} of {all} views with depth: keep it within both pictures")
+    })
+}
+
+fn not_together(joint: &RgbdEstimate) -> String {
+    let (apart, all) = (joint.not_together.len(), joint.color_from_board.len());
+    format!(
+        "colour and depth of {apart} of {all} views are of different moments, and these take no part in where the sensors are: hold the board still, or let the device take both together"
+    )
 }
 
 fn with_lens(mut sensor: SensorCalibration, lens: Lens, covariance: &DMatrix<f64>) -> SensorCalibration {

@@ -5,9 +5,13 @@ use nalgebra::{Matrix6, Point3, Vector3};
 
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
+use crate::detection::plane_growth::grow_plane;
+use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use crate::estimation::rgbd::motion::{BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset};
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::robust::median;
 use crate::geometry::board::Chessboard;
@@ -37,6 +41,10 @@ pub struct DepthSensor {
 pub struct RgbdCapture {
     /// Its path or sequence number.
     pub name: String,
+    /// When the colour picture was taken, in seconds since any moment; `None` where times mean nothing.
+    pub time_s: Option<f64>,
+    /// Whether it is a view. Others tell how the board moved, and by how much the sensors are apart in time.
+    pub is_view: bool,
     /// The board in the colour picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
     /// The board in the infrared picture; empty where it wasn't found.
@@ -96,6 +104,34 @@ pub enum RgbdError {
         /// Why the first one has not, as `; view: reason`, or nothing.
         first: String,
     },
+    /// Depth is a multiple of what the board says.
+    #[error(
+        "depth reads {factor:.3} times the board's distance: check the unit of depth (metres per unit: about {factor_inverse:.4} of what is stated would fit) and the board's square"
+    )]
+    Unit {
+        /// How many times.
+        factor: f64,
+        /// The other way round.
+        factor_inverse: f64,
+    },
+    /// Depth is not the board's.
+    #[error(
+        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that colour sees: check that depth and colour are of the same device, not swapped, not mirrored, and taken together"
+    )]
+    Disagree {
+        /// Part of the patches.
+        percent: f64,
+    },
+    /// The sensors would be too far apart for one device.
+    #[error(
+        "depth and colour only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
+    )]
+    Apart {
+        /// How far, in metres.
+        apart_m: f64,
+        /// How much they are turned against each other.
+        degrees: f64,
+    },
     /// All together could not be.
     #[error("colour and depth together: {0}")]
     Joint(EstimationError),
@@ -114,7 +150,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let depth_size = input.captures.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);
     let depth_size =
         depth_size.ok_or(RgbdError::TooLittleDepth { usable: 0, all: input.captures.len(), first: String::new() })?;
-    let infrared_seen = input.captures.iter().filter(|capture| !capture.infrared.is_empty()).count();
+    let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
     let infrared = (input.depth.with_infrared && infrared_seen >= 3)
         .then(|| solve_views(&problem(input, depth_size, |c| &c.infrared), options).map_err(of_sensor("infrared")))
         .transpose()?;
@@ -129,7 +165,60 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
         solved = Some((joint, captures, without_depth));
     }
     let (joint, captures, without_depth) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
+    check_joint(&joint)?;
     Ok(SolvedRgbd { color, infrared, joint, captures, without_depth })
+}
+
+/// Depth this many times the board's distance, or less than one part in this, has another unit.
+const UNIT_LIMIT: f64 = 1.2;
+
+/// How much that may differ between patches for all that, as a part of it, in the middle.
+const UNIT_SPREAD: f64 = 0.1;
+
+/// At least this part of the patches follows a board.
+const LEAST_FOLLOWING: f64 = 0.6;
+
+/// The most that is left of 1/z between a patch and the board, as a part of it, in the middle of all patches.
+const MOST_LEFT: f64 = 0.02;
+
+/// Sensors of one device are not this far apart, in metres, and not turned this much, in degrees.
+const FURTHEST: (f64, f64) = (0.5, 45.0);
+
+/// Refuses an answer that fits but cannot be.
+fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
+    let tiles = || joint.judged.iter().flatten();
+    let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);
+    let factor = median(factors().collect()).unwrap_or(1.0);
+    let spread = median(factors().map(|one| (one / factor - 1.0).abs()).collect()).unwrap_or(0.0);
+    let wrong_unit = !(1.0 / UNIT_LIMIT..UNIT_LIMIT).contains(&factor);
+    if wrong_unit && matches!(joint.depth.reading, DepthReading::Metric { .. }) {
+        // Another unit is the same factor everywhere; another scene is not.
+        return Err(match spread < UNIT_SPREAD {
+            true => RgbdError::Unit { factor, factor_inverse: 1.0 / factor },
+            false => RgbdError::Disagree { percent: 100.0 },
+        });
+    }
+    let left = |judged: &JudgedTile| {
+        let inverse = judged.tile.inverse_depth;
+        let corrected =
+            joint.depth.correction.as_ref().map_or(Some(inverse), |c| c.correct(judged.tile.pixel, inverse));
+        corrected.map_or(f64::INFINITY, |corrected| (corrected / judged.plane - 1.0).abs())
+    };
+    let middle = median(tiles().map(left).collect()).unwrap_or(0.0);
+    if joint.following < LEAST_FOLLOWING || middle > MOST_LEFT {
+        let off = tiles().filter(|judged| left(judged) > MOST_LEFT).count() as f64 / tiles().count().max(1) as f64;
+        return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
+    }
+    let pose = &joint.color_from_depth;
+    let (apart_m, degrees) = (pose.translation().norm(), pose.rotation().angle().to_degrees());
+    if apart_m > FURTHEST.0 || degrees > FURTHEST.1 {
+        return Err(RgbdError::Apart { apart_m, degrees });
+    }
+    Ok(())
+}
+
+fn views(input: &RgbdInput) -> impl Iterator<Item = &RgbdCapture> {
+    input.captures.iter().filter(|capture| capture.is_view)
 }
 
 fn problem(
@@ -137,7 +226,7 @@ fn problem(
     image_size: ImageSize,
     seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
 ) -> CameraProblem {
-    let with_board = input.captures.iter().filter(|capture| !seen(capture).is_empty());
+    let with_board = views(input).filter(|capture| !seen(capture).is_empty());
     let views = with_board.map(|c| BoardView { name: c.name.clone(), correspondences: seen(c).clone() }).collect();
     CameraProblem { image_size, views }
 }
@@ -155,6 +244,8 @@ struct Guess {
     /// Of every capture that has one.
     color_from_board: Vec<Option<Pose>>,
     infrared_used: Vec<bool>,
+    motions: Vec<Option<BoardMotion>>,
+    time_offset: Option<TimeOffset>,
 }
 
 impl Guess {
@@ -190,11 +281,40 @@ impl Guess {
             size,
             color_from_board,
             infrared_used: infrared_poses.iter().map(Option::is_some).collect(),
+            motions: Vec::new(),
+            time_offset: None,
         };
+        guess.find_motion(input, &color_poses, &infrared_poses);
         if input.depth.reading.is_none() {
             guess.reading = guess.disparity(input).unwrap_or(guess.reading);
         }
         guess
+    }
+
+    /// The board's motion at each capture, and the time between the sensors, by every capture that both see the board in.
+    fn find_motion(&mut self, input: &RgbdInput, color: &[Option<Pose>], infrared: &[Option<Pose>]) {
+        let moments: Vec<(usize, (f64, Pose))> = input
+            .captures
+            .iter()
+            .enumerate()
+            .filter_map(|(index, capture)| {
+                let pose = color[index].or_else(|| moving_pose(&self.color, capture, &capture.color))?;
+                Some((index, (capture.time_s?, pose)))
+            })
+            .collect();
+        let poses: Vec<(f64, Pose)> = moments.iter().map(|(_, moment)| *moment).collect();
+        self.motions = vec![None; input.captures.len()];
+        let (mut both, middle) = (Vec::new(), far_corner(&input.board).coords * 0.5);
+        for ((index, (_, first_from_board)), motion) in moments.iter().zip(board_motions(&poses)) {
+            self.motions[*index] = motion;
+            let capture = &input.captures[*index];
+            let second = infrared[*index].or_else(|| moving_pose(&self.lens, capture, &capture.infrared));
+            if let (Some(motion), Some(second_from_board), DepthLens::Infrared) = (motion, second, self.depth_lens) {
+                both.push(SeenByBoth { first_from_board: *first_from_board, motion, second_from_board });
+            }
+        }
+        self.time_offset = time_offset(&self.depth_from_color, &both, (middle, middle.norm()))
+            .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
     /// What disparity means, from what is read in the board's middle and how far away colour says it is: the line through
@@ -228,18 +348,21 @@ impl Guess {
         let plane_options = PlaneOptions { invalid: input.depth.invalid, ..PlaneOptions::default() };
         let mut with_depth = 0;
         for (index, (capture, pose)) in input.captures.iter().zip(&self.color_from_board).enumerate() {
-            let Some(color_from_board) = *pose else { continue };
-            let tiles = capture.depth.as_ref().map(|picture| {
+            let (Some(color_from_board), true) = (*pose, capture.is_view) else { continue };
+            let seen = capture.depth.as_ref().map(|picture| {
                 let outline = self.outline(&input.board, &color_from_board, margin);
-                find_board_plane(picture, (self.reading, &self.lens), &outline, &plane_options)
+                let meaning = (self.reading, &self.lens);
+                let tiles = find_board_plane(picture, meaning, &outline, &plane_options)?;
+                let surround = grow_plane(picture, meaning, (&tiles, &outline), &plane_options);
+                Ok((tiles, surround))
             });
-            let tiles = match tiles {
-                Some(Ok(tiles)) => tiles,
+            let (tiles, surround) = match seen {
+                Some(Ok(seen)) => seen,
                 Some(Err(reason)) => {
                     without_depth.push((capture.name.clone(), reason));
-                    Vec::new()
+                    (Vec::new(), Vec::new())
                 }
-                None => Vec::new(),
+                None => (Vec::new(), Vec::new()),
             };
             with_depth += usize::from(!tiles.is_empty());
             let infrared = if self.infrared_used[index] { capture.infrared.clone() } else { Vec::new() };
@@ -248,7 +371,9 @@ impl Guess {
                 color: capture.color.clone(),
                 infrared,
                 tiles,
+                surround,
                 color_from_board,
+                motion: self.motions[index],
             });
             captures.push(index);
         }
@@ -264,6 +389,7 @@ impl Guess {
             depth_lens: self.depth_lens,
             infrared_noise: self.infrared_noise,
             depth_from_color: self.depth_from_color,
+            time_offset: self.time_offset,
             corrected: match self.reading {
                 DepthReading::Disparity { .. } => vec![CorrectedQuantity::InverseDepth],
                 DepthReading::Metric { .. } => vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth],
@@ -306,7 +432,7 @@ fn poses(
 ) -> Vec<Option<Pose>> {
     let mut views = solved.estimate.views.iter();
     let of_capture = |capture: &RgbdCapture| {
-        if seen(capture).is_empty() {
+        if seen(capture).is_empty() || !capture.is_view {
             return None;
         }
         let view = views.next()?;
@@ -317,13 +443,25 @@ fn poses(
 
 /// By how much a sensor's corners scatter more than their own deviations say; above 0.
 fn noise(input: &RgbdInput, solved: &SolvedCamera, seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>) -> f64 {
-    let captures = input.captures.iter().map(seen).filter(|corners| !corners.is_empty());
+    let captures = views(input).map(seen).filter(|corners| !corners.is_empty());
     let views = captures.zip(&solved.estimate.views).filter(|(_, view)| view.fault.is_none());
     let corners = views.flat_map(|(corners, view)| corners.iter().zip(&view.residuals_px).zip(&view.used));
     let (sum, count) = corners.filter(|(_, used)| **used).fold((0.0, 0), |(sum, count), ((corner, [x, y]), _)| {
         (sum + 0.5 * (x * x + y * y) / corner.std_px.powi(2), count + 1)
     });
     (sum / f64::from(count.max(1))).sqrt().max(f64::MIN_POSITIVE)
+}
+
+/// A time that is less sure than this, in seconds, is none.
+const LEAST_SURE_S: f64 = 0.02;
+
+/// Where the board was in a capture that is no view.
+fn moving_pose(lens: &Lens, capture: &RgbdCapture, corners: &[Correspondence]) -> Option<Pose> {
+    if capture.is_view || corners.is_empty() {
+        return None;
+    }
+    let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
+    board_poses(lens, &view).ok()?.first().map(|pose| pose.camera_from_board)
 }
 
 /// The pose that is nearest to most others.

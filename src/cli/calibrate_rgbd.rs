@@ -129,11 +129,9 @@ impl<'a> Gathered<'a> {
         if let Some((size, _)) = &color {
             self.same_size(*size, "color", &path)?;
         }
-        if frames.recording.is_some() && !self.keep(&frames.set, color.as_ref()) {
-            return Ok(());
-        }
+        let is_view = frames.recording.is_none() || self.keep(&frames.set, color.as_ref());
         let infrared = self.look(&frames.set, SensorKind::Infrared, &path)?;
-        let depth = match frames.set.frame(SensorKind::Depth) {
+        let depth = match frames.set.frame(SensorKind::Depth).filter(|_| is_view) {
             Some(frame) => {
                 let picture = DepthImage::from_frame(frame)
                     .map_err(|error| Failure::failed(format!("{path}: depth: {error}")))?;
@@ -142,10 +140,12 @@ impl<'a> Gathered<'a> {
             }
             None => None,
         };
+        let time = frames.set.device_time.map_or(frames.set.host_time.utc_ns, |time| time.monotonic_ns);
+        let time_s = frames.recording.is_some().then_some(time as f64 * 1e-9);
         let color = self.corners(color);
         let infrared = self.corners(infrared);
-        if !(color.is_empty() && infrared.is_empty()) {
-            self.captures.push(RgbdCapture { name: path, color, infrared, depth });
+        if !(color.is_empty() && infrared.is_empty()) || (is_view && depth.is_some()) {
+            self.captures.push(RgbdCapture { name: path, time_s, is_view, color, infrared, depth });
         }
         Ok(())
     }
@@ -206,7 +206,7 @@ impl<'a> Gathered<'a> {
 
     fn finish(self, depth: DepthSensor) -> Result<RgbdInput, Failure> {
         match self.color_size {
-            Some(color_size) if !self.captures.is_empty() => {
+            Some(color_size) if self.captures.iter().any(|capture| !capture.color.is_empty()) => {
                 Ok(RgbdInput { board: self.target, color_size, depth, captures: self.captures })
             }
             Some(_) => Err(Failure::failed(format!(

@@ -155,7 +155,7 @@ fn gather(
 }
 
 /// A plane through the samples of a patch, trimmed twice; `None` where they are too few or on a line.
-fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
+pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
     let mut last = None;
     for _ in 0..3 {
         let count = samples.len() as f64;

@@ -13,6 +13,7 @@ mod grid;
 mod growth;
 mod perspective;
 mod placement;
+pub mod plane_growth;
 mod pyramid;
 mod reasons;
 pub mod refine;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::calibration::depth_calibration::{DepthBias, DepthCalibration, DepthNoise};
+use crate::calibration::depth_calibration::{DepthBias, DepthCalibration, DepthNoise, PictureDelay};
 use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensStdDocument};
@@ -37,6 +37,13 @@ pub struct DepthDocument {
     pub bias_m: BiasDocument,
     /// Noise of a reading: constant + quadratic · z², in metres.
     pub noise_m: NoiseDocument,
+    /// By how much infrared and depth are taken later than the colour picture they come with, in milliseconds; left out where
+    /// the board's motion does not tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_offset_ms: Option<f64>,
+    /// Its standard deviation, in milliseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_offset_std_ms: Option<f64>,
 }
 
 /// What a depth picture's numbers are.
@@ -133,6 +140,8 @@ impl From<&DepthCalibration> for DepthDocument {
             correction: camera.correction.as_ref().map(CorrectionDocument::from),
             bias_m: BiasDocument { ranges: depth.bias.iter().map(range).collect() },
             noise_m: NoiseDocument { constant: depth.noise.constant_m, quadratic: depth.noise.quadratic_per_m },
+            time_offset_ms: depth.time_offset.map(|delay| delay.seconds * 1e3),
+            time_offset_std_ms: depth.time_offset.map(|delay| delay.std_s * 1e3),
         }
     }
 }
@@ -174,6 +183,10 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
             lens_std: document.lens_std.to_values(lens.model()).map_err(|e| e.inside("lens_std"))?,
             bias: document.bias_m.ranges.iter().map(bias).collect(),
             noise: DepthNoise { constant_m: document.noise_m.constant, quadratic_per_m: document.noise_m.quadratic },
+            time_offset: document.time_offset_ms.map(|offset_ms| PictureDelay {
+                seconds: offset_ms * 1e-3,
+                std_s: document.time_offset_std_ms.unwrap_or(0.0) * 1e-3,
+            }),
         })
     }
 }

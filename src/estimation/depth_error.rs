@@ -67,6 +67,14 @@ impl Prior {
             for node in 0..count {
                 hessian[(term * count + node, term * count + node)] += ridge;
             }
+            if correction.quantity == CorrectedQuantity::InverseDepth && term >= LINEAR_TERMS {
+                let mean = (MEAN_CURVATURE * unit * count as f64).powi(-2);
+                for a in 0..count {
+                    for b in 0..count {
+                        hessian[(term * count + a, term * count + b)] += mean;
+                    }
+                }
+            }
             let bend = (smoothness.bend * unit).powi(-2);
             let mut second = |nodes: [usize; 3]| {
                 for (a, wa) in nodes.iter().zip([1.0, -2.0, 1.0]) {
@@ -89,6 +97,12 @@ impl Prior {
         Self { hessian }
     }
 }
+
+/// What triangulates measures 1/z up to a scale and an offset. What is curved in it beyond that, over the whole picture, cannot be
+/// told from how far the sensor stands back along its axis (1/(z + t) = 1/z − t/z² …): it is held to this part of 1/z at the
+/// middle of the depths seen, and is free to differ from one part of the picture to another.
+const LINEAR_TERMS: usize = 2;
+const MEAN_CURVATURE: f64 = 0.002;
 
 /// Views are held out in this many groups, every fifth one together.
 const FOLDS: usize = 5;

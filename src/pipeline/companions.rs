@@ -61,6 +61,8 @@ pub(super) fn rgbd_input(session: &Session, companions: &[Companion]) -> Option<
     let first_depth = companions.iter().find(|companion| companion.sensor == SensorKind::Depth)?;
     let capture = |view: &View| RgbdCapture {
         name: view.frame.display_name(),
+        time_s: None,
+        is_view: true,
         color: view.to_board_view(&board).correspondences,
         infrared: of(view.number, SensorKind::Infrared)
             .map_or_else(Vec::new, |infrared| corners(infrared, view, &board)),

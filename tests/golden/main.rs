@@ -12,8 +12,13 @@ mod misfit;
 mod photographs;
 mod predicted_scatter;
 mod reasons;
+mod rgbd;
+mod rgbd_kinect;
+mod rgbd_time;
+mod rgbd_wrong;
 mod rig;
 mod seeded_camera;
+mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]
 mod shared_data;
 mod textbook;

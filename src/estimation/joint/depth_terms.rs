@@ -35,13 +35,13 @@ struct Row {
 }
 
 /// Adds the planes to the normal equations, and answers every tile's residual in standard deviations (infinite where the
-/// lens sees nothing). The board's poses are held: of them the equations only get what couples them to the rest.
+/// lens sees nothing). Where the boards' poses are not `free`, the equations only get what couples them to the rest.
 /// `correction_at` is where the correction's coefficients begin among the global parameters.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
-    sights: &[PlaneSight],
+    (sights, free): (&[PlaneSight], bool),
 ) -> Vec<Vec<f64>> {
     let mut row = Row { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
     let residuals = sights.iter().map(|sight| {
@@ -62,7 +62,7 @@ pub(crate) fn add_planes(
                         (pose * by_board).into()
                     }
                 };
-                add_row(equations, sight.instant, &row, &by_board);
+                add_row(equations, (sight.instant, free), &row, &by_board);
             }
             row.residual
         });
@@ -71,8 +71,17 @@ pub(crate) fn add_planes(
     residuals.collect()
 }
 
-fn add_row(equations: &mut NormalEquations, instant: usize, row: &Row, by_board: &[f64; 6]) {
+fn add_row(equations: &mut NormalEquations, (instant, free): (usize, bool), row: &Row, by_board: &[f64; 6]) {
     equations.cost += row.residual * row.residual;
+    if free {
+        let block = &mut equations.instants[instant];
+        for (a, da) in by_board.iter().enumerate() {
+            block.gradient[a] += da * row.residual;
+            for (b, db) in by_board.iter().enumerate() {
+                block.hessian[a][b] += da * db;
+            }
+        }
+    }
     let size = equations.global_gradient.len();
     for (i, di) in &row.globals {
         equations.global_gradient[*i] += di * row.residual;

@@ -49,11 +49,7 @@ pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: 
         equations.cost += local.cost;
         equations.add(layout, state, sight, &local);
     }
-    for i in 0..layout.len {
-        for j in 0..i {
-            equations.global[(i, j)] = equations.global[(j, i)];
-        }
-    }
+    equations.mirror();
     Some(equations)
 }
 
@@ -70,8 +66,18 @@ impl NormalEquations {
         }
     }
 
+    /// Copies the upper half of the globals' block, which is what sums are kept in, to the lower.
+    pub(crate) fn mirror(&mut self) {
+        for i in 0..self.global.nrows() {
+            for j in 0..i {
+                self.global[(i, j)] = self.global[(j, i)];
+            }
+        }
+    }
+
+    /// Adds one sight's equations, but for their cost.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
-    fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
+    pub(crate) fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
         let at = &layout.sensors[sight.sensor];
         let residual = local.columns - 1;
         let pose = residual - 6;

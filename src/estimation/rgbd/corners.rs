@@ -1,10 +1,13 @@
-//! What corners tell: lenses, the board's poses, and where the infrared camera is.
+//! What corners tell: lenses, the board's poses, where the infrared camera is, and by how much it is later.
 
-use nalgebra::{DMatrix, Vector3};
+use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
-use crate::estimation::joint::minimize::{Minimum, Stop};
-use crate::estimation::joint::normal::NormalEquations;
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_sight};
+use crate::estimation::joint::minimize::{Stop, walk};
+use crate::estimation::joint::normal::{NormalEquations, Step, chain};
+use crate::estimation::joint::{Layout, Sight, State, moved};
+use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
+use crate::estimation::rgbd::slack::{Apart, Slack, eliminate, pose_part};
 use crate::estimation::rgbd::{DepthLens, RgbdProblem, free, shifted};
 use crate::estimation::robust::{Loss, median};
 use crate::geometry::pose::Pose;
@@ -13,21 +16,130 @@ use crate::geometry::pose::Pose;
 pub(super) struct Corners {
     pub(super) layout: Layout,
     pub(super) state: State,
+    /// The same with each board where it was when infrared and depth were taken.
+    pub(super) depth_state: State,
     pub(super) equations: NormalEquations,
     pub(super) covariance: DMatrix<f64>,
     /// What points are counted from, in the board frame.
     pub(super) center: Vector3<f64>,
+    /// By how much infrared and depth are later, where views tell.
+    pub(super) time_offset: Option<TimeOffset>,
+    /// Views whose infrared picture is of another moment than even this says.
+    pub(super) apart: Vec<usize>,
+}
+
+/// Corners further off than this many standard deviations take no part.
+const CORNER_LIMIT: f64 = 5.0;
+
+/// Infrared pictures whose board is further from colour's than this, as a χ² of six, are of another moment.
+const VIEW_LIMIT: f64 = 36.0;
+
+/// How often noise, slack and what takes part are looked at again.
+const ROUNDS: usize = 10;
+
+/// Everything that is estimated.
+#[derive(Clone)]
+struct Whole {
+    rig: State,
+    /// In seconds.
+    offset_s: f64,
+}
+
+/// What is fixed while the rest is estimated.
+struct Problem {
+    layout: Layout,
+    sights: Vec<Sight>,
+    /// Each instant's, about the rig's axes and with the velocity of the board's centre.
+    motions: Vec<Option<BoardMotion>>,
+    /// What was known of the time before, and the parameter that it is.
+    offset: Option<(usize, TimeOffset)>,
+    slack: Slack,
+    /// How well infrared agrees with colour, in standard deviations of its own corners; at least 1.
+    noise: f64,
 }
 
 impl Corners {
+    /// Two ways where the board's motion is known: each board moved on to when infrared was taken, or taken as it was for views
+    /// in which it stood still, the others left out. The one that knows the sensors' pose better is right: velocities can be
+    /// wrong where frames are far apart, and hardly a view may be still.
     pub(super) fn fit(problem: &RgbdProblem) -> Option<Self> {
+        let as_taken = Self::fit_one(&RgbdProblem { time_offset: None, ..problem.clone() });
+        let Some(offset) = problem.time_offset else { return as_taken };
+        let moved_on = Self::fit_one(problem);
+        let unsure = |corners: &Option<Self>| corners.as_ref().map_or(f64::INFINITY, Self::unsure_m2);
+        if unsure(&moved_on) <= unsure(&as_taken) {
+            return moved_on;
+        }
+        as_taken.map(|corners| Self { time_offset: Some(offset), apart: Vec::new(), ..corners })
+    }
+
+    /// How uncertain the sensors' pose is: the variance of where a point 1 m away is, in m².
+    fn unsure_m2(&self) -> f64 {
+        let at = self.layout.sensors.get(1).and_then(|sensor| sensor.pose_at);
+        at.map_or(0.0, |at| (at..at + 6).map(|k| self.covariance[(k, k)]).sum())
+    }
+
+    fn fit_one(problem: &RgbdProblem) -> Option<Self> {
         let corners = || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
         let center = corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>() / corners().count().max(1) as f64;
+        let start = State {
+            lenses: vec![problem.color, problem.depth.lens],
+            sensor_from_rig: vec![Pose::identity(), problem.depth_from_color],
+            rig_from_board: problem.views.iter().map(|view| shifted(&view.color_from_board, &center)).collect(),
+            warp: [0.0; 2],
+        };
+        let mut whole = Whole { rig: start, offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds) };
+        let mut posed = Problem::of(problem, center);
+        posed.start_slack(&whole);
+        for _ in 0..ROUNDS {
+            let equations = posed.linearized(&whole)?;
+            let stepped = |whole: &Whole, step: &Step| posed.stepped(whole, step);
+            let linearized = |whole: &Whole| posed.linearized(whole);
+            let count = posed.sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+            whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
+            if posed.look_again(&whole) {
+                break;
+            }
+        }
+        let equations = posed.linearized(&whole)?;
+        let covariance = equations.global_covariance()?;
+        let time_offset = posed.offset.map(|(at, before)| TimeOffset {
+            seconds: whole.offset_s,
+            std_s: covariance[(at, at)].max(0.0).sqrt(),
+            ..before
+        });
+        let depth_state = posed.at_depth(&whole);
+        let apart = posed.instants_apart();
+        Some(Self {
+            layout: posed.layout,
+            state: whole.rig,
+            depth_state,
+            equations,
+            covariance,
+            center,
+            time_offset,
+            apart,
+        })
+    }
+
+    pub(super) fn lens_covariance(&self, sensor: usize) -> DMatrix<f64> {
+        let layout = &self.layout.sensors[sensor];
+        let (at, count) = (layout.lens_at, layout.lens.free.len());
+        let spread = layout.lens.spread(&self.state.lenses[sensor]);
+        &spread * self.covariance.view((at, at), (count, count)) * spread.transpose()
+    }
+}
+
+impl Problem {
+    fn of(problem: &RgbdProblem, center: Vector3<f64>) -> Self {
         let mut lenses = vec![free(&problem.color, usize::MAX)];
         if problem.depth_lens == DepthLens::Infrared {
             lenses.push(free(&problem.depth.lens, usize::MAX));
         }
-        let layout = Layout::new(lenses, None);
+        let mut layout = Layout::new(lenses, None);
+        let known = problem.time_offset.filter(|_| layout.sensors.len() > 1);
+        let offset = known.map(|offset| (layout.len, offset));
+        layout.len += usize::from(offset.is_some());
         let mut sights = Vec::new();
         for (instant, view) in problem.views.iter().enumerate() {
             let seen = [(0, &view.color, problem.color_noise), (1, &view.infrared, problem.infrared_noise)];
@@ -45,73 +157,198 @@ impl Corners {
                 });
             }
         }
-        let start = State {
-            lenses: vec![problem.color, problem.depth.lens],
-            sensor_from_rig: vec![Pose::identity(), problem.depth_from_color],
-            rig_from_board: problem.views.iter().map(|view| shifted(&view.color_from_board, &center)).collect(),
-            warp: [0.0; 2],
-        };
-        let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(&layout, sight)).collect();
-        let mut agreement = Agreement::of(&sights, &at_start);
-        let mut weighted = agreement.applied(&sights, &at_start);
-        let mut minimum = Minimum::start(&layout, start, &weighted, Loss::Squares)?;
-        for _ in 0..8 {
-            minimum = minimum.descend(&layout, &weighted, Loss::Squares, Stop::default());
-            let residuals: Vec<Vec<[f64; 2]>> =
-                sights.iter().map(|sight| minimum.state.residuals(&layout, sight)).collect();
-            let next = Agreement::of(&sights, &residuals);
-            let chosen = next.applied(&sights, &residuals);
-            let settled = (next.infrared / agreement.infrared - 1.0).abs() < 0.02 && used(&chosen).eq(used(&weighted));
-            if settled {
-                break;
-            }
-            (agreement, weighted) = (next, chosen);
-            minimum = Minimum::start(&layout, minimum.state, &weighted, Loss::Squares)?;
-        }
-        let covariance = minimum.equations.global_covariance()?;
-        Some(Self { layout, state: minimum.state, equations: minimum.equations, covariance, center })
-    }
-
-    pub(super) fn lens_covariance(&self, sensor: usize) -> DMatrix<f64> {
-        let layout = &self.layout.sensors[sensor];
-        let (at, count) = (layout.lens_at, layout.lens.free.len());
-        let spread = layout.lens.spread(&self.state.lenses[sensor]);
-        &spread * self.covariance.view((at, at), (count, count)) * spread.transpose()
-    }
-}
-
-/// Corners further off than this many standard deviations take no part.
-const CORNER_LIMIT: f64 = 5.0;
-
-/// Infrared pictures that disagree with colour by this many times what they do in the middle take no part: the board moved
-/// between the two.
-const VIEW_LIMIT: f64 = 3.0;
-
-/// How well infrared agrees with colour, in standard deviations of its own corners; at least 1.
-struct Agreement {
-    infrared: f64,
-}
-
-impl Agreement {
-    fn of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> Self {
-        let infrared = sights.iter().zip(residuals).filter(|(sight, _)| sight.sensor == 1);
-        let middle = median(infrared.map(|(_, residuals)| rms(residuals)).collect());
-        Self { infrared: middle.unwrap_or(1.0).max(1.0) }
-    }
-
-    /// The sights with the weights and the corners that it leaves.
-    fn applied(&self, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> Vec<Sight> {
-        let each = sights.iter().zip(residuals).map(|(sight, residuals)| {
-            let scale = if sight.sensor == 1 { self.infrared } else { 1.0 };
-            let together = sight.sensor == 0 || rms(residuals) <= VIEW_LIMIT * scale;
-            let near = |[x, y]: &[f64; 2]| together && x.hypot(*y) <= CORNER_LIMIT * scale;
-            Sight {
-                inverse_std: sight.inverse_std.iter().map(|inverse| inverse / scale).collect(),
-                used: residuals.iter().map(near).collect(),
-                ..sight.clone()
-            }
+        let motions = problem.views.iter().map(|view| {
+            let lever = view.color_from_board * center;
+            view.motion.filter(|_| offset.is_some()).map(|motion| motion.about(&lever))
         });
-        each.collect()
+        let motions = motions.collect();
+        Self { layout, sights, motions, offset, slack: Slack { turn: 1e-10, shift: 1e-10 }, noise: 1.0 }
+    }
+
+    /// Each board where it was when infrared was taken, as far as its motion says.
+    fn later(&self, whole: &Whole) -> State {
+        let mut later = whole.rig.clone();
+        for (pose, motion) in later.rig_from_board.iter_mut().zip(&self.motions) {
+            if let Some(motion) = motion {
+                *pose = moved(pose, &motion.step(whole.offset_s));
+            }
+        }
+        later
+    }
+
+    fn variances(&self, instant: usize) -> Vector6<f64> {
+        let jitter_s = self.offset.map_or(0.0, |(_, offset)| offset.jitter_s);
+        let step = self.motions[instant].map_or([0.0; 6], |motion| motion.step(jitter_s));
+        self.slack.covariance(&step)
+    }
+
+    fn linearized(&self, whole: &Whole) -> Option<NormalEquations> {
+        let later = self.later(whole);
+        let mut equations = NormalEquations::empty(self.layout.len, whole.rig.rig_from_board.len());
+        let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
+        for sight in &self.sights {
+            let state = if sight.sensor == 0 { &whole.rig } else { &later };
+            self.linearize_one(state, sight, &mut columns, &mut local)?;
+            if sight.sensor == 1 {
+                eliminate(&mut local, &self.variances(sight.instant))?;
+                self.add_offset(&mut equations, state, sight, &local);
+            }
+            equations.cost += local.cost;
+            equations.add(&self.layout, state, sight, &local);
+        }
+        if let Some((at, before)) = self.offset {
+            let off = (whole.offset_s - before.seconds) / before.std_s;
+            equations.cost += off * off;
+            equations.global_gradient[at] += off / before.std_s;
+            equations.global[(at, at)] += before.std_s.powi(-2);
+        }
+        equations.mirror();
+        Some(equations)
+    }
+
+    fn linearize_one(
+        &self,
+        state: &State,
+        sight: &Sight,
+        columns: &mut Columns,
+        local: &mut LocalEquations,
+    ) -> Option<()> {
+        let mut residuals = vec![[0.0; 2]; sight.points.len()];
+        let weighted;
+        let sight = match sight.sensor {
+            0 => sight,
+            _ => {
+                let inverse_std = sight.inverse_std.iter().map(|inverse| inverse / self.noise).collect();
+                weighted = Sight { inverse_std, ..sight.clone() };
+                &weighted
+            }
+        };
+        linearize_sight((&self.layout, state), sight, Loss::Squares, columns, (&mut residuals, local)).then_some(())
+    }
+
+    /// The time's part of an infrared picture's equations: it moves the board by its motion.
+    fn add_offset(&self, equations: &mut NormalEquations, state: &State, sight: &Sight, local: &LocalEquations) {
+        let (Some((at, _)), Some(motion)) = (self.offset, self.motions[sight.instant]) else { return };
+        let (by_sensor, by_board) = chain(state, (1, sight.instant));
+        let velocity = by_board * Vector6::from_row_slice(&motion.step(1.0));
+        let (square, gradient) = pose_part(local);
+        let through = square * velocity;
+        equations.global_gradient[at] += velocity.dot(&gradient);
+        equations.global[(at, at)] += velocity.dot(&through);
+        let sensor = &self.layout.sensors[1];
+        for k in 0..sensor.lens.free.len() {
+            let row = Vector6::from_fn(|a, _| local.product(k, local.columns - 7 + a));
+            equations.global[(sensor.lens_at + k, at)] += row.dot(&velocity);
+        }
+        if let Some(pose_at) = sensor.pose_at {
+            let by_pose = by_sensor.transpose() * through;
+            (0..6).for_each(|a| equations.global[(pose_at + a, at)] += by_pose[a]);
+        }
+        let by_pose = by_board.transpose() * through;
+        let coupling = &mut equations.coupling[sight.instant * self.layout.len + at];
+        coupling.iter_mut().zip(by_pose.iter()).for_each(|(coupling, by)| *coupling += by);
+    }
+
+    fn stepped(&self, whole: &Whole, step: &Step) -> Option<Whole> {
+        let rig = whole.rig.stepped(&self.layout, &step.global, &step.instants)?;
+        let offset_s = whole.offset_s + self.offset.map_or(0.0, |(at, _)| step.global[at]);
+        Some(Whole { rig, offset_s })
+    }
+
+    /// How far infrared is from colour in each of its sights; `None` where colour saw nothing, or a sight takes no part at all.
+    fn apart(&self, whole: &Whole) -> Vec<Option<Apart>> {
+        let later = self.later(whole);
+        let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
+        let mut by_color: Vec<Option<Matrix6<f64>>> = vec![None; self.motions.len()];
+        let mut found = Vec::with_capacity(self.sights.len());
+        for sight in &self.sights {
+            let state = if sight.sensor == 0 { &whole.rig } else { &later };
+            let all = Sight { used: vec![true; sight.used.len()], ..sight.clone() };
+            let used = if sight.sensor == 1 && !sight.used.contains(&true) { &all } else { sight };
+            let linearized = self.linearize_one(state, used, &mut columns, &mut local).is_some();
+            let part = linearized.then(|| pose_part(&local));
+            if sight.sensor == 0 {
+                let (_, by_board) = chain(&later, (1, sight.instant));
+                let inverse = part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
+                by_color[sight.instant] = inverse.map(|inverse| by_board * inverse * by_board.transpose());
+                found.push(None);
+            } else {
+                let both = part.zip(by_color[sight.instant]);
+                let variances = self.variances(sight.instant);
+                found.push(
+                    both.and_then(|((square, gradient), by_color)| {
+                        Apart::of((&square, &gradient), &by_color, variances)
+                    }),
+                );
+            }
+        }
+        found
+    }
+
+    fn start_slack(&mut self, whole: &Whole) {
+        if self.layout.sensors.len() > 1 {
+            let apart: Vec<Apart> = self.apart(whole).into_iter().flatten().collect();
+            self.slack = Slack::of_middle(&apart);
+            let apart = self.apart(whole);
+            for (sight, apart) in self.sights.iter_mut().zip(apart) {
+                sight.used.fill(apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT));
+            }
+        }
+    }
+
+    /// Noise, slack and what takes part anew; answers whether all has settled.
+    fn look_again(&mut self, whole: &Whole) -> bool {
+        let later = self.later(whole);
+        let apart = self.apart(whole);
+        let residuals: Vec<Vec<[f64; 2]>> = self
+            .sights
+            .iter()
+            .zip(&apart)
+            .map(|(sight, apart)| {
+                let mut state = if sight.sensor == 0 { whole.rig.clone() } else { later.clone() };
+                if let Some(apart) = apart {
+                    let slack: [f64; 6] = apart.slack.into();
+                    let moved_pose = moved(&state.sensor_from_board(1, sight.instant), &slack);
+                    state.rig_from_board[sight.instant] = state.sensor_from_rig[1].inverse() * moved_pose;
+                }
+                state.residuals(&self.layout, sight)
+            })
+            .collect();
+        let together = |apart: &Option<Apart>| apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT);
+        let infrared = self.sights.iter().zip(&residuals).zip(&apart);
+        let infrared = infrared.filter(|((sight, _), apart)| sight.sensor == 1 && together(apart));
+        let noise = median(infrared.map(|((_, residuals), _)| rms(residuals)).collect()).unwrap_or(1.0).max(1.0);
+        let slack = self.slack.next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
+        let mut settled = (noise / self.noise - 1.0).abs() < 0.02 && slack.is_near(self.slack);
+        for ((sight, residuals), apart) in self.sights.iter_mut().zip(&residuals).zip(&apart) {
+            let limit = CORNER_LIMIT * if sight.sensor == 1 { noise } else { 1.0 };
+            for (used, [x, y]) in sight.used.iter_mut().zip(residuals) {
+                let next = together(apart) && x.hypot(*y) <= limit;
+                settled &= next == *used;
+                *used = next;
+            }
+        }
+        (self.noise, self.slack) = (noise, slack);
+        settled || self.layout.sensors.len() == 1
+    }
+
+    /// Each board where infrared saw it: by its motion and its slack, or by infrared alone where that is of another moment.
+    fn at_depth(&self, whole: &Whole) -> State {
+        let mut later = self.later(whole);
+        for (sight, apart) in self.sights.iter().zip(self.apart(whole)) {
+            let Some(apart) = apart else { continue };
+            let alone = !sight.used.contains(&true);
+            let step: [f64; 6] = if alone { apart.apart } else { apart.slack }.into();
+            let pose = moved(&later.sensor_from_board(1, sight.instant), &step);
+            later.rig_from_board[sight.instant] = later.sensor_from_rig[1].inverse() * pose;
+        }
+        later
+    }
+
+    /// The instants whose infrared picture takes no part.
+    fn instants_apart(&self) -> Vec<usize> {
+        let unused = self.sights.iter().filter(|sight| sight.sensor == 1 && !sight.used.contains(&true));
+        unused.map(|sight| sight.instant).collect()
     }
 }
 
@@ -119,8 +356,4 @@ impl Agreement {
 fn rms(residuals: &[[f64; 2]]) -> f64 {
     let sum: f64 = residuals.iter().map(|[x, y]| x * x + y * y).sum();
     (sum / (2 * residuals.len().max(1)) as f64).sqrt()
-}
-
-fn used(sights: &[Sight]) -> impl Iterator<Item = bool> + '_ {
-    sights.iter().flat_map(|sight| &sight.used).copied()
 }

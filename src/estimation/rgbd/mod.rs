@@ -9,7 +9,9 @@
 //! The depth picture is the infrared camera's where there is one: they share lens and pose.
 
 mod corners;
+pub mod motion;
 mod planes;
+mod slack;
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -18,6 +20,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::FreeLens;
 use crate::estimation::problem::Correspondence;
 use crate::estimation::rgbd::corners::Corners;
+use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::planes::Planes;
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
@@ -35,8 +38,12 @@ pub struct RgbdView {
     pub infrared: Vec<Correspondence>,
     /// The board's surface in the depth picture; empty where it wasn't measured.
     pub tiles: Vec<DepthTile>,
+    /// The flat surface around the board, which it lies on, in the depth picture.
+    pub surround: Vec<DepthTile>,
     /// About where the board was.
     pub color_from_board: Pose,
+    /// How fast it moved, where neighbouring pictures tell.
+    pub motion: Option<BoardMotion>,
 }
 
 /// How the depth camera's lens is known.
@@ -65,6 +72,8 @@ pub struct RgbdProblem {
     pub infrared_noise: f64,
     /// About where the sensors are.
     pub depth_from_color: Pose,
+    /// About by how much infrared and depth are taken later than colour, where that is known at all.
+    pub time_offset: Option<TimeOffset>,
     /// In what a correction makes sense for this device; empty for none.
     pub corrected: Vec<CorrectedQuantity>,
     /// What was seen.
@@ -86,8 +95,14 @@ pub struct RgbdEstimate {
     pub color_from_depth: Pose,
     /// Covariance of its turn about colour's axes and of its translation, in rad² and m².
     pub color_from_depth_covariance: Matrix6<f64>,
+    /// By how much infrared and depth are taken later than colour, where the board's motion tells.
+    pub time_offset: Option<TimeOffset>,
+    /// Views whose infrared and depth pictures are of another moment than their colour picture.
+    pub not_together: Vec<usize>,
     /// Where the board was, view by view.
     pub color_from_board: Vec<Pose>,
+    /// Part of the tiles on the board itself that lie on its plane, as the answer has it.
+    pub following: f64,
     /// By how much tiles scatter more than their own readings do.
     pub tile_noise: f64,
     /// View by view, what each tile was and should have been, with its noise; without tiles that lie off the plane.
@@ -117,7 +132,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
     let terms = if problem.corrected.is_empty() { 0 } else { 2 };
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };
-    let mut fit = planes.fit(&corners.state, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
+    let mut fit = planes.fit(&corners.depth_state, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
     let (mut smoothness, mut tried) = (BASE_SMOOTHNESS, Vec::new());
     for _ in 0..rounds {
         let (chosen, all) = choose_correction(&planes.judged(&fit), size, &problem.corrected);
@@ -126,7 +141,14 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
         fit = planes.fit(&fit.state, correction, smooth).ok_or(EstimationError::NoFit)?;
         (smoothness, tried) = (smooth, all);
     }
-    planes.assemble(&corners, &fit, (smoothness, tried))
+    // Where the form of the correction decides, and not the views, the difference is part of what is not known.
+    let other = match problem.depth_lens {
+        DepthLens::Infrared => None,
+        DepthLens::FromPlanes | DepthLens::Known => {
+            fit.other_form().and_then(|form| planes.fit(&fit.state, form, smoothness))
+        }
+    };
+    planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
 }
 
 /// All parameters of a lens but the skew, up to number `end`.

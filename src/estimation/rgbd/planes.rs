@@ -1,13 +1,14 @@
-//! What planes tell, with the board's poses held at the corners' answer: the correction of depth, and for a depth camera
-//! without an infrared picture its lens and pose.
+//! What planes tell: the correction of depth, and for a depth camera without an infrared picture its lens and pose. The board's
+//! poses are those of the corners: held where infrared sees them too, else moved within what the corners leave open, so that
+//! a far board's uncertain tilt does not bend the lens.
 
-use nalgebra::{DMatrix, Matrix6, Vector3};
+use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::depth_terms::{PlaneSight, add_planes, ray};
 use crate::estimation::joint::minimize::{Stop, walk};
-use crate::estimation::joint::normal::{NormalEquations, Step};
+use crate::estimation::joint::normal::{InstantBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::Corners;
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
@@ -23,11 +24,20 @@ const LIMIT: f64 = 6.0;
 /// How far a tile's own noise can be believed: readings next to each other err together.
 const LEAST_READING_STDS: f64 = 0.1;
 
-/// What the planes tell, with the board's poses held at the corners' answer.
+/// What the planes tell.
 pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     layout: Layout,
     planes: Vec<PlaneSight>,
+    /// Each board's pose by corners with its normal equations, where planes may move it within what corners leave open.
+    anchors: Option<Vec<Anchor>>,
+}
+
+/// A board's pose by corners: the square of their equations there.
+#[derive(Clone)]
+struct Anchor {
+    rig_from_board: Pose,
+    square: Matrix6<f64>,
 }
 
 /// The planes' parameters.
@@ -42,7 +52,21 @@ pub(super) struct Fit {
     correction: DepthCorrection,
     equations: NormalEquations,
     tile_noise: f64,
+    /// By how much the mean of many tiles scatters more than if each erred by itself.
+    together: f64,
 }
+
+impl Fit {
+    /// The correction's form with one power less, unfitted, where there is one that is still a scale and an offset.
+    pub(super) fn other_form(&self) -> Option<DepthCorrection> {
+        let DepthCorrection { quantity, terms, grid, seen_m, .. } = self.correction;
+        (terms > 2).then(|| DepthCorrection::none(quantity, terms - 1, grid, seen_m))
+    }
+}
+
+/// A lens or pose that the form of the correction moves by more than this many standard deviations is known no better than
+/// that.
+const FORM_LIMIT: f64 = 3.0;
 
 impl<'a> Planes<'a> {
     pub(super) fn of(problem: &'a RgbdProblem, corners: &Corners) -> Self {
@@ -61,14 +85,24 @@ impl<'a> Planes<'a> {
             1.0 / (reading_std * (1.0 / f64::from(tile.count)).sqrt().max(LEAST_READING_STDS))
         };
         let with_depth = problem.views.iter().enumerate().filter(|(_, view)| !view.tiles.is_empty());
-        let planes = with_depth.map(|(instant, view)| PlaneSight {
-            sensor: 1,
-            instant,
-            inverse_std: view.tiles.iter().map(inverse_std).collect(),
-            used: vec![true; view.tiles.len()],
-            tiles: view.tiles.clone(),
+        let planes = with_depth.map(|(instant, view)| {
+            let tiles = [view.tiles.as_slice(), &view.surround].concat();
+            PlaneSight {
+                sensor: 1,
+                instant,
+                inverse_std: tiles.iter().map(inverse_std).collect(),
+                used: vec![true; tiles.len()],
+                tiles,
+            }
         });
-        Self { problem, layout: Layout { sensors: vec![color, depth], warp: None, len }, planes: planes.collect() }
+        let anchor = |(pose, block): (&Pose, &InstantBlock)| Anchor {
+            rig_from_board: *pose,
+            square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
+        };
+        let each = corners.depth_state.rig_from_board.iter().zip(&corners.equations.instants);
+        let anchors = (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
+        let layout = Layout { sensors: vec![color, depth], warp: None, len };
+        Self { problem, layout, planes: planes.collect(), anchors }
     }
 
     /// The nearest and the farthest depth that was measured.
@@ -84,10 +118,11 @@ impl<'a> Planes<'a> {
         let prior = Prior::of(&correction, smoothness);
         let layout = Layout { len: at + correction.coefficients.len(), ..self.layout.clone() };
         let mut whole = Whole { rig: start.clone(), correction };
-        let (mut tile_noise, mut equations) = (1.0, None);
+        let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
         for round in 0..6 {
             let planes: Vec<PlaneSight> = self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
-            let linearized = |whole: &Whole| linearized(&layout, (whole, &prior), at, &planes).map(|found| found.0);
+            let anchors = self.anchors.as_deref();
+            let linearized = |whole: &Whole| linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0);
             let stepped = |whole: &Whole, step: &Step| {
                 let rig = whole.rig.stepped(&layout, &step.global, &step.instants)?;
                 let mut correction = whole.correction.clone();
@@ -101,16 +136,17 @@ impl<'a> Planes<'a> {
                 let start = linearized(&whole)?;
                 whole = walk((whole, start), count, Stop::default(), (linearized, stepped)).0;
             }
-            let (at_end, residuals) = self::linearized(&layout, (&whole, &prior), at, &planes)?;
+            let (at_end, residuals) = self::linearized(&layout, (&whole, &prior), at, (&planes, anchors))?;
             equations = Some(at_end);
             let before = tile_noise;
             let changed = self.select(&residuals, if round == 0 { 2.0 } else { 1.0 });
             tile_noise = (self.scatter(&residuals) * before).max(1e-3);
+            together = self.together(&residuals);
             if !changed && (tile_noise / before - 1.0).abs() < 0.02 {
                 break;
             }
         }
-        Some(Fit { state: whole.rig, correction: whole.correction, equations: equations?, tile_noise })
+        Some(Fit { state: whole.rig, correction: whole.correction, equations: equations?, tile_noise, together })
     }
 
     /// Lets those tiles take part that lie on the plane; answers whether that changed.
@@ -134,6 +170,35 @@ impl<'a> Planes<'a> {
         let (sum, count) =
             pairs.filter(|(used, _)| **used).fold((0.0, 0), |(sum, count), (_, r)| (sum + r * r, count + 1));
         (sum / f64::from(count.max(1))).sqrt()
+    }
+
+    /// By how much the means over quarters of views scatter more than those of independent tiles; at least 1. Where the
+    /// correction leaves a systematic error, tiles next to each other share it, and count for less than their number.
+    fn together(&self, residuals: &[Vec<f64>]) -> f64 {
+        let (mut of_means, mut of_tiles, mut count) = (0.0, 0.0, 0.0);
+        for (plane, residuals) in self.planes.iter().zip(residuals) {
+            let tiles = || plane.tiles.iter().zip(residuals).zip(&plane.used).filter(|(_, used)| **used);
+            let middle = |axis: fn(&DepthTile) -> f64| median(tiles().map(|((tile, _), _)| axis(tile)).collect());
+            let (Some(x), Some(y)) = (middle(|tile| tile.pixel.x), middle(|tile| tile.pixel.y)) else { continue };
+            let mut quarters = [(0.0, 0.0); 4];
+            for ((tile, residual), _) in tiles() {
+                let quarter = &mut quarters[usize::from(tile.pixel.x > x) + 2 * usize::from(tile.pixel.y > y)];
+                *quarter = (quarter.0 + residual, quarter.1 + 1.0);
+                (of_tiles, count) = (of_tiles + residual * residual, count + 1.0);
+            }
+            let mean_square = |(sum, n): &(f64, f64)| if *n > 0.0 { sum * sum / n } else { 0.0 };
+            of_means += quarters.iter().map(mean_square).sum::<f64>();
+        }
+        let quarters = 4.0 * self.planes.len().max(1) as f64;
+        (of_means / quarters / (of_tiles / f64::max(count, 1.0)).max(f64::MIN_POSITIVE)).max(1.0).sqrt()
+    }
+
+    /// Part of the board's own tiles that take part.
+    fn following(&self) -> f64 {
+        let own =
+            self.planes.iter().flat_map(|plane| plane.used.iter().take(self.problem.views[plane.instant].tiles.len()));
+        let (used, all) = own.fold((0, 0), |(used, all), one| (used + u32::from(*one), all + 1));
+        f64::from(used) / f64::from(all.max(1))
     }
 
     /// What each tile should have been.
@@ -160,28 +225,49 @@ impl<'a> Planes<'a> {
     /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the corners' answer, which moves
     /// all planes of a view together and, through colour's lens, those of all views.
     fn covariance(&self, corners: &Corners, fit: &Fit) -> Option<DMatrix<f64>> {
-        let own = fit.equations.global_covariance()?;
+        let own = fit.equations.global_covariance()? * (fit.together * fit.together);
         let size = own.nrows();
-        let mut spread = DMatrix::zeros(size, size);
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
-        for (instant, block) in corners.equations.instants.iter().enumerate() {
+        // The planes' equations hold the corners' of each pose, and so its own scatter: what is left is that of colour's lens,
+        // which moves the corners' poses of all views.
+        for (instant, block) in fit.equations.instants.iter().enumerate() {
             let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else { continue };
             let (planes, corners) = (fit.equations.coupling_of(instant), corners.equations.coupling_of(instant));
-            let inverse = factor.inverse();
             let coupled = DMatrix::from_fn(size, 6, |k, a| planes[k][a]);
+            let inverse = factor.inverse();
             let inverse = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]);
-            spread += &coupled * &inverse * coupled.transpose();
             let through = DMatrix::from_fn(6, by_lens.ncols(), |a, k| corners[k][a]);
             by_lens += &coupled * inverse * through;
         }
-        spread += &by_lens * &corners.covariance * by_lens.transpose();
-        Some(&own + &own * spread * &own)
+        let unscaled = fit.equations.global_covariance()?;
+        let moved = &unscaled * by_lens;
+        Some(own + &moved * &corners.covariance * moved.transpose())
+    }
+
+    /// What another form of the correction does to lens and pose, as their variances; nothing where it is within chance.
+    fn by_form(&self, fit: &Fit, other: Option<&Fit>, covariance: &DMatrix<f64>) -> DMatrix<f64> {
+        let sensor = &self.layout.sensors[1];
+        let mut step = nalgebra::DVector::zeros(covariance.nrows());
+        if let Some(other) = other {
+            let [before, after] = [fit, other].map(|fit| fit.state.lenses[1].parameters());
+            for (k, index) in sensor.lens.free.iter().enumerate() {
+                step[sensor.lens_at + k] = after[*index] - before[*index];
+            }
+            if let Some(at) = sensor.pose_at {
+                let [before, after] = [fit, other].map(|fit| fit.state.sensor_from_rig[1]);
+                let turn = (after.rotation() * before.rotation().inverse()).scaled_axis();
+                let shift = after.translation() - before.translation();
+                (0..3).for_each(|k| (step[at + k], step[at + 3 + k]) = (turn[k], shift[k]));
+            }
+        }
+        let beyond_chance = (0..step.len()).any(|k| step[k].abs() > FORM_LIMIT * covariance[(k, k)].max(0.0).sqrt());
+        if beyond_chance { &step * step.transpose() } else { DMatrix::zeros(step.len(), step.len()) }
     }
 
     pub(super) fn assemble(
         &self,
         corners: &Corners,
-        fit: &Fit,
+        (fit, other): (&Fit, Option<&Fit>),
         (smoothness, tried): (Smoothness, Vec<TriedCorrection>),
     ) -> Result<RgbdEstimate, EstimationError> {
         let lens = fit.state.lenses[1];
@@ -192,6 +278,7 @@ impl<'a> Planes<'a> {
             }
             None => {
                 let covariance = self.covariance(corners, fit).ok_or(EstimationError::NoFit)?;
+                let covariance = &covariance + self.by_form(fit, other, &covariance);
                 let sensor = &self.layout.sensors[1];
                 let (at, count, pose_at) = (sensor.lens_at, sensor.lens.free.len(), sensor.pose_at.unwrap_or(0));
                 let spread = sensor.lens.spread(&lens);
@@ -210,7 +297,10 @@ impl<'a> Planes<'a> {
             depth_covariance,
             color_from_depth: depth_from_color.inverse(),
             color_from_depth_covariance: by_step * pose_covariance * by_step.transpose(),
-            color_from_board: fit.state.rig_from_board.iter().map(uncentered).collect(),
+            time_offset: corners.time_offset,
+            not_together: corners.apart.clone(),
+            color_from_board: corners.state.rig_from_board.iter().map(uncentered).collect(),
+            following: self.following(),
             tile_noise: fit.tile_noise,
             judged: self.judged(fit),
             smoothness,
@@ -225,10 +315,17 @@ fn linearized(
     layout: &Layout,
     (whole, prior): (&Whole, &Prior),
     at: usize,
-    planes: &[PlaneSight],
+    (planes, anchors): (&[PlaneSight], Option<&[Anchor]>),
 ) -> Option<(NormalEquations, Vec<Vec<f64>>)> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
-    let residuals = add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), planes);
+    let sights = (planes, anchors.is_some());
+    let residuals = add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), sights);
+    for plane in planes {
+        if let Some(anchor) = anchors.and_then(|anchors| anchors.get(plane.instant)) {
+            let pose = &whole.rig.rig_from_board[plane.instant];
+            anchor.hold(pose, &mut equations.cost, &mut equations.instants[plane.instant]);
+        }
+    }
     let size = whole.correction.coefficients.len();
     let coefficients = nalgebra::DVector::from_column_slice(&whole.correction.coefficients);
     let pull = &prior.hessian * &coefficients;
@@ -244,6 +341,23 @@ fn linearized(
     };
     let usable = equations.cost.is_finite() && !residuals.iter().zip(planes).any(lost);
     usable.then_some((equations, residuals))
+}
+
+impl Anchor {
+    /// Adds the corners' equations about their own answer.
+    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut InstantBlock) {
+        let turn = (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
+        let shift = rig_from_board.translation() - self.rig_from_board.translation();
+        let step = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+        let pull = self.square * step;
+        *cost += step.dot(&pull);
+        for a in 0..6 {
+            block.gradient[a] += pull[a];
+            for b in 0..6 {
+                block.hessian[a][b] += self.square[(a, b)];
+            }
+        }
+    }
 }
 
 fn scaled(plane: &PlaneSight, noise: f64) -> PlaneSight {

@@ -1,0 +1,121 @@
+//! What may be between the board's pose when colour was taken and when infrared was: each view's own small turn and shift
+//! (ω, τ), Gaussian about nothing (or about what the board's motion says), with variances that the views themselves tell.
+//!
+//! The slack of a view is eliminated from its normal equations, where it takes away what they cannot know:
+//! H − H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point (*Bayesian interpolation*, 1992): the sum of
+//! squares over the number of well determined parameters.
+
+use nalgebra::{Matrix6, Vector6};
+
+use crate::estimation::joint::linearize::LocalEquations;
+use crate::estimation::robust::median;
+
+/// Variances of the slack that all views share: of the turn about each axis in rad², of the shift along each in m².
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Slack {
+    pub(super) turn: f64,
+    pub(super) shift: f64,
+}
+
+/// A variance that stands for none.
+const NONE: f64 = 1e-16;
+
+impl Slack {
+    /// With what a view's own motion adds.
+    pub(super) fn covariance(self, motion: &[f64; 6]) -> Vector6<f64> {
+        let of = |k: usize| motion[k..k + 3].iter().map(|m| m * m).sum::<f64>() / 3.0;
+        let (turn, shift) = (self.turn + of(0), self.shift + of(3));
+        Vector6::new(turn, turn, turn, shift, shift, shift)
+    }
+
+    /// From the middle of how far views are apart: a start that a third of wrong ones do not spoil.
+    pub(super) fn of_middle(apart: &[Apart]) -> Self {
+        const MEDIAN_OF_THREE: f64 = 2.366;
+        let middle = |from: usize| {
+            let squares = apart.iter().map(|a| a.apart.fixed_rows::<3>(from).norm_squared()).collect();
+            (median(squares).unwrap_or(0.0) / MEDIAN_OF_THREE).max(NONE)
+        };
+        Self { turn: middle(0), shift: middle(3) }
+    }
+
+    /// The next, by the views that take part.
+    pub(super) fn next<'a>(self, apart: impl Iterator<Item = &'a Apart> + Clone) -> Self {
+        let of = |from: usize, variance: f64| {
+            // Three numbers of the sensors' pose were fitted to the same views.
+            let (mut squares, mut determined) = (0.0, -3.0);
+            for view in apart.clone() {
+                let own = view.slack.fixed_rows::<3>(from).norm_squared();
+                let prior = view.prior.fixed_rows::<3>(from).sum() / 3.0;
+                let left = (0..3).map(|k| view.posterior[(from + k, from + k)] / prior).sum::<f64>();
+                // What the view's own motion explains is not shared by all.
+                squares += own * variance / prior;
+                determined += (3.0 - left).max(0.0);
+            }
+            if determined <= 0.0 { variance } else { (squares / determined).clamp(NONE, 1.0) }
+        };
+        Self { turn: of(0, self.turn), shift: of(3, self.shift) }
+    }
+
+    pub(super) fn is_near(self, other: Self) -> bool {
+        let near = |a: f64, b: f64| (a / b).ln().abs() < 0.05 || a.max(b) < 1e-13;
+        near(self.turn, other.turn) && near(self.shift, other.shift)
+    }
+}
+
+/// How far apart colour and infrared see the board in one view.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Apart {
+    /// As infrared alone says, in the infrared camera's frame.
+    pub(super) apart: Vector6<f64>,
+    /// What is likely of it, with the slack's own variances.
+    pub(super) slack: Vector6<f64>,
+    pub(super) prior: Vector6<f64>,
+    pub(super) posterior: Matrix6<f64>,
+    /// How unlikely: a χ² with six degrees of freedom.
+    pub(super) surprise: f64,
+}
+
+impl Apart {
+    /// From infrared's equations (its pose's square and gradient), what colour says of the pose in infrared's frame, and the
+    /// slack's variances.
+    pub(super) fn of(
+        (square, gradient): (&Matrix6<f64>, &Vector6<f64>),
+        by_color: &Matrix6<f64>,
+        prior: Vector6<f64>,
+    ) -> Option<Self> {
+        let own = square.cholesky()?;
+        let apart = -own.solve(gradient);
+        let precision = Matrix6::from_diagonal(&prior.map(|variance| 1.0 / variance));
+        let slack = -(square + precision).cholesky()?.solve(gradient);
+        let measured = own.inverse() + by_color;
+        let posterior = (precision + measured.cholesky()?.inverse()).cholesky()?.inverse();
+        let spread = measured + Matrix6::from_diagonal(&prior);
+        let surprise = apart.dot(&spread.cholesky()?.solve(&apart));
+        Some(Self { apart, slack, prior, posterior, surprise })
+    }
+}
+
+/// Takes from a sight's equations what a slack with these variances leaves open.
+pub(super) fn eliminate(local: &mut LocalEquations, variances: &Vector6<f64>) -> Option<()> {
+    let (square, gradient) = pose_part(local);
+    let precision = Matrix6::from_diagonal(&variances.map(|variance| 1.0 / variance));
+    let inverse = (square + precision).cholesky()?.inverse();
+    local.cost -= gradient.dot(&(inverse * gradient));
+    let (columns, pose) = (local.columns, local.columns - 7);
+    let coupled: Vec<Vector6<f64>> =
+        (0..columns).map(|i| Vector6::from_fn(|a, _| local.product(i, pose + a))).collect();
+    for i in 0..columns {
+        let through = inverse * coupled[i];
+        for (j, other) in coupled.iter().enumerate().skip(i) {
+            local.products[i * columns + j] -= through.dot(other);
+        }
+    }
+    Some(())
+}
+
+/// A sight's equations for the board's pose: square and gradient.
+pub(super) fn pose_part(local: &LocalEquations) -> (Matrix6<f64>, Vector6<f64>) {
+    let (residual, pose) = (local.columns - 1, local.columns - 7);
+    let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
+    (square, Vector6::from_fn(|a, _| local.product(pose + a, residual)))
+}

@@ -1,0 +1,112 @@
+//! What can be wrong with colour and depth: each is one line that says what, never a silent wrong answer.
+
+use nalgebra::{Point3, Vector3};
+use plumb::calibration::depth_calibration::{DepthCalibration, judge_depth};
+use plumb::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
+use plumb::geometry::depth_camera::DepthReading;
+use plumb::geometry::pose::Pose;
+use plumb::imaging::depth_image::DepthImage;
+
+use crate::seeded_camera::SeededCamera;
+use crate::seeded_rgbd::SeededRgbd;
+
+fn input(rig: &SeededRgbd) -> RgbdInput {
+    let poses = rig.poses(14, &mut SeededCamera::rng(3));
+    rig.input(&poses, &mut SeededCamera::rng(4))
+}
+
+/// Every depth picture changed.
+fn with_depth(mut input: RgbdInput, change: impl Fn(usize, &DepthImage) -> Vec<u16>) -> RgbdInput {
+    for (index, capture) in input.captures.iter_mut().enumerate() {
+        capture.depth = capture.depth.take().and_then(|depth| DepthImage::new(depth.size(), change(index, &depth)));
+    }
+    input
+}
+
+fn mirrored(input: RgbdInput) -> RgbdInput {
+    let turned = |depth: &DepthImage| {
+        let rows = depth.readings().chunks(depth.size().width as usize);
+        rows.flat_map(|row| row.iter().rev().copied()).collect()
+    };
+    with_depth(input, |_, depth| turned(depth))
+}
+
+/// The error, or the reasons of the verdict.
+fn told(input: &RgbdInput) -> Vec<String> {
+    match solve_rgbd(input, &SeededRgbd::options()) {
+        Err(error) => vec![error.to_string()],
+        Ok(solved) => {
+            let depth = DepthCalibration::of(&solved.joint, None);
+            let views = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
+            let verdict = [Some(&solved.color), solved.infrared.as_ref()].into_iter().flatten();
+            let own = verdict.flat_map(|camera| camera.verdict.reasons.clone()).collect::<Vec<_>>();
+            let judged = judge_depth(solved.color.verdict.clone(), &depth, solved.without_depth.len(), views);
+            [own, judged.reasons].concat()
+        }
+    }
+}
+
+fn expect(what: &str, input: &RgbdInput, word: &str) {
+    let lines = told(input);
+    println!("{what}: {lines:?}");
+    assert!(lines.iter().any(|line| line.contains(word) && !line.contains('\n')), "{what}: {lines:?}");
+}
+
+#[test]
+fn each_wrong_thing_is_one_clear_line() {
+    let with = SeededRgbd::new();
+    let without = SeededRgbd { with_infrared: false, ..SeededRgbd::new() };
+    for (rig, name) in [(&with, "with infrared"), (&without, "without infrared")] {
+        let right = input(rig);
+        assert!(solve_rgbd(&right, &SeededRgbd::options()).is_ok(), "{name}: {:?}", told(&right));
+        expect(&format!("{name}: mirrored depth"), &mirrored(right.clone()), "check that depth and colour");
+        expect(
+            &format!("{name}: a depth frame of zeros each"),
+            &with_depth(right.clone(), |_, depth| vec![0; depth.readings().len()]),
+            "only 0 of",
+        );
+        let mut unit = right.clone();
+        unit.depth.reading = Some(DepthReading::Metric { unit_m: 0.001 });
+        expect(&format!("{name}: another unit"), &unit, "check the unit of depth");
+        let mut shuffled = right.clone();
+        let depths: Vec<_> = right.captures.iter().map(|capture| capture.depth.clone()).collect();
+        for (index, capture) in shuffled.captures.iter_mut().enumerate() {
+            capture.depth = depths[(index + 5) % depths.len()].clone();
+        }
+        expect(&format!("{name}: depth of other moments"), &shuffled, "check that depth and colour");
+    }
+}
+
+#[test]
+fn a_board_that_is_not_flat_is_told() {
+    let rig = SeededRgbd::new();
+    let mut input = input(&rig);
+    let poses = rig.poses(14, &mut SeededCamera::rng(3));
+    for (capture, pose) in input.captures.iter_mut().zip(&poses) {
+        // Bent by 6 mm in the middle of its rows.
+        let bent = |camera: &SeededCamera, camera_from_board: Pose, corners: &mut Vec<_>| {
+            for corner in corners.iter_mut() {
+                let corner: &mut plumb::estimation::problem::Correspondence = corner;
+                let along = corner.point_in_board.x / 0.24;
+                let up = Vector3::z() * (0.006 * 4.0 * along * (1.0 - along));
+                let at: Point3<f64> = corner.point_in_board + up;
+                corner.pixel = camera.lens.pixel_from_point(&(camera_from_board * at)).unwrap();
+            }
+        };
+        bent(&rig.color, *pose, &mut capture.color);
+        bent(&rig.depth, rig.depth_from_color * *pose, &mut capture.infrared);
+    }
+    expect("a bent board", &input, "flat");
+}
+
+#[test]
+fn depth_without_colour_in_half_the_views_is_told() {
+    let mut input = input(&SeededRgbd::new());
+    let all = input.captures.len();
+    for capture in input.captures.iter_mut().skip(1).step_by(2) {
+        capture.color.clear();
+    }
+    assert!(solve_rgbd(&input, &SeededRgbd::options()).is_ok(), "{:?}", told(&input));
+    let line = plumb::calibration::rgbd_calibration::without_color(&input).unwrap();
+    assert!(line.contains(&format!("{} of {all}", all / 2)) && !line.contains('\n'), "{line}");
+}

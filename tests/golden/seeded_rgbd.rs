@@ -1,0 +1,133 @@
+//! A seeded camera with colour, infrared and depth: exact corners and planes, plus known noise and a known error of depth.
+
+use nalgebra::{Point3, Vector3};
+use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
+use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::problem::{Correspondence, LensChoice};
+use plumb::geometry::depth_camera::DepthReading;
+use plumb::geometry::lens::{Lens, LensModel};
+use plumb::geometry::pixel::{ImageSize, Pixel};
+use plumb::geometry::pose::Pose;
+use plumb::imaging::depth_image::DepthImage;
+use plumb::simulation::DepthError;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use crate::seeded_camera::SeededCamera;
+
+/// A colour camera of 640×480 with a depth camera of 320×240 beside it.
+pub struct SeededRgbd {
+    pub color: SeededCamera,
+    pub depth: SeededCamera,
+    pub depth_from_color: Pose,
+    pub error: DepthError,
+    /// σ of a reading's 1/z, in 1/m.
+    pub noise_per_m: f64,
+    pub unit_m: f64,
+    pub with_infrared: bool,
+    /// What the board lies on: metres that it reaches past the corners.
+    pub plate_m: f64,
+    /// How far the wall behind is, in metres.
+    pub wall_m: f64,
+}
+
+impl SeededRgbd {
+    pub fn new() -> Self {
+        let depth = [290.0, 291.0, 158.0, 121.0, 0.0, -0.04, 0.01, 0.0002, -0.0001, 0.0];
+        Self {
+            color: SeededCamera { tilt: 0.6, ..SeededCamera::ordinary() },
+            depth: SeededCamera::new(LensModel::Brown, ImageSize::new(320, 240), &depth),
+            depth_from_color: Pose::from_axis_angle(
+                Vector3::new(0.004, -0.011, 0.003),
+                Vector3::new(-0.025, 0.0012, 0.003),
+            ),
+            error: DepthError {
+                scale: [0.006, 0.001, -0.001, 0.003, 0.0],
+                offset: [0.004, 0.002, -0.001, 0.005, 0.003],
+            },
+            noise_per_m: 0.003,
+            unit_m: 0.000_1,
+            with_infrared: true,
+            plate_m: 0.03,
+            wall_m: 2.5,
+        }
+    }
+
+    /// Poses in which both cameras see the whole board.
+    pub fn poses(&self, count: usize, rng: &mut ChaCha8Rng) -> Vec<Pose> {
+        let mut poses = Vec::new();
+        while poses.len() < count {
+            let more = self.color.poses(1, rng);
+            poses.extend(more.into_iter().filter(|pose| self.depth.exact(&(self.depth_from_color * *pose)).is_some()));
+        }
+        poses
+    }
+
+    pub fn input(&self, poses: &[Pose], rng: &mut ChaCha8Rng) -> RgbdInput {
+        let captures = poses.iter().enumerate().map(|(index, pose)| {
+            let depth_from_board = self.depth_from_color * *pose;
+            RgbdCapture {
+                name: format!("view {index}"),
+                time_s: None,
+                is_view: true,
+                color: corners(&self.color, pose, rng),
+                infrared: if self.with_infrared { corners(&self.depth, &depth_from_board, rng) } else { Vec::new() },
+                depth: Some(self.picture(&depth_from_board, rng)),
+            }
+        });
+        RgbdInput {
+            board: self.color.board,
+            color_size: self.color.size,
+            depth: DepthSensor {
+                reading: Some(DepthReading::Metric { unit_m: self.unit_m }),
+                invalid: None,
+                factory: None,
+                with_infrared: true,
+            },
+            captures: captures.collect(),
+        }
+    }
+
+    pub fn options() -> CameraOptions {
+        CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() }
+    }
+
+    /// The board on its plate before the wall.
+    fn picture(&self, depth_from_board: &Pose, rng: &mut ChaCha8Rng) -> DepthImage {
+        let noise = Normal::new(0.0, self.noise_per_m).unwrap();
+        let normal = *depth_from_board * Vector3::z();
+        let height = normal.dot(&depth_from_board.translation());
+        let board_from_depth = depth_from_board.inverse();
+        let far = self.color.board.corners_in_board().last().copied().unwrap_or(Point3::origin());
+        let size = self.depth.size;
+        let readings = (0..size.height * size.width).map(|k| {
+            let pixel = Pixel::new(f64::from(k % size.width), f64::from(k / size.width));
+            let Some(ray) = ray(&self.depth.lens, pixel) else { return 0 };
+            let plate = normal.dot(&ray) / height;
+            let at = board_from_depth * Point3::from(ray / plate);
+            let reach = |along: f64, end: f64| along > -self.plate_m && along < end + self.plate_m;
+            let on_plate = plate > 0.0 && reach(at.x, far.x) && reach(at.y, far.y);
+            let inverse = if on_plate { plate } else { 1.0 / self.wall_m };
+            let measured = self.error.measured(inverse, pixel, size) + noise.sample(rng);
+            (1.0 / (measured * self.unit_m)).round().clamp(0.0, 65535.0) as u16
+        });
+        DepthImage::new(size, readings.collect()).unwrap()
+    }
+}
+
+fn ray(lens: &Lens, pixel: Pixel) -> Option<Vector3<f64>> {
+    let bearing = lens.bearing_from_pixel(pixel)?;
+    Some(bearing.into_inner() / bearing.z)
+}
+
+fn corners(camera: &SeededCamera, camera_from_board: &Pose, rng: &mut ChaCha8Rng) -> Vec<Correspondence> {
+    let noise = Normal::new(0.0, 0.05).unwrap();
+    let points = camera.board.corners_in_board();
+    let exact = camera.exact(camera_from_board).unwrap();
+    let each = points.into_iter().zip(exact).map(|(point_in_board, pixel)| Correspondence {
+        point_in_board,
+        pixel: Pixel::new(pixel.x + noise.sample(rng), pixel.y + noise.sample(rng)),
+        std_px: 0.05,
+    });
+    each.collect()
+}
