@@ -129,11 +129,16 @@ pub fn choose_correction(
     };
     tried.push(none);
     let mut best = none;
-    let attempt = |quantity, terms, cells: [u32; 2], smoothness| {
+    // The normal equations of a form serve every smoothness.
+    let attempt = |quantity, terms, cells: [u32; 2], smooth: &[Smoothness]| -> Vec<TriedCorrection> {
         let grid = SplineGrid { size, cols: cells[0], rows: cells[1] };
-        let correction = DepthCorrection::none(quantity, terms, grid, seen_m);
-        let held_out = held_out(views, &correction, smoothness);
-        TriedCorrection { quantity, terms, cells, smoothness, held_out }
+        let form = DepthCorrection::none(quantity, terms, grid, seen_m);
+        let folds = folds(views, &form);
+        let tried = |smoothness: &Smoothness| {
+            let held_out = held_out((views, &folds), &form, *smoothness);
+            TriedCorrection { quantity, terms, cells, smoothness: *smoothness, held_out }
+        };
+        smooth.iter().map(tried).collect()
     };
     let mut consider = |candidate: TriedCorrection, best: &mut TriedCorrection| {
         tried.push(candidate);
@@ -144,15 +149,13 @@ pub fn choose_correction(
     for quantity in quantities {
         for terms in 1..=3 {
             for cells in [[0, 0], COARSE] {
-                consider(attempt(*quantity, terms, cells, SMOOTH[0]), &mut best);
+                attempt(*quantity, terms, cells, &SMOOTH[..1]).into_iter().for_each(|one| consider(one, &mut best));
             }
         }
     }
     if best.terms > 0 {
         for cells in FINER {
-            for smoothness in SMOOTH {
-                consider(attempt(best.quantity, best.terms, cells, smoothness), &mut best);
-            }
+            attempt(best.quantity, best.terms, cells, &SMOOTH).into_iter().for_each(|one| consider(one, &mut best));
         }
     }
     let grid = SplineGrid { size, cols: best.cells[0], rows: best.cells[1] };
@@ -193,8 +196,8 @@ fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(us
     (judged.tile.inverse_depth - judged.plane) * judged.inverse_std
 }
 
-fn held_out(views: &[Vec<JudgedTile>], correction: &DepthCorrection, smoothness: Smoothness) -> f64 {
-    let Some(residuals) = held_out_residuals(views, correction, smoothness) else { return f64::INFINITY };
+fn held_out((views, folds): (&[Vec<JudgedTile>], &[Fold]), form: &DepthCorrection, smoothness: Smoothness) -> f64 {
+    let Some(residuals) = residuals_of((views, folds), form, smoothness) else { return f64::INFINITY };
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
     let of_tile = |(judged, residual): (&JudgedTile, &f64)| (judged.inverse_std * residual).powi(2);
     let squares = views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
@@ -208,15 +211,20 @@ pub fn held_out_residuals(
     correction: &DepthCorrection,
     smoothness: Smoothness,
 ) -> Option<Vec<Vec<f64>>> {
-    let size = correction.coefficients.len();
-    let form = DepthCorrection { coefficients: vec![0.0; size], ..correction.clone() };
+    let form = DepthCorrection { coefficients: vec![0.0; correction.coefficients.len()], ..correction.clone() };
+    residuals_of((views, &folds(views, &form)), &form, smoothness)
+}
+
+/// The normal equations of each group of views for an unfitted correction of this form.
+fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
+    let size = form.coefficients.len();
     let mut folds: Vec<Fold> =
         (0..FOLDS).map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) }).collect();
     let mut columns = Vec::new();
     for (index, view) in views.iter().enumerate() {
         let fold = &mut folds[index % FOLDS];
         for judged in view {
-            let residual = rows(&form, judged, &mut columns);
+            let residual = rows(form, judged, &mut columns);
             for (i, di) in &columns {
                 fold.right[*i] -= di * residual;
                 for (j, dj) in &columns {
@@ -225,7 +233,17 @@ pub fn held_out_residuals(
             }
         }
     }
-    let prior = Prior::of(&form, smoothness).hessian;
+    folds
+}
+
+/// What the fit to the other groups leaves of each view.
+fn residuals_of(
+    (views, folds): (&[Vec<JudgedTile>], &[Fold]),
+    form: &DepthCorrection,
+    smoothness: Smoothness,
+) -> Option<Vec<Vec<f64>>> {
+    let (size, mut columns) = (form.coefficients.len(), Vec::new());
+    let prior = Prior::of(form, smoothness).hessian;
     let all = folds.iter().fold(prior, |sum, fold| sum + &fold.hessian);
     let all_right = folds.iter().fold(DVector::zeros(size), |sum: DVector<f64>, fold| sum + &fold.right);
     let fits: Option<Vec<DVector<f64>>> =
@@ -234,7 +252,7 @@ pub fn held_out_residuals(
     let each = views.iter().enumerate().map(|(index, view)| {
         let coefficients = &fits[index % FOLDS];
         let residual = |judged: &JudgedTile| {
-            let before = rows(&form, judged, &mut columns);
+            let before = rows(form, judged, &mut columns);
             (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>()) / judged.inverse_std
         };
         view.iter().map(residual).collect()

@@ -11,7 +11,7 @@ use crate::seeded_camera::SeededCamera;
 use crate::seeded_rgbd::SeededRgbd;
 
 fn input(rig: &SeededRgbd) -> RgbdInput {
-    let poses = rig.poses(14, &mut SeededCamera::rng(3));
+    let poses = rig.poses(11, &mut SeededCamera::rng(3));
     rig.input(&poses, &mut SeededCamera::rng(4))
 }
 
@@ -81,7 +81,7 @@ fn each_wrong_thing_is_one_clear_line() {
 fn a_board_that_is_not_flat_is_told() {
     let rig = SeededRgbd::new();
     let mut input = input(&rig);
-    let poses = rig.poses(14, &mut SeededCamera::rng(3));
+    let poses = rig.poses(11, &mut SeededCamera::rng(3));
     for (capture, pose) in input.captures.iter_mut().zip(&poses) {
         // Bent by 6 mm in the middle of its rows.
         let bent = |camera: &SeededCamera, camera_from_board: Pose, corners: &mut Vec<_>| {

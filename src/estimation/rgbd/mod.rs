@@ -145,7 +145,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
     let other = match problem.depth_lens {
         DepthLens::Infrared => None,
         DepthLens::FromPlanes | DepthLens::Known => {
-            fit.other_form().and_then(|form| planes.fit(&fit.state, form, smoothness))
+            fit.other_form().and_then(|form| Planes::of(problem, &corners).fit(&fit.state, form, smoothness))
         }
     };
     planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
