@@ -183,6 +183,30 @@ impl PixelCorrection {
     }
 }
 
+impl PixelCorrection {
+    /// ∂(corrected 1/z)/∂(1/z): what the correction does to small differences, and so to noise; 1 for that of nothing.
+    pub fn gain(&self, inverse_depth: f64) -> f64 {
+        let [near, far] = self.seen_m;
+        let held = !(inverse_depth * near <= 1.0 && inverse_depth * far >= 1.0);
+        let slope = |x: f64| {
+            let powers = self.terms.iter().enumerate();
+            if held { 0.0 } else { powers.map(|(k, term)| term * power_slope(x, k)).sum() }
+        };
+        match self.quantity {
+            CorrectedQuantity::InverseDepth => 1.0 + slope(inverse_depth),
+            CorrectedQuantity::Depth => {
+                let z = 1.0 / inverse_depth;
+                (self.correct(inverse_depth) * z).powi(2) * (1.0 + slope(z))
+            }
+        }
+    }
+}
+
+/// k xᵏ⁻¹.
+pub(crate) fn power_slope(x: f64, k: usize) -> f64 {
+    if k == 0 { 0.0 } else { k as f64 * x.powi(k as i32 - 1) }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -223,5 +247,16 @@ mod tests {
     fn a_correction_of_no_depths_is_held_nowhere() {
         let none = DepthCorrection::none(CorrectedQuantity::Depth, 1, SplineGrid::constant(SIZE), [f64::INFINITY, 0.0]);
         assert_eq!(none.correct(Pixel::new(3.0, 4.0), 0.5), Some(0.5));
+    }
+
+    #[test]
+    fn the_gain_is_the_slope_of_what_is_corrected() {
+        for quantity in [CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth] {
+            let at = PixelCorrection { quantity, terms: [0.01, -0.05, 0.03, 0.01], seen_m: [0.5, 4.0] };
+            for inverse in [0.3, 0.9, 1.8, 0.1, 3.0] {
+                let slope = (at.correct(inverse + 1e-6) - at.correct(inverse - 1e-6)) / 2e-6;
+                assert!((at.gain(inverse) - slope).abs() < 1e-8, "{quantity:?} {inverse}: {slope}");
+            }
+        }
     }
 }

@@ -1,8 +1,11 @@
 //! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane,
 //!
 //! ```text
-//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / std,   n = R e_z, (R, t) = sensor_from_board
+//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std),   n = R e_z, (R, t) = sensor_from_board
 //! ```
+//!
+//! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a correction to 1/z = 0 of
+//! planes infinitely far away would leave nothing.
 //!
 //! 1/z of a plane is linear in the ray (x, y, 1), and the correction linear in its coefficients, so that this converges
 //! from afar. The ray follows from the pixel by the depth camera's own lens (D. Herrera C., J. Kannala, J. Heikkilä, *Joint
@@ -13,7 +16,9 @@ use nalgebra::{Matrix2, Vector3};
 use crate::estimation::joint::normal::{NormalEquations, chain};
 use crate::estimation::joint::{Layout, State};
 use crate::geometry::depth_camera::DepthTile;
-use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, held_inverse_depth};
+use crate::geometry::depth_correction::{
+    CorrectedQuantity, DepthCorrection, MAX_TERMS, held_inverse_depth, power_slope,
+};
 use crate::geometry::lens::Lens;
 
 /// The board's surface as the depth sensor measured it at one instant.
@@ -94,7 +99,10 @@ fn add_row(equations: &mut NormalEquations, (instant, free): (usize, bool), row:
     }
 }
 
-/// Answers false where the lens sees nothing or the plane is edge-on.
+/// A correction that leaves less than this part of a difference in 1/z is none.
+const LEAST_GAIN: f64 = 0.1;
+
+/// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens depth.
 fn linearize_tile(
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
@@ -110,13 +118,17 @@ fn linearize_tile(
     let distance = normal.dot(&translation);
     let plane = normal.dot(&ray) / distance;
     let Some(corrected) = correction.correct(tile.pixel, tile.inverse_depth) else { return false };
+    let gain = correction.at(tile.pixel).gain(tile.inverse_depth);
+    let inverse_std = inverse_std / gain;
     row.residual = (corrected - plane) * inverse_std;
-    if !row.residual.is_finite() {
+    if !(gain > LEAST_GAIN && row.residual.is_finite()) {
         return false;
     }
     row.globals.clear();
     let globals = &mut row.globals;
     correction_columns(correction, tile, |index, value| globals.push((correction_at + index, value * inverse_std)));
+    let by_gain = -row.residual / gain;
+    gain_columns(correction, tile, |index, value| globals.push((correction_at + index, value * by_gain)));
     add_lens_columns((layout, lens), (sight.sensor, &ray, &(normal * (-inverse_std / distance))), &mut row.globals);
     let by_turn = (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_shift = normal * (plane / distance * inverse_std);
@@ -148,6 +160,29 @@ pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile,
             put(term * count + node, power * weight);
         }
         power *= base;
+    }
+}
+
+/// ∂gain/∂(coefficient) for the coefficients that matter at a tile; none where the polynomial is held.
+fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
+    if correction.terms == 0 || !correction.has_seen(tile.inverse_depth) {
+        return;
+    }
+    let weights = correction.grid.weights(tile.pixel);
+    let count = correction.grid.node_count();
+    let (at, inverse) = (correction.at(tile.pixel), tile.inverse_depth);
+    let by_term: [f64; MAX_TERMS] = match correction.quantity {
+        CorrectedQuantity::InverseDepth => std::array::from_fn(|k| power_slope(inverse, k)),
+        CorrectedQuantity::Depth => {
+            let (z, corrected, gain) = (1.0 / inverse, at.correct(inverse), at.gain(inverse));
+            let stretch = (corrected * z).powi(2);
+            std::array::from_fn(|k| stretch * power_slope(z, k) - 2.0 * corrected * gain * z.powi(k as i32))
+        }
+    };
+    for (term, by_term) in by_term.iter().enumerate().take(correction.terms) {
+        for (node, weight) in weights.nodes.iter().zip(&weights.weights).take(weights.len) {
+            put(term * count + node, by_term * weight);
+        }
     }
 }
 
