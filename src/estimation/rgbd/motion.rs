@@ -58,8 +58,8 @@ pub fn board_motions(moments: &[(f64, Pose)]) -> Vec<Option<BoardMotion>> {
 }
 
 /// Rotation matrix and translation as one row of numbers.
-fn numbers(pose: &Pose) -> [f64; 12] {
-    let (rotation, translation) = (pose.rotation_matrix(), pose.translation());
+fn numbers(a_from_b: &Pose) -> [f64; 12] {
+    let (rotation, translation) = (a_from_b.rotation_matrix(), a_from_b.translation());
     std::array::from_fn(|k| if k < 9 { rotation[(k / 3, k % 3)] } else { translation[k - 9] })
 }
 
@@ -184,7 +184,7 @@ struct Moment {
 impl Moment {
     fn of(second_from_first: &Pose, seen: &SeenByBoth, center: &Vector3<f64>, radius: f64) -> Self {
         let expected = *second_from_first * seen.first_from_board;
-        let middle = |pose: &Pose| pose.translation() + *pose * *center;
+        let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * *center;
         let turn = (seen.second_from_board.rotation() * expected.rotation().inverse()).scaled_axis() * radius;
         let shift = middle(&seen.second_from_board) - middle(&expected);
         let lever = middle(&expected) - second_from_first.translation();
