@@ -50,7 +50,7 @@ fn located(json: &[u8], path: &str, error: &serde_json::Error) -> DocumentError 
         }
         Category::Eof | Category::Io => syntax(json, error),
         _ => {
-            let problem = not_a_number.unwrap_or_else(|| without_position(error));
+            let problem = not_a_number.unwrap_or_else(|| in_terms_of_json(&without_position(error)));
             let missing = problem.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
             match missing {
                 Some(name) if path == "." => DocumentError::field(name, "is missing"),
@@ -72,6 +72,32 @@ fn syntax(json: &[u8], error: &serde_json::Error) -> DocumentError {
 fn without_position(error: &serde_json::Error) -> String {
     let text = error.to_string();
     text.split(" at line ").next().unwrap_or_default().to_owned()
+}
+
+/// The parser's words for a reader who knows JSON but not the types that it is read into.
+fn in_terms_of_json(problem: &str) -> String {
+    let parts = problem.strip_prefix("invalid ").and_then(|rest| rest.split_once(", expected "));
+    let Some((found, wanted)) = parts else { return problem.to_owned() };
+    let wanted = match wanted {
+        "f64" => "a number",
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
+        "i64" => "a whole number",
+        "a sequence" => "an array",
+        structure if structure.starts_with("struct ") => "an object",
+        other => other,
+    };
+    if let Some(length) = found.strip_prefix("length ") {
+        return format!("has length {length}, expected {wanted}");
+    }
+    let found = match found.trim_start_matches("type: ").trim_start_matches("value: ") {
+        "sequence" => "an array",
+        "map" => "an object",
+        value => ["integer ", "floating point ", "boolean ", "string "]
+            .into_iter()
+            .find_map(|kind| value.strip_prefix(kind))
+            .unwrap_or(value),
+    };
+    format!("is {found}, expected {wanted}")
 }
 
 /// Names the word when the parser stumbled over what other languages print for a double that is no number.
@@ -102,22 +128,21 @@ mod tests {
             (view("[[-Infinity,2]]"), "views[0].image[0][0]: -Infinity is not a number; every number must be finite"),
             (view("[[nan,2]]"), "views[0].image[0][0]: nan is not a number; every number must be finite"),
             (view("[[1,1e999]]"), "views[0].image[0][1]: number out of range"),
-            (view("[[1,null]]"), "views[0].image[0][1]: invalid type: null, expected f64"),
-            (view("[[1]]"), "views[0].image[0]: invalid length 1, expected an array of length 2"),
-            (view("[1,2]"), "views[0].image[0]: invalid type: integer `1`, expected an array of length 2"),
+            (view("[[1,null]]"), "views[0].image[0][1]: is null, expected a number"),
+            (view("[[1]]"), "views[0].image[0]: has length 1, expected an array of length 2"),
+            (view("[1,2]"), "views[0].image[0]: is `1`, expected an array of length 2"),
+            (view("{}"), "views[0].image: is an object, expected an array"),
+            (view(r#""x""#), r#"views[0].image: is "x", expected an array"#),
             (r#"{"image_size":[640,480]}"#.into(), "views: is missing"),
             (r#"{"image_size":[640,480],"views":[{"image":[]}]}"#.into(), "views[0].object: is missing"),
-            (
-                r#"{"image_size":[640],"views":[]}"#.into(),
-                "image_size: invalid length 1, expected an array of length 2",
-            ),
+            (r#"{"image_size":[640],"views":[]}"#.into(), "image_size: has length 1, expected an array of length 2"),
             (
                 r#"{"image_size":[640,-1],"views":[]}"#.into(),
-                "image_size[1]: invalid value: integer `-1`, expected u32",
+                "image_size[1]: is `-1`, expected a whole number, 0 or more",
             ),
             ("".into(), "not JSON at line 1, column 0: nothing there"),
             ("{".into(), "not JSON at line 1, column 1: EOF while parsing an object"),
-            ("7".into(), "document: invalid type: integer `7`, expected struct ProblemDocument"),
+            ("7".into(), "document: is `7`, expected an object"),
         ];
         for (json, expected) in table {
             let error = from_json::<ProblemDocument>(json.as_bytes()).unwrap_err();
