@@ -23,6 +23,8 @@ pub struct Calibration {
     pub color: Option<SensorCalibration>,
     /// The infrared sensor's calibration.
     pub infrared: Option<SensorCalibration>,
+    /// The calibration of a stereo depth camera's right infrared sensor.
+    pub infrared2: Option<SensorCalibration>,
     /// The depth sensor's calibration.
     pub depth: Option<DepthCalibration>,
     /// The cameras of a rig, in its order; empty for one camera.
@@ -36,9 +38,9 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Its picture sensors with their names, in the order of documents: `color`, `infrared`, or a rig's cameras.
+    /// Its picture sensors with their names, in the order of documents: `color`, `infrared`, `infrared2`, or a rig's cameras.
     pub fn picture_sensors(&self) -> impl Iterator<Item = (&str, &SensorCalibration)> {
-        let own = [("color", &self.color), ("infrared", &self.infrared)];
+        let own = [("color", &self.color), ("infrared", &self.infrared), ("infrared2", &self.infrared2)];
         let own = own.into_iter().filter_map(|(name, sensor)| Some((name, sensor.as_ref()?)));
         own.chain(self.cameras.iter().map(|camera| (camera.name.as_str(), &camera.sensor)))
     }

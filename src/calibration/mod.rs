@@ -11,6 +11,7 @@ pub mod guidance;
 pub mod placement;
 pub mod rgbd_calibration;
 pub mod rig_session;
+pub mod second_infrared;
 pub mod session;
 pub mod session_record;
 pub mod solve;

@@ -6,6 +6,7 @@ use std::path::Path;
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::calibration::Calibration;
 use crate::calibration::rgbd_calibration::with_depth;
+use crate::calibration::second_infrared::{StereoCapture, StereoInput, with_second_infrared};
 use crate::calibration::session::Session;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
@@ -42,7 +43,7 @@ pub fn has_depth(source: &str) -> bool {
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
 
-/// Calibrates the colour, infrared and depth sensors of one recording.
+/// Calibrates the colour, infrared (left and right) and depth sensors of one recording.
 ///
 /// # Errors
 /// When it cannot be read, what its depth means is not said, or too little is seen.
@@ -61,13 +62,19 @@ pub fn calibrate(
         gathered.add(&frames)?;
     }
     spinner.finish_and_clear();
+    let stereo = gathered.stereo();
     let input = gathered.finish(depth)?;
     let spinner = progress::spinner("solving");
     let solved = solve_rgbd(&input, options);
-    spinner.finish_and_clear();
     let solved = solved.map_err(|error| Failure::failed(format!("{source}: {error}")))?;
     let color = finished(Some(target), solved.color.clone());
-    Ok(with_depth(color, &input, &solved))
+    let calibration = with_depth(color, &input, &solved);
+    let calibration = match &stereo {
+        Some(stereo) => with_second_infrared(calibration, stereo, options),
+        None => calibration,
+    };
+    spinner.finish_and_clear();
+    Ok(calibration)
 }
 
 /// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP 118).
@@ -101,6 +108,9 @@ struct Gathered<'a> {
     depth_size: Option<ImageSize>,
     session: Option<Session>,
     captures: Vec<RgbdCapture>,
+    infrared2_size: Option<ImageSize>,
+    /// Of each capture.
+    infrared2: Vec<Vec<Correspondence>>,
     first_reason: Option<String>,
     looked: usize,
 }
@@ -117,6 +127,8 @@ impl<'a> Gathered<'a> {
             depth_size: None,
             session: None,
             captures: Vec::new(),
+            infrared2_size: None,
+            infrared2: Vec::new(),
             first_reason: None,
             looked: 0,
         }
@@ -131,6 +143,10 @@ impl<'a> Gathered<'a> {
         }
         let is_view = frames.recording.is_none() || self.keep(&frames.set, color.as_ref());
         let infrared = self.look(&frames.set, SensorKind::Infrared, &path)?;
+        let infrared2 = if is_view { self.look(&frames.set, SensorKind::Infrared2, &path)? } else { None };
+        if let Some((size, _)) = &infrared2 {
+            self.same_size(*size, "infrared2", &path)?;
+        }
         let depth = match frames.set.frame(SensorKind::Depth).filter(|_| is_view) {
             Some(frame) => {
                 let picture = DepthImage::from_frame(frame)
@@ -146,6 +162,8 @@ impl<'a> Gathered<'a> {
         let infrared = self.corners(infrared);
         if !(color.is_empty() && infrared.is_empty()) || (is_view && depth.is_some()) {
             self.captures.push(RgbdCapture { name: path, time_s, is_view, color, infrared, depth });
+            let infrared2 = self.corners(infrared2);
+            self.infrared2.push(infrared2);
         }
         Ok(())
     }
@@ -168,7 +186,11 @@ impl<'a> Gathered<'a> {
     }
 
     fn same_size(&mut self, size: ImageSize, sensor: &'static str, path: &str) -> Result<(), Failure> {
-        let first = if sensor == "depth" { &mut self.depth_size } else { &mut self.color_size };
+        let first = match sensor {
+            "depth" => &mut self.depth_size,
+            "infrared2" => &mut self.infrared2_size,
+            _ => &mut self.color_size,
+        };
         let expected = *first.get_or_insert(size);
         if expected == size {
             return Ok(());
@@ -202,6 +224,18 @@ impl<'a> Gathered<'a> {
         let Some((image_size, Ok(detection))) = seen else { return Vec::new() };
         let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
         View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
+    }
+
+    /// Colour and right infrared, where there is the latter.
+    fn stereo(&self) -> Option<StereoInput> {
+        let (color_size, infrared2_size) = (self.color_size?, self.infrared2_size?);
+        let views = self.captures.iter().zip(&self.infrared2).filter(|(capture, _)| capture.is_view);
+        let captures = views.map(|(capture, infrared2)| StereoCapture {
+            name: capture.name.clone(),
+            color: capture.color.clone(),
+            infrared2: infrared2.clone(),
+        });
+        Some(StereoInput { board: self.target, color_size, infrared2_size, captures: captures.collect() })
     }
 
     fn finish(self, depth: DepthSensor) -> Result<RgbdInput, Failure> {

@@ -78,6 +78,7 @@ pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration
         target,
         color: Some(solved.sensor),
         infrared: None,
+        infrared2: None,
         depth: None,
         cameras: Vec::new(),
         extrinsics: Vec::new(),
@@ -89,10 +90,8 @@ pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration
 /// What a person wants to know first.
 fn summary(calibration: &Calibration) -> String {
     let mut lines = Vec::new();
-    for (name, sensor) in [("color", &calibration.color), ("infrared", &calibration.infrared)] {
-        if let Some(sensor) = sensor {
-            lines.extend(sensor_lines(name, sensor));
-        }
+    for (name, sensor) in calibration.picture_sensors() {
+        lines.extend(sensor_lines(name, sensor));
     }
     let verdict = &calibration.verdict;
     lines.push(format!("verdict: {}", verdict.grade.name()));

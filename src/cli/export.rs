@@ -21,7 +21,7 @@ pub struct Args {
     /// The format to write.
     #[arg(long)]
     format: FormatName,
-    /// Which sensor, where the calibration has several and the format holds one: color, infrared, depth, or a rig's camera
+    /// Which sensor, where the calibration has several and the format holds one: color, infrared, infrared2, depth, or a rig's camera
     /// [default: color].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,

@@ -64,9 +64,12 @@ pub struct SensorsDocument {
     /// The visible picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color: Option<SensorDocument>,
-    /// The infrared picture.
+    /// The infrared picture; of a stereo depth camera the left one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub infrared: Option<SensorDocument>,
+    /// The right infrared picture of a stereo depth camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub infrared2: Option<SensorDocument>,
     /// Distance per pixel.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub depth: Option<DepthDocument>,
@@ -167,6 +170,7 @@ impl From<&Calibration> for CalibrationDocument {
             sensors: SensorsDocument {
                 color: calibration.color.as_ref().map(SensorDocument::from),
                 infrared: calibration.infrared.as_ref().map(SensorDocument::from),
+                infrared2: calibration.infrared2.as_ref().map(SensorDocument::from),
                 depth: calibration.depth.as_ref().map(DepthDocument::from),
             },
             cameras: calibration.cameras.iter().map(RigCameraDocument::from).collect(),
@@ -200,6 +204,7 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             target: document.target.map(Chessboard::try_from).transpose().map_err(|e| e.inside("target"))?,
             color: sensor(&document.sensors.color, "color")?,
             infrared: sensor(&document.sensors.infrared, "infrared")?,
+            infrared2: sensor(&document.sensors.infrared2, "infrared2")?,
             depth: depth.transpose().map_err(|e| e.inside("sensors.depth"))?,
             cameras: document.cameras.iter().enumerate().map(camera).collect::<Result<_, _>>()?,
             extrinsics: document.extrinsics.iter().enumerate().map(extrinsics).collect::<Result<_, _>>()?,
@@ -416,6 +421,7 @@ pub(crate) mod tests {
             target: Some(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()),
             color: Some(sensor),
             infrared: None,
+            infrared2: None,
             depth: None,
             cameras: Vec::new(),
             extrinsics: vec![Extrinsics {

@@ -20,6 +20,7 @@ pub fn at_size(calibration: &Calibration, size: ImageSize) -> Result<Calibration
     Ok(Calibration {
         color: resized(&calibration.color)?,
         infrared: resized(&calibration.infrared)?,
+        infrared2: resized(&calibration.infrared2)?,
         cameras: calibration.cameras.iter().map(camera).collect::<Result<_, RegionError>>()?,
         checks: Checks { held_out_rms_px, ..calibration.checks },
         ..calibration.clone()

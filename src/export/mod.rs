@@ -208,7 +208,7 @@ pub enum ExportError {
 /// What of a calibration is written.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ExportOptions {
-    /// The sensor, for formats that hold one: `color`, `infrared`, `depth` or a camera of a rig. Default: the only one, or
+    /// The sensor, for formats that hold one: `color`, `infrared`, `infrared2`, `depth` or a camera of a rig. Default: the only one, or
     /// colour's.
     pub sensor: Option<String>,
 }

@@ -9,7 +9,7 @@ use crate::geometry::pose::Pose;
 /// A sensor with its lens.
 #[derive(Debug, Clone)]
 pub(super) struct Sensor<'a> {
-    /// `color`, `infrared`, `depth`, or the name of a rig's camera.
+    /// `color`, `infrared`, `infrared2`, `depth`, or the name of a rig's camera.
     pub name: &'a str,
     /// Whether `name` is a camera's own.
     pub is_camera: bool,

@@ -25,7 +25,7 @@ pub(super) struct ExportParameters {
     /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors are); depth (what readings
     /// mean, corrected).
     format: Option<String>,
-    /// For formats that hold one sensor: color, infrared, depth, or a rig's camera; color when left out.
+    /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera; color when left out.
     sensor: Option<String>,
     /// For pictures scaled to this width.
     width: Option<u32>,

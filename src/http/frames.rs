@@ -41,7 +41,7 @@ struct Look {
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "describes the query; Parameters reads it")]
 struct LookParameters {
-    /// color (when left out), infrared or depth.
+    /// color (when left out), infrared, infrared2 (the right one of two) or depth.
     sensor: Option<String>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over colour. When left out: false for
     /// a picture, true for the preview.
@@ -130,7 +130,7 @@ async fn next_part(
 
 fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
     let overlay = parameters.flag("overlay", overlay)?;
-    let sensor = parameters.one_of("sensor", SensorKind::from_name, "color, infrared, depth")?;
+    let sensor = parameters.one_of("sensor", SensorKind::from_name, "color, infrared, infrared2, depth")?;
     let sensor = sensor.unwrap_or(SensorKind::Color);
     Ok(Look {
         sensor,

@@ -51,6 +51,7 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
         target: None,
         color: Some(solved.sensor),
         infrared: None,
+        infrared2: None,
         depth: None,
         cameras: Vec::new(),
         extrinsics: Vec::new(),

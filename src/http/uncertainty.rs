@@ -30,7 +30,7 @@ const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty.png", tag = "calibrations",
     params(
         ("id" = String, Path, description = "the calibration's"),
-        ("sensor" = Option<String>, Query, description = "color, infrared, or a rig's camera; the first there is when left out"),
+        ("sensor" = Option<String>, Query, description = "color, infrared, infrared2, or a rig's camera; the first there is when left out"),
         ("distance_m" = Option<f64>, Query, description = "how far away things are, in metres; at infinity when left out"),
     ),
     responses(
@@ -45,8 +45,8 @@ pub(super) async fn picture(
 ) -> Result<impl IntoResponse, Problem> {
     let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
     let found = calibration(&shared, &id).await?;
-    let known: Vec<&str> =
-        ["color", "infrared"].into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
+    let own = ["color", "infrared", "infrared2"];
+    let known: Vec<&str> = own.into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
     let is_known = |name: &str| known.contains(&name).then(|| name.to_owned());
     let asked = parameters.one_of("sensor", is_known, &known.join(", "))?;
     let mut sensors = found.picture_sensors();

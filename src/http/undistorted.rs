@@ -36,6 +36,7 @@ pub(super) async fn undistortion(
     let calibrated = match sensor {
         SensorKind::Color => calibration.color,
         SensorKind::Infrared => calibration.infrared,
+        SensorKind::Infrared2 => calibration.infrared2,
         SensorKind::Depth => None,
     };
     let calibrated = calibrated.ok_or_else(none)?;

@@ -10,21 +10,24 @@ use crate::imaging::timestamp::{DeviceTime, HostTime};
 pub enum SensorKind {
     /// The visible picture.
     Color,
-    /// The infrared picture, taken by the depth camera.
+    /// The infrared picture, taken by the depth camera; of a stereo depth camera the left one, from which depth is measured.
     Infrared,
+    /// The right infrared picture of a stereo depth camera.
+    Infrared2,
     /// Distance, or disparity, per pixel.
     Depth,
 }
 
 impl SensorKind {
     /// Every sensor, in the order of documents.
-    pub const ALL: [Self; 3] = [Self::Color, Self::Infrared, Self::Depth];
+    pub const ALL: [Self; 4] = [Self::Color, Self::Infrared, Self::Infrared2, Self::Depth];
 
     /// Its name in topics, documents and folders.
     pub fn name(self) -> &'static str {
         match self {
             Self::Color => "color",
             Self::Infrared => "infrared",
+            Self::Infrared2 => "infrared2",
             Self::Depth => "depth",
         }
     }

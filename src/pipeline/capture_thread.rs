@@ -32,8 +32,10 @@ pub struct Supervision {
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
-    /// A device that is silent for so long, and for ten of its frames, is lost. Default: 2 s.
+    /// A device that falls silent for so long, and for ten of its frames, is lost. Default: 1.5 s.
     pub stall: Duration,
+    /// The same for a device that was opened and has given no frame yet: many take a second or two. Default: 4 s.
+    pub first_frame: Duration,
 }
 
 impl Default for Supervision {
@@ -43,7 +45,8 @@ impl Default for Supervision {
             longest_retry: Duration::from_secs(5),
             failed_retry: Duration::from_secs(10),
             moved_check: Duration::from_secs(2),
-            stall: Duration::from_secs(2),
+            stall: Duration::from_millis(1500),
+            first_frame: Duration::from_secs(4),
         }
     }
 }
@@ -174,8 +177,7 @@ impl Capture {
                 }
                 Err(CaptureError::TimedOut { waited }) => {
                     silence += waited;
-                    let limit = self.stall_limit(description);
-                    if self.may_stall && silence >= limit {
+                    if self.may_stall && silence >= self.stall_limit(description, delivered) {
                         return End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()));
                     }
                 }
@@ -192,9 +194,10 @@ impl Capture {
         }
     }
 
-    fn stall_limit(&self, description: &SourceDescription) -> Duration {
+    fn stall_limit(&self, description: &SourceDescription, delivered: bool) -> Duration {
         let ten_frames_s = description.fps.map_or(0.0, |fps| 10.0 / fps.max(1e-3));
-        self.supervision.stall.max(Duration::from_secs_f64(ten_frames_s))
+        let limit = if delivered { self.supervision.stall } else { self.supervision.first_frame };
+        limit.max(Duration::from_secs_f64(ten_frames_s))
     }
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {

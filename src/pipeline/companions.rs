@@ -1,5 +1,6 @@
 //! What a camera's other sensors give together with a kept view: the board in infrared, the depth picture.
 
+use crate::calibration::second_infrared::{StereoCapture, StereoInput};
 use crate::calibration::session::Session;
 use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
 use crate::calibration::view::{FrameFacts, View};
@@ -36,7 +37,7 @@ pub(super) fn companions_of(
             let picture = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
             Some(Companion { number, sensor: frame.sensor, image_size: depth.size(), unit_m, detection: None, picture })
         }
-        SensorKind::Infrared | SensorKind::Color => {
+        SensorKind::Color | SensorKind::Infrared | SensorKind::Infrared2 => {
             let (media_type, bytes) = view_picture(frame)?;
             let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };
             let detection = look(frame, board);
@@ -82,6 +83,25 @@ pub(super) fn rgbd_input(session: &Session, companions: &[Companion]) -> Option<
     };
     let captures = session.views().iter().map(capture).collect();
     Some(RgbdInput { board, color_size: session.image_size()?, depth, captures })
+}
+
+/// Colour and right infrared of a session whose views have `companions`; `None` where none has the latter.
+pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Option<StereoInput> {
+    let board = session.record().request.target;
+    let infrared2: Vec<&Companion> =
+        companions.iter().filter(|companion| companion.sensor == SensorKind::Infrared2).collect();
+    let infrared2_size = infrared2.first()?.image_size;
+    let of_view = |view: &View| {
+        let companion = infrared2.iter().find(|companion| companion.number == view.number);
+        companion.filter(|companion| companion.image_size == infrared2_size)
+    };
+    let capture = |view: &View| StereoCapture {
+        name: view.frame.display_name(),
+        color: view.to_board_view(&board).correspondences,
+        infrared2: of_view(view).map_or_else(Vec::new, |companion| corners(companion, view, &board)),
+    };
+    let captures = session.views().iter().map(capture).collect();
+    Some(StereoInput { board, color_size: session.image_size()?, infrared2_size, captures })
 }
 
 fn corners(infrared: &Companion, view: &View, board: &Chessboard) -> Vec<Correspondence> {

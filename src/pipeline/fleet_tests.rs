@@ -107,8 +107,14 @@ fn scripted(name: &str) -> (CameraPlan, Script) {
 /// A fleet that retries at once and has patience with silence unless told otherwise.
 fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration) -> Fleet {
     let soon = Duration::from_millis(1);
-    let supervision =
-        Supervision { first_retry: soon, longest_retry: soon, moved_check: Duration::ZERO, failed_retry: soon, stall };
+    let supervision = Supervision {
+        first_retry: soon,
+        longest_retry: soon,
+        moved_check: Duration::ZERO,
+        failed_retry: soon,
+        stall,
+        first_frame: stall,
+    };
     let options = FleetOptions { supervision, ..FleetOptions::default() };
     Fleet::start(plans, Arc::new(Store::open(folder.path()).unwrap()), &options).unwrap()
 }
@@ -311,6 +317,7 @@ fn calibrated(folder: &tempfile::TempDir) {
         target: None,
         color: Some(sensor),
         infrared: None,
+        infrared2: None,
         depth: None,
         extrinsics: Vec::new(),
         cameras: Vec::new(),
@@ -346,4 +353,65 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     .await;
     assert_eq!((drift.calibration.as_str(), drift.reason.as_str()), ("c1", "focus is 30, was 10"));
     assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
+}
+
+/// A device that gives a large, noisy picture at every sign, as fast as it is asked.
+struct Flood {
+    signs: Receiver<()>,
+    next: u64,
+    bytes: Arc<[u8]>,
+}
+
+const FLOOD_SIZE: ImageSize = ImageSize::new(2000, 1500);
+
+impl FrameSource for Flood {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        self.signs.recv_timeout(timeout).map_err(|_| CaptureError::TimedOut { waited: timeout })?;
+        let bytes = Arc::clone(&self.bytes);
+        let format = PixelFormat::Mono8;
+        let frame = Frame { sensor: SensorKind::Color, size: FLOOD_SIZE, format, stride: 2000, bytes };
+        self.next += 1;
+        Ok(FrameSet { frames: vec![frame], ..gray_frame(self.next - 1) })
+    }
+
+    fn description(&self) -> SourceDescription {
+        SourceDescription::default()
+    }
+}
+
+/// A search takes far longer than the next picture: what is not looked at is counted, the last one always is looked at.
+#[tokio::test]
+async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
+    const FRAMES: u64 = 200;
+    let folder = tempfile::tempdir().unwrap();
+    let (flood, signs) = channel();
+    let mut source = Some(Flood {
+        signs,
+        next: 0,
+        bytes: (0..2000 * 1500_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect(),
+    });
+    let open = move || source.take().map(|s| Box::new(s) as Box<dyn FrameSource>).ok_or_else(|| lost("gone"));
+    let plan = CameraPlan { name: "front".to_owned(), kind: "v4l2".to_owned(), open: Box::new(open), may_stall: false };
+    let fleet = fleet_of(vec![plan], &folder, PATIENCE);
+    let mut events = fleet.events(Some(0));
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    (0..FRAMES).for_each(|_| flood.send(()).unwrap());
+    let mut looked_at = Vec::new();
+    until(&mut events, |event| {
+        let EventKind::Detection(detection) = &event.kind else { return None };
+        looked_at.push(detection.sequence);
+        (detection.sequence == FRAMES - 1).then_some(())
+    })
+    .await;
+    let (searched, dropped) = (looked_at.len() as u64, fleet.camera("front").unwrap().dropped_frames);
+    assert!(looked_at.is_sorted() && searched < FRAMES / 4, "{looked_at:?}");
+    assert_eq!(searched + dropped, FRAMES);
+    assert_eq!(fleet.abort_session(&id).await.unwrap().frames_seen, searched);
+    let metrics = fleet.metrics_text();
+    let told = format!("plumb_frames_dropped_total{{camera=\"front\",why=\"overload\"}} {dropped}");
+    assert!(metrics.contains(&told), "{metrics}");
+    assert!(
+        metrics.contains(&format!("plumb_frame_latency_seconds_count{{camera=\"front\"}} {searched}")),
+        "{metrics}"
+    );
 }

@@ -281,6 +281,7 @@ impl RigThread {
                     target: Some(target),
                     color: None,
                     infrared: None,
+                    infrared2: None,
                     depth: None,
                     cameras: solved.cameras,
                     extrinsics: solved.extrinsics,

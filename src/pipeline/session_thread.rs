@@ -13,12 +13,11 @@ use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::drift::DriftWatch;
 use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
-use crate::calibration::solve_rgbd::RgbdInput;
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 use crate::pipeline::board_look::{BoardLook, Manner, picture_of};
 use crate::pipeline::clock::utc_now_ns;
-use crate::pipeline::companions::{companions_of, rgbd_input};
+use crate::pipeline::companions::{companions_of, rgbd_input, stereo_input};
 use crate::pipeline::event::{CalibrationEvent, DetectionEvent, EventKind};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::{Look, LookError};
@@ -27,7 +26,7 @@ use crate::pipeline::search::Search;
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::pipeline::solve_thread::Job;
 use crate::pipeline::view_picture::view_picture;
-use crate::store::Store;
+use crate::store::{Companion, Store};
 
 pub(super) struct SessionThread {
     pub(super) camera: Arc<LiveCamera>,
@@ -269,21 +268,22 @@ impl SessionThread {
         if let Some(session) = &self.session {
             let mut job = Job::of(session, is_final);
             if is_final {
-                job.with_depth = self.depth_of(session);
+                let companions = self.companions_of(session);
+                job.with_depth = rgbd_input(session, &companions);
+                job.with_infrared2 = stereo_input(session, &companions);
             }
             // Without a solve thread the daemon is going down.
             let _ = self.jobs.send(job);
         }
     }
 
-    /// What depth adds to a session's views, where there is any.
-    fn depth_of(&self, session: &Session) -> Option<RgbdInput> {
+    /// What other sensors gave together with a session's views.
+    fn companions_of(&self, session: &Session) -> Vec<Companion> {
         let id = &session.record().id;
-        let companions = self.store.companions(id).unwrap_or_else(|error| {
-            tracing::error!(camera = self.camera.name, session = id, "depth is left out: {error}");
+        self.store.companions(id).unwrap_or_else(|error| {
+            tracing::error!(camera = self.camera.name, session = id, "depth and infrared are left out: {error}");
             Vec::new()
-        });
-        rgbd_input(session, &companions)
+        })
     }
 
     fn finish(&mut self, solved: Result<Box<Calibration>, String>) {

@@ -6,11 +6,13 @@ use std::time::Instant;
 
 use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::rgbd_calibration::with_depth;
+use crate::calibration::second_infrared::{StereoInput, with_second_infrared};
 use crate::calibration::session::Session;
 use crate::calibration::session_record::RunningEstimate;
 use crate::calibration::solve::{SolvedCamera, estimate_views, solve_views};
 use crate::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::LensModel;
@@ -32,6 +34,8 @@ pub(super) struct Job {
     /// The board, and what depth adds, for the result.
     pub(super) target: Chessboard,
     pub(super) with_depth: Option<RgbdInput>,
+    /// What the right infrared sensor adds, for the result.
+    pub(super) with_infrared2: Option<StereoInput>,
 }
 
 impl Job {
@@ -47,6 +51,7 @@ impl Job {
             is_final,
             target: record.request.target,
             with_depth: None,
+            with_infrared2: None,
         }
     }
 
@@ -83,17 +88,23 @@ impl Job {
         }
     }
 
-    /// The calibration, without the names that it gets when it is stored. Depth that cannot be calibrated does not cost the
-    /// colour's calibration: the verdict says why it is missing.
+    /// The calibration, without the names that it gets when it is stored. Another sensor that cannot be calibrated does not
+    /// cost the colour's calibration: the verdict says why it is missing.
     fn solve(&self) -> Result<Box<Calibration>, String> {
         let options = self.options();
-        let calibration = guarded(|| match &self.with_depth {
-            Some(input) => match solve_rgbd(input, &options) {
-                Ok(solved) => Ok(with_depth(self.unnamed(solved.color.clone()), input, &solved)),
-                Err(reason) => solve_views(&self.problem, &options)
-                    .map(|solved| without_depth(self.unnamed(solved), &reason.to_string())),
-            },
-            None => solve_views(&self.problem, &options).map(|solved| self.unnamed(solved)),
+        let calibration = guarded(|| {
+            let calibration = match &self.with_depth {
+                Some(input) => match solve_rgbd(input, &options) {
+                    Ok(solved) => Ok(with_depth(self.unnamed(solved.color.clone()), input, &solved)),
+                    Err(reason) => solve_views(&self.problem, &options)
+                        .map(|solved| without_depth(self.unnamed(solved), &reason.to_string())),
+                },
+                None => solve_views(&self.problem, &options).map(|solved| self.unnamed(solved)),
+            }?;
+            Ok::<_, EstimationError>(match &self.with_infrared2 {
+                Some(input) => with_second_infrared(calibration, input, &options),
+                None => calibration,
+            })
         })?;
         calibration.map(Box::new).map_err(|error| error.to_string())
     }
@@ -107,6 +118,7 @@ impl Job {
             target: Some(self.target),
             color: Some(solved.sensor),
             infrared: None,
+            infrared2: None,
             depth: None,
             cameras: Vec::new(),
             extrinsics: Vec::new(),

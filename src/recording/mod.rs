@@ -31,7 +31,7 @@ pub enum RecordingError {
     },
     /// A folder with nothing that is named like a picture.
     #[error(
-        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders color/, infrared/, depth/ with such files",
+        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders color/, infrared/, infrared2/, depth/ with such files",
         path.display()
     )]
     NoPictures {

@@ -1,11 +1,14 @@
 //! `plumb serve` in the small machine, spoken to over HTTP.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Lines, Read};
+use std::path::PathBuf;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+
+use crate::guest::processor_time;
 
 const ADDRESS: &str = "127.0.0.1:8600";
 /// Longer than anything asked for here takes, in software emulation too.
@@ -75,8 +78,56 @@ impl Daemon {
         panic!("the events ended while waiting: {what}");
     }
 
+    /// What is told of the camera from the daemon's start on.
+    pub fn camera_events(&self, camera: &str) -> CameraEvents {
+        let request = ureq::get(&url(&format!("/v1/events?camera={camera}"))).header("Last-Event-ID", "0");
+        let body: Box<dyn Read> = Box::new(request.call().unwrap().into_body().into_reader());
+        CameraEvents(BufReader::new(body).lines())
+    }
+
+    /// Open files and threads, besides those of connections and requests, which come and go.
+    pub fn footprint(&self) -> (usize, usize) {
+        let entries = |folder: &str| fs::read_dir(format!("/proc/{}/{folder}", self.0.id())).unwrap().flatten();
+        let is_file = |link: &PathBuf| !link.to_string_lossy().starts_with("socket:");
+        let files = entries("fd").filter_map(|entry| fs::read_link(entry.path()).ok()).filter(is_file);
+        let names = entries("task").filter_map(|entry| fs::read_to_string(entry.path().join("comm")).ok());
+        (files.count(), names.filter(|name| name.trim() != "http").count())
+    }
+
+    /// What it has computed so far.
+    pub fn processor_time(&self) -> Duration {
+        processor_time(&self.0.id().to_string())
+    }
+
     pub fn wait_for_state(&self, camera: &str, state: &str) -> Value {
         self.wait_for(&format!("{camera} is {state}"), || Some(self.camera(camera)).filter(|now| now["state"] == state))
+    }
+}
+
+/// What is told of a camera, in order.
+pub struct CameraEvents(Lines<BufReader<Box<dyn Read>>>);
+
+impl CameraEvents {
+    /// Waits until the camera is said to be in this state for a reason with these words in it; the reason.
+    pub fn until(&mut self, state: &str, words: &str) -> String {
+        let began = Instant::now();
+        let mut is_camera = false;
+        for line in self.0.by_ref() {
+            let line = line.unwrap();
+            match line.split_once(": ") {
+                Some(("event", name)) => is_camera = name == "camera",
+                Some(("data", text)) if is_camera => {
+                    let camera: Value = serde_json::from_str(text).unwrap();
+                    let reason = camera["reason"].as_str().unwrap_or_default();
+                    if camera["state"] == state && reason.contains(words) {
+                        return reason.to_owned();
+                    }
+                }
+                _ => {}
+            }
+            assert!(began.elapsed() < LIMIT, "in vain: {state} for {words}");
+        }
+        panic!("the events ended while waiting for {state}");
     }
 }
 

@@ -90,3 +90,11 @@ pub fn footprint() -> (usize, usize, usize) {
     let kilobytes = resident.trim().trim_end_matches(" kB").parse().unwrap();
     (count("/proc/self/fd"), count("/proc/self/task"), kilobytes)
 }
+
+/// What a process, or `self`, has computed so far.
+pub fn processor_time(process: &str) -> Duration {
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap();
+    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+    let ticks: u64 = fields[11..13].iter().map(|field| field.parse::<u64>().unwrap()).sum();
+    Duration::from_millis(ticks * 10)
+}

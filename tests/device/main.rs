@@ -11,6 +11,7 @@ mod guest;
 mod loopback;
 mod replug;
 mod small_machine;
+mod supervision;
 mod usb;
 mod usb_camera;
 mod walk;
@@ -31,6 +32,7 @@ const SCENARIOS: &[(&str, Scenario)] = &[
     ("busy", faults::a_camera_in_use_is_told_with_its_holder),
     ("injected_faults", faults::each_injected_fault_is_told_and_survived),
     ("stall", faults::a_stalled_device_never_blocks),
+    ("supervision", supervision::every_fault_is_a_state_with_a_reason_and_the_session_goes_on),
     ("usb", usb::a_usb_camera_streams_holds_still_and_comes_back),
     ("walk", walk::a_walk_is_calibrated_over_http),
     ("replug", replug::two_hundred_rounds_leave_nothing_behind),

@@ -10,6 +10,7 @@
     reason = "a test program"
 )]
 
+mod live_device;
 #[path = "../system/served.rs"]
 mod served;
 #[path = "../system/shared_data.rs"]
@@ -136,7 +137,17 @@ fn pictures(set: &FrameSet) -> Pictures {
     let mut infrared = GrayImage::default();
     decode::luma(frame(SensorKind::Infrared), &mut infrared).unwrap();
     let color = decode::rgb(frame(SensorKind::Color)).unwrap().into_raw();
-    [(Stream::Depth, depth), (Stream::Infrared, infrared.pixels().to_vec()), (Stream::Color, color)]
+    // What is read back has a right infrared picture; what is shown has none of its own, and shows the left one reversed.
+    let mut infrared2 = GrayImage::default();
+    let infrared2 = match set.frame(SensorKind::Infrared2) {
+        Some(frame) => {
+            decode::luma(frame, &mut infrared2).unwrap();
+            infrared2.pixels().to_vec()
+        }
+        None => infrared.pixels().iter().rev().copied().collect(),
+    };
+    let infrared = infrared.pixels().to_vec();
+    [(Stream::Depth, depth), (Stream::Infrared, infrared), (Stream::Infrared2, infrared2), (Stream::Color, color)]
 }
 
 /// A camera that states what it is not: a hundredth off, as factories are off after years.
@@ -149,20 +160,32 @@ fn stated(lens: &Value) -> StatedCamera {
     }
 }
 
-/// The shipped walk of a board before colour, infrared and depth, as the library records it; and what is true of it.
-fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
-    let truth: Value = serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
+/// The shipped walk of a board before colour, infrared and depth.
+fn walk_pictures(count: usize) -> Vec<Pictures> {
     let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
     let sets = std::iter::from_fn(|| walk.next_frame_set().unwrap());
-    let sets: Vec<Pictures> = sets.take(count).map(|set| pictures(&set)).collect();
-    let device = Device {
-        serial: "000000012345",
+    sets.take(count).map(|set| pictures(&set)).collect()
+}
+
+/// The camera that took it, by the library's means.
+fn described(serial: &'static str, truth: &Value) -> Device {
+    Device {
+        serial,
         size: [640, 480],
         fps: 5,
         depth_unit_m: 0.001,
         cameras: ["depth", "color"].map(|sensor| stated(&truth["sensors"][sensor]["lens"])),
         color_from_depth: ([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0], [0.025, 0.0, 0.0]),
-    };
+        baseline_m: 0.05,
+        options: Vec::new(),
+    }
+}
+
+/// The same as the library records it; and what is true of it.
+fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
+    let truth: Value = serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
+    let sets = walk_pictures(count);
+    let device = described("000000012345", &truth);
     let path = folder.join("walk.bag");
     record(&path, &device, if count > 10 { PACE } else { Duration::from_millis(30) }, &sets);
     (path, truth)
@@ -173,8 +196,7 @@ fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
 fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (path, _) = made_bag(folder.path(), 6);
-    let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
-    let fed: Vec<Pictures> = (0..6).map(|_| pictures(&walk.next_frame_set().unwrap().unwrap())).collect();
+    let fed = walk_pictures(6);
     let mut source = open(Origin::Bag(path)).unwrap();
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("000000012345"));
@@ -182,7 +204,7 @@ fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
     let mut whole = 0;
     let error = loop {
         match source.next_frame(POLL) {
-            Ok(set) if set.frames.len() == 3 => {
+            Ok(set) if set.frames.len() == 4 => {
                 let seen = pictures(&set);
                 assert!(fed.contains(&seen), "frame set {} is none of those recorded", set.sequence);
                 whole += 1;
@@ -221,18 +243,18 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
     let started = served.post("/v1/cameras/front/sessions", &request);
     assert_eq!(started.status, 201, "{}", started.text());
     let id = started.json()["id"].as_str().unwrap().to_owned();
-    let mut last_frame = Instant::now();
-    loop {
+    let (mut last_frame, mut silence) = (Instant::now(), Duration::ZERO);
+    let mut waits_for = vec!["camera", "session"];
+    while !waits_for.is_empty() {
         let event = events.next();
         if event.name == "frame" {
             last_frame = Instant::now();
         }
-        let ended = event.data["reason"].as_str().is_some_and(|reason| reason.contains("has ended"));
-        if event.name == "session" && event.data["id"] == *id && ended {
-            break;
+        if event.data["reason"].as_str().is_some_and(|reason| reason.contains("has ended")) {
+            silence = silence.max(last_frame.elapsed());
+            waits_for.retain(|name| *name != event.name);
         }
     }
-    let silence = last_frame.elapsed();
     assert!(silence < Duration::from_secs(2), "told {silence:?} after the last frame");
     let camera = served.get("/v1/cameras/front").json();
     assert_eq!(camera["identity"]["serial"], "000000012345", "{camera}");
@@ -242,7 +264,10 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
     let calibration = served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
 
     let sensors = &calibration["sensors"];
-    assert!(sensors["infrared"]["lens"].is_object() && sensors["depth"].is_object(), "{}", calibration["verdict"]);
+    for sensor in ["infrared", "infrared2"] {
+        assert!(sensors[sensor]["lens"].is_object(), "{sensor}: {}", calibration["verdict"]);
+    }
+    assert!(sensors["depth"].is_object(), "{}", calibration["verdict"]);
     for sensor in ["color", "infrared"] {
         for name in ["fx", "fy", "cx", "cy"] {
             let number = |of: &Value| of[name].as_f64().unwrap();

@@ -1,4 +1,5 @@
-//! A recording by the library itself: its software device is fed with frames, its recorder writes them.
+//! The library's software device, fed with frames: recorded by the library's own recorder, or live in a context of the
+//! library's.
 //!
 //! The functions are those of `rs_internal.h`, `rs_record_playback.h` and their like; realsense-sys has no bindings of the
 //! first.
@@ -6,8 +7,13 @@
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
 use std::path::Path;
-use std::ptr::null_mut;
+use std::ptr::{from_ref, null_mut};
+use std::sync::atomic::{AtomicPtr, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
+
+use realsense_rust::context::Context;
+use realsense_rust::kind::Rs2Option;
 
 /// One of the library's objects.
 type Handle = *mut c_void;
@@ -17,8 +23,13 @@ type Handle = *mut c_void;
 pub enum Stream {
     Depth,
     Infrared,
+    /// The right one.
+    Infrared2,
     Color,
 }
+
+/// In the order of [`Pictures`].
+const STREAMS: [Stream; 4] = [Stream::Depth, Stream::Infrared, Stream::Infrared2, Stream::Color];
 
 /// Intrinsics and distortion of a stream, as the device states them.
 #[derive(Debug, Clone, Copy)]
@@ -36,14 +47,18 @@ pub struct Device {
     pub size: [u32; 2],
     pub fps: u32,
     pub depth_unit_m: f32,
-    /// Of depth and infrared, then of colour.
+    /// Of depth and both infrared ones, then of colour.
     pub cameras: [StatedCamera; 2],
     /// Column by column, and metres.
     pub color_from_depth: ([f32; 9], [f32; 3]),
+    /// From the left infrared sensor to the right one, in metres.
+    pub baseline_m: f32,
+    /// Options of the depth sensor that can be set, with what they stand at.
+    pub options: Vec<(Rs2Option, f32)>,
 }
 
-/// Frames taken together: depth (16 bit), infrared (8 bit), colour (RGB).
-pub type Pictures = [(Stream, Vec<u8>); 3];
+/// Frames taken together: depth (16 bit), left and right infrared (8 bit), colour (RGB).
+pub type Pictures = [(Stream, Vec<u8>); 4];
 
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -106,6 +121,25 @@ unsafe extern "C" {
     fn rs2_software_device_create_matcher(device: Handle, matcher: c_int, error: *mut Handle);
     fn rs2_software_sensor_add_video_stream_ex(s: Handle, v: VideoStream, d: c_int, error: *mut Handle) -> Handle;
     fn rs2_software_sensor_add_read_only_option(sensor: Handle, option: c_int, value: f32, error: *mut Handle);
+    fn rs2_software_sensor_add_option(
+        sensor: Handle,
+        option: c_int,
+        least: f32,
+        most: f32,
+        step: f32,
+        default: f32,
+        is_writable: c_int,
+        error: *mut Handle,
+    );
+    fn rs2_get_option(sensor: Handle, option: c_int, error: *mut Handle) -> f32;
+    fn rs2_context_add_software_device(context: Handle, device: Handle, error: *mut Handle);
+    fn rs2_set_devices_changed_callback(
+        context: Handle,
+        callback: extern "C" fn(Handle, Handle, *mut c_void),
+        user: *mut c_void,
+        error: *mut Handle,
+    );
+    fn rs2_delete_device_list(devices: Handle);
     fn rs2_software_sensor_on_video_frame(sensor: Handle, frame: VideoFrame, error: *mut Handle);
     fn rs2_register_extrinsics(from: Handle, to: Handle, extrinsics: Extrinsics, error: *mut Handle);
     fn rs2_create_record_device_ex(device: Handle, file: *const c_char, compress: c_int, e: *mut Handle) -> Handle;
@@ -152,8 +186,8 @@ struct SoftwareDevice {
     device: Handle,
     depth_sensor: Handle,
     color_sensor: Handle,
-    /// Depth, infrared, colour.
-    profiles: [Handle; 3],
+    /// Of [`STREAMS`].
+    profiles: [Handle; 4],
 }
 
 /// Records `frame_sets` as `device` would give them, `pace` apart, into a .bag file.
@@ -215,17 +249,21 @@ fn make(described: &Device) -> SoftwareDevice {
     }
     let depth_sensor = call!(rs2_software_device_add_sensor(device, c"Stereo Module".as_ptr()));
     let color_sensor = call!(rs2_software_device_add_sensor(device, c"RGB Camera".as_ptr()));
-    let profiles = [Stream::Depth, Stream::Infrared, Stream::Color].map(|stream| {
+    let profiles = STREAMS.map(|stream| {
         let sensor = if stream == Stream::Color { color_sensor } else { depth_sensor };
         call!(rs2_software_sensor_add_video_stream_ex(sensor, video_stream(described, stream), 1))
     });
     call!(rs2_software_sensor_add_read_only_option(depth_sensor, OPTION_DEPTH_UNITS, described.depth_unit_m));
+    for (option, value) in &described.options {
+        call!(rs2_software_sensor_add_option(depth_sensor, *option as c_int, 0.0, 10.0, 1.0, *value, 1));
+    }
     call!(rs2_software_device_create_matcher(device, MATCHER_DEPTH_LEFT_RIGHT_COLOR));
     let (rotation, translation) = described.color_from_depth;
-    call!(rs2_register_extrinsics(profiles[0], profiles[2], Extrinsics { rotation, translation }));
+    call!(rs2_register_extrinsics(profiles[0], profiles[3], Extrinsics { rotation, translation }));
     let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let same = Extrinsics { rotation: identity, translation: [0.0; 3] };
-    call!(rs2_register_extrinsics(profiles[0], profiles[1], same));
+    let beside = |x_m: f32| Extrinsics { rotation: identity, translation: [x_m, 0.0, 0.0] };
+    call!(rs2_register_extrinsics(profiles[0], profiles[1], beside(0.0)));
+    call!(rs2_register_extrinsics(profiles[0], profiles[2], beside(-described.baseline_m)));
     SoftwareDevice { device, depth_sensor, color_sensor, profiles }
 }
 
@@ -234,6 +272,7 @@ fn layout(stream: Stream) -> [c_int; 4] {
     match stream {
         Stream::Depth => [1, 0, 2, 1],
         Stream::Infrared => [3, 1, 1, 9],
+        Stream::Infrared2 => [3, 2, 1, 9],
         Stream::Color => [2, 0, 3, 5],
     }
 }
@@ -245,7 +284,7 @@ fn video_stream(device: &Device, stream: Stream) -> VideoStream {
     VideoStream {
         stream: number,
         index,
-        unique: number,
+        unique: 10 * number + index,
         size,
         fps: device.fps as c_int,
         bytes_per_pixel,
@@ -270,11 +309,8 @@ fn feed(made: &SoftwareDevice, device: &Device, stream: Stream, number: usize, p
         std::ptr::copy_nonoverlapping(pixels.as_ptr(), copy.cast::<u8>(), pixels.len());
         copy
     };
-    let (sensor, profile) = match stream {
-        Stream::Depth => (made.depth_sensor, made.profiles[0]),
-        Stream::Infrared => (made.depth_sensor, made.profiles[1]),
-        Stream::Color => (made.color_sensor, made.profiles[2]),
-    };
+    let sensor = if stream == Stream::Color { made.color_sensor } else { made.depth_sensor };
+    let profile = made.profiles[STREAMS.iter().position(|of| *of == stream).unwrap()];
     let frame = VideoFrame {
         pixels: copy,
         deleter: release,
@@ -287,4 +323,81 @@ fn feed(made: &SoftwareDevice, device: &Device, stream: Stream, number: usize, p
         depth_unit_m: if stream == Stream::Depth { device.depth_unit_m } else { 0.0 },
     };
     call!(rs2_software_sensor_on_video_frame(sensor, frame));
+}
+
+/// A software device that a context lists, until it is dropped.
+pub struct LiveDevice {
+    made: SoftwareDevice,
+    device: Device,
+    /// What keeps it listed: the context itself remembers the device only as long as someone else does.
+    listed: Handle,
+    shown: usize,
+}
+
+// SAFETY: the library's objects may be used from any thread; this is used from one at a time.
+unsafe impl Send for LiveDevice {}
+
+impl LiveDevice {
+    /// Adds it to the devices of `context`.
+    pub fn plug_in(context: &Arc<Mutex<Context>>, device: &Device) -> Self {
+        let made = make(device);
+        let context = context.lock().unwrap();
+        // SAFETY: the binding's context is the library's pointer and nothing else.
+        let library: Handle = unsafe { from_ref(&*context).cast::<Handle>().read() };
+        // For as long as the context lives, which may call back later.
+        let added: &'static AtomicPtr<c_void> = Box::leak(Box::default());
+        let user = from_ref(added).cast_mut().cast();
+        call!(rs2_set_devices_changed_callback(library, keep_added, user));
+        call!(rs2_context_add_software_device(library, made.device));
+        let listed = loop {
+            let listed = added.load(Ordering::Acquire);
+            if !listed.is_null() {
+                break listed;
+            }
+            std::thread::yield_now();
+        };
+        Self { made, device: device.clone(), listed, shown: 0 }
+    }
+
+    /// Gives one frame of every sensor.
+    pub fn show(&mut self, pictures: &Pictures) {
+        for (stream, pixels) in pictures {
+            feed(&self.made, &self.device, *stream, self.shown, pixels);
+        }
+        self.shown += 1;
+    }
+
+    /// Loses one frame of every sensor.
+    pub fn skip(&mut self) {
+        self.shown += 1;
+    }
+
+    /// What an option of the depth sensor stands at.
+    pub fn option(&self, option: Rs2Option) -> f32 {
+        call!(rs2_get_option(self.made.depth_sensor, option as c_int))
+    }
+}
+
+impl Drop for LiveDevice {
+    fn drop(&mut self) {
+        // SAFETY: each is deleted once, and not used any more.
+        unsafe {
+            rs2_delete_device_list(self.listed);
+            rs2_delete_sensor(self.made.depth_sensor);
+            rs2_delete_sensor(self.made.color_sensor);
+            rs2_delete_device(self.made.device);
+        }
+    }
+}
+
+/// Keeps the list of what was added, and so what is in it; once.
+extern "C" fn keep_added(removed: Handle, added: Handle, user: *mut c_void) {
+    // SAFETY: `user` is the pointer that was registered, which lives for ever; both lists are given away to this function.
+    unsafe {
+        rs2_delete_device_list(removed);
+        let kept = &*user.cast::<AtomicPtr<c_void>>();
+        if kept.compare_exchange(null_mut(), added, Ordering::AcqRel, Ordering::Acquire).is_err() {
+            rs2_delete_device_list(added);
+        }
+    }
 }

@@ -3,20 +3,23 @@
 use std::collections::HashSet;
 use std::ffi::CString;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use realsense_rust::config::Config;
 use realsense_rust::context::Context;
 use realsense_rust::device::Device;
 use realsense_rust::kind::{Rs2CameraInfo, Rs2Format, Rs2Option, Rs2StreamKind};
-use realsense_rust::pipeline::InactivePipeline;
+use realsense_rust::pipeline::{ActivePipeline, InactivePipeline};
 use realsense_rust::sensor::Sensor;
+use realsense_rust::stream_profile::StreamProfile;
 
 use crate::capture::realsense::bag_file::check_bag;
+use crate::capture::realsense::factory::sensor_of;
 use crate::capture::realsense::source::{Opened, Source};
 use crate::capture::realsense::{CameraOptions, Origin, Settings};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
+use crate::imaging::frame::SensorKind;
 
 /// Frames a second where none are asked for.
 const USUAL_FPS: usize = 30;
@@ -27,6 +30,8 @@ const BARREN_LIMIT: u32 = 3;
 #[derive(Debug)]
 pub struct Camera {
     options: CameraOptions,
+    /// The library's, where the program has one; else each opening makes its own.
+    context: Option<Arc<Mutex<Context>>>,
     /// The device that was opened first, where none was named.
     serial: Option<String>,
     next_sequence: Arc<AtomicU64>,
@@ -37,25 +42,23 @@ pub struct Camera {
 impl Camera {
     /// A camera that is not opened yet.
     pub fn new(options: CameraOptions) -> Self {
-        Self { options, serial: None, next_sequence: Arc::default(), barren: Arc::default() }
+        Self { options, context: None, serial: None, next_sequence: Arc::default(), barren: Arc::default() }
+    }
+
+    /// A camera among those that `context` lists: a program's own context also has the software devices that it added.
+    pub fn in_context(options: CameraOptions, context: Arc<Mutex<Context>>) -> Self {
+        Self { context: Some(context), ..Self::new(options) }
     }
 
     fn open_source(&mut self) -> Result<Source, CaptureError> {
-        let context = Context::new().map_err(|error| failed(&format!("librealsense2 does not start: {error}")))?;
-        let (config, name) = match self.options.origin.clone() {
-            Origin::Bag(path) => (bag_config(&path)?, path.display().to_string()),
-            Origin::Serial(serial) => self.device_config(&context, Some(serial))?,
-            Origin::OnlyDevice => self.device_config(&context, self.serial.clone())?,
+        let shared = match &self.context {
+            Some(context) => Arc::clone(context),
+            None => {
+                let new = Context::new().map_err(|error| failed(&format!("librealsense2 does not start: {error}")))?;
+                Arc::new(Mutex::new(new))
+            }
         };
-        let pipeline = InactivePipeline::try_from(&context).map_err(|error| failed(&error.to_string()))?;
-        let unresolved = |error| match &self.options.origin {
-            Origin::Bag(_) => failed(&format!("{name}: the library cannot play it: {error}")),
-            _ => CaptureError::Lost {
-                device: name.clone(),
-                reason: format!("it does not start: {error}; is another program using it?"),
-            },
-        };
-        let pipeline = pipeline.start(Some(config)).map_err(unresolved)?;
+        let (pipeline, name) = self.started(&shared.lock().unwrap_or_else(PoisonError::into_inner))?;
         self.barren.fetch_add(1, Ordering::Relaxed);
         let is_bag = matches!(self.options.origin, Origin::Bag(_));
         if !is_bag {
@@ -63,7 +66,24 @@ impl Camera {
                 .map_err(|problem| failed(&format!("{name}: {problem}")))?;
         }
         let (next_sequence, barren) = (Arc::clone(&self.next_sequence), Arc::clone(&self.barren));
-        Ok(Source::new(Opened { context, pipeline, name, is_bag, next_sequence, barren }))
+        Ok(Source::new(Opened { context: shared, pipeline, name, is_bag, next_sequence, barren }))
+    }
+
+    fn started(&mut self, context: &Context) -> Result<(ActivePipeline, String), CaptureError> {
+        let (config, name) = match self.options.origin.clone() {
+            Origin::Bag(path) => (bag_config(&path)?, path.display().to_string()),
+            Origin::Serial(serial) => self.device_config(context, Some(serial))?,
+            Origin::OnlyDevice => self.device_config(context, self.serial.clone())?,
+        };
+        let pipeline = InactivePipeline::try_from(context).map_err(|error| failed(&error.to_string()))?;
+        let unresolved = |error| match &self.options.origin {
+            Origin::Bag(_) => failed(&format!("{name}: the library cannot play it: {error}")),
+            _ => CaptureError::Lost {
+                device: name.clone(),
+                reason: format!("it does not start: {error}; is another program using it?"),
+            },
+        };
+        Ok((pipeline.start(Some(config)).map_err(unresolved)?, name))
     }
 
     /// How to start the device with this serial number, or the only one.
@@ -89,24 +109,38 @@ impl Camera {
             devices.swap_remove(at).hardware_reset();
             return Err(lost(format!("it gave no frame {BARREN_LIMIT} times; it was reset")));
         }
-        let config = self.stream_config(&serial).map_err(|problem| failed(&problem))?;
+        let config = self.stream_config(&devices[at], &serial).map_err(|problem| failed(&problem))?;
         self.serial = Some(serial.clone());
         Ok((config, serial))
     }
 
-    fn stream_config(&self, serial: &str) -> Result<Config, String> {
+    /// Every stream that the device has and that we read, one each of colour, depth, left and right infrared.
+    fn stream_config(&self, device: &Device, serial: &str) -> Result<Config, String> {
         let (width, height) = self.options.mode.size.map_or((0, 0), |size| (size.width as usize, size.height as usize));
         let fps = self.options.mode.fps.map_or(USUAL_FPS, |fps| fps.round() as usize);
         let number = CString::new(serial).map_err(|_| format!("{serial:?} is no serial number"))?;
+        let offered: Vec<StreamProfile> = device.sensors().iter().flat_map(Sensor::stream_profiles).collect();
         let mut config = Config::new();
-        let enabled = config
-            .enable_device_from_serial(&number)
-            .and_then(|c| c.enable_stream(Rs2StreamKind::Color, None, width, height, Rs2Format::Rgb8, fps))
-            .and_then(|c| c.enable_stream(Rs2StreamKind::Infrared, Some(1), width, height, Rs2Format::Y8, fps))
-            .and_then(|c| c.enable_stream(Rs2StreamKind::Depth, None, width, height, Rs2Format::Z16, fps))
-            .map(|_| ());
-        enabled.map_err(|error| error.to_string())?;
+        config.enable_device_from_serial(&number).map_err(|error| error.to_string())?;
+        for sensor in SensorKind::ALL {
+            let format = format_of(sensor);
+            let has = |stream: &&StreamProfile| sensor_of(stream) == Some(sensor) && stream.format() == format;
+            let Some(stream) = offered.iter().find(has) else { continue };
+            let index = (stream.kind() == Rs2StreamKind::Infrared).then(|| stream.index());
+            config
+                .enable_stream(stream.kind(), index, width, height, format, fps)
+                .map_err(|error| format!("{serial}: {}: {error}", sensor.name()))?;
+        }
         Ok(config)
+    }
+}
+
+/// What a sensor's stream is asked for.
+fn format_of(sensor: SensorKind) -> Rs2Format {
+    match sensor {
+        SensorKind::Color => Rs2Format::Rgb8,
+        SensorKind::Infrared | SensorKind::Infrared2 => Rs2Format::Y8,
+        SensorKind::Depth => Rs2Format::Z16,
     }
 }
 

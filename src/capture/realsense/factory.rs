@@ -12,11 +12,12 @@ use crate::geometry::pose::Pose;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
 use crate::imaging::frame::SensorKind;
 
-/// Which of our sensors a stream is; of two infrared ones the left, from which depth is measured.
+/// Which of our sensors a stream is; of two infrared ones the first is the left, from which depth is measured.
 pub(super) fn sensor_of(stream: &StreamProfile) -> Option<SensorKind> {
     match (stream.kind(), stream.index()) {
         (Rs2StreamKind::Color, _) => Some(SensorKind::Color),
         (Rs2StreamKind::Infrared, 0 | 1) => Some(SensorKind::Infrared),
+        (Rs2StreamKind::Infrared, 2) => Some(SensorKind::Infrared2),
         (Rs2StreamKind::Depth, _) => Some(SensorKind::Depth),
         _ => None,
     }

@@ -1,7 +1,7 @@
 //! The stream of frame sets of a started device or recording.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use realsense_rust::context::Context;
@@ -22,12 +22,12 @@ use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
 use crate::imaging::timestamp::DeviceTime;
 
 /// A recording that has been silent for so long is over: the library does not tell its end.
-const END_OF_BAG: Duration = Duration::from_secs(1);
+const END_OF_BAG: Duration = Duration::from_millis(1300);
 
 /// A started pipeline.
 #[derive(Debug)]
 pub(super) struct Opened {
-    pub context: Context,
+    pub context: Arc<Mutex<Context>>,
     pub pipeline: ActivePipeline,
     /// The serial number, or the file.
     pub name: String,
@@ -50,7 +50,7 @@ pub(super) struct Source {
     /// Options changed for a session, with what they were.
     before_session: Vec<(Rs2Option, f32)>,
     /// Outlives the pipeline, which belongs to it.
-    _context: Context,
+    _context: Arc<Mutex<Context>>,
 }
 
 impl Source {

@@ -1,0 +1,128 @@
+//! The right infrared sensor of a stereo depth camera: its lens, and where it is beside colour.
+//!
+//! Depth is measured in the left one's view, so that the right one adds nothing to depth: it is solved with colour alone, as
+//! a rig of two cameras.
+
+use crate::calibration::calibration::{Calibration, Grade};
+use crate::calibration::solve_rig::{RigCameraInput, RigError, RigInput, SolvedRig, solve_rig};
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
+use crate::geometry::board::Chessboard;
+use crate::geometry::pixel::ImageSize;
+
+/// What was seen at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StereoCapture {
+    /// Its path or sequence number.
+    pub name: String,
+    /// The board in the colour picture; empty where it wasn't found.
+    pub color: Vec<Correspondence>,
+    /// The board in the right infrared picture; empty where it wasn't found.
+    pub infrared2: Vec<Correspondence>,
+}
+
+/// Colour and right infrared of one camera.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StereoInput {
+    /// The board.
+    pub board: Chessboard,
+    /// The size of the colour pictures.
+    pub color_size: ImageSize,
+    /// The size of the right infrared pictures.
+    pub infrared2_size: ImageSize,
+    /// What was seen.
+    pub captures: Vec<StereoCapture>,
+}
+
+/// Solves colour and right infrared together, both with the lens model that colour has taken.
+///
+/// # Errors
+/// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
+pub fn solve_second_infrared(input: &StereoInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
+    let views = |seen: fn(&StereoCapture) -> &Vec<Correspondence>| {
+        let with_board = input.captures.iter().enumerate().filter(|(_, capture)| !seen(capture).is_empty());
+        let view =
+            |capture: &StereoCapture| BoardView { name: capture.name.clone(), correspondences: seen(capture).clone() };
+        with_board.map(|(moment, capture)| (moment, view(capture))).collect()
+    };
+    let camera = |name: &str, image_size, views| RigCameraInput { name: name.to_owned(), image_size, views };
+    let cameras = vec![
+        camera("color", input.color_size, views(|capture| &capture.color)),
+        camera("infrared2", input.infrared2_size, views(|capture| &capture.infrared2)),
+    ];
+    solve_rig(&RigInput { board: input.board, cameras }, options)
+}
+
+/// `calibration`, which has colour, with its right infrared sensor and where that is; where it cannot be had, colour stays
+/// as it is and the verdict says why.
+pub fn with_second_infrared(mut calibration: Calibration, input: &StereoInput, options: &CameraOptions) -> Calibration {
+    let lens = calibration.color.as_ref().map(|color| LensChoice::Model(color.lens.model()));
+    let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
+    match solve_second_infrared(input, &options) {
+        Ok(SolvedRig { cameras, extrinsics, .. }) => {
+            calibration.infrared2 = cameras.into_iter().find(|camera| camera.name == "infrared2").map(|c| c.sensor);
+            calibration.extrinsics.extend(extrinsics);
+        }
+        Err(reason) => {
+            calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
+            calibration.verdict.reasons.push(format!("infrared2 is not calibrated: {reason}"));
+        }
+    }
+    calibration
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::geometry::board::BoardSize;
+    use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::lens::{Lens, LensModel};
+    use crate::geometry::pose::Pose;
+
+    const SIZE: ImageSize = ImageSize::new(640, 480);
+
+    /// A board that is turned and carried about before colour and, 75 mm beside it, right infrared.
+    fn input(color: &Lens, infrared2: &Lens, color_from_infrared2: Pose) -> StereoInput {
+        let board = Chessboard::new(BoardSize::new(8, 5).unwrap(), 0.03).unwrap();
+        let seen = |lens: &Lens, camera_from_board: Pose| -> Vec<Correspondence> {
+            let corner = |point_in_board| {
+                let pixel = lens.pixel_from_point(&(camera_from_board * point_in_board)).unwrap();
+                Correspondence { point_in_board, pixel, std_px: 0.05 }
+            };
+            board.corners_in_board().into_iter().map(corner).collect()
+        };
+        let capture = |k: usize| {
+            let across = |factor: f64| (k as f64 * factor).sin();
+            let turn = Vector3::new(0.5 * across(1.3), 0.5 * across(2.1), 0.3 * across(0.7));
+            let shift = Vector3::new(-0.1 + 0.12 * across(3.1), -0.06 + 0.08 * across(1.9), 0.7 + 0.1 * across(0.9));
+            let color_from_board = Pose::from_axis_angle(turn, shift);
+            StereoCapture {
+                name: k.to_string(),
+                color: seen(color, color_from_board),
+                infrared2: seen(infrared2, color_from_infrared2.inverse() * color_from_board),
+            }
+        };
+        StereoInput { board, color_size: SIZE, infrared2_size: SIZE, captures: (0..15).map(capture).collect() }
+    }
+
+    #[test]
+    fn the_right_sensor_is_placed_beside_colour() {
+        let lens = |fx: f64| Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 322.0, cy: 238.0, skew: 0.0 });
+        let truth = Pose::from_axis_angle(Vector3::new(0.01, -0.02, 0.005), Vector3::new(0.075, 0.001, -0.002));
+        let mut input = input(&lens(600.0), &lens(575.0), truth);
+        let options = CameraOptions { lens: LensChoice::Model(LensModel::Pinhole), ..CameraOptions::default() };
+        let solved = solve_second_infrared(&input, &options).unwrap();
+        assert_eq!(solved.extrinsics[0].name, "color_from_infrared2");
+        let found = solved.extrinsics[0].target_from_source;
+        let apart_m = (found.translation() - truth.translation()).norm();
+        assert!(apart_m < 1e-6 && found.angle_to(&truth) < 1e-6, "{found:?}");
+        let infrared2 = &solved.cameras[1];
+        assert!(infrared2.name == "infrared2" && (infrared2.sensor.lens.matrix.fx - 575.0).abs() < 1e-3);
+
+        input.captures.iter_mut().for_each(|capture| capture.infrared2.clear());
+        let error = solve_second_infrared(&input, &options).unwrap_err().to_string();
+        assert!(error.starts_with("only 1 of 2 cameras can be calibrated; camera `infrared2`: "), "{error}");
+    }
+}
