@@ -43,6 +43,12 @@ impl CornerModel {
         self.along[0][0] * self.along[1][0] + self.along[0][1] * self.along[1][1]
     }
 
+    /// How far blur moves each bent edge along its normal: towards the middle of its curve, by half the curvature times the
+    /// variance of the blur along the edge, here that across the other edge.
+    pub fn pull_of_blur(&self) -> [f64; 2] {
+        [0, 1].map(|edge| self.curvature[edge] / 2.0 / (self.sharpness[1 - edge] * self.sharpness[1 - edge]))
+    }
+
     /// The move of `center` that shifts the two edges by `shift` along their normals.
     pub fn center_move(&self, shift: [f64; 2]) -> [f64; 2] {
         let [a, b] = self.normals();

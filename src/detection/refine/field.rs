@@ -16,6 +16,8 @@ const TOLERANCE: f64 = 6.0;
 pub(super) struct FieldSample {
     pub place: [f64; 2],
     pub value: f64,
+    /// How much it is to be believed: one over its variance, in any unit.
+    pub weight: f64,
 }
 
 /// A polynomial of column and row.
@@ -65,11 +67,12 @@ impl Field {
     fn sums(&self, samples: &[FieldSample], terms: usize, mean_square: f64) -> Sums {
         let mut sums =
             Sums { normal: [[0.0; MOST_TERMS]; MOST_TERMS], right: [0.0; MOST_TERMS], weights: 0.0, squares: 0.0 };
-        for FieldSample { place, value } in samples {
+        for FieldSample { place, value, weight } in samples {
             let basis = basis(self.scaled(*place));
             let off = value - dot(&basis[..self.terms], &self.coefficients[..self.terms]);
-            let doubt = if mean_square.is_finite() { off * off / (TOLERANCE * mean_square) } else { 0.0 };
-            let weight = (1.0 + doubt).powi(-2);
+            let doubt = if mean_square.is_finite() { weight * off * off / (TOLERANCE * mean_square) } else { 0.0 };
+            let trust = (1.0 + doubt).powi(-2);
+            let weight = trust * weight;
             for row in 0..terms {
                 let weighted = weight * basis[row];
                 for (sum, other) in sums.normal[row].iter_mut().zip(&basis[..=row]) {
@@ -77,7 +80,7 @@ impl Field {
                 }
                 sums.right[row] += weighted * value;
             }
-            sums.weights += weight;
+            sums.weights += trust;
             sums.squares += weight * value * value;
         }
         sums
@@ -181,7 +184,7 @@ mod tests {
 
     fn samples(of: impl Fn(f64, f64) -> f64) -> Vec<FieldSample> {
         let places = (0..6).flat_map(|row| (0..9).map(move |col| [f64::from(col), f64::from(row)]));
-        places.map(|place| FieldSample { place, value: of(place[0], place[1]) }).collect()
+        places.map(|place| FieldSample { place, value: of(place[0], place[1]), weight: 1.0 }).collect()
     }
 
     #[test]
@@ -207,7 +210,7 @@ mod tests {
 
     #[test]
     fn few_samples_give_a_mean_and_none_nothing() {
-        let at = |col: f64, value: f64| FieldSample { place: [col, 0.0], value };
+        let at = |col: f64, value: f64| FieldSample { place: [col, 0.0], value, weight: 1.0 };
         assert_eq!(Field::fit(&[], 2).at([1.0, 2.0]), 0.0);
         assert!((Field::fit(&[at(0.0, 1.0), at(1.0, 2.0)], 2).at([5.0, 5.0]) - 1.5).abs() < 1e-12);
         // Nothing tells a row from another.

@@ -25,9 +25,9 @@ pub(super) struct Surroundings {
     pub light_gradient: [f64; 2],
 }
 
-/// Highest orders of the polynomials over the board: of the edges' bend, whose noise is large where cells are small, and of
-/// the light.
-const BEND_ORDER: usize = 2;
+/// Highest orders of the polynomials over the board: of the edges' bend and of the light. Under strong distortion a bend of
+/// lower order is wrong at the board's border by more than the corners' noise, in the same way in every picture.
+const BEND_ORDER: usize = 4;
 const LIGHT_ORDER: usize = 4;
 
 /// The corners as a table, and what they tell.
@@ -58,14 +58,15 @@ impl Lattice {
             samples.clear();
             samples.extend(corners.iter().filter_map(|corner| {
                 let (behind, here, ahead) = (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
-                let value = bend([behind.at, here.at, ahead.at], here.along[axis])?;
-                Some(FieldSample { place: place(corner.index), value })
+                let (value, span) = bend([behind.at, here.at, ahead.at], here.along[axis])?;
+                // Points as uncertain as each other tell a curvature as certain as the square of what they span.
+                Some(FieldSample { place: place(corner.index), value, weight: span.powi(4) })
             }));
             self.bends[axis] = Field::fit(&samples, BEND_ORDER);
         }
         samples.clear();
         samples.extend(corners.iter().zip(known).filter_map(|(corner, known)| {
-            Some(FieldSample { place: place(corner.index), value: known.as_ref()?.white })
+            Some(FieldSample { place: place(corner.index), value: known.as_ref()?.white, weight: 1.0 })
         }));
         self.light = Field::fit(&samples, LIGHT_ORDER);
         self.samples = samples;
@@ -137,12 +138,13 @@ pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     (spread.is_finite() && area > 0.05 * spread && area > 4.0).then_some(axes)
 }
 
-/// Curvature of the curve through three points, at the middle one, towards the normal of `direction`.
-fn bend([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<f64> {
+/// Curvature of the curve through three points, at the middle one, towards the normal of `direction`; and how far along that
+/// direction they span.
+fn bend([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<(f64, f64)> {
     let along_across = |to: [f64; 2]| {
         let d = [to[0] - here[0], to[1] - here[1]];
         (d[0] * direction[0] + d[1] * direction[1], d[1] * direction[0] - d[0] * direction[1])
     };
     let ((back, back_off), (on, on_off)) = (along_across(behind), along_across(ahead));
-    (on > 0.5 && back < -0.5).then(|| 2.0 * (on_off / on - back_off / back) / (on - back))
+    (on > 0.5 && back < -0.5).then(|| (2.0 * (on_off / on - back_off / back) / (on - back), on - back))
 }

@@ -6,7 +6,7 @@
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `cholesky` | weighted least squares, robust against what does not belong |
 //! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
-//! | trust | `halves`, `scatter` | how far off corners are, by how far the parts of their edges disagree |
+//! | trust | `halves`, `scatter`, `misfit` | how far off corners are: the parts of their edges disagree, or one fits worse than the others |
 //!
 //! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
 //! of light and the noise known from the board. `README.md` beside this file says what was measured.
@@ -18,6 +18,7 @@ mod fit;
 mod gaussian;
 mod halves;
 mod lattice;
+mod misfit;
 mod noise;
 mod normal_equations;
 mod samples;
@@ -29,6 +30,7 @@ use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::{Fit, FitOptions, fit};
 use crate::detection::refine::halves::disagreements;
 use crate::detection::refine::lattice::{Known, Lattice, axes_of};
+use crate::detection::refine::misfit::{Misfit, Quality};
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{Columns, Noise};
 use crate::detection::refine::samples::Samples;
@@ -69,6 +71,7 @@ pub struct Refiner {
     lattice: Lattice,
     noise: PooledNoise,
     scatter: Scatter,
+    misfit: Misfit,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
 }
@@ -117,18 +120,23 @@ impl Refiner {
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
         refined.clear();
-        refined.extend(corners.iter().zip(&fitted).map(|(corner, first)| {
-            let second = self.fit_within_board(image, corner, first.as_ref()?, noise)?;
-            second.is_corner(corner).then(|| {
-                if tells_scatter(corners, corner) {
-                    self.note_scatter(&second);
-                }
-                second.refined()
-            })
-        }));
+        self.misfit.clear();
+        for (corner, first) in corners.iter().zip(&fitted) {
+            let second = first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
+            let second = second.filter(|second| second.is_corner(corner));
+            self.misfit.take(second.as_ref().map(Fitted::quality));
+            if let Some(second) = second.as_ref().filter(|_| tells_scatter(corners, corner)) {
+                self.note_scatter(second);
+            }
+            refined.push(second.as_ref().map(Fitted::refined));
+        }
         self.fitted = fitted;
-        let factor = self.scatter.std_factor();
-        refined.iter_mut().flatten().for_each(|corner| corner.std_px *= factor);
+        let of_board = self.scatter.std_factor();
+        for (corner, of_corner) in refined.iter_mut().zip(self.misfit.std_factors()) {
+            *corner = corner
+                .zip(of_corner)
+                .map(|(corner, of_corner)| RefinedCorner { std_px: of_board * of_corner * corner.std_px, ..corner });
+        }
     }
 
     /// The first fits.
@@ -302,6 +310,10 @@ impl Fitted {
             && self.fit.last_step < 0.25
             && model.bend.abs() < model.amplitude.abs()
             && self.fit.residual_rms < 0.6 * model.amplitude.abs()
+    }
+
+    fn quality(&self) -> Quality {
+        Quality { mean_square: self.fit.mean_square, agreeing: self.agreeing }
     }
 
     fn refined(&self) -> RefinedCorner {

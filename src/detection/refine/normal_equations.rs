@@ -138,6 +138,7 @@ fn derivatives<S: Simd>(
     let normals = model.normals().map(|n| n.map(of));
     let sharpness = model.sharpness.map(of);
     let half_curvature = model.curvature.map(|c| of(c / 2.0));
+    let pulled = model.pull_of_blur().map(of);
     let center = model.center.map(of);
     let rho = model.correlation();
     let (rho4, rho_half, rho2_sixth) = (of(4.0 * rho), of(rho / 2.0), of(rho * rho / 6.0));
@@ -163,7 +164,8 @@ fn derivatives<S: Simd>(
         for k in 0..2 {
             s[k] = mul_add(along[k][0], dx, mul(along[k][1], dy));
             let straight = mul_add(normals[k][0], dx, mul(normals[k][1], dy));
-            d[k] = simd.negate_mul_add_f32s(mul(half_curvature[k], s[k]), s[k], straight);
+            let bent = mul_add(mul(half_curvature[k], s[k]), s[k], pulled[k]);
+            d[k] = simd.sub_f32s(straight, bent);
             u[k] = mul(d[k], sharpness[k]);
             (p[k], f[k]) = edge_profile(simd, u[k]);
         }

@@ -1,0 +1,94 @@
+//! Corners at which the model fits worse than at the board's others: beside what covers the board, or in its shadow.
+//!
+//! What noise leaves of a fit is of either sign all over the window, and moves a corner by as little as its standard deviation
+//! says. What a cover leaves is on one side, and pulls: the corner is off by more the more of the residuals are of that kind.
+
+/// Fewer corners than this have no usual fit.
+const FEWEST_CORNERS: usize = 8;
+/// Mean squares up to this many times the usual one are noise: of the residuals, or of the light.
+const USUAL: f64 = 1.5;
+/// What a mean square adds to the factor on the standard deviation, per usual one beyond that.
+const PULL: f64 = 0.6;
+/// No corner any more: this many times the usual mean square, and less than this part of the usual share of samples agrees.
+const NO_CORNER: (f64, f64) = (6.0, 0.65);
+
+/// How well a corner's model fits its samples.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Quality {
+    /// Mean square of the residuals in units of the noise.
+    pub mean_square: f64,
+    /// The share of the samples that agree with the model.
+    pub agreeing: f64,
+}
+
+/// The qualities of a board's corners.
+#[derive(Debug, Default)]
+pub(super) struct Misfit {
+    of_corners: Vec<Option<Quality>>,
+    sorted: Vec<f64>,
+}
+
+impl Misfit {
+    /// Forgets all corners.
+    pub fn clear(&mut self) {
+        self.of_corners.clear();
+    }
+
+    /// Takes the next corner's quality.
+    pub fn take(&mut self, quality: Option<Quality>) {
+        self.of_corners.push(quality);
+    }
+
+    /// For each corner the factor on its standard deviation; `None` where what is seen is no corner beside the others.
+    pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
+        let usual = self.usual();
+        self.of_corners.iter().map(move |quality| {
+            let (quality, Some(usual)) = ((*quality)?, usual) else { return Some(1.0) };
+            let times = quality.mean_square / usual.mean_square;
+            let no_corner = times > NO_CORNER.0 && quality.agreeing < NO_CORNER.1 * usual.agreeing;
+            (!no_corner).then_some(1.0 + PULL * (times - USUAL).max(0.0))
+        })
+    }
+
+    /// The medians.
+    fn usual(&mut self) -> Option<Quality> {
+        let Self { of_corners, sorted } = self;
+        let mut median = |of: fn(&Quality) -> f64| {
+            sorted.clear();
+            sorted.extend(of_corners.iter().flatten().map(of));
+            let middle = sorted.len() / 2;
+            (sorted.len() >= FEWEST_CORNERS).then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
+        };
+        let (mean_square, agreeing) = (median(|q| q.mean_square)?, median(|q| q.agreeing)?);
+        (mean_square > 0.0).then_some(Quality { mean_square, agreeing })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn factors(qualities: &[Option<(f64, f64)>]) -> Vec<Option<f64>> {
+        let mut misfit = Misfit::default();
+        for quality in qualities {
+            misfit.take(quality.map(|(mean_square, agreeing)| Quality { mean_square, agreeing }));
+        }
+        misfit.std_factors().collect()
+    }
+
+    #[test]
+    fn what_fits_worse_than_the_others_is_less_certain_and_at_last_no_corner() {
+        let mut seen = vec![Some((1.1, 0.97)); 12];
+        seen.extend([Some((3.3, 0.8)), None, Some((9.0, 0.5)), Some((9.0, 0.8))]);
+        let factors = factors(&seen);
+        assert!(factors[..12].iter().all(|&factor| factor == Some(1.0)));
+        assert!(factors[12].is_some_and(|factor| (1.8..2.0).contains(&factor)));
+        assert_eq!((factors[13], factors[14]), (None, None));
+        assert!(factors[15].is_some_and(|factor| factor > 4.0));
+    }
+
+    #[test]
+    fn few_corners_have_nothing_to_compare_with() {
+        assert_eq!(factors(&[Some((1.0, 0.9)), Some((50.0, 0.1))]), [Some(1.0), Some(1.0)]);
+    }
+}
