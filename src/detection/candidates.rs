@@ -7,10 +7,12 @@ use super::response::{HALF_RING, REACH, Response};
 use crate::imaging::gray::GrayView;
 
 /// Tiles of the response, 4×4 pixels each, whose maximum is looked at.
-const MOST_TILES: usize = 1024;
+const MOST_TILES: usize = 768;
 /// Candidates that go on.
-pub(super) const MOST: usize = 700;
+pub(super) const MOST: usize = 600;
 const TILE: usize = 4;
+/// Tiles that are passed over at once where none is strong.
+const GROUP: usize = 32;
 /// Weaker responses are noise even in an image of low contrast.
 const LEAST_RESPONSE: u8 = 4;
 /// Responses below the strongest divided by this are not looked at.
@@ -18,6 +20,9 @@ const LEAST_SHARE: usize = 32;
 /// Least correlation with a chessboard corner, before and after moving to where its edges cross.
 const LEAST_FIRST_SCORE: f32 = 0.35;
 const LEAST_SCORE: f32 = 0.45;
+/// One that is as clear, and as near to its response, need not move.
+const CLEAR_SCORE: f32 = 0.6;
+const SETTLED_PX: f32 = 0.5;
 
 /// A place that looks like a chessboard corner.
 #[derive(Debug, Clone, Copy)]
@@ -34,9 +39,11 @@ pub(super) struct Candidate {
 /// Finds candidates. Buffers are kept from image to image.
 #[derive(Debug, Default)]
 pub(super) struct CandidateSearch {
-    tiles: Vec<(u8, u32, u32)>,
+    /// The largest response of each tile, in raster order.
+    tiles: Vec<u8>,
+    /// The strongest tiles: the largest response and where it is.
     sorted: Vec<(u8, u32, u32)>,
-    maxima: Vec<u8>,
+    maxima: [Vec<u8>; 2],
     /// What was found last, in raster order of tiles.
     pub found: Vec<Candidate>,
 }
@@ -60,67 +67,91 @@ impl CandidateSearch {
 
     /// The strongest pixel of each tile, strongest tiles first.
     fn collect_tiles(&mut self, response: &Response) {
+        self.sorted.clear();
         self.tiles.clear();
-        let across = response.width() / TILE;
-        self.maxima.resize(across * TILE, 0);
-        let mut counts = [0usize; 256];
-        for top in (0..(response.height() / TILE) * TILE).step_by(TILE) {
-            let rows: [&[u8]; TILE] = std::array::from_fn(|i| &response.row(top + i)[..across * TILE]);
-            column_maxima(&rows, &mut self.maxima);
-            for (tile, columns) in self.maxima.chunks_exact(TILE).enumerate() {
-                let most = columns[0].max(columns[1]).max(columns[2].max(columns[3]));
-                if most >= LEAST_RESPONSE {
-                    counts[most as usize] += 1;
-                    self.tiles.push((most, (tile * TILE) as u32, top as u32));
-                }
+        let (across, down) = (response.width() / TILE, response.height() / TILE);
+        if across == 0 {
+            return;
+        }
+        self.tiles.resize(across * down, 0);
+        // Four counts in turn: equal values in a row would wait for each other.
+        let mut counts = [[0u32; 256]; 4];
+        for (row, tiles) in self.tiles.chunks_exact_mut(across).enumerate() {
+            let rows = std::array::from_fn(|i| &response.row(row * TILE + i)[..across * TILE]);
+            pulp::Arch::new().dispatch(TileMaxima { rows, maxima: &mut self.maxima, tiles });
+            for (tile, &most) in tiles.iter().enumerate() {
+                counts[tile % 4][usize::from(most)] += 1;
             }
         }
+        let [first, second, third, fourth] = &counts;
+        let mut counts: [usize; 256] = std::array::from_fn(|i| (first[i] + second[i] + third[i] + fourth[i]) as usize);
         self.keep_strongest(response, &mut counts);
     }
 
     /// Leaves the strongest tiles, strongest first and equal ones in raster order, with the place of their maximum.
     fn keep_strongest(&mut self, response: &Response, counts: &mut [usize; 256]) {
         let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
-        let least = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE);
+        let mut least = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE).min(255);
         let mut kept = 0;
-        for value in (0..256).rev() {
-            let count = if value < least { 0 } else { counts[value] };
+        for value in (least..256).rev() {
+            let count = counts[value];
             counts[value] = kept;
-            kept = (kept + count).min(MOST_TILES);
+            kept += count;
+            if kept >= MOST_TILES {
+                (kept, least) = (MOST_TILES, value);
+                break;
+            }
         }
-        self.sorted.clear();
         self.sorted.resize(kept, (0, 0, 0));
-        for &(value, x, y) in &self.tiles {
-            let slot = &mut counts[value as usize];
-            if usize::from(value) < least || *slot >= kept {
+        let across = response.width() / TILE;
+        for (group, tiles) in self.tiles.chunks(GROUP).enumerate() {
+            if tiles.iter().fold(0, |most, &tile| tile.max(most)) < least as u8 {
                 continue;
             }
-            let (left, top) = (x as usize, y as usize);
-            let at = (0..TILE * TILE).find(|i| response.row(top + i / TILE)[left + i % TILE] == value).unwrap_or(0);
-            self.sorted[*slot] = (value, x + (at % TILE) as u32, y + (at / TILE) as u32);
-            *slot += 1;
+            for (tile, &value) in tiles.iter().enumerate() {
+                let slot = &mut counts[usize::from(value)];
+                if usize::from(value) < least || *slot >= kept {
+                    continue;
+                }
+                let tile = group * GROUP + tile;
+                let (left, top) = (tile % across * TILE, tile / across * TILE);
+                let at = (0..TILE * TILE).find(|i| response.row(top + i / TILE)[left + i % TILE] == value).unwrap_or(0);
+                self.sorted[*slot] = (value, (left + at % TILE) as u32, (top + at / TILE) as u32);
+                *slot += 1;
+            }
         }
     }
 }
 
-fn column_maxima(rows: &[&[u8]; TILE], out: &mut [u8]) {
-    pulp::Arch::new().dispatch(ColumnMaxima { rows, out });
+/// The largest of each tile of one row of tiles. A struct, not a closure: all of it must be inlined to be compiled for the
+/// processor.
+struct TileMaxima<'a> {
+    rows: [&'a [u8]; TILE],
+    /// Scratch: the largest of each column, then of each two columns.
+    maxima: &'a mut [Vec<u8>; 2],
+    tiles: &'a mut [u8],
 }
 
-/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct ColumnMaxima<'a> {
-    rows: &'a [&'a [u8]; TILE],
-    out: &'a mut [u8],
-}
-
-impl pulp::NullaryFnOnce for ColumnMaxima<'_> {
+impl pulp::NullaryFnOnce for TileMaxima<'_> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
-        let [first, second, third, fourth] = self.rows.map(|row| &row[..self.out.len()]);
-        for (i, out) in self.out.iter_mut().enumerate() {
-            *out = first[i].max(second[i]).max(third[i].max(fourth[i]));
+        let length = self.tiles.len() * TILE;
+        let [columns, pairs] = self.maxima;
+        columns.resize(length + TILE, 0);
+        pairs.resize(length + TILE, 0);
+        let [first, second, third, fourth] = self.rows;
+        let (first, second, third, fourth) = (&first[..length], &second[..length], &third[..length], &fourth[..length]);
+        for (i, most) in columns[..length].iter_mut().enumerate() {
+            *most = first[i].max(second[i]).max(third[i].max(fourth[i]));
+        }
+        let (from, next) = (&columns[..length + 1], &columns[1..length + 2]);
+        for (i, most) in pairs[..length + 1].iter_mut().enumerate() {
+            *most = from[i].max(next[i]);
+        }
+        for (tile, pairs) in self.tiles.iter_mut().zip(pairs.chunks_exact(TILE)) {
+            *tile = pairs[0].max(pairs[2]);
         }
     }
 }
@@ -144,11 +175,9 @@ fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
     let edges = ring_edges(image, x, y)?;
     let window = Window { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
-    let first = window.look(image)?;
-    if first.score < LEAST_FIRST_SCORE {
-        return None;
-    }
-    let cross = Window { center: first.center, ..window }.look(image)?;
+    let first = window.look_for(image, LEAST_FIRST_SCORE)?;
+    let in_place = first.score >= CLEAR_SCORE && (first.center - center).norm() < SETTLED_PX;
+    let cross = if in_place { first } else { Window { center: first.center, ..window }.look(image)? };
     if cross.score < LEAST_SCORE || cross.contrast < 3.0 || (cross.center - center).norm() > 2.5 {
         return None;
     }
@@ -161,38 +190,34 @@ fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
         let (dx, dy) = HALF_RING[k % 8];
         if k % 16 < 8 { (dx, dy) } else { (-dx, -dy) }
     };
-    let ring: [f32; 16] = std::array::from_fn(|k| {
+    let ring: [u8; 16] = std::array::from_fn(|k| {
         let (dx, dy) = offset(k);
-        f32::from(image.row((y as i32 + dy) as usize)[(x as i32 + dx) as usize])
+        image.row((y as i32 + dy) as usize)[(x as i32 + dx) as usize]
     });
-    let (least, most) = ring.iter().fold((255.0f32, 0.0f32), |(l, m), &v| (l.min(v), m.max(v)));
-    let middle = 0.5 * (least + most);
-    let mut crossings = [Vec2::zeros(); 4];
-    let mut rises = [false; 4];
-    let mut count = 0;
-    for k in 0..16 {
-        let (from, to) = (ring[k] - middle, ring[(k + 1) % 16] - middle);
-        if (from > 0.0) == (to > 0.0) {
-            continue;
-        }
-        if count == 4 {
-            return None;
-        }
-        let place = |k: usize| Vec2::new(offset(k).0 as f32, offset(k).1 as f32);
-        crossings[count] = place(k).lerp(&place(k + 1), from / (from - to));
-        rises[count] = to > 0.0;
-        count += 1;
-    }
-    if count != 4 {
+    let (least, most) = ring.iter().fold((255, 0), |(l, m), &v| (v.min(l), v.max(m)));
+    let twice_middle = u16::from(least) + u16::from(most);
+    let above =
+        ring.iter().enumerate().fold(0u16, |mask, (k, &v)| mask | u16::from(2 * u16::from(v) > twice_middle) << k);
+    let mut changes = above ^ above.rotate_right(1);
+    if changes.count_ones() != 4 {
         return None;
     }
+    let place = |k: usize| Vec2::new(offset(k).0 as f32, offset(k).1 as f32);
+    let middle = 0.5 * f32::from(twice_middle);
+    let starts_rising = above >> ((changes.trailing_zeros() + 1) % 16) & 1 == 1;
+    let crossings: [Vec2; 4] = std::array::from_fn(|_| {
+        let k = changes.trailing_zeros() as usize;
+        changes &= changes - 1;
+        let (from, to) = (f32::from(ring[k]) - middle, f32::from(ring[(k + 1) % 16]) - middle);
+        place(k).lerp(&place(k + 1), from / (from - to))
+    });
     let opposite = |p: Vec2, q: Vec2| p.dot(&q) < -0.6 * p.norm() * q.norm();
     if !opposite(crossings[0], crossings[2]) || !opposite(crossings[1], crossings[3]) {
         return None;
     }
     let first = (crossings[0] - crossings[2]).normalize();
     let second = (crossings[1] - crossings[3]).normalize();
-    Some(if rises[0] { [first, second] } else { [second, -first] })
+    Some(if starts_rising { [first, second] } else { [second, -first] })
 }
 
 #[cfg(test)]

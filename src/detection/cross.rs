@@ -32,7 +32,9 @@ pub(super) struct Cross {
     pub contrast: f32,
 }
 
-/// Six samples a line, and two of no weight for the sake of eight lanes.
+/// Six lines of six samples, and in each two of no weight for the sake of eight lanes.
+const LINES: usize = 6;
+const SAMPLES: usize = 6;
 const LANES: usize = 8;
 
 impl Window {
@@ -60,20 +62,14 @@ impl Window {
 
     /// Looks at the window once. `None` if it leaves the image or is flat.
     pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
+        self.look_for(image, 0.0)
+    }
+
+    /// Looks at the window once. `None` if it leaves the image, is flat or scores less than `least_score`.
+    pub(super) fn look_for(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
         let inside = self.inside(image, 1.0)?;
-        let line = FixedLine::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
-        let samples = line.six_lines();
-        let (mut sums, mut squares, mut columns) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-        let mut rows = [0.0f32; 6];
-        for (j, (values, row)) in samples.iter().zip(&mut rows).enumerate() {
-            let side = if j < 3 { -1.0 } else { 1.0 };
-            for lane in 0..LANES {
-                sums[lane] += values[lane];
-                squares[lane] += values[lane] * values[lane];
-                columns[lane] += side * values[lane];
-            }
-            *row = values[3] + values[4] + values[5] - values[0] - values[1] - values[2];
-        }
+        let lines = FixedLines::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
+        let Sums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
         let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
         let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
         let spread = (squares - sum * sum / 36.0).max(0.0);
@@ -81,8 +77,12 @@ impl Window {
             return None;
         }
         let matched = rows[3] + rows[4] + rows[5] - rows[0] - rows[1] - rows[2];
+        let score = matched.abs() / (36.0 * spread).sqrt();
+        if score < least_score {
+            return None;
+        }
         let center = self.center + self.a * edge_offset(&columns) + self.b * edge_offset(&rows);
-        Some(Cross { center, score: matched.abs() / (36.0 * spread).sqrt(), contrast: matched / 18.0 })
+        Some(Cross { center, score, contrast: matched / 18.0 })
     }
 
     /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the smaller of the bright
@@ -105,52 +105,100 @@ impl Window {
 }
 
 /// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place them, 8 to interpolate.
-struct FixedLine<'a> {
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct FixedLines<'a> {
     bytes: &'a [u8],
     stride: usize,
-    start: [i64; 2],
-    along: [i64; 2],
-    down: [i64; 2],
+    /// The whole pixel that the first sample lies in; the rest is counted from there.
+    base: usize,
+    start: [i32; 2],
+    along: [i32; 2],
+    down: [i32; 2],
 }
 
-impl<'a> FixedLine<'a> {
+/// Sums over the samples of a window, by their place in the line; the lanes beyond are 0.
+struct Sums {
+    sums: [f32; LANES],
+    squares: [f32; LANES],
+    /// The three lower lines less the three upper.
+    columns: [f32; LANES],
+    /// By line: the three right samples less the three left.
+    rows: [f32; LINES],
+}
+
+impl<'a> FixedLines<'a> {
     /// All that will be sampled must lie in 0 … size − 1.
     fn start(image: GrayView<'a>, start: Vec2, along: Vec2, down: Vec2) -> Self {
         let fixed = |v: Vec2| [(v.x * 65536.0) as i64, (v.y * 65536.0) as i64];
+        let step = |v: Vec2| fixed(v).map(|v| v as i32);
+        let [x, y] = fixed(start).map(|v| v.max(0));
         Self {
             bytes: image.bytes(),
             stride: image.stride(),
-            start: fixed(start).map(|v| v.max(0)),
-            along: fixed(along),
-            down: fixed(down),
+            base: (y >> 16) as usize * image.stride() + (x >> 16) as usize,
+            start: [x, y].map(|v| (v & 0xffff) as i32),
+            along: step(along),
+            down: step(down),
         }
     }
 
-    /// Six lines of six samples; the lanes beyond are 0.
-    fn six_lines(&self) -> [[f32; LANES]; 6] {
-        let span = self.stride + 2;
-        let mut lines = [[0.0; LANES]; 6];
-        let [mut left, mut top] = self.start;
-        for line in &mut lines {
-            let (mut x, mut y) = (left, top);
-            for value in &mut line[..6] {
-                let at = (y >> 16).max(0) as usize * self.stride + (x >> 16).max(0) as usize;
-                let (fx, fy) = (((x >> 8) & 255) as i32, ((y >> 8) & 255) as i32);
-                // In the image's last row and column nothing beyond is read with any weight.
-                let [a, b, c, d] = match self.bytes.get(at..at + span) {
-                    Some(four) => [four[0], four[1], four[span - 2], four[span - 1]],
-                    None => [0, 1, span - 2, span - 1].map(|i| self.bytes.get(at + i).copied().unwrap_or(0)),
-                };
-                let across = |p: u8, q: u8| i32::from(p) * 256 + (i32::from(q) - i32::from(p)) * fx;
-                let (upper, lower) = (across(a, b), across(c, d));
-                *value = (upper * 256 + (lower - upper) * fy) as f32 * (1.0 / 65536.0);
-                x += self.along[0];
-                y += self.along[1];
-            }
-            left += self.down[0];
-            top += self.down[1];
+    /// The two pixels at `at` and the two below, as 16 bits each. In the image's last row and column nothing beyond is read
+    /// with any weight.
+    #[inline(always)]
+    fn four(&self, at: usize) -> [i32; 2] {
+        let pair = |at: usize| match self.bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+            Some(pair) => i32::from(u16::from_le_bytes(*pair)),
+            None => self.bytes.get(at).copied().map_or(0, i32::from),
+        };
+        [pair(at), pair(at + self.stride)]
+    }
+
+    /// Line `j` of six samples; the lanes beyond are 0.
+    #[inline(always)]
+    fn line(&self, j: i32) -> [f32; LANES] {
+        let (mut at, mut fx, mut fy) = ([0i32; LANES], [0i32; LANES], [0i32; LANES]);
+        let (left, top) = (
+            self.start[0].wrapping_add(self.down[0].wrapping_mul(j)),
+            self.start[1].wrapping_add(self.down[1].wrapping_mul(j)),
+        );
+        for lane in 0..LANES {
+            let x = left.wrapping_add(self.along[0].wrapping_mul(lane as i32));
+            let y = top.wrapping_add(self.along[1].wrapping_mul(lane as i32));
+            at[lane] = (y >> 16).wrapping_mul(self.stride as i32).wrapping_add(x >> 16);
+            (fx[lane], fy[lane]) = ((x >> 8) & 255, (y >> 8) & 255);
         }
-        lines
+        let (mut upper, mut lower) = ([0i32; LANES], [0i32; LANES]);
+        for lane in 0..SAMPLES {
+            [upper[lane], lower[lane]] = self.four(self.base.wrapping_add_signed(at[lane] as isize));
+        }
+        let mut values = [0.0; LANES];
+        for lane in 0..LANES {
+            let (a, b) = (upper[lane] & 255, upper[lane] >> 8);
+            let (c, d) = (lower[lane] & 255, lower[lane] >> 8);
+            let (upper, lower) = (a * 256 + (b - a) * fx[lane], c * 256 + (d - c) * fx[lane]);
+            values[lane] = (upper * 256 + (lower - upper) * fy[lane]) as f32 * (1.0 / 65536.0);
+        }
+        values
+    }
+}
+
+impl pulp::NullaryFnOnce for FixedLines<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn call(self) -> Sums {
+        let mut all = Sums { sums: [0.0; LANES], squares: [0.0; LANES], columns: [0.0; LANES], rows: [0.0; LINES] };
+        for j in 0..LINES {
+            let values = self.line(j as i32);
+            let side = if j < LINES / 2 { -1.0 } else { 1.0 };
+            for lane in 0..LANES {
+                all.sums[lane] += values[lane];
+                all.squares[lane] += values[lane] * values[lane];
+                all.columns[lane] += side * values[lane];
+            }
+            all.rows[j] = values[3] + values[4] + values[5] - values[0] - values[1] - values[2];
+        }
+        all
     }
 }
 

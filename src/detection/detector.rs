@@ -20,11 +20,14 @@ use crate::imaging::gray::GrayView;
 const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
-const MOST_GRIDS: usize = 4;
+const MOST_GRIDS: usize = 2;
 /// Squares from which a grid is grown, on one level.
-const MOST_STARTS: usize = 100;
+const MOST_STARTS: usize = 24;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
+
+/// Windows in which the corners of a grid are looked at on their way to the image, as parts of the way to the neighbours.
+const EXACT: [f32; 2] = [0.2, 0.1];
 
 /// Finds one kind of board in images. Its buffers are kept from image to image.
 #[derive(Debug)]
@@ -237,7 +240,7 @@ impl Detector {
         for finer in (0..level).rev() {
             self.grid.descend();
             let view = self.pyramid.level(image, finer);
-            sharpen_all(view, &mut self.grid, &WINDOWS[..1]);
+            sharpen_all(view, &mut self.grid, &WINDOWS[..1], if finer == 0 { &EXACT } else { &EXACT[..1] });
             if self.is_whole() {
                 continue;
             }
@@ -249,7 +252,7 @@ impl Detector {
             self.growth.grow(image, &mut self.grid, &WINDOWS);
         }
         if level == 0 || !self.is_whole() {
-            sharpen_all(image, &mut self.grid, &WINDOWS);
+            sharpen_all(image, &mut self.grid, &WINDOWS, &EXACT);
         }
         self.bridge(image);
     }

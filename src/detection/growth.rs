@@ -28,6 +28,8 @@ const LEAST_NEAR_SCORE: f32 = 0.65;
 const LEAST_FIRST_SCORE: f32 = 0.25;
 /// How much more than at the look before it must be for another look.
 const LEAST_GAIN: f32 = 0.1;
+/// A corner this near to its window's middle, in steps, needs no other window of that size.
+const SETTLED: f32 = 0.04;
 /// Least pixels a window reaches.
 const LEAST_REACH_PX: f32 = 2.0;
 
@@ -191,11 +193,9 @@ impl Place {
 /// The corner at `expected`, wherever exactly it settles, in the image.
 pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size: WindowSize) -> Option<Node> {
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
-    let first = window(expected, size.reach)?.look(image)?;
-    if first.score < LEAST_FIRST_SCORE {
-        return None;
-    }
-    let mut cross = window(first.center, size.reach)?.look(image)?;
+    let first = window(expected, size.reach)?.look_for(image, LEAST_FIRST_SCORE)?;
+    let in_place = first.score >= size.least_score && in_steps(first.center - expected, steps).is_some_and(settled);
+    let mut cross = if in_place { first } else { window(first.center, size.reach)?.look(image)? };
     let mut before = first.score;
     // A corner that was far off comes nearer with every look.
     while cross.score < size.least_score {
@@ -206,24 +206,26 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
         cross = window(cross.center, size.reach)?.look(image)?;
     }
     // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
-    let near = window(cross.center, NEAR)?.look(image)?;
-    if near.score < LEAST_NEAR_SCORE {
-        return None;
-    }
+    let near = window(cross.center, NEAR)?.look_for(image, LEAST_NEAR_SCORE)?;
     let sharp = near.contrast / cross.contrast > LEAST_NARROW_CONTRAST;
     let pixel = if sharp { near.center } else { cross.center };
     let tight = size.reach < WIDE.reach;
     Some(Node { pixel, contrast: cross.contrast, near_contrast: near.contrast, score: cross.score, tight })
 }
 
+/// Whether a corner `off` steps from its window's middle is seen as well as from a window about itself.
+fn settled(off: Vec2) -> bool {
+    off.x.abs().max(off.y.abs()) < SETTLED
+}
+
 /// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image` shows it. One that is not
 /// seen near where it was taken to is looked for where its neighbours put it.
-pub(super) fn sharpen_all(image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize]) {
+pub(super) fn sharpen_all(image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize], reaches: &[f32]) {
     grid.doubtful.clear();
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
         if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
-            match sharpen(image, &node, steps, &[0.2, 0.1]) {
+            match sharpen(image, &node, steps, reaches) {
                 Some(sharp) => grid.set(i, j, sharp),
                 None => grid.doubtful.push((i, j)),
             }

@@ -14,22 +14,22 @@ impl Cholesky {
     /// Factors the matrix whose lower triangle is given, its diagonal first made larger by the fraction `damping`; `None`
     /// unless it is positive definite.
     pub fn new(matrix: &[[f64; UNKNOWNS]; UNKNOWNS], damping: f64) -> Option<Self> {
-        let mut lower = [[0.0; UNKNOWNS]; UNKNOWNS];
+        let mut lower = *matrix;
         let mut inverse = [0.0; UNKNOWNS];
-        for row in 0..UNKNOWNS {
-            for col in 0..=row {
-                let dot: f64 = (0..col).map(|k| lower[row][k] * lower[col][k]).sum();
-                let rest = matrix[row][col] - dot;
-                if row > col {
-                    lower[row][col] = rest * inverse[col];
-                    continue;
-                }
-                let rest = rest + damping * matrix[row][row];
-                if rest > 1e-9 * matrix[row][row] && rest.is_finite() {
-                    lower[row][row] = rest.sqrt();
-                    inverse[row] = 1.0 / lower[row][row];
-                } else {
-                    return None;
+        for col in 0..UNKNOWNS {
+            let rest = lower[col][col] + damping * matrix[col][col];
+            if !(rest > 1e-9 * matrix[col][col] && rest.is_finite()) {
+                return None;
+            }
+            lower[col][col] = rest.sqrt();
+            inverse[col] = 1.0 / lower[col][col];
+            for row in col + 1..UNKNOWNS {
+                lower[row][col] *= inverse[col];
+            }
+            // What is left for the columns to come: sums that do not wait for each other.
+            for row in col + 1..UNKNOWNS {
+                for later in col + 1..=row {
+                    lower[row][later] -= lower[row][col] * lower[later][col];
                 }
             }
         }

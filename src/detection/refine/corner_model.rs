@@ -79,6 +79,17 @@ impl CornerModel {
         moved
     }
 
+    /// Whether directions, blur, black and white are those of `other`, up to a share of `most` (radians for directions).
+    pub fn is_like(&self, other: &Self, most: f64) -> bool {
+        let alike = |edge: usize| {
+            let ([ax, ay], [bx, by]) = (self.along[edge], other.along[edge]);
+            (ax * by - ay * bx).abs() < most
+                && (self.sharpness[edge] - other.sharpness[edge]).abs() < most * other.sharpness[edge]
+        };
+        let near = |a: f64, b: f64| (a - b).abs() < most * other.amplitude.abs();
+        alike(0) && alike(1) && near(self.level, other.level) && near(self.amplitude, other.amplitude)
+    }
+
     /// The same model in samples of another size: from bins of `from` pixels to bins of `to`.
     pub fn rescaled(&self, from: f64, to: f64) -> Self {
         let scale = to / from;

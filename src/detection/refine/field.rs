@@ -4,6 +4,8 @@
 /// Terms of a polynomial of an order, from 0 to the highest.
 const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
 const MOST_TERMS: usize = 15;
+/// Room for them, for the sake of vectors.
+const LANES: usize = 16;
 /// Corners that a term takes at least.
 const SAMPLES_PER_TERM: usize = 2;
 /// Weighted least squares are repeated against outliers.
@@ -27,14 +29,14 @@ pub(super) struct Field {
     middle: [f64; 2],
     scale: [f64; 2],
     /// By order, and by falling power of the column within it.
-    coefficients: [f64; MOST_TERMS],
+    coefficients: [f64; LANES],
     terms: usize,
 }
 
 /// Weighted normal equations of all terms, their right sides, and the sums of weights and of squared values.
 struct Sums {
-    normal: [[f64; MOST_TERMS]; MOST_TERMS],
-    right: [f64; MOST_TERMS],
+    normal: [[f64; LANES]; MOST_TERMS],
+    right: [f64; LANES],
     weights: f64,
     squares: f64,
 }
@@ -65,25 +67,7 @@ impl Field {
     }
 
     fn sums(&self, samples: &[FieldSample], terms: usize, mean_square: f64) -> Sums {
-        let mut sums =
-            Sums { normal: [[0.0; MOST_TERMS]; MOST_TERMS], right: [0.0; MOST_TERMS], weights: 0.0, squares: 0.0 };
-        for FieldSample { place, value, weight } in samples {
-            let basis = basis(self.scaled(*place));
-            let off = value - dot(&basis[..self.terms], &self.coefficients[..self.terms]);
-            let doubt = if mean_square.is_finite() { weight * off * off / (TOLERANCE * mean_square) } else { 0.0 };
-            let trust = (1.0 + doubt).powi(-2);
-            let weight = trust * weight;
-            for row in 0..terms {
-                let weighted = weight * basis[row];
-                for (sum, other) in sums.normal[row].iter_mut().zip(&basis[..=row]) {
-                    *sum += weighted * other;
-                }
-                sums.right[row] += weighted * value;
-            }
-            sums.weights += trust;
-            sums.squares += weight * value * value;
-        }
-        sums
+        pulp::Arch::new().dispatch(Summation { field: self, samples, terms, mean_square })
     }
 
     /// Takes the coefficients of the order up to `order` that generalised cross-validation prefers; returns the mean square
@@ -108,6 +92,7 @@ impl Field {
         }
         let (_, terms) = best?;
         self.terms = terms;
+        self.coefficients = [0.0; LANES];
         for row in (0..terms).rev() {
             let known: f64 = (row + 1..terms).map(|k| normal[k][row] * self.coefficients[k]).sum();
             self.coefficients[row] = (right[row] - known) / normal[row][row];
@@ -149,11 +134,55 @@ impl Field {
     }
 }
 
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Summation<'a> {
+    field: &'a Field,
+    samples: &'a [FieldSample],
+    terms: usize,
+    mean_square: f64,
+}
+
+impl pulp::NullaryFnOnce for Summation<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn call(self) -> Sums {
+        let Self { field, samples, terms, mean_square } = self;
+        let mut sums = Sums { normal: [[0.0; LANES]; MOST_TERMS], right: [0.0; LANES], weights: 0.0, squares: 0.0 };
+        for &FieldSample { place, value, weight } in samples {
+            let basis =
+                basis([(place[0] - field.middle[0]) * field.scale[0], (place[1] - field.middle[1]) * field.scale[1]]);
+            let mut off = value;
+            for k in 0..LANES {
+                // Coefficients beyond the field's terms are 0.
+                off -= basis[k] * field.coefficients[k];
+            }
+            let doubt = if mean_square.is_finite() { weight * off * off / (TOLERANCE * mean_square) } else { 0.0 };
+            let trust = 1.0 / ((1.0 + doubt) * (1.0 + doubt));
+            let weight = trust * weight;
+            for (row, sums) in sums.normal[..terms].iter_mut().enumerate() {
+                let weighted = weight * basis[row];
+                for k in 0..LANES {
+                    sums[k] += weighted * basis[k];
+                }
+            }
+            let weighted = weight * value;
+            for k in 0..LANES {
+                sums.right[k] += weighted * basis[k];
+            }
+            sums.weights += trust;
+            sums.squares += weighted * value;
+        }
+        sums
+    }
+}
+
 /// All terms at a scaled place.
-fn basis([x, y]: [f64; 2]) -> [f64; MOST_TERMS] {
+#[inline(always)]
+fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
     let (x2, y2) = (x * x, y * y);
     let (x3, y3) = (x2 * x, y2 * y);
-    [1.0, x, y, x2, x * y, y2, x3, x2 * y, x * y2, y3, x2 * x2, x3 * y, x2 * y2, x * y3, y2 * y2]
+    [1.0, x, y, x2, x * y, y2, x3, x2 * y, x * y2, y3, x2 * x2, x3 * y, x2 * y2, x * y3, y2 * y2, 0.0]
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -162,7 +191,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Puts the lower triangular L with L·Lᵀ in place of the first `terms` of `normal`; returns how many of them the samples
 /// tell apart.
-fn factor(normal: &mut [[f64; MOST_TERMS]; MOST_TERMS], terms: usize) -> usize {
+fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize) -> usize {
     for row in 0..terms {
         for col in 0..=row {
             let rest = normal[row][col] - dot(&normal[row][..col], &normal[col][..col]);

@@ -2,17 +2,21 @@
 
 use crate::detection::refine::cholesky::Cholesky;
 use crate::detection::refine::corner_model::{CornerModel, length};
-use crate::detection::refine::normal_equations::{Columns, Noise, NormalEquations, Residuals, linearise};
+use crate::detection::refine::normal_equations::{Columns, Linearised, Noise, NormalEquations, Residuals};
 use crate::detection::refine::samples::Samples;
 
 /// How to fit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitOptions {
-    /// Linearisations: at least, and at most.
+    /// Linearisations: at least, unless the start was `alike`, and at most.
     pub iterations: [usize; 2],
     /// Stop when a step moves the corner by less than this, in standard deviations of the blur: what is then left to go is
     /// its square.
     pub enough: f64,
+    /// A first step that changes no other unknown by more than this, as a share of it or in radians, may be the only one.
+    pub alike: f64,
+    /// Whether the residuals where the pattern is flat are wanted.
+    pub with_flat: bool,
 }
 
 /// A fitted corner.
@@ -56,8 +60,9 @@ pub(super) fn fit(
     let mut equations = NormalEquations::default();
     let mut next = NormalEquations::default();
     let [least, most] = options.iterations;
+    let linearised = Linearised { samples, noise, with_flat: options.with_flat };
     for iteration in 1..=most {
-        linearise(samples, &model, noise, columns, &mut next);
+        linearised.at(&model, columns, &mut next);
         if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square() {
             damping *= 10.0;
         } else {
@@ -70,7 +75,8 @@ pub(super) fn fit(
         model = best.moved_by(&step);
         let last_step = length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
         let sharpness = best.sharpness[0].max(best.sharpness[1]);
-        if (iteration >= least && last_step * sharpness < options.enough) || iteration == most {
+        let rests = last_step * sharpness < options.enough;
+        if (rests && (iteration >= least || model.is_like(&best, options.alike))) || iteration == most {
             let explained: f64 = step.iter().zip(&equations.gradient).map(|(s, g)| s * g).sum();
             let residuals = equations.residuals;
             let mean_square = noise.corrected(&residuals, (residuals.squares - explained).max(0.0));

@@ -53,8 +53,8 @@ impl Halves<'_> {
     #[inline(always)]
     fn sums<S: Simd>(&self, simd: S, edge: usize) -> [f64; 4] {
         let Self { samples, model, reach, columns } = self;
-        let length = samples.x.len();
-        let (xs, ys) = (S::as_simd_f32s(&samples.x).0, S::as_simd_f32s(&samples.y).0);
+        let length = samples.length();
+        let (xs, ys) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
         let residuals = S::as_simd_f32s(columns.column(RESIDUAL, length)).0;
         let shifts = S::as_simd_f32s(columns.column(SHIFT + edge, length)).0;
         let [ax, ay] = model.along[edge];

@@ -144,11 +144,11 @@ impl Refiner {
         self.fitted.clear();
         self.noise.clear();
         self.scatter.clear();
-        let mut blur_px = 1.0;
+        let mut before = Before { blur_px: 1.0, contrast: 1.3, offset: 0.0, bend: 0.0 };
         for corner in corners {
-            let fitted = self.fit_alone(image, corner, blur_px).filter(|fitted| fitted.may_be_corner(corner));
+            let fitted = self.fit_alone(image, corner, &before).filter(|fitted| fitted.may_be_corner(corner));
             if let Some(fitted) = &fitted {
-                blur_px = fitted.blur_px();
+                before = self.as_before(fitted);
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
             }
             self.fitted.push(fitted);
@@ -157,14 +157,15 @@ impl Refiner {
 
     /// The first fit of a corner: in a small window, whose size follows the blur and which moves with the corner. Where that
     /// shows no corner the guess may be far off: a window of larger bins sees farther.
-    fn fit_alone(&mut self, image: GrayView<'_>, corner: &GridCorner, blur_px: f64) -> Option<Fitted> {
+    fn fit_alone(&mut self, image: GrayView<'_>, corner: &GridCorner, before: &Before) -> Option<Fitted> {
         let axes = axes_of(corner)?;
         let guess = [corner.pixel.x, corner.pixel.y];
-        let (mut origin, mut blur_px, mut coarser) = (guess, blur_px.max(0.7), 1);
+        let (mut origin, mut blur_px, mut coarser) = (guess, before.blur_px.max(0.7), 1);
         let mut best = None;
         for _ in 0..MOST_WINDOWS {
             let window = Window::new(origin, axes, blur_px, FIRST_REACH * coarser as f64).coarsened(coarser);
-            let Some(first) = self.fit_in(image, window, blur_px).filter(Fitted::has_settled) else {
+            let Some(first) = self.fit_in(image, window, &Before { blur_px, ..*before }).filter(Fitted::has_settled)
+            else {
                 (origin, coarser) = (guess, 2 * coarser);
                 continue;
             };
@@ -182,13 +183,26 @@ impl Refiner {
         best
     }
 
-    fn fit_in(&mut self, image: GrayView<'_>, window: Window, blur_px: f64) -> Option<Fitted> {
+    /// What the corner just fitted tells about the next.
+    fn as_before(&self, fitted: &Fitted) -> Before {
+        let model = &fitted.fit.model;
+        let [minus, plus] = self.samples.quarter_means(model.along);
+        let half = ((plus - minus) / 2.0).abs().max(0.5);
+        Before {
+            blur_px: fitted.blur_px(),
+            contrast: (model.amplitude.abs() / half).clamp(1.0, 2.0),
+            offset: ((model.level - (plus + minus) / 2.0) / half).clamp(-0.3, 0.3),
+            bend: (model.bend / half).clamp(-0.3, 0.3),
+        }
+    }
+
+    fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
         self.gather(image, &window)?;
-        let start = self.start(&window, blur_px)?;
+        let start = self.start(&window, before)?;
         // What the noise is, is not known yet: as much in black as in white; how much does not matter.
         let noise = Noise { black: 1.0, white: 1.0, tolerance: 0.3 * start.amplitude.abs() + 6.0 };
         // The first step may leave the corner where it is and yet find black, white and blur.
-        let options = FitOptions { iterations: [2, 8], enough: 0.07 };
+        let options = FitOptions { iterations: [2, 8], enough: 0.07, alike: 0.25, with_flat: true };
         self.fit(window, start, &noise, &options)
     }
 
@@ -211,7 +225,7 @@ impl Refiner {
         start.gradient = around.light_gradient.map(|g| g * bin);
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise { black, white, tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs() };
-        let options = FitOptions { iterations: [1, 4], enough: 0.05 };
+        let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: false };
         let second = self.fit(window, start, &noise, &options)?;
         if second.agreeing > MOST_AGREE {
             return Some(second);
@@ -240,25 +254,37 @@ impl Refiner {
         Some(Fitted { window, fit, noise: *noise, agreeing: fit.residuals.effective / self.samples.count as f64 })
     }
 
-    /// The model before the first fit: along the axes, with black and white as the four quarters have them.
-    fn start(&self, window: &Window, blur_px: f64) -> Option<CornerModel> {
+    /// The model before the first fit: along the axes, with black and white as the four quarters have them, and what these
+    /// make of it as at the corner before.
+    fn start(&self, window: &Window, before: &Before) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
         let [minus, plus] = self.samples.quarter_means(along);
-        let sigma = (blur_px * blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
+        let sigma = (before.blur_px * before.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
         let amplitude = (plus - minus) / 2.0;
         (amplitude.abs() > 0.5).then_some(CornerModel {
             center: [0.0; 2],
             along,
             sharpness: [1.0 / sigma; 2],
             curvature: [0.0; 2],
-            level: (plus + minus) / 2.0,
-            // The quarters' means are less apart than black and white: the blur is in them.
-            amplitude: 1.3 * amplitude,
-            bend: 0.0,
+            level: (plus + minus) / 2.0 + before.offset * amplitude.abs(),
+            amplitude: before.contrast * amplitude,
+            bend: before.bend * amplitude.abs(),
             gradient: [0.0; 2],
         })
     }
+}
+
+/// What a corner is expected to have in common with the one before. The last three are in units of half the difference of the
+/// quarters' means, which are less apart than black and white: the blur is in them.
+#[derive(Debug, Clone, Copy)]
+struct Before {
+    blur_px: f64,
+    /// The model's amplitude, without its sign.
+    contrast: f64,
+    /// Its level less the mean of the quarters' means.
+    offset: f64,
+    bend: f64,
 }
 
 /// Whether a corner is asked how its edges' parts disagree: of many corners, every other one is enough.

@@ -16,12 +16,12 @@ impl PooledNoise {
         self.variances.iter_mut().for_each(Vec::clear);
     }
 
-    /// Takes one corner's residuals where the pattern is flat: sum of squares and count, black then white, of samples that
-    /// are averages of `bin` × `bin` pixels.
+    /// Takes one corner's residuals where the pattern is flat: sum of squares about their mean and count, black then white, of
+    /// samples that are averages of `bin` × `bin` pixels.
     pub fn take(&mut self, flat: [(f64, f64); 2], bin: usize) {
         for (variances, (squares, count)) in self.variances.iter_mut().zip(flat) {
             if count > 6.0 {
-                variances.push(squares / (count - 1.5) * (bin * bin) as f64);
+                variances.push(squares / (count - 2.0) * (bin * bin) as f64);
             }
         }
     }

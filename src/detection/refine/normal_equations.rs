@@ -63,7 +63,8 @@ pub(super) struct Residuals {
     pub squares: f64,
     /// Sum of the weights of the window and of outliers, without the noise's: the number of samples in effect.
     pub effective: f64,
-    /// Residuals where the pattern is flat: sum of squares in grey levels and their number, black then white.
+    /// Residuals where the pattern is flat, if they were asked for: sum of squares about their mean in grey levels and their
+    /// number, black then white.
     pub flat: [(f64, f64); 2],
 }
 
@@ -80,21 +81,27 @@ impl Columns {
     }
 }
 
-/// Linearises `model` over `samples`.
-pub(super) fn linearise(
-    samples: &Samples,
-    model: &CornerModel,
-    noise: &Noise,
-    columns: &mut Columns,
-    equations: &mut NormalEquations,
-) {
-    pulp::Arch::new().dispatch(Linearise { samples, model, noise, columns, equations });
+/// What to linearise, and how.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Linearised<'a> {
+    /// What is seen.
+    pub samples: &'a Samples,
+    /// How noisy that is.
+    pub noise: &'a Noise,
+    /// Whether what is left where the pattern is flat is wanted.
+    pub with_flat: bool,
+}
+
+impl Linearised<'_> {
+    /// Linearises `model`.
+    pub fn at(&self, model: &CornerModel, columns: &mut Columns, equations: &mut NormalEquations) {
+        pulp::Arch::new().dispatch(Linearise { what: *self, model, columns, equations });
+    }
 }
 
 struct Linearise<'a> {
-    samples: &'a Samples,
+    what: Linearised<'a>,
     model: &'a CornerModel,
-    noise: &'a Noise,
     columns: &'a mut Columns,
     equations: &'a mut NormalEquations,
 }
@@ -104,30 +111,38 @@ impl WithSimd for Linearise<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { samples, model, noise, columns, equations } = self;
-        let length = samples.x.len();
-        columns.lanes.resize(length * COLUMNS, 0.0);
-        equations.residuals = derivatives(simd, samples, model, noise, &mut columns.lanes);
-        products(simd, &columns.lanes, length, equations);
+        let Self { what, model, columns, equations } = self;
+        let length = what.samples.length();
+        let size = length * COLUMNS;
+        if columns.lanes.len() < size {
+            columns.lanes.resize(size, 0.0);
+        }
+        let lanes = &mut columns.lanes[..size];
+        equations.residuals = if what.with_flat {
+            derivatives::<S, true>(simd, what, model, lanes)
+        } else {
+            derivatives::<S, false>(simd, what, model, lanes)
+        };
+        products(simd, lanes, length, equations);
     }
 }
 
 /// Residuals and derivatives, each times the square root of its sample's weight, into `columns`.
 #[inline(always)]
-fn derivatives<S: Simd>(
+fn derivatives<S: Simd, const WITH_FLAT: bool>(
     simd: S,
-    samples: &Samples,
+    what: Linearised<'_>,
     model: &CornerModel,
-    noise: &Noise,
     columns: &mut [f32],
 ) -> Residuals {
+    let Linearised { samples, noise, .. } = what;
     let of = |value: f64| simd.splat_f32s(value as f32);
     let mul = |a, b| simd.mul_f32s(a, b);
     let mul_add = |a, b, c| simd.mul_add_f32s(a, b, c);
     let one = of(1.0);
-    let length = samples.x.len();
-    let (xs, ys) = (S::as_simd_f32s(&samples.x).0, S::as_simd_f32s(&samples.y).0);
-    let (values, weights) = (S::as_simd_f32s(&samples.value).0, S::as_simd_f32s(&samples.weight).0);
+    let length = samples.length();
+    let (xs, ys) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
+    let (values, weights) = (S::as_simd_f32s(samples.value()).0, S::as_simd_f32s(samples.weight()).0);
     let mut rest = columns;
     let out: [&mut [S::f32s]; COLUMNS] = std::array::from_fn(|_| {
         let (column, tail) = std::mem::take(&mut rest).split_at_mut(length);
@@ -150,7 +165,7 @@ fn derivatives<S: Simd>(
     let noise_slope = of(sign * (noise.white - noise.black) / 2.0);
     let tolerance = of(noise.tolerance * noise.tolerance);
     let flat_at = of(0.985);
-    let mut flat = [[of(0.0); 2]; 2];
+    let mut flat = [[of(0.0); 3]; 2];
     let mut effective = of(0.0);
     for i in 0..xs.len() {
         let (x, y, value) = (xs[i], ys[i], values[i]);
@@ -207,22 +222,29 @@ fn derivatives<S: Simd>(
         out[7][i] = simd.neg_f32s(by_d[0]);
         out[8][i] = simd.neg_f32s(by_d[1]);
         out[9][i] = mul(residual, trust);
+        if !WITH_FLAT {
+            continue;
+        }
         // Where the pattern is flat, what is left is noise.
-        let square = mul(mul(residual, residual), mul(doubt, doubt));
+        let weight = mul(doubt, doubt);
+        let weighted = mul(residual, weight);
         for (side, sums) in flat.iter_mut().enumerate() {
             let towards = if side == 0 { simd.neg_f32s(t) } else { t };
             let is_flat = simd.less_than_f32s(flat_at, towards);
-            let count = simd.select_f32s(is_flat, mul(doubt, doubt), of(0.0));
-            sums[0] = simd.add_f32s(sums[0], simd.select_f32s(is_flat, square, of(0.0)));
-            sums[1] = simd.add_f32s(sums[1], count);
+            let seen = simd.select_f32s(is_flat, weighted, of(0.0));
+            sums[0] = simd.add_f32s(sums[0], simd.select_f32s(is_flat, weight, of(0.0)));
+            sums[1] = simd.add_f32s(sums[1], seen);
+            sums[2] = mul_add(seen, residual, sums[2]);
         }
     }
-    let flat =
-        flat.map(|sums| sums.map(|sum| f64::from(simd.reduce_sum_f32s(sum)))).map(|[squares, count]| (squares, count));
+    let [minus, plus] = flat.map(|sums| {
+        let [count, sum, squares] = sums.map(|sum| f64::from(simd.reduce_sum_f32s(sum)));
+        (squares - sum * sum / count.max(1.0), count)
+    });
     Residuals {
         squares: 0.0,
         effective: f64::from(simd.reduce_sum_f32s(effective)),
-        flat: if sign > 0.0 { flat } else { [flat[1], flat[0]] },
+        flat: if sign > 0.0 { [minus, plus] } else { [plus, minus] },
     }
 }
 

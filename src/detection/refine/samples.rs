@@ -8,20 +8,18 @@ use crate::imaging::gray::GrayView;
 
 /// Lanes are filled up to a multiple of this with samples of no weight.
 const PADDING: usize = 16;
-/// Pixels that are read at once.
+/// Pixels that are read at once, and rows of which it is found out at once where they lie in the window.
 const RUN: usize = 8;
+const ROWS: usize = 8;
 
-/// Samples of an image, relative to the window's origin and in units of the bin.
+/// Samples of an image, relative to the window's origin and in units of the bin. The lanes only ever grow: what lies beyond
+/// the padding is of another window.
 #[derive(Debug, Default)]
 pub(super) struct Samples {
-    /// Positions, x.
-    pub x: Vec<f32>,
-    /// Positions, y.
-    pub y: Vec<f32>,
-    /// Grey values, 0 … 255.
-    pub value: Vec<f32>,
-    /// 1, and 0 for the padding.
-    pub weight: Vec<f32>,
+    x: Vec<f32>,
+    y: Vec<f32>,
+    value: Vec<f32>,
+    weight: Vec<f32>,
     /// How many samples there are, without the padding.
     pub count: usize,
 }
@@ -31,6 +29,31 @@ impl Samples {
     /// does.
     pub fn gather(&mut self, image: GrayView<'_>, window: &Window) -> f64 {
         pulp::Arch::new().dispatch(Gather { samples: self, image, rows: Rows::new(window), window })
+    }
+
+    /// How many samples there are with the padding, a multiple of any vector's length.
+    pub fn length(&self) -> usize {
+        self.count.next_multiple_of(PADDING)
+    }
+
+    /// Positions, x.
+    pub fn x(&self) -> &[f32] {
+        &self.x[..self.length()]
+    }
+
+    /// Positions, y.
+    pub fn y(&self) -> &[f32] {
+        &self.y[..self.length()]
+    }
+
+    /// Grey values, 0 … 255.
+    pub fn value(&self) -> &[f32] {
+        &self.value[..self.length()]
+    }
+
+    /// 1, and 0 for the padding.
+    pub fn weight(&self) -> &[f32] {
+        &self.weight[..self.length()]
     }
 
     /// Mean grey value where the product of the distances to two lines through the origin is negative, and where it is
@@ -44,7 +67,7 @@ impl Samples {
         let room = (self.count + more).next_multiple_of(PADDING);
         if self.x.len() < room {
             for lane in [&mut self.x, &mut self.y, &mut self.value, &mut self.weight] {
-                lane.resize(room, 0.0);
+                lane.resize(2 * room, 0.0);
             }
         }
     }
@@ -54,17 +77,24 @@ impl Samples {
     #[inline(always)]
     fn push_run(&mut self, x: f32, y: f32, row: &[u8], length: usize) {
         self.make_room(length + RUN);
-        let steps: [f32; RUN] = std::array::from_fn(|i| i as f32);
-        for start in (0..length).step_by(RUN) {
+        let steps: [f32; RUN] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
+        let span = self.count..self.count + length.next_multiple_of(RUN);
+        let (xs, ys, values) = (&mut self.x[span.clone()], &mut self.y[span.clone()], &mut self.value[span]);
+        let mut start = 0;
+        while start < length {
             let bytes: [u8; RUN] = match row.get(start..start + RUN).and_then(|chunk| chunk.try_into().ok()) {
                 Some(bytes) => bytes,
                 None => std::array::from_fn(|i| row.get(start + i).copied().unwrap_or(0)),
             };
-            let lanes = self.count + start..self.count + start + RUN;
             let from = x + start as f32;
-            self.value[lanes.clone()].copy_from_slice(&bytes.map(f32::from));
-            self.x[lanes.clone()].copy_from_slice(&steps.map(|step| from + step));
-            self.y[lanes].copy_from_slice(&[y; RUN]);
+            let mut places = [0.0; RUN];
+            for (place, step) in places.iter_mut().zip(steps) {
+                *place = from + step;
+            }
+            values[start..start + RUN].copy_from_slice(&bytes.map(f32::from));
+            xs[start..start + RUN].copy_from_slice(&places);
+            ys[start..start + RUN].copy_from_slice(&[y; RUN]);
+            start += RUN;
         }
         self.count += length;
     }
@@ -74,7 +104,12 @@ impl Samples {
     fn push_binned<const BIN: usize>(&mut self, x: f32, y: f32, rows: [&[u8]; BIN], length: usize) {
         self.make_room(length);
         for i in 0..length {
-            let sum: u32 = rows.iter().flat_map(|row| &row[i * BIN..(i + 1) * BIN]).map(|&v| u32::from(v)).sum();
+            let mut sum = 0;
+            for row in rows {
+                for &pixel in &row[i * BIN..(i + 1) * BIN] {
+                    sum += u32::from(pixel);
+                }
+            }
             self.value[self.count + i] = sum as f32 / (BIN * BIN) as f32;
             self.x[self.count + i] = x + i as f32;
             self.y[self.count + i] = y;
@@ -85,10 +120,9 @@ impl Samples {
     #[inline(always)]
     fn pad(&mut self) {
         self.make_room(0);
-        let padded = self.count.next_multiple_of(PADDING);
+        let padding = self.count..self.length();
         for lane in [&mut self.x, &mut self.y, &mut self.value, &mut self.weight] {
-            lane.truncate(padded);
-            lane[self.count..].fill(0.0);
+            lane[padding.clone()].fill(0.0);
         }
         self.weight[..self.count].fill(1.0);
     }
@@ -104,14 +138,17 @@ impl WithSimd for QuarterMeans<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
-        let lanes = |values| S::as_simd_f32s(values).0;
-        let Samples { x, y, value, weight, .. } = self.samples;
-        let (x, y, value, weight) = (lanes(x), lanes(y), lanes(value), lanes(weight));
-        let along = self.along.map(|d| d.map(|v| simd.splat_f32s(v)));
+        let samples = self.samples;
+        let (x, y) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
+        let (value, weight) = (S::as_simd_f32s(samples.value()).0, S::as_simd_f32s(samples.weight()).0);
+        let [[ax, ay], [bx, by]] = self.along;
+        let (ax, ay, bx, by) = (simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(bx), simd.splat_f32s(by));
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
         for i in 0..x.len() {
-            let [a, b] = along.map(|[ax, ay]| simd.sub_f32s(simd.mul_f32s(ax, y[i]), simd.mul_f32s(ay, x[i])));
+            // No closure: one that is not inlined is not compiled for the processor.
+            let a = simd.sub_f32s(simd.mul_f32s(ax, y[i]), simd.mul_f32s(ay, x[i]));
+            let b = simd.sub_f32s(simd.mul_f32s(bx, y[i]), simd.mul_f32s(by, x[i]));
             let positive = simd.less_than_f32s(zero, simd.mul_f32s(a, b));
             sums[0] = simd.add_f32s(sums[0], value[i]);
             sums[1] = simd.add_f32s(sums[1], weight[i]);
@@ -145,30 +182,40 @@ impl WithSimd for Gather<'_> {
         let inside =
             [-(first[0] as i64).div_euclid(bin), (image.width() as i64 - bin - first[0] as i64).div_euclid(bin)];
         let mut wanted = 0;
-        for j in -rows.reach..=rows.reach {
-            let y = j as f64 + offset[1];
-            let top = first[1] as i64 + j * bin;
-            let in_image = top >= 0 && top + bin <= image.height() as i64;
-            for run in rows.runs(y) {
-                let (from, to) = ((run[0] - offset[0]).ceil() as i64, (run[1] - offset[0]).floor() as i64);
-                wanted += (to - from + 1).max(0);
-                let (from, to) = (from.max(inside[0]), to.min(inside[1]));
-                if !in_image || from > to {
-                    continue;
-                }
-                let x = (from as f64 + offset[0]) as f32;
-                let (left, length) = ((first[0] as i64 + from * bin) as usize, (to - from + 1) as usize);
-                let row = |k: usize| &image.row(top as usize + k)[left..];
-                match window.bin {
-                    1 => samples.push_run(x, y as f32, row(0), length),
-                    2 => samples.push_binned(x, y as f32, [row(0), row(1)], length),
-                    _ => samples.push_binned(x, y as f32, [row(0), row(1), row(2), row(3)], length),
+        let mut above = -rows.reach;
+        while above <= rows.reach {
+            let spans = rows.spans(above as f64 + offset[1], offset[0]);
+            for (j, spans) in (above..=rows.reach).zip(spans) {
+                let top = first[1] as i64 + j * bin;
+                let in_image = top >= 0 && top + bin <= image.height() as i64;
+                for [from, to] in spans {
+                    let (from, to) = (i64::from(from), i64::from(to));
+                    wanted += (to - from + 1).max(0);
+                    let (from, to) = (from.max(inside[0]), to.min(inside[1]));
+                    if !in_image || from > to {
+                        continue;
+                    }
+                    let (x, y) = ((from as f64 + offset[0]) as f32, (j as f64 + offset[1]) as f32);
+                    let (left, length) = ((first[0] as i64 + from * bin) as usize, (to - from + 1) as usize);
+                    let top = top as usize;
+                    match window.bin {
+                        1 => samples.push_run(x, y, &image.row(top)[left..], length),
+                        2 => samples.push_binned(x, y, rows_from::<2>(image, top, left), length),
+                        _ => samples.push_binned(x, y, rows_from::<4>(image, top, left), length),
+                    }
                 }
             }
+            above += ROWS as i64;
         }
         samples.pad();
         samples.count as f64 / (wanted as f64).max(1.0)
     }
+}
+
+/// What `COUNT` rows of `image` from `top` on hold from `left` on.
+#[inline(always)]
+fn rows_from<'a, const COUNT: usize>(image: GrayView<'a>, top: usize, left: usize) -> [&'a [u8]; COUNT] {
+    std::array::from_fn(|k| &image.row(top + k)[left..])
 }
 
 /// What each row of a window holds: a parallelogram's run, or what of it is near an edge. In bins.
@@ -199,16 +246,49 @@ impl Rows {
         Self { bands, reach: reach.ceil() as i64 + 1 }
     }
 
-    /// The parts of row `y`: two runs from … to, either of which may be empty.
+    /// The parts of the rows from `y` on: of each, two runs from … to of whole places, counted from `offset`, either of which
+    /// may be empty. Eight rows at once, with nothing but arithmetic, for the sake of vectors.
     #[inline(always)]
-    fn runs(&self, y: f64) -> [[f64; 2]; 2] {
-        let [a, b, near, other] = self.bands.map(|[middle, half]| [middle * y - half, middle * y + half]);
-        let meet = |p: [f64; 2], q: [f64; 2]| [p[0].max(q[0]), p[1].min(q[1])];
-        let inside = meet(a, b);
-        let (left, right) = if near[0] < other[0] { (near, other) } else { (other, near) };
-        if right[0] <= left[1] {
-            return [meet(inside, [left[0], left[1].max(right[1])]), [0.0, -2.0]];
+    fn spans(&self, y: f64, offset: f64) -> [[[i32; 2]; 2]; ROWS] {
+        let mut spans = [[[0, -1]; 2]; ROWS];
+        let (mut from, mut to) = ([[0.0; ROWS]; 2], [[0.0; ROWS]; 2]);
+        for k in 0..ROWS {
+            let y = y + k as f64;
+            let (a, b) = (band(self.bands[0], y), band(self.bands[1], y));
+            let (near, other) = (band(self.bands[2], y), band(self.bands[3], y));
+            let inside = [most(a[0], b[0]), least(a[1], b[1])];
+            let (left, right) = (
+                [least(near[0], other[0]), if near[0] < other[0] { near[1] } else { other[1] }],
+                [most(near[0], other[0]), if near[0] < other[0] { other[1] } else { near[1] }],
+            );
+            let together = right[0] <= left[1];
+            let first_end = if together { most(left[1], right[1]) } else { left[1] };
+            from[0][k] = (most(inside[0], left[0]) - offset).ceil();
+            to[0][k] = (least(inside[1], first_end) - offset).floor();
+            from[1][k] = (most(inside[0], right[0]) - offset).ceil();
+            to[1][k] = if together { from[1][k] - 1.0 } else { (least(inside[1], right[1]) - offset).floor() };
         }
-        [meet(inside, left), meet(inside, right)]
+        for k in 0..ROWS {
+            spans[k] = [[from[0][k] as i32, to[0][k] as i32], [from[1][k] as i32, to[1][k] as i32]];
+        }
+        spans
     }
+}
+
+/// Where a band lies in row `y`.
+#[inline(always)]
+fn band([middle, half]: [f64; 2], y: f64) -> [f64; 2] {
+    [middle * y - half, middle * y + half]
+}
+
+/// The larger of two numbers, neither of which is NaN: one instruction.
+#[inline(always)]
+fn most(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The smaller of two numbers, neither of which is NaN.
+#[inline(always)]
+fn least(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
 }
