@@ -7,6 +7,7 @@ pub mod calibration;
 pub mod coverage;
 pub mod depth_calibration;
 pub mod drift;
+pub mod factory_check;
 pub mod guidance;
 pub mod placement;
 pub mod rgbd_calibration;

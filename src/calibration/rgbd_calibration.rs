@@ -4,6 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::calibration::calibration::{Calibration, Extrinsics, Grade, SensorCalibration, Verdict};
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
+use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
@@ -11,29 +12,34 @@ use crate::geometry::lens::Lens;
 /// `calibration`, which holds what colour gave by itself, with everything that the joint solve adds or makes surer.
 pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &SolvedRgbd) -> Calibration {
     let joint = &solved.joint;
-    let depth = DepthCalibration::of(joint, input.depth.invalid);
+    let of_depth = solved.factory.as_ref().and_then(|check| check.kept.as_deref()).unwrap_or(joint);
+    let depth = DepthCalibration::of(of_depth, input.depth.invalid);
     let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
-    let (rotation_std, translation_std) = pose_std(&joint.color_from_depth_covariance);
-    let extrinsics = |name: &str| Extrinsics {
-        name: name.to_owned(),
-        target_from_source: joint.color_from_depth,
-        rotation_std: rotation_std.into(),
-        translation_std_m: translation_std.into(),
+    let extrinsics = |name: &str, estimate: &RgbdEstimate| {
+        let (rotation_std, translation_std) = pose_std(&estimate.color_from_depth_covariance);
+        Extrinsics {
+            name: name.to_owned(),
+            target_from_source: estimate.color_from_depth,
+            rotation_std: rotation_std.into(),
+            translation_std_m: translation_std.into(),
+        }
     };
     calibration.color = calibration.color.map(|sensor| with_lens(sensor, joint.color, &joint.color_covariance));
-    calibration.extrinsics = vec![extrinsics("color_from_depth")];
+    calibration.extrinsics = vec![extrinsics("color_from_depth", of_depth)];
     if let Some(infrared) = solved.infrared.clone() {
         calibration.infrared = Some(with_lens(infrared.sensor, joint.depth.lens, &joint.depth_covariance));
-        calibration.extrinsics.push(extrinsics("color_from_infrared"));
+        calibration.extrinsics.push(extrinsics("color_from_infrared", joint));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
     if let Some(reason) = without_color(input) {
         calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
         calibration.verdict.reasons.push(reason);
     }
+    calibration.verdict.reasons.extend(weak_place(of_depth));
     if !joint.not_together.is_empty() {
         calibration.verdict.reasons.push(not_together(joint));
     }
+    calibration.verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
     calibration.verdict = judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
     calibration.depth = Some(depth);
     calibration
@@ -45,6 +51,19 @@ pub fn without_color(input: &RgbdInput) -> Option<String> {
     let (all, without) = (views().count(), views().filter(|capture| capture.color.is_empty()).count());
     (3 * without > all).then(|| {
         format!("the board was not seen in colour in {without} of {all} views with depth: keep it within both pictures")
+    })
+}
+
+/// Sensors whose distance along colour's axis is less sure than this, in metres, are worth telling of.
+const WEAK_M: f64 = 0.005;
+
+/// Planes alone hardly tell how far one sensor is behind the other from its focal length and the curve of its error.
+fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
+    let std_mm = 1e3 * pose_std(&estimate.color_from_depth_covariance).1.z;
+    (std_mm > 1e3 * WEAK_M).then(|| {
+        format!(
+            "how far the depth camera stands back from colour's is known to {std_mm:.0} mm only, by planes alone, which cannot tell it from the focal length and the curve of depth's error; depth as corrected agrees with colour for all that: tilt the board more, near and far, or record infrared"
+        )
     })
 }
 

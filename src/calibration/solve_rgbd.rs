@@ -3,10 +3,13 @@
 
 use nalgebra::{Matrix6, Point3, Vector3};
 
+use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::solve::{SolvedCamera, solve_views};
+use crate::calibration::solve_rig::turns;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
+use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::error::EstimationError;
@@ -75,6 +78,8 @@ pub struct SolvedRgbd {
     pub infrared: Option<SolvedCamera>,
     /// Everything together.
     pub joint: RgbdEstimate,
+    /// What the factory states of depth beside it, where it does and views tell.
+    pub factory: Option<FactoryCheck>,
     /// Which capture each view of the joint estimate is.
     pub captures: Vec<usize>,
     /// Captures whose depth could not be used, and why.
@@ -132,6 +137,11 @@ pub enum RgbdError {
         /// How much they are turned against each other.
         degrees: f64,
     },
+    /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.
+    #[error(
+        "no pose of the sensors lets depth and colour agree: check that depth and colour are of the same device, not swapped, not mirrored, and taken together"
+    )]
+    NotOneDevice,
     /// All together could not be.
     #[error("colour and depth together: {0}")]
     Joint(EstimationError),
@@ -154,19 +164,64 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let infrared = (input.depth.with_infrared && infrared_seen >= 3)
         .then(|| solve_views(&problem(input, depth_size, |c| &c.infrared), options).map_err(of_sensor("infrared")))
         .transpose()?;
+    let turned = infrared.as_ref().and_then(|infrared| labelled_as_in_color(input, &color, infrared));
+    let (input, infrared) = match &turned {
+        Some(turned) => {
+            let again = solve_views(&problem(turned, depth_size, |c| &c.infrared), options);
+            (turned, Some(again.map_err(of_sensor("infrared"))?))
+        }
+        None => (input, infrared),
+    };
     let mut guess = Guess::of(input, depth_size, &color, infrared.as_ref());
     let rounds = if infrared.is_some() { 1 } else { 3 };
     let mut solved = None;
     for round in 0..rounds {
         let margin = if rounds == 1 || round > 0 { MARGIN_SQUARES } else { 0.0 };
-        let (joint, captures, without_depth) = guess.solve(input, margin)?;
+        let measured = guess.measured(input, margin)?;
+        let joint = calibrate_rgbd(&measured.problem).map_err(|error| match error {
+            EstimationError::NoFit => RgbdError::NotOneDevice,
+            other => RgbdError::Joint(other),
+        })?;
         guess.lens = joint.depth.lens;
         guess.depth_from_color = joint.color_from_depth.inverse();
-        solved = Some((joint, captures, without_depth));
+        solved = Some((joint, measured));
     }
-    let (joint, captures, without_depth) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
+    let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
     check_joint(&joint)?;
-    Ok(SolvedRgbd { color, infrared, joint, captures, without_depth })
+    let Measured { problem, captures, without_depth } = measured;
+    let factory = input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
+    Ok(SolvedRgbd { color, infrared, joint, factory, captures, without_depth })
+}
+
+/// The same with infrared's corners counted from where colour's are, for a board that looks the same after a turn; `None` where
+/// the board has no such turn.
+fn labelled_as_in_color(input: &RgbdInput, color: &SolvedCamera, infrared: &SolvedCamera) -> Option<RgbdInput> {
+    let turns = turns(&input.board);
+    if turns.len() == 1 {
+        return None;
+    }
+    let seen = |poses: Vec<Option<Pose>>| -> SensorPoses {
+        poses.into_iter().enumerate().filter_map(|(index, pose)| Some((index, pose?))).collect()
+    };
+    let sensors = [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
+    let chosen = consistent_turns(&sensors, &turns);
+    let mut labelled = input.clone();
+    // Between views the board's motion is followed by labels that nothing has made consistent.
+    labelled.captures.iter_mut().filter(|capture| !capture.is_view).for_each(|capture| capture.infrared.clear());
+    // Colour comes first, and keeps its labels.
+    for ((index, _), turn) in sensors[1].iter().zip(&chosen[1]) {
+        let board_from_labels = turns[*turn].inverse();
+        let corners = &mut labelled.captures[*index].infrared;
+        corners.iter_mut().for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);
+    }
+    Some(labelled)
+}
+
+/// The joint problem, which capture each of its views is, and those whose depth could not be used.
+struct Measured {
+    problem: RgbdProblem,
+    captures: Vec<usize>,
+    without_depth: Vec<(String, NoPlane)>,
 }
 
 /// Depth this many times the board's distance, or less than one part in this, has another unit.
@@ -338,12 +393,8 @@ impl Guess {
         Some(DepthReading::Disparity { offset, slope })
     }
 
-    #[expect(clippy::type_complexity, reason = "three results of one step, named where they are taken apart")]
-    fn solve(
-        &self,
-        input: &RgbdInput,
-        margin: f64,
-    ) -> Result<(RgbdEstimate, Vec<usize>, Vec<(String, NoPlane)>), RgbdError> {
+    /// The board's surface in every depth picture, up to `margin` squares past its outer corners.
+    fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
         let (mut views, mut captures, mut without_depth) = (Vec::new(), Vec::new(), Vec::new());
         let plane_options = PlaneOptions { invalid: input.depth.invalid, ..PlaneOptions::default() };
         let mut with_depth = 0;
@@ -382,7 +433,11 @@ impl Guess {
                 without_depth.first().map(|(name, reason)| format!("; view `{name}`: {reason}")).unwrap_or_default();
             return Err(RgbdError::TooLittleDepth { usable: with_depth, all: views.len(), first });
         }
-        let joint = calibrate_rgbd(&RgbdProblem {
+        Ok(Measured { problem: self.problem(views), captures, without_depth })
+    }
+
+    fn problem(&self, views: Vec<RgbdView>) -> RgbdProblem {
+        RgbdProblem {
             color: self.color,
             color_noise: self.color_noise,
             depth: DepthCamera { image_size: self.size, lens: self.lens, reading: self.reading, correction: None },
@@ -395,9 +450,7 @@ impl Guess {
                 DepthReading::Metric { .. } => vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth],
             },
             views,
-        })
-        .map_err(RgbdError::Joint)?;
-        Ok((joint, captures, without_depth))
+        }
     }
 
     /// The board's edge in the depth picture, `margin` squares past its outer inner corners; what the lens does not see is

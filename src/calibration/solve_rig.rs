@@ -271,7 +271,7 @@ fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
 }
 
 /// What a board looks the same after, as `board_from_board`; the identity first.
-fn turns(board: &Chessboard) -> Vec<Pose> {
+pub(super) fn turns(board: &Chessboard) -> Vec<Pose> {
     if !board.size.orientation_ambiguous() {
         return vec![Pose::identity()];
     }

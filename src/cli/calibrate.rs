@@ -74,7 +74,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         && calibrate_rgbd::has_depth(source)
     {
         let detect = args.search.detect_options();
-        return args.output.give(&calibrate_rgbd::calibrate(source, target, &options, detect)?, None);
+        let (calibration, elapsed_ms) = calibrate_rgbd::calibrate(source, target, &options, detect)?;
+        return args.output.give(&calibration, Some(elapsed_ms));
     }
     let (problem, others) = gather(&args.search, target)?.finish()?;
     let spinner = progress::spinner("solving");

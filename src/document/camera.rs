@@ -5,6 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::document::lens::LensDocument;
+use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::imaging::factory::{FactoryCalibration, FactorySensor};
+use crate::imaging::frame::SensorKind;
+
 /// What a camera is doing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -40,6 +45,9 @@ pub struct CameraDocument {
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentityDocument,
+    /// What the device states of its own sensors, as it left the factory; left out where it states nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub factory: Option<FactoryDocument>,
     /// The running session, if there is one.
     pub session: Option<String>,
     /// The current approved calibration, if there is one.
@@ -64,6 +72,64 @@ pub struct CameraIdentityDocument {
     pub serial: Option<String>,
     /// Where it is connected, or the file it comes from.
     pub bus: Option<String>,
+}
+
+/// What a device states of its own sensors, in the shapes of a calibration.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FactoryDocument {
+    /// Its sensors, by name.
+    pub sensors: BTreeMap<String, FactorySensorDocument>,
+    /// Where they are, against colour.
+    pub extrinsics: Vec<FactoryExtrinsicsDocument>,
+}
+
+/// What is stated of one sensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FactorySensorDocument {
+    /// The size that the lens is stated for.
+    pub image_size: [u32; 2],
+    /// The device's own name of its lens model.
+    pub stated_model: String,
+    /// The lens; null where the device's model has none here that says the same.
+    pub lens: Option<LensDocument>,
+    /// Metres per unit of depth.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit_m: Option<f64>,
+}
+
+/// Where one sensor is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FactoryExtrinsicsDocument {
+    /// What it maps, as in `color_from_depth`.
+    pub name: String,
+    /// The rotation.
+    pub rotation: RotationDocument,
+    /// The translation, in metres.
+    pub translation: [f64; 3],
+}
+
+impl FactoryDocument {
+    /// Of what is stated; `None` where nothing is.
+    pub fn of(factory: &FactoryCalibration) -> Option<Self> {
+        let sensor = |stated: &FactorySensor| {
+            let document = FactorySensorDocument {
+                image_size: [stated.image_size.width, stated.image_size.height],
+                stated_model: stated.stated.model.clone(),
+                lens: stated.lens.as_ref().map(LensDocument::from),
+                unit_m: stated.depth_unit_m,
+            };
+            (stated.sensor.name().to_owned(), document)
+        };
+        let extrinsics = |stated: &FactorySensor| {
+            let PoseDocument { rotation, translation } = PoseDocument::from(&stated.color_from_sensor?);
+            let name = format!("color_from_{}", stated.sensor.name());
+            (stated.sensor != SensorKind::Color).then_some(FactoryExtrinsicsDocument { name, rotation, translation })
+        };
+        (!factory.sensors.is_empty()).then(|| Self {
+            sensors: factory.sensors.iter().map(sensor).collect(),
+            extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
+        })
+    }
 }
 
 /// Every configured camera.

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::State;
 
 use crate::document::camera::{
-    CameraDocument, CameraIdentityDocument, CameraSensorDocument, CameraStateName, CamerasDocument,
+    CameraDocument, CameraIdentityDocument, CameraSensorDocument, CameraStateName, CamerasDocument, FactoryDocument,
 };
 use crate::http::Shared;
 use crate::http::problem::Problem;
@@ -50,6 +50,7 @@ pub(super) fn camera_document(status: &CameraStatus) -> CameraDocument {
             serial: identity.serial.clone(),
             bus: identity.bus.clone(),
         },
+        factory: FactoryDocument::of(&status.factory),
         session: status.session.clone(),
         calibration: status.calibration.clone(),
     }

@@ -1,6 +1,7 @@
 //! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod decode;
+mod depth_conversion;
 pub mod depth_image;
 pub mod depth_picture;
 pub mod draw;

@@ -1,13 +1,13 @@
 //! Depth corrected, and depth and colour brought into each other's pictures.
 
 use image::{Rgb, RgbImage};
-use nalgebra::{Matrix3, Point3, Vector2, Vector3};
+use nalgebra::{Point3, Vector2, Vector3};
 
 use crate::geometry::depth_camera::DepthCamera;
-use crate::geometry::depth_correction::PixelCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_conversion::DepthConversion;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::point_cloud::CloudPoint;
 
@@ -26,10 +26,9 @@ pub struct CorrectedDepth {
 #[derive(Debug, Clone)]
 pub struct DepthRegistration {
     camera: DepthCamera,
-    /// The ray (x, y, 1) of each pixel; NaN where the lens sees nothing.
-    rays: Vec<[f32; 2]>,
-    /// The correction of each pixel; empty without one.
-    corrections: Vec<PixelCorrection>,
+    /// The ray (x, y, 1) of each pixel, turned to the colour camera's axes; NaN where the lens sees nothing.
+    rays_in_color: Vec<[f32; 3]>,
+    conversion: DepthConversion,
     color: ColorView,
 }
 
@@ -37,8 +36,7 @@ pub struct DepthRegistration {
 #[derive(Debug, Clone)]
 struct ColorView {
     size: ImageSize,
-    /// `color_from_depth`, in single precision.
-    rotation: Matrix3<f32>,
+    /// Of `color_from_depth`.
     translation: Vector3<f32>,
     lens: Lens,
     lookup: DistortionLookup,
@@ -123,21 +121,20 @@ impl DepthRegistration {
         let size = camera.image_size;
         let pixels =
             || (0..size.height).flat_map(move |y| (0..size.width).map(move |x| Pixel::new(f64::from(x), f64::from(y))));
+        let rotation = color_from_depth.rotation_matrix();
         let ray = |pixel: Pixel| match camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0) {
-            Some(bearing) => [(bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32],
-            None => [f32::NAN; 2],
+            Some(bearing) => (rotation * (bearing.into_inner() / bearing.z)).cast().into(),
+            None => [f32::NAN; 3],
         };
-        let corrections = camera.correction.as_ref().map(|correction| pixels().map(|p| correction.at(p)).collect());
         let color = ColorView {
             size: color_size,
-            rotation: color_from_depth.rotation_matrix().cast(),
             translation: color_from_depth.translation().cast(),
             lens: *color,
             lookup: DistortionLookup::new(color, color_size),
         };
         Self {
-            rays: pixels().map(ray).collect(),
-            corrections: corrections.unwrap_or_default(),
+            rays_in_color: pixels().map(ray).collect(),
+            conversion: DepthConversion::new(camera),
             camera: camera.clone(),
             color,
         }
@@ -145,16 +142,7 @@ impl DepthRegistration {
 
     /// The corrected depth of each pixel in metres; 0 where there is none.
     pub fn depths_m(&self, picture: &DepthImage, invalid: Option<u16>) -> Vec<f32> {
-        let reading = self.camera.reading;
-        let depth = |(index, raw): (usize, &u16)| {
-            if Some(*raw) == invalid {
-                return 0.0;
-            }
-            let Some(inverse) = reading.inverse_depth(f64::from(*raw)) else { return 0.0 };
-            let corrected = self.corrections.get(index).map_or(inverse, |correction| correction.correct(inverse));
-            if corrected > 0.0 { (1.0 / corrected) as f32 } else { 0.0 }
-        };
-        picture.readings().iter().enumerate().map(depth).collect()
+        self.conversion.depths_m(picture.readings(), invalid)
     }
 
     /// Corrected depth in `unit_m`, in the depth camera's own picture.
@@ -181,12 +169,12 @@ impl DepthRegistration {
     /// `depths` are those of [`Self::depths_m`].
     pub fn points(&self, depths: &[f32], color: Option<&RgbImage>) -> Vec<CloudPoint> {
         let nearest = self.nearest_in_color(depths);
-        let point = |(ray, depth): (&[f32; 2], &f32)| {
+        let point = |(ray, depth): (&[f32; 3], &f32)| {
             let point = self.point_in_color(*ray, *depth)?;
             let color = color.and_then(|picture| self.color_of(&point, &nearest, picture));
             Some(CloudPoint { point_m: point.into(), color: color.unwrap_or_default() })
         };
-        self.rays.iter().zip(depths).filter_map(point).collect()
+        self.rays_in_color.iter().zip(depths).filter_map(point).collect()
     }
 
     /// The colour picture as the depth camera would see it, as far as depth was measured; black elsewhere, and where
@@ -196,8 +184,11 @@ impl DepthRegistration {
         let width = self.camera.image_size.width;
         RgbImage::from_fn(width, self.camera.image_size.height, |x, y| {
             let at = (y * width + x) as usize;
-            let point =
-                self.rays.get(at).zip(depths.get(at)).and_then(|(ray, depth)| self.point_in_color(*ray, *depth));
+            let point = self
+                .rays_in_color
+                .get(at)
+                .zip(depths.get(at))
+                .and_then(|(ray, depth)| self.point_in_color(*ray, *depth));
             Rgb(point.and_then(|point| self.color_of(&point, &nearest, color)).unwrap_or_default())
         })
     }
@@ -219,7 +210,7 @@ impl DepthRegistration {
         let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
         let mut nearest = vec![0.0f32; width * height];
         let scale = self.color.lens.matrix.fx / self.camera.lens.matrix.fx;
-        for (ray, depth) in self.rays.iter().zip(depths) {
+        for (ray, depth) in self.rays_in_color.iter().zip(depths) {
             let Some((pixel, z)) = self.seen_in_color(*ray, *depth) else { continue };
             let half = (0.5 * FOOTPRINT * scale as f32 * depth / z).max(0.5);
             let columns = covered(pixel[0], half, width);
@@ -235,19 +226,17 @@ impl DepthRegistration {
     }
 
     /// Where the colour camera sees a reading, and how far away.
-    fn seen_in_color(&self, ray: [f32; 2], depth: f32) -> Option<([f32; 2], f32)> {
+    fn seen_in_color(&self, ray: [f32; 3], depth: f32) -> Option<([f32; 2], f32)> {
         let point = self.point_in_color(ray, depth)?;
         let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
         (pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
     }
 
     /// The point that a depth stands for, in the colour camera's frame; `None` for no reading, and behind the camera.
-    fn point_in_color(&self, ray: [f32; 2], depth: f32) -> Option<Vector3<f32>> {
-        if !(depth > 0.0 && ray[0].is_finite() && ray[1].is_finite()) {
-            return None;
-        }
-        let point = self.color.rotation * Vector3::new(ray[0] * depth, ray[1] * depth, depth) + self.color.translation;
-        (point.z > 0.0).then_some(point)
+    fn point_in_color(&self, ray: [f32; 3], depth: f32) -> Option<Vector3<f32>> {
+        let point = Vector3::from(ray) * depth + self.color.translation;
+        // Not for a ray that is not a number either.
+        (depth > 0.0 && point.z > 0.0).then_some(point)
     }
 }
 

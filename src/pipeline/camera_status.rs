@@ -1,6 +1,7 @@
 //! How a camera does.
 
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::{PixelFormat, SensorKind};
 
 /// Whether a camera delivers.
@@ -74,6 +75,8 @@ pub struct CameraStatus {
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentity,
+    /// What the device states of its own sensors.
+    pub factory: FactoryCalibration,
     /// The id of its current calibration.
     pub calibration: Option<String>,
     /// The id of the session that collects or solves now.
@@ -93,6 +96,7 @@ impl CameraStatus {
             frames: 0,
             dropped_frames: 0,
             identity: CameraIdentity::default(),
+            factory: FactoryCalibration::default(),
             calibration: None,
             session: None,
         }

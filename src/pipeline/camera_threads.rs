@@ -81,7 +81,7 @@ pub(super) fn start_camera(
         metrics: Arc::clone(&shared.metrics),
         recorder: RecorderLink::default(),
         stop: StopSignal::default(),
-        depth_unit_m: Mutex::default(),
+        factory: Mutex::default(),
         name,
     });
     let (jobs, asked) = std::sync::mpsc::channel();

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::imaging::frame::FrameSet;
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
@@ -117,13 +117,14 @@ impl Capture {
 
     fn introduce(&self, description: &SourceDescription) {
         let SourceDescription { model, serial, bus, identity, mode, factory, .. } = description.clone();
-        let unit_m = factory.sensor(SensorKind::Depth).and_then(|stated| stated.depth_unit_m);
-        *self.camera.depth_unit_m.lock().unwrap_or_else(PoisonError::into_inner) = unit_m;
+        *self.camera.factory.lock().unwrap_or_else(PoisonError::into_inner) = factory.clone();
         if let Some(mode) = mode {
             tracing::info!(camera = self.camera.name, "{mode}");
         }
         let bus = bus.or_else(|| (!identity.is_empty()).then_some(identity));
-        self.camera.status.send_modify(|status| status.identity = CameraIdentity { model, serial, bus });
+        self.camera
+            .status
+            .send_modify(|status| (status.identity, status.factory) = (CameraIdentity { model, serial, bus }, factory));
     }
 
     /// Passes frames on until the source has no more.

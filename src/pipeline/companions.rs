@@ -11,6 +11,7 @@ use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::depth_camera::DepthReading;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
+use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
 use crate::imaging::picture_file::frame_from_file;
@@ -53,8 +54,13 @@ fn look(frame: &Frame, board: BoardSize) -> Option<Detection> {
     Detector::new(board).find_board(luma.view(), &DetectOptions::default()).ok()
 }
 
-/// The joint problem of a session whose views have `companions`; `None` where none has depth.
-pub(super) fn rgbd_input(session: &Session, companions: &[Companion]) -> Option<RgbdInput> {
+/// The joint problem of a session whose views have `companions`, with what the device states of its depth sensor; `None` where
+/// none has depth.
+pub(super) fn rgbd_input(
+    session: &Session,
+    companions: &[Companion],
+    stated: Option<&FactorySensor>,
+) -> Option<RgbdInput> {
     let board = session.record().request.target;
     let of = |number: u32, sensor: SensorKind| {
         companions.iter().find(|companion| companion.number == number && companion.sensor == sensor)
@@ -78,7 +84,10 @@ pub(super) fn rgbd_input(session: &Session, companions: &[Companion]) -> Option<
     let depth = DepthSensor {
         reading: Some(DepthReading::Metric { unit_m }),
         invalid: Some(0),
-        factory: None,
+        factory: stated.filter(|stated| stated.image_size == first_depth.image_size).and_then(|stated| {
+            let depth_from_color = stated.color_from_sensor?.inverse();
+            Some((stated.lens?, depth_from_color))
+        }),
         with_infrared: infrared.is_some_and(same_camera),
     };
     let captures = session.views().iter().map(capture).collect();

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::{mpsc, watch};
 
 use crate::calibration::session_record::SessionRecord;
+use crate::imaging::factory::FactoryCalibration;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::event::{EventKind, EventLog};
 use crate::pipeline::frame_slot::FrameSlot;
@@ -29,8 +30,8 @@ pub(super) struct LiveCamera {
     pub(super) metrics: Arc<Metrics>,
     pub(super) stop: StopSignal,
     pub(super) recorder: RecorderLink,
-    /// Metres per unit of depth, where the device that is open states it.
-    pub(super) depth_unit_m: Mutex<Option<f64>>,
+    /// What the device that is open states of its own sensors.
+    pub(super) factory: Mutex<FactoryCalibration>,
 }
 
 impl LiveCamera {

@@ -15,6 +15,8 @@ use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
+use crate::imaging::factory::FactorySensor;
+use crate::imaging::frame::SensorKind;
 use crate::pipeline::board_look::{BoardLook, Manner, picture_of};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::companions::{companions_of, rgbd_input, stereo_input};
@@ -226,7 +228,7 @@ impl SessionThread {
             // The session goes on with the view in memory; only a restart would lose it.
             tracing::error!(camera = self.camera.name, session = id, view = number, "the view is not stored: {error}");
         }
-        let unit_m = *self.camera.depth_unit_m.lock().unwrap_or_else(PoisonError::into_inner);
+        let unit_m = self.stated_depth().and_then(|stated| stated.depth_unit_m);
         let companions = companions_of(number, &captured.frame_set, session.record().request.target.size, unit_m);
         if !companions.is_empty()
             && let Err(error) = self.store.append_companions(id, &companions)
@@ -269,7 +271,7 @@ impl SessionThread {
             let mut job = Job::of(session, is_final);
             if is_final {
                 let companions = self.companions_of(session);
-                job.with_depth = rgbd_input(session, &companions);
+                job.with_depth = rgbd_input(session, &companions, self.stated_depth().as_ref());
                 job.with_infrared2 = stereo_input(session, &companions);
             }
             // Without a solve thread the daemon is going down.
@@ -284,6 +286,12 @@ impl SessionThread {
             tracing::error!(camera = self.camera.name, session = id, "depth and infrared are left out: {error}");
             Vec::new()
         })
+    }
+
+    /// What the device states of its depth sensor.
+    fn stated_depth(&self) -> Option<FactorySensor> {
+        let factory = self.camera.factory.lock().unwrap_or_else(PoisonError::into_inner);
+        factory.sensor(SensorKind::Depth).cloned()
     }
 
     fn finish(&mut self, solved: Result<Box<Calibration>, String>) {

@@ -92,6 +92,29 @@ fn a_recording_tells_its_factory_calibration_as_the_file_states_it() {
     assert!((1400..1550).contains(&readings[readings.len() / 2]), "a wall at 1.47 m");
 }
 
+/// The daemon tells the same of the camera, in the shapes of a calibration.
+#[test]
+fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
+    let Some(folder) = shared_data("realsense-bag") else { return };
+    let path = folder.join("single_depth_color_640x480.bag").display().to_string();
+    let source = format!("{{ kind = \"realsense\", path = {path:?} }}");
+    let own = tempfile::tempdir().unwrap();
+    let served = Served::start(own.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let mut events = served.events("", Some("0"));
+    events.until(|event| event.name == "camera" && event.data["identity"]["serial"] == "728612070259");
+    let camera = served.get("/v1/cameras/front").json();
+    let factory = &camera["factory"];
+    let lens = |sensor: &str| {
+        ["fx", "fy", "cx", "cy"].map(|name| factory["sensors"][sensor]["lens"][name].as_f64().unwrap_or(f64::NAN))
+    };
+    let near = |read: [f64; 4], stated: [f64; 4]| read.iter().zip(stated).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert!(near(lens("depth"), [390.43145752, 390.43145752, 331.38787842, 242.18734741]), "{camera}");
+    assert!(near(lens("color"), [613.20367432, 613.41931152, 319.93884277, 239.18299866]), "{camera}");
+    assert_eq!(factory["sensors"]["depth"]["unit_m"], 0.001, "{camera}");
+    let shift = translation(named(&factory["extrinsics"], "color_from_depth"));
+    assert!((shift - Vector3::new(0.01431131, 0.00060231, 0.00061080)).norm() < 1e-6, "{camera}");
+}
+
 #[test]
 fn what_is_wrong_with_a_file_is_told_at_once() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,10 +1,108 @@
-//! Colour and depth together: depth's error goes away.
+//! Colour and depth together: the predicted uncertainty is the scatter that is observed, depth's error goes away, and what
+//! the factory states stays where it is as good.
 
+use std::f64::consts::FRAC_PI_2;
+
+use nalgebra::{Point3, Rotation3, Vector3, Vector6};
+use plumb::calibration::factory_check::FactoryCheck;
 use plumb::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
+use plumb::estimation::rgbd::calibrate_rgbd;
+use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::pixel::Pixel;
+use plumb::geometry::pose::Pose;
+use plumb::simulation::DepthError;
 
 use crate::seeded_camera::SeededCamera;
 use crate::seeded_rgbd::SeededRgbd;
+
+const RUNS: u64 = 100;
+
+/// Of each run with the same poses and other noise, where depth is found to be off, in predicted standard deviations.
+fn scatter(rig: &SeededRgbd, views: usize) -> Vec<Vector6<f64>> {
+    let poses = rig.poses(views, &mut SeededCamera::rng(31));
+    let truth = rig.depth_from_color.inverse();
+    let run = |run: u64| {
+        let found = calibrate_rgbd(&rig.problem(&poses, &mut SeededCamera::rng(500 + run))).unwrap();
+        let turn = (found.color_from_depth.rotation() * truth.rotation().inverse()).scaled_axis();
+        let shift = found.color_from_depth.translation() - truth.translation();
+        let std = |k: usize| found.color_from_depth_covariance[(k, k)].sqrt();
+        Vector6::from_fn(|k, _| if k < 3 { turn[k] } else { shift[k - 3] } / std(k))
+    };
+    (0..RUNS).map(run).collect()
+}
+
+/// All six numbers together within a fifth of what is predicted, and no run further off than chance.
+fn expect_predicted(name: &str, runs: &[Vector6<f64>]) {
+    let rms = |k: usize| (runs.iter().map(|run| run[k] * run[k]).sum::<f64>() / runs.len() as f64).sqrt();
+    let each: Vec<f64> = (0..6).map(rms).collect();
+    let all = (each.iter().map(|rms| rms * rms).sum::<f64>() / 6.0).sqrt();
+    let worst = runs.iter().map(|run| run.amax()).fold(0.0, f64::max);
+    println!("{name}: observed over predicted {all:.3}, each {each:.2?}, worst {worst:.2} sigma");
+    assert!((0.8..1.2).contains(&all) && worst < 4.5, "{name}: {all}, each {each:.2?}, worst {worst}");
+}
+
+#[test]
+fn predicted_and_observed_scatter_agree_with_infrared() {
+    expect_predicted("with infrared", &scatter(&SeededRgbd::new(), 9));
+}
+
+#[test]
+fn predicted_and_observed_scatter_agree_by_planes_alone() {
+    // What planes alone cannot tell is given: a depth picture without distortion.
+    let rig = SeededRgbd { with_infrared: false, ..SeededRgbd::new() }.without_distortion();
+    expect_predicted("by planes alone", &scatter(&rig, 12));
+}
+
+fn against_factory(rig: &SeededRgbd, depth_from_color: Pose) -> FactoryCheck {
+    let poses = rig.poses(12, &mut SeededCamera::rng(5));
+    let mut input = rig.input(&poses, &mut SeededCamera::rng(6));
+    input.depth.factory = Some((rig.depth.lens, depth_from_color));
+    let check = solve_rgbd(&input, &SeededRgbd::options()).unwrap().factory.unwrap();
+    println!("{}", check.line());
+    check
+}
+
+#[test]
+fn the_factory_s_calibration_is_kept_where_it_is_as_good_and_replaced_where_ours_is_better() {
+    let right = SeededRgbd { error: DepthError { scale: [0.0; 5], offset: [0.0; 5] }, ..SeededRgbd::new() };
+    let kept = against_factory(&right, right.depth_from_color);
+    let estimate = kept.kept.as_ref().unwrap();
+    assert!((estimate.depth.lens, estimate.depth.correction.is_none()) == (right.depth.lens, true));
+    assert!(estimate.color_from_depth == right.depth_from_color.inverse() && kept.line().contains("is kept"));
+    let bumped =
+        right.depth_from_color * Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.0, 0.0, 0.004));
+    for (rig, depth_from_color) in [(&SeededRgbd::new(), right.depth_from_color), (&right, bumped)] {
+        let replaced = against_factory(rig, depth_from_color);
+        assert!(replaced.kept.is_none() && replaced.own < 0.5 * replaced.factory, "{}", replaced.line());
+        assert!(replaced.line().contains("is replaced") && replaced.views == 12);
+    }
+}
+
+/// Each sensor calls another corner of a square board its first one, view by view.
+#[test]
+fn a_square_board_is_labelled_alike_by_both_sensors() {
+    let mut rig = SeededRgbd::new();
+    let board = Chessboard::new(BoardSize::new(7, 7).unwrap(), 0.03).unwrap();
+    (rig.color.board, rig.depth.board) = (board, board);
+    let poses = rig.poses(10, &mut SeededCamera::rng(8));
+    let mut input = rig.input(&poses, &mut SeededCamera::rng(9));
+    let middle = Point3::new(0.09, 0.09, 0.0);
+    for (index, capture) in input.captures.iter_mut().enumerate() {
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2 * ((index * 7) % 4) as f64);
+        for corner in &mut capture.infrared {
+            corner.point_in_board = middle + turn * (corner.point_in_board - middle);
+        }
+    }
+    let joint = solve_rgbd(&input, &SeededRgbd::options()).unwrap().joint;
+    let truth = rig.depth_from_color.inverse();
+    let shift = joint.color_from_depth.translation() - truth.translation();
+    let turn = joint.color_from_depth.angle_to(&truth);
+    println!("{shift:?} m, {turn} rad");
+    for k in 0..3 {
+        assert!(shift[k].abs() < 4.0 * joint.color_from_depth_covariance[(k + 3, k + 3)].sqrt(), "{shift:?}");
+    }
+    assert!(turn < 1e-3 && shift.norm() < 5e-4, "{turn} rad, {shift:?} m");
+}
 
 /// Mean over the picture of |bias| before and after correction and of a reading's σ at 1/z, in metres: exact, without noise.
 fn left_at(rig: &SeededRgbd, solved: &SolvedRgbd, z_m: f64) -> [f64; 3] {

@@ -21,9 +21,14 @@ use crate::shared_data::shared_data;
 
 const FITTED: [u32; 10] = [0, 3, 8, 15, 16, 19, 24, 26, 31, 37];
 
-/// Held-out views by distance, and the published calibration's rms distance from colour's plane there, in mm.
-const RANGES: [(&str, &[usize], f64); 3] =
-    [("0.6 to 1.45 m", &[1, 5, 18, 28], 2.07), ("1.45 to 2.2 m", &[10, 22, 33], 8.32), ("2.2 to 2.8 m", &[12], 17.46)];
+/// Held-out views by distance, and there, by the published calibration, the rms distance from colour's plane in mm, and the
+/// mean over a view in the mean over views, with its sign left out. Of the single farthest view (0.64 mm by chance) it is what
+/// the dataset's notes give for far views.
+const RANGES: [(&str, &[usize], f64, f64); 3] = [
+    ("0.6 to 1.45 m", &[1, 5, 18, 28], 2.07, 0.68),
+    ("1.45 to 2.2 m", &[10, 22, 33], 8.32, 4.15),
+    ("2.2 to 2.8 m", &[12], 17.46, 7.7),
+];
 
 fn calibrated(data: &Path) -> Calibration {
     let folder = tempfile::tempdir().unwrap();
@@ -100,17 +105,33 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     let views = reference["views"].as_array().unwrap();
     let corrected = &calibration.depth.as_ref().unwrap().camera;
     let uncorrected = DepthCamera { correction: None, ..corrected.clone() };
-    for (range, numbers, published_mm) in RANGES {
-        let rms = |camera: &DepthCamera| {
+    for (range, numbers, published_rms_mm, published_mean_mm) in RANGES {
+        let both = |camera: &DepthCamera| {
             let of_view = |number: &usize| {
                 let view = views.iter().find(|view| view["index"] == *number).unwrap();
                 let off = off(&calibration, camera, &data, (*number, view));
-                off.iter().map(|mm| mm * mm).sum::<f64>() / off.len() as f64
+                let mean = off.iter().sum::<f64>() / off.len() as f64;
+                (off.iter().map(|mm| mm * mm).sum::<f64>() / off.len() as f64, mean.abs())
             };
-            (numbers.iter().map(of_view).sum::<f64>() / numbers.len() as f64).sqrt()
+            let sums = numbers.iter().map(of_view).fold((0.0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+            ((sums.0 / numbers.len() as f64).sqrt(), sums.1 / numbers.len() as f64)
         };
-        let (before, after) = (rms(&uncorrected), rms(corrected));
-        println!("{range}: {after:.2} mm rms, published {published_mm} mm, without correction {before:.2} mm");
-        assert!(after <= published_mm, "{range}: {after} mm, published {published_mm} mm, uncorrected {before} mm");
+        let ((rms, mean), before) = (both(corrected), both(&uncorrected));
+        let line = format!(
+            "{range}: {rms:.2} mm rms, {mean:.2} mm mean; published {published_rms_mm} and {published_mean_mm} mm; \
+             without correction {:.2} and {:.2} mm",
+            before.0, before.1
+        );
+        println!("{line}");
+        assert!(rms <= published_rms_mm && mean <= published_mean_mm, "{line}");
     }
+    // What planes alone leave open is told: the published answers lie within it.
+    let depth = calibration.depth.as_ref().unwrap();
+    for (axis, published) in [(0, 580.0..586.5), (1, 583.9..586.8)] {
+        let (focal, std) = (depth.camera.lens.parameters()[axis], depth.lens_std[axis]);
+        println!("f{axis}: {focal:.1} ± {std:.1}, published {published:?}");
+        assert!(std > 0.005 * focal && focal - 2.0 * std < published.end && focal + 2.0 * std > published.start);
+    }
+    let told = calibration.verdict.reasons.join("\n");
+    assert!(told.contains("fx is known to") && told.contains("stands back"), "{told}");
 }

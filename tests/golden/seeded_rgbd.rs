@@ -4,7 +4,9 @@ use nalgebra::{Point3, Vector3};
 use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::problem::{Correspondence, LensChoice};
-use plumb::geometry::depth_camera::DepthReading;
+use plumb::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};
+use plumb::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
+use plumb::geometry::depth_correction::CorrectedQuantity;
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::geometry::pose::Pose;
@@ -14,6 +16,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
+
+/// Readings in a patch of the board's surface.
+const TILE: u32 = 100;
 
 /// A colour camera of 640×480 with a depth camera of 320×240 beside it.
 pub struct SeededRgbd {
@@ -53,6 +58,12 @@ impl SeededRgbd {
         }
     }
 
+    /// The same with a depth camera whose pictures the device itself has straightened.
+    pub fn without_distortion(self) -> Self {
+        let lens = Lens::pinhole(self.depth.lens.matrix);
+        Self { depth: SeededCamera { lens, ..self.depth }, ..self }
+    }
+
     /// Poses in which both cameras see the whole board.
     pub fn poses(&self, count: usize, rng: &mut ChaCha8Rng) -> Vec<Pose> {
         let mut poses = Vec::new();
@@ -86,6 +97,62 @@ impl SeededRgbd {
             },
             captures: captures.collect(),
         }
+    }
+
+    /// The joint problem itself: corners, and the board's surface as patches of `TILE` readings that are drawn, not rendered.
+    pub fn problem(&self, poses: &[Pose], rng: &mut ChaCha8Rng) -> RgbdProblem {
+        let view = |(index, pose): (usize, &Pose)| {
+            let depth_from_board = self.depth_from_color * *pose;
+            RgbdView {
+                name: format!("view {index}"),
+                color: corners(&self.color, pose, rng),
+                infrared: if self.with_infrared { corners(&self.depth, &depth_from_board, rng) } else { Vec::new() },
+                tiles: self.tiles(&depth_from_board, rng),
+                surround: Vec::new(),
+                color_from_board: *pose,
+                motion: None,
+            }
+        };
+        let views = poses.iter().enumerate().map(view).collect();
+        RgbdProblem {
+            color: self.color.lens,
+            color_noise: 1.0,
+            depth: DepthCamera {
+                image_size: self.depth.size,
+                lens: self.depth.lens,
+                reading: DepthReading::Metric { unit_m: self.unit_m },
+                correction: None,
+            },
+            depth_lens: if self.with_infrared { DepthLens::Infrared } else { DepthLens::FromPlanes },
+            infrared_noise: 1.0,
+            depth_from_color: self.depth_from_color,
+            time_offset: None,
+            corrected: vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth],
+            views,
+        }
+    }
+
+    fn tiles(&self, depth_from_board: &Pose, rng: &mut ChaCha8Rng) -> Vec<DepthTile> {
+        let noise = Normal::new(0.0, self.noise_per_m / f64::from(TILE).sqrt()).unwrap();
+        let normal = *depth_from_board * Vector3::z();
+        let height = normal.dot(&depth_from_board.translation());
+        let far = self.color.board.corners_in_board().last().copied().unwrap_or(Point3::origin());
+        let part = |k: u32, count: u32, end: f64| {
+            (f64::from(k) + 0.5) / f64::from(count) * (end + 2.0 * self.plate_m) - self.plate_m
+        };
+        let middle = |k: u32| Point3::new(part(k % 12, 12, far.x), part(k / 12, 8, far.y), 0.0);
+        let tile = |k: u32| {
+            let pixel = self.depth.lens.pixel_from_point(&(*depth_from_board * middle(k)))?;
+            let pixel = self.depth.size.contains(pixel).then_some(pixel)?;
+            let plane = normal.dot(&ray(&self.depth.lens, pixel)?) / height;
+            Some(DepthTile {
+                pixel,
+                inverse_depth: self.error.measured(plane, pixel, self.depth.size) + noise.sample(rng),
+                reading_std: self.noise_per_m,
+                count: TILE,
+            })
+        };
+        (0..96).filter_map(tile).collect()
     }
 
     pub fn options() -> CameraOptions {

@@ -14,6 +14,7 @@ mod live_session;
 mod program;
 mod recordings;
 mod rgbd_session;
+mod rgbd_wrong;
 mod rig_session;
 mod served;
 #[cfg(target_os = "linux")]

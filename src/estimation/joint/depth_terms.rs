@@ -41,7 +41,8 @@ struct Row {
 
 /// Adds the planes to the normal equations, and answers every tile's residual in standard deviations (infinite where the
 /// lens sees nothing). Where the boards' poses are not `free`, the equations only get what couples them to the rest.
-/// `correction_at` is where the correction's coefficients begin among the global parameters.
+/// Of the globals' block only the upper half is added to. `correction_at` is where the correction's coefficients begin among
+/// the global parameters.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     (layout, state): (&Layout, &State),
@@ -88,10 +89,11 @@ fn add_row(equations: &mut NormalEquations, (instant, free): (usize, bool), row:
         }
     }
     let size = equations.global_gradient.len();
-    for (i, di) in &row.globals {
+    let upper = equations.global.as_mut_slice();
+    for (k, (i, di)) in row.globals.iter().enumerate() {
         equations.global_gradient[*i] += di * row.residual;
-        for (j, dj) in &row.globals {
-            equations.global[(*i, *j)] += di * dj;
+        for (j, dj) in &row.globals[k..] {
+            upper[i.max(j) * size + i.min(j)] += di * dj;
         }
         for (coupling, db) in equations.coupling[instant * size + i].iter_mut().zip(by_board) {
             *coupling += di * db;
@@ -128,7 +130,9 @@ fn linearize_tile(
     let globals = &mut row.globals;
     correction_columns(correction, tile, |index, value| globals.push((correction_at + index, value * inverse_std)));
     let by_gain = -row.residual / gain;
-    gain_columns(correction, tile, |index, value| globals.push((correction_at + index, value * by_gain)));
+    // The same coefficients in the same order.
+    let mut entries = globals.iter_mut();
+    gain_columns(correction, tile, |_, value| entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain));
     add_lens_columns((layout, lens), (sight.sensor, &ray, &(normal * (-inverse_std / distance))), &mut row.globals);
     let by_turn = (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_shift = normal * (plane / distance * inverse_std);
@@ -163,7 +167,8 @@ pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile,
     }
 }
 
-/// ∂gain/∂(coefficient) for the coefficients that matter at a tile; none where the polynomial is held.
+/// ∂gain/∂(coefficient) for the coefficients that matter at a tile, in the order of [`correction_columns`]; none where the
+/// polynomial is held.
 fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
     if correction.terms == 0 || !correction.has_seen(tile.inverse_depth) {
         return;

@@ -336,6 +336,7 @@ fn linearized(
             equations.global[(at + i, at + j)] += prior.hessian[(i, j)];
         }
     }
+    equations.mirror();
     let lost = |(residuals, plane): (&Vec<f64>, &PlaneSight)| {
         residuals.iter().zip(&plane.used).any(|(residual, used)| *used && !residual.is_finite())
     };

@@ -1,0 +1,146 @@
+//! What can be wrong with a folder of colour and depth pictures: `plumb calibrate` says each in one clear line.
+
+use std::fs;
+use std::path::Path;
+
+use plumb::imaging::depth_image::DepthImage;
+use plumb::imaging::frame::SensorKind;
+use plumb::recording::Recording;
+use serde_json::Value;
+
+use crate::program::{Finished, plumb};
+use crate::served::recording;
+
+const STATED: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.001\n";
+
+/// One frame set of the folder.
+struct Taken {
+    color: Vec<u8>,
+    infrared: Vec<u8>,
+    depth: DepthImage,
+}
+
+/// Every third frame set of the bundled recording.
+fn taken() -> Vec<Taken> {
+    let mut recording = Recording::open(&recording("rgbd.mcap"), 10.0).unwrap();
+    let mut sets = Vec::new();
+    while let Some(set) = recording.next_frame_set().unwrap() {
+        let bytes = |sensor| set.frame(sensor).unwrap().bytes.to_vec();
+        let depth = DepthImage::from_frame(set.frame(SensorKind::Depth).unwrap()).unwrap();
+        sets.push(Taken { color: bytes(SensorKind::Color), infrared: bytes(SensorKind::Infrared), depth });
+    }
+    sets.into_iter().step_by(3).collect()
+}
+
+/// What is done to what was taken.
+#[derive(Clone, Copy)]
+enum Change {
+    Nothing,
+    Depth(fn(&DepthImage) -> DepthImage),
+    DepthOfOtherMoments,
+    Swapped,
+    ColorInHalf,
+    Stated(&'static str),
+}
+
+fn write(folder: &Path, sets: &[Taken], change: Change, with_infrared: bool) {
+    for sensor in ["color", "infrared", "depth"].iter().filter(|name| with_infrared || **name != "infrared") {
+        fs::create_dir(folder.join(sensor)).unwrap();
+    }
+    for (index, set) in sets.iter().enumerate() {
+        let put = |sensor: &str, ending: &str, bytes: &[u8]| {
+            fs::write(folder.join(sensor).join(format!("{index:02}.{ending}")), bytes).unwrap();
+        };
+        let depth = match change {
+            Change::Depth(changed) => changed(&set.depth),
+            Change::DepthOfOtherMoments => sets[(index + 5) % sets.len()].depth.clone(),
+            _ => set.depth.clone(),
+        };
+        match change {
+            Change::Swapped => {
+                put("color", "png", &depth.to_png());
+                put("depth", "jpg", &set.color);
+            }
+            Change::ColorInHalf if index % 2 == 1 => put("depth", "png", &depth.to_png()),
+            _ => {
+                put("color", "jpg", &set.color);
+                put("depth", "png", &depth.to_png());
+            }
+        }
+        if with_infrared {
+            put("infrared", "jpg", &set.infrared);
+        }
+    }
+    let stated = if let Change::Stated(stated) = change { stated } else { STATED };
+    fs::write(folder.join("sensors.toml"), stated).unwrap();
+}
+
+fn calibrated(sets: &[Taken], change: Change, with_infrared: bool) -> Finished {
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), sets, change, with_infrared);
+    let place = folder.path().display().to_string();
+    plumb(["calibrate", "--json", "--lens", "brown", "--board", "9x6", "--square", "40mm", &place])
+}
+
+fn of(depth: &DepthImage, readings: impl Fn(usize, usize) -> u16) -> DepthImage {
+    let (width, height) = (depth.size().width as usize, depth.size().height as usize);
+    let all = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| readings(x, y));
+    DepthImage::new(depth.size(), all.collect()).unwrap()
+}
+
+fn zeros(depth: &DepthImage) -> DepthImage {
+    of(depth, |_, _| 0)
+}
+
+fn mirrored(depth: &DepthImage) -> DepthImage {
+    of(depth, |x, y| depth.row(y)[depth.size().width as usize - 1 - x])
+}
+
+/// Of a device whose depth camera sees half as much.
+fn of_another_lens(depth: &DepthImage) -> DepthImage {
+    of(depth, |x, y| depth.row(120 + y / 2)[160 + x / 2])
+}
+
+/// In waves of a tenth of the distance.
+fn uneven(depth: &DepthImage) -> DepthImage {
+    of(depth, |x, y| (f64::from(depth.row(y)[x]) * (1.0 + 0.1 * (x as f64 / 15.0).sin())) as u16)
+}
+
+#[test]
+fn each_wrong_thing_is_one_clear_line() {
+    let sets = taken();
+    let other_unit = "[depth]\nkind = \"depth\"\nunit_m = 0.01\n";
+    let table: [(&str, Change, &str); 9] = [
+        ("depth and colour swapped", Change::Swapped, "not swapped"),
+        ("depth mirrored", Change::Depth(mirrored), "check that depth and colour are of the same device"),
+        ("depth of other moments", Change::DepthOfOtherMoments, "check that depth and colour are of the same device"),
+        ("depth of another lens", Change::Depth(of_another_lens), "check that depth and colour are of the same device"),
+        ("a surface that is not flat", Change::Depth(uneven), "not flat"),
+        ("zeros", Change::Depth(zeros), "only 0 of"),
+        ("no unit", Change::Stated("[depth]\nkind = \"depth\"\n"), "unit_m"),
+        ("another unit", Change::Stated(other_unit), "check the unit of depth"),
+        ("no kind", Change::Stated("[depth]\nunit_m = 0.001\n"), "kind"),
+    ];
+    for with_infrared in [true, false] {
+        for (name, change, word) in table {
+            let finished = calibrated(&sets, change, with_infrared);
+            println!("{name}, infrared {with_infrared}: {}", finished.stderr.trim());
+            assert_eq!((finished.code, finished.stdout.as_str()), (Some(1), ""), "{name}: {}", finished.stderr);
+            assert_eq!(finished.stderr.trim_end().lines().count(), 1, "{name}: {}", finished.stderr);
+            assert!(finished.stderr.contains(word), "{name}, infrared {with_infrared}: {}", finished.stderr);
+        }
+    }
+}
+
+#[test]
+fn what_is_right_is_calibrated_and_colour_in_half_the_views_told() {
+    let sets = taken();
+    for (change, is_told) in [(Change::Nothing, false), (Change::ColorInHalf, true)] {
+        let finished = calibrated(&sets, change, true);
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        let document: Value = serde_json::from_str(&finished.stdout).unwrap();
+        assert!(document["sensors"]["depth"].is_object(), "{}", document["verdict"]);
+        let told = document["verdict"].to_string().contains("the board was not seen in colour in");
+        assert_eq!(told, is_told, "{}", document["verdict"]);
+    }
+}
