@@ -111,7 +111,7 @@ pub enum RgbdError {
     },
     /// Depth is a multiple of what the board says.
     #[error(
-        "depth reads {factor:.3} times the board's distance: check the unit of depth (metres per unit: about {factor_inverse:.4} of what is stated would fit) and the board's square"
+        "depth reads {factor:.3} times the board's distance: check the unit of depth (metres per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and colour are of the same device"
     )]
     Unit {
         /// How many times.

@@ -96,7 +96,8 @@ fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
         assert_eq!(theirs.len(), ours.len());
         assert!(ours.iter().any(|depth| *depth == 0.0) && ours.iter().filter(|depth| **depth > 0.0).count() > 900);
         for (k, (theirs, ours)) in theirs.iter().zip(&ours).enumerate() {
-            assert!((theirs - f64::from(*ours)).abs() < 1e-6, "pixel {k}: {theirs}, but {ours}");
+            // Pictures are corrected in single precision.
+            assert!((theirs - f64::from(*ours)).abs() < 1e-6 * theirs.max(1.0), "pixel {k}: {theirs}, but {ours}");
         }
     }
 }

@@ -114,7 +114,7 @@ fn each_wrong_thing_is_one_clear_line() {
         ("depth and colour swapped", Change::Swapped, "not swapped"),
         ("depth mirrored", Change::Depth(mirrored), "check that depth and colour are of the same device"),
         ("depth of other moments", Change::DepthOfOtherMoments, "check that depth and colour are of the same device"),
-        ("depth of another lens", Change::Depth(of_another_lens), "check that depth and colour are of the same device"),
+        ("depth of another lens", Change::Depth(of_another_lens), "that depth and colour are of the same device"),
         ("a surface that is not flat", Change::Depth(uneven), "not flat"),
         ("zeros", Change::Depth(zeros), "only 0 of"),
         ("no unit", Change::Stated("[depth]\nkind = \"depth\"\n"), "unit_m"),
