@@ -74,6 +74,8 @@ pub struct SensorCalibration {
     pub views: Vec<CalibratedView>,
     /// Lens models that were compared, when the choice was left to the solve; empty otherwise.
     pub compared: Vec<ComparedLens>,
+    /// How far the board was bowed at its middle along its x and its y, in metres, where that was estimated.
+    pub board_warp_m: Option<[f64; 2]>,
 }
 
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.

@@ -138,6 +138,7 @@ mod tests {
             uncertainty_px,
             views: Vec::new(),
             compared: Vec::new(),
+            board_warp_m: None,
         };
         DriftWatch::new("c1", &sensor)
     }

@@ -1,5 +1,7 @@
 //! The solve of one camera: an estimate with its checks and its verdict, as documents show it.
 
+use nalgebra::DMatrix;
+
 use crate::calibration::calibration::{
     CalibratedView, Checks, ComparedLens, ProjectionUncertainty, SensorCalibration, Verdict,
 };
@@ -11,6 +13,8 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 
 /// A solved camera.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,8 +45,9 @@ pub fn solve_views(problem: &CameraProblem, options: &CameraOptions) -> Result<S
         outlier_fraction: estimate.outlier_fraction(),
         coverage: coverage.fraction(),
     };
-    let sensor = sensor_calibration(&estimate);
-    let verdict = verdict::judge(&estimate, &sensor, &model_check, &coverage);
+    let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
+    let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
+    let verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 
@@ -54,8 +59,9 @@ pub fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationErro
     let estimate = calibrate_dlt(problem)?.camera;
     let coverage = corner_coverage(problem, &estimate);
     let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };
-    let sensor = sensor_calibration(&estimate);
-    let verdict = verdict::judge(&estimate, &sensor, &ModelCheck::default(), &coverage);
+    let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
+    let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
+    let verdict = verdict::judge(&estimate, uncertainty.as_ref(), &ModelCheck::default(), &coverage);
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 
@@ -78,14 +84,36 @@ pub fn uncertainty_map(estimate: &CameraEstimate, columns: u32, distance: Distan
     projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, distance)
 }
 
+/// As [`uncertainty_map`], of a finished calibration; `None` where it tells no covariance.
+pub fn sensor_uncertainty(sensor: &SensorCalibration, columns: u32, distance: Distance) -> Option<UncertaintyMap> {
+    let rows = &sensor.lens_covariance;
+    let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j]);
+    let grid = PixelGrid::over(sensor.image_size, columns);
+    if rows.is_empty() { None } else { projection_uncertainty(&sensor.lens, &covariance, grid, distance) }
+}
+
 fn summary(estimate: &CameraEstimate) -> ProjectionUncertainty {
-    let map = uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
+    uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size)
+}
+
+/// The predicted 1-σ projection uncertainty at infinity, summed up over images of `size`, of a lens with the covariance of its
+/// parameters; without bound where the lens sees nothing of them.
+pub fn uncertainty_over(lens: &Lens, covariance: &DMatrix<f64>, size: ImageSize) -> ProjectionUncertainty {
+    let grid = PixelGrid::over(size, UNCERTAINTY_COLUMNS);
+    summed_up(projection_uncertainty(lens, covariance, grid, Distance::Infinity).as_ref())
+}
+
+fn summed_up(map: Option<&UncertaintyMap>) -> ProjectionUncertainty {
     let figures = map.and_then(|map| Some((map.center()?, map.median_and_worst()?)));
     let (center, (median, worst)) = figures.unwrap_or((f64::INFINITY, (f64::INFINITY, f64::INFINITY)));
     ProjectionUncertainty { center, median, worst }
 }
 
 pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
+    with_uncertainty(estimate, uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity).as_ref())
+}
+
+fn with_uncertainty(estimate: &CameraEstimate, uncertainty: Option<&UncertaintyMap>) -> SensorCalibration {
     let view = |view: &crate::estimation::camera::ViewEstimate| CalibratedView {
         name: view.name.clone(),
         used: view.fault.is_none(),
@@ -103,9 +131,10 @@ pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration
         lens_std: estimate.lens_std(),
         lens_covariance: estimate.lens_covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
         rms_px: estimate.rms_px,
-        uncertainty_px: summary(estimate),
+        uncertainty_px: summed_up(uncertainty),
         views: estimate.views.iter().map(view).collect(),
         compared: estimate.compared.iter().map(compared).collect(),
+        board_warp_m: estimate.warp_m,
     }
 }
 

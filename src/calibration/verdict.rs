@@ -1,13 +1,16 @@
 //! How far to trust a calibration, in words that a person can act on.
 
-use crate::calibration::calibration::{Grade, SensorCalibration, Verdict};
+use crate::calibration::calibration::{Grade, Verdict};
 use crate::calibration::coverage::Coverage;
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::model_check::ModelCheck;
+use crate::estimation::uncertainty::UncertaintyMap;
 
-/// The worst uncertainty of the image for a good calibration, and for a usable one, as parts of the image's diagonal:
-/// 0.4 and 4 px at 640x480.
-const UNCERTAINTY: [f64; 2] = [0.0005, 0.005];
+/// What a good calibration knows, and what a usable one does: this part of the image …
+const KNOWN_PART: [f64; 2] = [0.95, 0.67];
+/// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a lens 60 degrees wide are 0.7 and 1.8 mm
+/// at a metre.
+const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
 /// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred such sets.
 const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 /// The correlation of neighbouring corners' residuals; blur and pixels alone make some.
@@ -24,12 +27,12 @@ const FLAT_DEG: f64 = 15.0;
 /// Grades a calibration and says why.
 pub(crate) fn judge(
     estimate: &CameraEstimate,
-    sensor: &SensorCalibration,
+    uncertainty: Option<&UncertaintyMap>,
     check: &ModelCheck,
     coverage: &Coverage,
 ) -> Verdict {
     let mut findings: Vec<(Grade, String)> = Vec::new();
-    findings.extend(uncertainty(sensor));
+    findings.extend(self::uncertainty(uncertainty));
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(rejected_views(estimate));
@@ -56,12 +59,33 @@ fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
     (grade != Grade::Good).then_some((grade, reason))
 }
 
-fn uncertainty(sensor: &SensorCalibration) -> Option<(Grade, String)> {
-    let worst = sensor.uncertainty_px.worst;
-    let limits = UNCERTAINTY.map(|part| part * sensor.image_size.diagonal_px());
-    let advice = "add views there, near and far, tilted";
-    let reason = format!("projections are uncertain by up to {worst:.2} px (1 sigma) at the image's border: {advice}");
-    worse_than_good(graded(worst, limits), reason)
+/// How much of the image is known well enough.
+fn uncertainty(map: Option<&UncertaintyMap>) -> Option<(Grade, String)> {
+    let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);
+    let (Some(map), Some(worst_px)) = (map, worst_px) else {
+        return Some((Grade::Poor, "nothing tells where in the image projections can be trusted".to_owned()));
+    };
+    let [good_px, usable_px] = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
+    let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
+    let part = |limit_px: f64| seen.iter().filter(|std_px| **std_px <= limit_px).count() as f64 / seen.len() as f64;
+    let [good, usable] = KNOWN_PART;
+    let grade = if part(good_px) >= good {
+        Grade::Good
+    } else if part(usable_px) >= usable {
+        Grade::Usable
+    } else {
+        Grade::Poor
+    };
+    let unknown = |col: usize, row: usize| {
+        let std_px = map.std_px[row * map.grid.cols as usize + col];
+        f64::from(u8::from(std_px.is_some_and(|std_px| std_px > good_px)))
+    };
+    let place = region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
+    let percent = (1.0 - part(good_px)) * 100.0;
+    let reason = format!(
+        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px: add views there, near and far, tilted"
+    );
+    worse_than_good(grade, reason)
 }
 
 /// That the model does not fit, and why, as far as it can be told.
@@ -129,7 +153,7 @@ fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
     let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
-        "the residuals turn with the board: it seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns; use a flat, stiff one"
+        "the residuals turn with the board: it seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns; use a flat, stiff one, or have its warp estimated"
     );
     Some((Grade::Usable, reason))
 }
@@ -170,18 +194,19 @@ fn missing_area(coverage: &Coverage) -> Option<(Grade, String)> {
 /// Which third of the image, across and down, has the most cells without a corner.
 fn emptiest_region(coverage: &Coverage) -> String {
     let cells = coverage.cells();
-    let (rows, cols) = (cells.len(), cells[0].len());
+    let empty = |col: usize, row: usize| f64::from(u8::from(cells[row][col] == 0));
+    region_with_most([cells[0].len(), cells.len()], empty)
+}
+
+/// Which third of the image, across and down, has the most of what is counted on a grid of columns and rows over it.
+fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f64) -> String {
     let third = |at: usize, count: usize| at * 3 / count;
-    let mut empty = [[0.0_f64; 3]; 3];
-    for (row, line) in cells.iter().enumerate() {
-        for (col, count) in line.iter().enumerate() {
-            if *count == 0 {
-                empty[third(row, rows)][third(col, cols)] += 1.0;
-            }
-        }
+    let mut sums = [[0.0_f64; 3]; 3];
+    for (row, col) in (0..rows).flat_map(|row| (0..cols).map(move |col| (row, col))) {
+        sums[third(row, rows)][third(col, cols)] += count(col, row);
     }
     let regions = (0..9).map(|k| (k / 3, k % 3));
-    let (row, col) = regions.max_by(|a, b| empty[a.0][a.1].total_cmp(&empty[b.0][b.1])).unwrap_or((1, 1));
+    let (row, col) = regions.max_by(|a, b| sums[a.0][a.1].total_cmp(&sums[b.0][b.1])).unwrap_or((1, 1));
     match (["upper", "", "lower"][row], ["left", "", "right"][col]) {
         ("", "") => "middle".to_owned(),
         ("", side) => format!("{side} middle"),

@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::calibration::solve::solve_views;
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibration_output::{OutputArgs, finished};
+use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::Gathered;
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::length::Length;
@@ -27,6 +28,8 @@ pub struct Args {
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
+    #[command(flatten)]
+    estimated: EstimatedArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -69,7 +72,8 @@ impl SearchArgs {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let target = Chessboard::new(args.search.board, args.square.metres).map_err(Failure::usage)?;
     args.output.check()?;
-    let options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
+    let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
+    args.estimated.add_to(&mut options);
     if let [source] = args.search.sources.as_slice()
         && calibrate_rgbd::has_depth(source)
     {

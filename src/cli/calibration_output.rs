@@ -116,6 +116,9 @@ fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
             lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}"));
         }
     }
+    if let Some([x, y]) = sensor.board_warp_m.map(|warp_m| warp_m.map(|m| m * 1000.0)) {
+        lines.push(format!("  the board is bowed by {x:.3} mm along its rows and {y:.3} mm along its columns"));
+    }
     for compared in &sensor.compared {
         lines.push(format!(
             "  compared: {} off by {:.4} px on held-out views",

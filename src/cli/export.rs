@@ -8,8 +8,9 @@ use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::{Failure, output};
-use crate::export::at_size::at_size;
+use crate::export::other_pictures::{OtherPictures, for_other_pictures};
 use crate::export::{ExportOptions, Exported, Format, export};
+use crate::geometry::image_region::ImageRegion;
 use crate::geometry::pixel::ImageSize;
 
 /// Converts a stored calibration to another program's format.
@@ -25,7 +26,11 @@ pub struct Args {
     /// [default: color].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// Width of the pictures to write it for, where they are scaled from those it was made with.
+    /// The part of the pictures it was made with that those show that it is wanted for, in pixels from the top left, as in
+    /// 160,120,320,240.
+    #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
+    crop: Option<ImageRegion>,
+    /// Width of the pictures to write it for, where they (or that part of them) are scaled.
     #[arg(long, value_name = "PIXELS", requires = "height")]
     width: Option<u32>,
     /// Height of those pictures.
@@ -94,12 +99,9 @@ struct ExportedDocument<'a> {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let in_file = |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
-    let calibration = match (args.width, args.height) {
-        (Some(width), Some(height)) => {
-            at_size(&calibration, ImageSize::new(width, height)).map_err(|error| in_file(&error))?
-        }
-        _ => calibration,
-    };
+    let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
+    let other = OtherPictures { crop: args.crop, size, sensor: args.sensor.clone() };
+    let calibration = for_other_pictures(&calibration, &other).map_err(|error| in_file(&error))?;
     let format = Format::from(args.format);
     let options = ExportOptions { sensor: args.sensor.clone() };
     let exported = export(&calibration, format, &options).map_err(|error| in_file(&error))?;

@@ -12,6 +12,7 @@ pub mod calibration_output;
 pub mod correct;
 pub mod detect;
 pub mod devices;
+pub mod estimated;
 pub mod export;
 pub mod failure;
 pub mod files;
@@ -28,6 +29,7 @@ pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
+pub mod uncertainty;
 pub mod undistort;
 pub mod verify;
 
@@ -59,6 +61,7 @@ enum Command {
     Focus(focus::Args),
     Record(record::Args),
     Simulate(simulate::Args),
+    Uncertainty(uncertainty::Args),
     Undistort(undistort::Args),
     Verify(verify::Args),
 }
@@ -75,6 +78,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Focus(args) => focus::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Uncertainty(args) => uncertainty::run(&args),
         Command::Undistort(args) => undistort::run(&args),
         Command::Verify(args) => verify::run(&args),
     }

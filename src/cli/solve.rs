@@ -6,6 +6,7 @@ use std::time::Instant;
 use crate::calibration::solve::{solve_dlt, solve_views};
 use crate::cli::Failure;
 use crate::cli::calibration_output::{OutputArgs, finished};
+use crate::cli::estimated::EstimatedArgs;
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
 use crate::document::problem::{Method, ProblemDocument};
@@ -19,15 +20,8 @@ pub struct Args {
     lens: Option<LensName>,
     #[command(flatten)]
     output: OutputArgs,
-    /// Estimate skew too; else it is 0.
-    #[arg(long)]
-    skew: bool,
-    /// Let fx be fy.
-    #[arg(long)]
-    square_pixels: bool,
-    /// A lens parameter that is known, as fx=600; may be given several times.
-    #[arg(long, value_name = "NAME=VALUE", value_parser = parameter)]
-    given: Vec<(String, f64)>,
+    #[command(flatten)]
+    estimated: EstimatedArgs,
     /// The most threads to use. A solve takes one: it is done in milliseconds, and the result could not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
@@ -35,13 +29,6 @@ pub struct Args {
     /// with "method":"dlt" one view of points that do not lie on a plane.
     #[arg(value_name = "PROBLEM.json")]
     problem: PathBuf,
-}
-
-/// Reads `NAME=VALUE`.
-fn parameter(text: &str) -> Result<(String, f64), String> {
-    let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, as fx=600")?;
-    let value = value.parse().map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
-    Ok((name.to_owned(), value))
 }
 
 /// Runs the command.
@@ -55,9 +42,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
     let mut options = document.options();
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
-    options.square_pixels |= args.square_pixels;
-    options.skew |= args.skew;
-    options.given.extend(args.given.iter().cloned());
+    args.estimated.add_to(&mut options);
     let started = Instant::now();
     let solved = match document.method {
         Method::Calibrate => solve_views(&problem, &options),

@@ -104,6 +104,10 @@ pub struct SensorDocument {
     /// The lens models that were compared, where the choice was left to the solve.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub compared: Vec<ComparedLensDocument>,
+    /// How far the board was bowed at its middle along its x and its y, in metres, away from the side that is seen; only
+    /// where that was to be estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board_warp_m: Option<[f64; 2]>,
     /// Each picture or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
@@ -240,6 +244,7 @@ impl From<&SensorCalibration> for SensorDocument {
             rms_px: sensor.rms_px,
             uncertainty_px: sensor.uncertainty_px.into(),
             compared: sensor.compared.iter().map(ComparedLensDocument::from).collect(),
+            board_warp_m: sensor.board_warp_m,
             views: sensor.views.iter().map(ViewDocument::from).collect(),
         }
     }
@@ -261,6 +266,7 @@ impl TryFrom<&SensorDocument> for SensorCalibration {
             uncertainty_px: document.uncertainty_px.into(),
             views: document.views.iter().enumerate().map(view).collect::<Result<_, _>>()?,
             compared: document.compared.iter().map(ComparedLens::from).collect(),
+            board_warp_m: document.board_warp_m,
         })
     }
 }
@@ -412,6 +418,7 @@ pub(crate) mod tests {
             uncertainty_px: ProjectionUncertainty { center: 0.01, median: 0.02, worst: 0.1 },
             views: vec![view("left01.jpg", true), view("left02.jpg", false)],
             compared: vec![ComparedLens { model: LensModel::Brown, held_out_rms_px: 0.2 }],
+            board_warp_m: Some([0.001, -0.0005]),
         };
         Calibration {
             id: "01KAJ0000000000000000000000".into(),

@@ -23,4 +23,5 @@ pub mod session_member;
 pub mod target;
 pub mod time;
 pub mod truth;
+pub mod uncertainty;
 pub mod verdict;

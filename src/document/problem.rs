@@ -36,6 +36,9 @@ pub struct ProblemDocument {
     /// Lens parameters that are known, by name, with their values: `{"fx": 600, "fy": 600, "k3": 0}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, f64>,
+    /// Whether it is estimated how far the board is bowed at its middle, along its x and its y; else it is as its points say.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub warp: bool,
 }
 
 impl ProblemDocument {
@@ -45,6 +48,7 @@ impl ProblemDocument {
             lens: self.lens.unwrap_or_default().into(),
             skew: self.skew,
             square_pixels: self.square_pixels,
+            warp: self.warp,
             given: self.given.iter().map(|(name, value)| (name.clone(), *value)).collect(),
             ..CameraOptions::default()
         }
@@ -120,6 +124,7 @@ impl From<&CameraProblem> for ProblemDocument {
             skew: false,
             square_pixels: false,
             given: BTreeMap::new(),
+            warp: false,
         }
     }
 }
@@ -139,11 +144,10 @@ mod tests {
 
     #[test]
     fn what_is_known_reaches_the_estimate() {
-        let json =
-            r#"{"image_size":[640,480],"views":[],"lens":"brown","square_pixels":true,"given":{"k3":0,"cx":320}}"#;
+        let json = r#"{"image_size":[640,480],"views":[],"lens":"brown","square_pixels":true,"warp":true,"given":{"k3":0,"cx":320}}"#;
         let options = from_json::<ProblemDocument>(json.as_bytes()).unwrap().options();
         assert_eq!(options.given, [("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)]);
-        assert!(options.square_pixels && !options.skew);
+        assert!(options.square_pixels && options.warp && !options.skew);
     }
 
     #[test]

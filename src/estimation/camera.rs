@@ -63,7 +63,7 @@ pub struct CameraEstimate {
     /// The noise that the residuals tell of: the factor on each corner's own `std_px`.
     pub noise: f64,
     /// How many times greater all variances are than if each corner erred by itself: 1 unless the views show that the
-    /// corners of a view err together. Covariances have it in them; for a rig it is not looked for.
+    /// corners of a view err together. Covariances have it in them.
     pub shared_error: f64,
     /// Root mean square over the used corners of the distance between seen and projected, in pixels.
     pub rms_px: f64,
@@ -192,7 +192,14 @@ pub(crate) struct CameraFit {
     pub(crate) faults: Vec<Option<ViewFault>>,
 }
 
+/// Views looked at one by one, at most: with this many, views that differ do so visibly.
+const MAX_VIEWS: usize = 60;
+
 impl CameraFit {
+    pub(crate) fn new(layout: Layout, robust: RobustFit, sights: Vec<Sight>, faults: Vec<Option<ViewFault>>) -> Self {
+        Self { layout, robust, sights, faults }
+    }
+
     pub(crate) fn lens(&self) -> &Lens {
         &self.robust.minimum.state.lenses[0]
     }
@@ -220,6 +227,18 @@ impl CameraFit {
     /// The views that take part, by index.
     pub(crate) fn good_views(&self) -> Vec<usize> {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
+    }
+
+    /// The good sights of each instant, by index: of all instants that have any, or of enough of them, evenly. For a camera
+    /// by itself an instant is a view.
+    pub(crate) fn some_instants(&self) -> Vec<Vec<usize>> {
+        let mut all: Vec<Vec<usize>> = vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
+        for sight in self.good_views() {
+            all[self.sights[sight].instant].push(sight);
+        }
+        all.retain(|sights| !sights.is_empty());
+        let step = all.len().div_ceil(MAX_VIEWS).max(1);
+        all.into_iter().step_by(step).collect()
     }
 }
 
@@ -262,7 +281,7 @@ fn fit_from(
         robust = fit(robust.minimum.state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
         enough_views(prepared, &faults, needed)?;
     }
-    let mut fit = CameraFit { layout, robust, sights, faults };
+    let mut fit = CameraFit::new(layout, robust, sights, faults);
     place_rejected_views(prepared, &mut fit);
     Ok(fit)
 }
@@ -396,14 +415,15 @@ pub(crate) fn assemble(
     let camera_from_board: Vec<Pose> = good.iter().map(|sight| pose_of(*sight)).collect();
     let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
     let unit = equations.global_covariance().ok_or_else(|| open(0, f64::INFINITY))?;
-    let shared_error = shared_error(fit, &unit);
+    let shared_error = shared_error(fit, &unit, at.lens_at..at.lens_at + at.lens.free.len());
     let variance = noise2 * shared_error;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
     let lens_covariance = &spread * of_lens * spread.transpose() * variance;
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
-        let std = lens_covariance[(axis, axis)].sqrt() * (LEAST_NOISE / (part.noise * noise2.sqrt())).max(1.0);
+        let of_unit_noise = spread.row(axis) * of_lens * spread.row(axis).transpose();
+        let std = (of_unit_noise[(0, 0)] * shared_error).sqrt() * noise2.sqrt().max(LEAST_NOISE / part.noise);
         if !(std < OPEN_FOCAL * lens.parameters()[axis]) {
             return Err(open(axis, std));
         }

@@ -139,7 +139,7 @@ pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationE
     let minimum = Minimum::start(&layout, start, &prepared.sights, loss).ok_or(EstimationError::NoFit)?;
     let minimum = minimum.descend(&layout, &prepared.sights, loss, Stop::default());
     let robust = RobustFit { minimum, limit: f64::INFINITY };
-    let fit = CameraFit { layout, robust, sights: prepared.sights.clone(), faults: vec![None] };
+    let fit = CameraFit::new(layout, robust, prepared.sights.clone(), vec![None]);
     Ok(DltEstimate { projection, camera: assemble(problem, &prepared, &fit, Part::WHOLE)? })
 }
 

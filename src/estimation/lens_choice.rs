@@ -7,6 +7,8 @@ use nalgebra::DMatrix;
 
 use crate::estimation::camera::{CameraFit, CameraOptions, fit_camera};
 use crate::estimation::error::EstimationError;
+use crate::estimation::joint::apart::{looked_at, together};
+use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::robust::Loss;
@@ -40,10 +42,16 @@ const MOVED_FAR: f64 = 4.0;
 /// The picture is compared on this many columns of pixels.
 const COLUMNS: u32 = 12;
 
+/// A step's cost is as it was foreseen within this part: the problem is linear there, and the step its minimum.
+const FORESEEN: f64 = 0.01;
+
+/// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations from its minimum.
+const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
+
 /// Views used in the comparison at most; more would not tell the models further apart.
 const MAX_VIEWS: usize = 100;
 
-/// Fits every model, and answers the fit of the chosen one with what was compared, fewest parameters first.
+/// Fits every model, and answers the fit of the chosen one with what was compared.
 pub(crate) fn choose_lens(
     prepared: &mut Prepared,
     options: &CameraOptions,
@@ -64,7 +72,7 @@ pub(crate) fn choose_lens(
     let grid = PixelGrid::over(prepared.image_size, COLUMNS);
     let trials: Vec<Trial<'_>> = fits.iter().filter_map(|fit| Trial::of(fit, &closest.sights, &views, grid)).collect();
     let mut by_size: Vec<&Trial<'_>> = trials.iter().collect();
-    by_size.sort_by_key(|trial| trial.fit.layout.len);
+    by_size.sort_by_key(|trial| standing(trial.fit.lens().model()));
     let enough =
         |(k, smaller): &(usize, &&Trial<'_>)| !by_size[k + 1..].iter().any(|larger| larger.is_worth_more(smaller));
     let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else { return Ok((closest, Vec::new())) };
@@ -75,6 +83,18 @@ pub(crate) fn choose_lens(
         parameters: trial.fit.layout.sensors[0].lens.free.len(),
     };
     Ok((chosen.fit.clone(), trials.iter().map(told).collect()))
+}
+
+/// The order in which models are preferred: by the number of their parameters, but the fisheye's, with one less, after the
+/// one that every program knows.
+fn standing(model: LensModel) -> usize {
+    match model {
+        LensModel::Pinhole => 0,
+        LensModel::Radial => 1,
+        LensModel::Brown => 2,
+        LensModel::KannalaBrandt => 3,
+        LensModel::Rational => 4,
+    }
 }
 
 /// A model's fit with its errors on held-out views.
@@ -93,7 +113,7 @@ impl<'a> Trial<'a> {
         Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
     }
 
-    /// Whether its parameters, of which it has more than `smaller`, are worth having.
+    /// Whether it is to be preferred to `smaller`, which is preferred where nothing tells them apart.
     fn is_worth_more(&self, smaller: &Self) -> bool {
         let gain = gain_in_standard_errors(&smaller.squares, &self.squares);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
@@ -103,7 +123,7 @@ impl<'a> Trial<'a> {
     /// How far its projections are from those of `other` at most, in its own standard deviations at that pixel.
     fn moves_projections_of(&self, other: &Lens) -> Option<f64> {
         let own = projection_uncertainty(self.fit.lens(), self.covariance.as_ref()?, self.grid, Distance::Infinity)?;
-        let moved = projection_difference(self.fit.lens(), other, self.grid);
+        let moved = projection_difference(self.fit.lens(), other, self.grid, &own.weights);
         let pairs = moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
         Some(pairs.map(|([x, y], own)| f64::sqrt((x * x + y * y) / own)).fold(0.0, f64::max))
     }
@@ -122,9 +142,10 @@ fn gain_in_standard_errors(smaller_model: &[f64], larger_model: &[f64]) -> f64 {
 pub(crate) fn held_out_squares(fit: &CameraFit, chosen: &[Sight], views: &[usize], folds: usize) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; views.len()];
     let folds = folds.min(views.len());
+    let apart = looked_at((&fit.layout, &fit.robust.minimum.state), chosen, views)?;
     for fold in 0..folds {
         let kept: Vec<usize> = (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
-        let lens = refit(fit, chosen, &kept)?.state.lenses[0];
+        let lens = refit(fit, (chosen, &apart), &kept).state.lenses[0];
         for k in (fold..views.len()).step_by(folds) {
             squares[k] = squares_under(&lens, fit, &chosen[views[k]])?;
         }
@@ -132,23 +153,16 @@ pub(crate) fn held_out_squares(fit: &CameraFit, chosen: &[Sight], views: &[usize
     Some(squares)
 }
 
-/// The fit of some of the views, from the fit of all.
-pub(crate) fn refit(fit: &CameraFit, chosen: &[Sight], views: &[usize]) -> Option<Minimum> {
-    refit_within((fit, &fit.layout), chosen, views, Stop { lambda: 0.0, ..Stop::default() })
-}
-
-/// As [`refit`], with other parameters free, and until `stop`.
-pub(crate) fn refit_within(
-    (fit, layout): (&CameraFit, &Layout),
-    chosen: &[Sight],
-    views: &[usize],
-    stop: Stop,
-) -> Option<Minimum> {
+/// The fit of some of the views, from the fit of all, where `apart` tells what each says.
+pub(crate) fn refit(fit: &CameraFit, (chosen, apart): (&[Sight], &[LocalEquations]), views: &[usize]) -> Minimum {
     let all = &fit.robust.minimum.state;
     let sights: Vec<Sight> =
         views.iter().enumerate().map(|(k, view)| Sight { instant: k, ..chosen[*view].clone() }).collect();
     let state = State { rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(), ..all.clone() };
-    Some(Minimum::start(layout, state, &sights, Loss::Squares)?.descend(layout, &sights, Loss::Squares, stop))
+    let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
+    let equations = together(apart, (&fit.layout, all), chosen, (parts, views.len()));
+    let start = Minimum { state, equations, steps: 0 };
+    start.descend(&fit.layout, &sights, Loss::Squares, COMPARED)
 }
 
 /// The sum of squared pixel errors of one view at its best pose under `lens`.
@@ -158,9 +172,20 @@ pub(crate) fn squares_under(lens: &Lens, fit: &CameraFit, sight: &Sight) -> Opti
     let pose = all.rig_from_board[sight.instant];
     let state = State { lenses: vec![*lens], rig_from_board: vec![pose], ..all.clone() };
     let sights = [Sight { instant: 0, ..sight.clone() }];
-    let stop = Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() };
     let loss = Loss::Squares;
-    let minimum = Minimum::start(&layout, state, &sights, loss)?.descend(&layout, &sights, loss, stop);
-    let corners = minimum.equations.residuals[0].iter().zip(&sight.inverse_std).zip(&sight.used);
-    Some(corners.filter(|(_, used)| **used).map(|(([x, y], s), _)| (x * x + y * y) / (s * s)).sum())
+    let mut minimum = Minimum::start(&layout, state, &sights, loss)?;
+    let step = minimum.equations.solve(0.0)?;
+    let mut residuals = minimum.state.stepped(&layout, &step.global, &step.instants)?.residuals(&layout, &sights[0]);
+    let used = || sight.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
+    let cost: f64 = used().map(|corner| residuals[corner]).map(|[x, y]| x * x + y * y).sum();
+    // A step that ends as it was foreseen needs no second one.
+    let foreseen = minimum.equations.cost - step.predicted_decrease;
+    if !cost.is_finite() || (cost - foreseen).abs() > FORESEEN * cost {
+        minimum = minimum.descend(&layout, &sights, loss, Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() });
+        residuals.clone_from(&minimum.equations.residuals[0]);
+    }
+    let squares =
+        |corner: usize| residuals[corner].map(|r| (r / sight.inverse_std[corner]).powi(2)).iter().sum::<f64>();
+    let squares: f64 = used().map(squares).sum();
+    squares.is_finite().then_some(squares)
 }

@@ -5,8 +5,9 @@ use nalgebra::DMatrix;
 
 use crate::estimation::camera::{CameraEstimate, CameraFit};
 use crate::estimation::joint::Layout;
-use crate::estimation::joint::minimize::{Minimum, Stop};
-use crate::estimation::lens_choice::{refit, refit_within, squares_under};
+use crate::estimation::joint::apart::{looked_at, together};
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::lens_choice::{refit, squares_under};
 use crate::estimation::misfit::Misfit;
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
 use crate::geometry::lens::Lens;
@@ -42,9 +43,6 @@ const SUSPICIOUS_CORRELATION: f64 = 0.25;
 /// Neighbours that it takes to tell a correlation from chance.
 const MIN_PAIRS: usize = 100;
 
-/// Views looked at in the comparison, at most: with this many, two halves differ visibly wherever the model is wrong.
-const MAX_VIEWS: usize = 60;
-
 impl ModelCheck {
     /// Fewer views have no halves that determine a lens each.
     pub const MIN_VIEWS: usize = 6;
@@ -69,12 +67,13 @@ impl ModelCheck {
         }
         let half = |parity: usize| -> Vec<usize> { views.iter().skip(parity).step_by(2).copied().collect() };
         let (even, odd) = (half(0), half(1));
-        let (a, b) = (refit(fit, &fit.sights, &even)?, refit(fit, &fit.sights, &odd)?);
+        let apart = &fit.robust.minimum.equations.apart;
+        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.sights, apart), half));
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
         let grid = PixelGrid::over(estimate.image_size, 10);
         let predicted = projection_uncertainty(&estimate.lens, &covariance, grid, Distance::Infinity)?;
-        let seen = projection_difference(&lens_a, &lens_b, grid);
+        let seen = projection_difference(&lens_a, &lens_b, grid, &predicted.weights);
         // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
         let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
             let [x, y] = (*seen)?;
@@ -112,21 +111,22 @@ fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
 
 /// The views that take part, or enough of them, evenly.
 fn some_views(fit: &CameraFit) -> Vec<usize> {
-    let good = fit.good_views();
-    good.iter().step_by(good.len().div_ceil(MAX_VIEWS).max(1)).copied().collect()
+    fit.some_instants().into_iter().flatten().collect()
 }
 
 /// The bow of the board that one Gauss–Newton step from a flat one finds, if it explains enough.
 fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     let views = some_views(fit);
     let points = || views.iter().flat_map(|view| &fit.sights[*view].points);
+    let [only] = fit.layout.sensors.as_slice() else { return None };
     if fit.layout.warp.is_some() || views.len() < ModelCheck::MIN_VIEWS || points().any(|p| p.z != 0.0) {
         return None;
     }
     let half_extent = [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
-    let layout = Layout::new(vec![fit.layout.sensors[0].lens.clone()], Some(half_extent));
-    let stop = Stop { max_steps: 0, ..Stop::default() };
-    let equations = refit_within((fit, &layout), &fit.sights, &views, stop)?.equations;
+    let (layout, state) = (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
+    let apart = looked_at((&layout, state), &fit.sights, &views)?;
+    let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
+    let equations = together(&apart, (&layout, state), &fit.sights, (parts, views.len()));
     let step = equations.solve(0.0)?;
     let enough = step.predicted_decrease > BOW_GAIN[0] * equations.cost
         && step.predicted_decrease > BOW_GAIN[1] * fit.noise_square();

@@ -10,6 +10,7 @@ use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::robust::median;
 use crate::estimation::robust_fit::robust_fit;
+use crate::estimation::shared_error::shared_error;
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::pixel::ImageSize;
@@ -53,6 +54,8 @@ pub struct SensorPlace {
     pub sensor_from_rig: Pose,
     /// Its covariance, as a turn about the sensor's axes (radians) and a shift (metres); zero for the first sensor.
     pub covariance: Matrix6<f64>,
+    /// How many times greater that is than if each corner erred by itself, as [`CameraEstimate::shared_error`].
+    pub shared_error: f64,
 }
 
 /// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor weighted by its own noise.
@@ -77,12 +80,17 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     let (mut estimates, mut places, mut first_sight) = (Vec::new(), Vec::new(), 0);
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
-        let part = Part { sensor, first_sight, noise: own.noise_square().sqrt().max(f64::MIN_POSITIVE) };
+        let part = Part { sensor, first_sight, noise: own_noise(own) };
         estimates.push(assemble(camera, prepared, &fit, part)?);
-        let covariance = fit.layout.sensors[sensor]
-            .pose_at
-            .map_or_else(Matrix6::zeros, |at| unit.fixed_view::<6, 6>(at, at).into_owned() * fit.noise_square());
-        places.push(SensorPlace { sensor_from_rig: fit.robust.minimum.state.sensor_from_rig[sensor], covariance });
+        let (covariance, shared_error) = match fit.layout.sensors[sensor].pose_at {
+            Some(at) => {
+                let shared = shared_error(&fit, &unit, at..at + 6);
+                (unit.fixed_view::<6, 6>(at, at) * (fit.noise_square() * shared), shared)
+            }
+            None => (Matrix6::zeros(), 1.0),
+        };
+        let sensor_from_rig = fit.robust.minimum.state.sensor_from_rig[sensor];
+        places.push(SensorPlace { sensor_from_rig, covariance, shared_error });
         first_sight += camera.views.len();
     }
     Ok(RigEstimate { cameras: estimates, places })
@@ -101,11 +109,16 @@ impl RigSensor {
     }
 }
 
+/// The noise of a sensor by itself; of exact corners a part of their deviations that is far above rounding.
+fn own_noise(fit: &CameraFit) -> f64 {
+    fit.noise_square().sqrt().max(1e-6)
+}
+
 fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<CameraFit, EstimationError> {
     let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
     let (mut sights, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
-        let noise = fit.noise_square().sqrt().max(f64::MIN_POSITIVE);
+        let noise = own_noise(fit);
         for (view, (instant, _)) in sensor.views.iter().enumerate() {
             let mut sight = Sight { sensor: index, instant: *instant, ..fit.sights[view].clone() };
             sight.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
@@ -125,7 +138,7 @@ fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
     let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent));
     let robust = robust_fit(&layout, state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
-    Ok(CameraFit { layout, robust, sights, faults })
+    Ok(CameraFit::new(layout, robust, sights, faults))
 }
 
 /// A board seen further round than this, in radians, against the other sensors was labelled from its other end.

@@ -43,8 +43,10 @@ pub(crate) fn robust_fit(
     let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(layout, sight)).collect();
     select(sights, &at_start, f64::INFINITY, faults);
     let mut scale = scale_of(sights, &at_start).max(ROUNDING);
-    let mut loss = Loss::Huber { scale: HUBER * scale };
-    let mut minimum = Minimum::start(layout, start, sights, loss)?.descend(layout, sights, loss, ROUGH);
+    let clean = part_beyond(LIMIT * scale, sights, &at_start) < FEW;
+    let mut loss = if clean { Loss::Squares } else { huber(scale) };
+    let minimum = Minimum::start(layout, start, sights, loss)?;
+    let mut minimum = minimum.descend(layout, sights, loss, ROUGH);
     for _ in 0..12 {
         let next = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
         let settled = next > 0.8 * scale || part_beyond(LIMIT * next, sights, &minimum.equations.residuals) < FEW;
@@ -53,7 +55,7 @@ pub(crate) fn robust_fit(
             break;
         }
         select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
-        loss = Loss::Huber { scale: HUBER * scale };
+        loss = huber(scale);
         minimum = Minimum::start(layout, minimum.state, sights, loss)?.descend(layout, sights, loss, ROUGH);
     }
     for round in 0..10 {
@@ -62,8 +64,10 @@ pub(crate) fn robust_fit(
             break;
         }
         // Where Huber's loss turned linear beyond every residual, it was least squares already.
-        let was_squares =
-            matches!(loss, Loss::Huber { scale } if part_beyond(scale, sights, &minimum.equations.residuals) == 0.0);
+        let was_squares = match loss {
+            Loss::Squares => true,
+            Loss::Huber { scale } => part_beyond(scale, sights, &minimum.equations.residuals) == 0.0,
+        };
         if changed || !was_squares {
             minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
         }
@@ -73,6 +77,10 @@ pub(crate) fn robust_fit(
     }
     let anything = sights.iter().any(|sight| sight.used.contains(&true));
     anything.then_some(RobustFit { minimum, limit: LIMIT * scale })
+}
+
+fn huber(scale: f64) -> Loss {
+    Loss::Huber { scale: HUBER * scale }
 }
 
 /// The scale of the residuals of all views without a fault.

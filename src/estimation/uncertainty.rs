@@ -1,5 +1,7 @@
 //! How far a projection can be trusted, where in the picture: after the camera motion that compensates best, since what
-//! a turn of the camera explains is no error of its lens (mrcal's projection uncertainty and difference).
+//! a turn of the camera explains is no error of its lens (mrcal's projection uncertainty and difference). Pixels that are
+//! known many times worse than most, as a corner of the picture that no view reached, have little to say in that motion:
+//! what is unknown there would else be carried all over the picture.
 
 use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
@@ -54,6 +56,9 @@ pub struct UncertaintyMap {
     pub std_px: Vec<Option<f64>>,
     /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a difference is compared with.
     pub square_px2: Vec<Option<f64>>,
+    /// How much each pixel of the grid had to say in the compensating motion: 1 for all that are known about equally well,
+    /// less for those that are known much worse than most, 0 where the lens sees nothing.
+    pub weights: Vec<f64>,
 }
 
 impl UncertaintyMap {
@@ -78,6 +83,12 @@ impl UncertaintyMap {
         Some((*seen.get(seen.len() / 2)?, *seen.last()?))
     }
 }
+
+/// Pixels known this many times worse than the median of the picture are known far worse than most.
+const FAR_WORSE: f64 = 4.0;
+
+/// The weights settle in a few rounds; most pictures need none.
+const MAX_ROUNDS: usize = 8;
 
 /// The derivative of one projection by the lens's parameters and by the compensating motion.
 struct Sample {
@@ -132,18 +143,17 @@ pub fn projection_uncertainty(
     padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
     let samples: Vec<Option<Sample>> =
         grid.pixels().map(|pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance)).collect();
-    let mut normal = Matrix6::zeros();
-    let mut coupling = SMatrix::<f64, 6, MAX_PARAMETERS>::zeros();
-    for sample in samples.iter().flatten() {
-        normal += sample.by_motion.transpose() * sample.by_motion;
-        coupling += sample.by_motion.transpose() * sample.by_parameters;
+    let mut weights: Vec<f64> = samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
+    let mut spreads = spreads(&samples, &weights, (&padded, distance))?;
+    for _ in 0..MAX_ROUNDS {
+        let next = weights_of(&spreads);
+        let settled = next.iter().zip(&weights).all(|(next, weight)| (next - weight).abs() < 0.1 * weight + 1e-3);
+        if settled {
+            break;
+        }
+        weights = next;
+        spreads = self::spreads(&samples, &weights, (&padded, distance))?;
     }
-    let compensation = invert_motion(&normal, distance)? * coupling;
-    let spread = |sample: &Sample| {
-        let rest = sample.by_parameters - sample.by_motion * compensation;
-        rest * padded * rest.transpose()
-    };
-    let spreads: Vec<Option<Matrix2<f64>>> = samples.iter().map(|sample| sample.as_ref().map(spread)).collect();
     let worst_direction = |spread: &Matrix2<f64>| {
         let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
         (0.5 * spread.trace() + apart).max(0.0).sqrt()
@@ -152,12 +162,48 @@ pub fn projection_uncertainty(
         grid,
         std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
         square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
+        weights,
     })
 }
 
+/// The covariance of each sample's projection after the compensating motion that suits `weights`.
+fn spreads(
+    samples: &[Option<Sample>],
+    weights: &[f64],
+    (covariance, distance): (&SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>, Distance),
+) -> Option<Vec<Option<Matrix2<f64>>>> {
+    let mut normal = Matrix6::zeros();
+    let mut coupling = SMatrix::<f64, 6, MAX_PARAMETERS>::zeros();
+    for (sample, weight) in samples.iter().zip(weights) {
+        let Some(sample) = sample else { continue };
+        let by_motion = sample.by_motion.transpose() * *weight;
+        normal += by_motion * sample.by_motion;
+        coupling += by_motion * sample.by_parameters;
+    }
+    let compensation = invert_motion(&normal, distance)? * coupling;
+    let spread = |sample: &Sample| {
+        let rest = sample.by_parameters - sample.by_motion * compensation;
+        rest * covariance * rest.transpose()
+    };
+    Some(samples.iter().map(|sample| sample.as_ref().map(spread)).collect())
+}
+
+/// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with the variance.
+fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
+    let mut variances: Vec<f64> = spreads.iter().flatten().map(Matrix2::trace).collect();
+    let middle = variances.len() / 2;
+    if variances.is_empty() {
+        return vec![0.0; spreads.len()];
+    }
+    let limit = *variances.select_nth_unstable_by(middle, f64::total_cmp).1 * FAR_WORSE * FAR_WORSE;
+    let weight = |spread: &Matrix2<f64>| if spread.trace() > limit { limit / spread.trace() } else { 1.0 };
+    spreads.iter().map(|spread| spread.as_ref().map_or(0.0, weight)).collect()
+}
+
 /// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the best compensating
-/// turn, in pixels; `None` where either sees nothing.
-pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid) -> Vec<Option<[f64; 2]>> {
+/// turn, in pixels; `None` where either sees nothing. Against a prediction it is to be held with that one's `weights`
+/// ([`UncertaintyMap::weights`]); without any (an empty slice) all pixels have the same to say in the turn.
+pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid, weights: &[f64]) -> Vec<Option<[f64; 2]>> {
     let seen: Vec<_> = grid.pixels().map(|pixel| (pixel, first.bearing_from_pixel(pixel))).collect();
     let mut turn = nalgebra::UnitQuaternion::identity();
     let difference = |pixel: Pixel, bearing: Bearing, turn: &nalgebra::UnitQuaternion<f64>| {
@@ -166,7 +212,9 @@ pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid) -> Ve
     };
     for _ in 0..4 {
         let (mut normal, mut gradient) = (Matrix6::zeros(), Vector6::zeros());
-        for (pixel, bearing) in seen.iter().filter_map(|(pixel, bearing)| Some((*pixel, (*bearing)?))) {
+        for (index, (pixel, bearing)) in seen.iter().enumerate() {
+            let (pixel, Some(bearing)) = (*pixel, *bearing) else { continue };
+            let weight = weights.get(index).copied().unwrap_or(1.0);
             let Some((projection, rest)) = difference(pixel, bearing, &turn) else { continue };
             let turned = turn * bearing.into_inner();
             let mut by_motion = Matrix2x6::zeros();
@@ -174,8 +222,8 @@ pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid) -> Ve
                 let by_turn = turned.cross(&projection.by_point.row(axis).transpose());
                 by_motion.fixed_view_mut::<1, 3>(axis, 0).copy_from(&by_turn.transpose());
             }
-            normal += by_motion.transpose() * by_motion;
-            gradient += by_motion.transpose() * nalgebra::Vector2::from(rest);
+            normal += by_motion.transpose() * by_motion * weight;
+            gradient += by_motion.transpose() * nalgebra::Vector2::from(rest) * weight;
         }
         let Some(inverse) = invert_motion(&normal, Distance::Infinity) else { break };
         let step = -(inverse * gradient);

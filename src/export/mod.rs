@@ -7,13 +7,13 @@
 //! A calibration of several sensors goes whole into the formats that hold several; of the others, it is one sensor's:
 //! colour's unless [`ExportOptions::sensor`] says another.
 
-pub mod at_size;
 mod colmap;
 mod depth;
 mod kalibr;
 mod mrcal;
 mod number;
 mod opencv;
+pub mod other_pictures;
 mod refit;
 mod ros;
 mod sensors;

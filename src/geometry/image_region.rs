@@ -15,6 +15,26 @@ pub struct ImageRegion {
     pub size: ImageSize,
 }
 
+/// Text that is no region.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not a region: write LEFT,TOP,WIDTH,HEIGHT in pixels, as in 160,120,320,240")]
+pub struct RegionTextError(String);
+
+impl std::str::FromStr for ImageRegion {
+    type Err = RegionTextError;
+
+    /// From `left,top,width,height`.
+    fn from_str(text: &str) -> Result<Self, RegionTextError> {
+        let numbers: Result<Vec<u32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+        match numbers.as_deref() {
+            Ok([left, top, width, height]) => {
+                Ok(Self { left: *left, top: *top, size: ImageSize::new(*width, *height) })
+            }
+            _ => Err(RegionTextError(text.to_owned())),
+        }
+    }
+}
+
 /// A region or size that a lens cannot be taken to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum RegionError {

@@ -10,8 +10,9 @@ use axum::response::{IntoResponse, Response};
 
 use crate::calibration::calibration::Calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
-use crate::export::at_size::at_size;
+use crate::export::other_pictures::{OtherPictures, PicturesError, for_other_pictures};
 use crate::export::{ExportError, ExportOptions, Exported, Format, export};
+use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
@@ -27,10 +28,12 @@ pub(super) struct ExportParameters {
     format: Option<String>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera; color when left out.
     sensor: Option<String>,
-    /// For pictures scaled to this width.
+    /// For pictures (or the part of them that `crop` says) scaled to this width.
     width: Option<u32>,
     /// For pictures scaled to this height.
     height: Option<u32>,
+    /// For a part of the pictures, `left,top,width,height` in their pixels; of several sensors' the one that `sensor` says.
+    crop: Option<String>,
 }
 
 const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap, urdf, tf, depth";
@@ -70,7 +73,7 @@ pub(super) async fn current_of(
             "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&scaled(found.ok_or_else(none)?, parameters)?, format, parameters)
+    written(&for_asked_pictures(&found.ok_or_else(none)?, parameters)?, format, parameters)
 }
 
 /// Every calibration of a camera, newest first.
@@ -109,7 +112,7 @@ pub(super) async fn one(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     let format = format(&parameters)?;
-    written(&scaled(calibration(&shared, &id).await?, &parameters)?, format, &parameters)
+    written(&for_asked_pictures(&calibration(&shared, &id).await?, &parameters)?, format, &parameters)
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -137,15 +140,24 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
     })
 }
 
-/// The calibration for pictures of another resolution, where one is asked for.
-fn scaled(calibration: Calibration, parameters: &Parameters) -> Result<Calibration, Problem> {
+/// The calibration for pictures of another resolution or a part of them, where that is asked for.
+fn for_asked_pictures(calibration: &Calibration, parameters: &Parameters) -> Result<Calibration, Problem> {
     let size = match (parameters.count("width")?, parameters.count("height")?) {
-        (None, None) => return Ok(calibration),
-        (Some(width), Some(height)) => ImageSize::new(width, height),
+        (None, None) => None,
+        (Some(width), Some(height)) => Some(ImageSize::new(width, height)),
         (None, _) => return Err(Problem::field("width", "is missing; give both, width and height")),
         (_, None) => return Err(Problem::field("height", "is missing; give both, width and height")),
     };
-    at_size(&calibration, size).map_err(|e| Problem::field("width", &e.to_string()))
+    let crop = parameters.text("crop").map(str::parse::<ImageRegion>).transpose();
+    let crop = crop.map_err(|error| Problem::field("crop", &error.to_string()))?;
+    let other = OtherPictures { crop, size, sensor: parameters.text("sensor").map(str::to_owned) };
+    let field = |error: &PicturesError| match error {
+        PicturesError::SeveralSensors { .. } | PicturesError::UnknownSensor { .. } => "sensor",
+        PicturesError::Region { error: RegionError::Outside { .. }, .. } => "crop",
+        PicturesError::Region { .. } if crop.is_some() && size.is_none() => "crop",
+        PicturesError::Region { .. } => "width",
+    };
+    for_other_pictures(calibration, &other).map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 
 fn format(parameters: &Parameters) -> Result<Format, Problem> {

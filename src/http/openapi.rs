@@ -38,6 +38,7 @@ use crate::http::{
         calibrations::history,
         calibrations::one,
         calibrations::approve,
+        uncertainty::numbers,
         uncertainty::picture,
         solve::solve,
         recordings::start,

@@ -43,6 +43,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/sessions/{id}/views", get(views::list))
         .route("/v1/sessions/{id}/views/{picture}", get(views::picture))
         .route("/v1/calibrations/{id}", get(calibrations::one))
+        .route("/v1/calibrations/{id}/uncertainty", get(uncertainty::numbers))
         .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::picture))
         .route("/v1/calibrations/{id}/approve", post(calibrations::approve))
         .route("/v1/solve", post(solve::solve))

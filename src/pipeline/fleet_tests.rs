@@ -308,6 +308,7 @@ fn calibrated(folder: &tempfile::TempDir) {
         uncertainty_px: ProjectionUncertainty::default(),
         views: Vec::new(),
         compared: Vec::new(),
+        board_warp_m: None,
     };
     let calibration = Calibration {
         id: "c1".to_owned(),

@@ -31,7 +31,7 @@ fn worst_difference_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
     let grid = PixelGrid::over(estimate.image_size, 12);
     let predicted =
         projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
-    let seen = projection_difference(&estimate.lens, truth, grid);
+    let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
     let pairs = seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
     pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }

@@ -57,7 +57,8 @@ fn every_lens_model_is_recovered_exactly_from_exact_corners() {
             let error = (estimate.lens.matrix.fx - camera.lens.matrix.fx).abs();
             assert!(error < 1e-4, "{model}: fx off by {error}");
         }
-        assert!(estimate.views.iter().all(|view| view.fault.is_none() && view.used.iter().all(|used| *used)));
+        let unused = estimate.views.iter().find(|view| view.fault.is_some() || view.used.contains(&false));
+        assert!(unused.is_none(), "{model}: {:?}", unused.map(|view| (&view.name, view.fault)));
     }
 }
 
@@ -97,6 +98,18 @@ fn what_cannot_be_calibrated_is_refused_with_what_to_do() {
         spot.to_string().contains("view `view 0`: its corners were all seen on one line or in one place"),
         "{spot}"
     );
+    let one = refused(&|problem| problem.views.truncate(1));
+    assert!(matches!(one, EstimationError::TooFewViews { usable: 1, needed: 3, .. }), "{one}");
+    // A board of 12 pixels, wherever it is held.
+    let tiny: Vec<_> = (0..12)
+        .map(|k| {
+            let (a, b) = ((1.3 * f64::from(k)).sin(), (2.1 * f64::from(k)).cos());
+            let middle = nalgebra::Vector3::new(3.0 * a, 2.0 * b, 11.0);
+            plumb::geometry::pose::Pose::from_axis_angle(nalgebra::Vector3::new(0.6 * b, 0.6 * a, 0.2 * a), middle)
+        })
+        .collect();
+    let tiny = refusal(&camera.problem(&tiny, &mut SeededCamera::rng(5)));
+    assert!(tiny.to_string().contains("let it fill more of the picture"), "{tiny}");
     let empty = refused(&|problem| problem.views.clear());
     assert!(matches!(empty, EstimationError::TooFewViews { usable: 0, .. }), "{empty}");
     let size = refused(&|problem| problem.image_size = ImageSize::new(0, 480));

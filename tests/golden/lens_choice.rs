@@ -28,10 +28,10 @@ fn auto_finds_the_true_model() {
 /// The largest error of a projection over the image, in the standard deviations that are predicted there.
 fn worst_error_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
     let grid = PixelGrid::over(estimate.image_size, 12);
-    let predicted = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity);
-    let seen = projection_difference(&estimate.lens, truth, grid);
-    let predicted = predicted.unwrap().std_px;
-    let pairs = seen.iter().zip(&predicted).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
+    let predicted =
+        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+    let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
+    let pairs = seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
     pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }
 

@@ -65,10 +65,10 @@ fn what_moves_whole_views_is_in_the_uncertainty() {
         let (camera, problem) = rolling(20, 100 + seed, (0.002, 0.006));
         let estimate = solve_views(&problem, &brown()).unwrap().estimate;
         let grid = PixelGrid::over(camera.size, 10);
-        let difference = projection_difference(&camera.lens, &estimate.lens, grid);
+        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        let difference = projection_difference(&camera.lens, &estimate.lens, grid, &map.weights);
         let seen: Vec<_> = difference.into_iter().flatten().collect();
         observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
-        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
         predicted += map.mean_square_px2();
         alone += map.mean_square_px2() / estimate.shared_error;
     }

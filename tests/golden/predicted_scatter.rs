@@ -36,11 +36,11 @@ fn scatter(camera: &SeededCamera, views: usize) -> Scatter {
     for run in 0..RUNS {
         let problem = camera.problem(&poses, &mut SeededCamera::rng(1000 + run));
         let estimate = calibrate_camera(&problem, &with(camera.lens.model())).unwrap();
-        let difference = projection_difference(&camera.lens, &estimate.lens, grid);
+        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        let difference = projection_difference(&camera.lens, &estimate.lens, grid, &map.weights);
         let seen: Vec<_> = difference.into_iter().flatten().collect();
         observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
-        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity);
-        predicted += map.unwrap().mean_square_px2();
+        predicted += map.mean_square_px2();
         for ((sums, truth), (found, std)) in
             squares.iter_mut().zip(&truth).zip(estimate.lens.parameters().iter().zip(estimate.lens_std()))
         {

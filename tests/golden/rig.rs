@@ -7,6 +7,7 @@ use plumb::estimation::problem::LensChoice;
 use plumb::estimation::rig::{RigProblem, RigSensor, calibrate_rig};
 use plumb::estimation::view_fault::ViewFault;
 use plumb::geometry::pose::Pose;
+use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
 
@@ -95,6 +96,56 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
     let shifts = inside[1] as f64 / count as f64;
     assert!((0.62..0.75).contains(&turns), "{turns} of the turns are within one standard deviation");
     assert!((0.5..0.85).contains(&shifts), "{shifts} of the shifts are within the predicted length");
+}
+
+/// Shears each picture of one sensor along its rows, each by another amount: what a rolling shutter makes of a moving board.
+fn sheared(problem: &mut RigProblem, sensor: usize, std_px: f64, seed: u64) {
+    let normal = Normal::new(0.0, std_px).unwrap();
+    let mut rng = SeededCamera::rng(seed);
+    let size = problem.sensors[sensor].image_size;
+    for (_, view) in &mut problem.sensors[sensor].views {
+        let [across, down] = [normal.sample(&mut rng), normal.sample(&mut rng)];
+        for corner in &mut view.correspondences {
+            let time = corner.pixel.y / f64::from(size.height) - 0.5;
+            corner.pixel.x += across * time;
+            corner.pixel.y += down * time;
+        }
+    }
+}
+
+#[test]
+fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
+    let (mut seen, mut alone, mut count) = (0.0, 0.0, 0.0);
+    for seed in 200..220 {
+        let (mut problem, truth) = stereo(20, seed);
+        sheared(&mut problem, 1, 2.0, seed);
+        let estimate = calibrate_rig(&problem).unwrap();
+        let place = &estimate.places[1];
+        let [left, right] = [0, 1].map(|camera| estimate.cameras[camera].shared_error);
+        assert!(
+            right > 2.0,
+            "seed {seed}: the right one's variances are {right} times as large, the left one's {left}"
+        );
+        let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+        for axis in 0..3 {
+            let square = turn[axis].powi(2) / place.covariance[(axis, axis)];
+            (seen, alone, count) = (seen + square, alone + square * place.shared_error, count + 1.0);
+        }
+    }
+    let [ratio, naive] = [seen, alone].map(|sum: f64| (sum / count).sqrt());
+    assert!((0.5..1.6).contains(&ratio), "observed over predicted {ratio}; corner by corner {naive}");
+    assert!(naive > 2.0, "the test means to have views that differ more than their corners' scatter: {naive}");
+}
+
+#[test]
+fn a_right_rig_is_not_accused() {
+    for seed in 300..310 {
+        let (problem, _) = stereo(20, seed);
+        let estimate = calibrate_rig(&problem).unwrap();
+        let factors =
+            [estimate.cameras[0].shared_error, estimate.cameras[1].shared_error, estimate.places[1].shared_error];
+        assert_eq!(factors, [1.0; 3], "seed {seed}");
+    }
 }
 
 #[test]

@@ -2,8 +2,19 @@
 
 use crate::program::plumb;
 
-const COMMANDS: &[&str] =
-    &["serve", "detect", "calibrate", "solve", "devices", "export", "simulate", "record", "verify", "focus"];
+const COMMANDS: &[&str] = &[
+    "serve",
+    "detect",
+    "calibrate",
+    "solve",
+    "devices",
+    "export",
+    "simulate",
+    "record",
+    "verify",
+    "focus",
+    "uncertainty",
+];
 
 #[test]
 fn every_command_has_help() {

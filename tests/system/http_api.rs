@@ -236,6 +236,15 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     assert!((ratio - 0.5).abs() < 1e-12, "{ratio}");
     assert_eq!(is_problem(&served.get("/v1/cameras/front/calibration?width=320"), 422)["field"], "height");
     is_problem(&served.get("/v1/cameras/front/calibration?width=320&height=320"), 422);
+    let part = served.get("/v1/cameras/front/calibration?crop=80,60,480,360&width=240&height=180").json();
+    let part = &part["sensors"]["color"];
+    assert_eq!(part["image_size"], json!([240, 180]));
+    let cx = (sensor["lens"]["cx"].as_f64().unwrap() + 0.5 - 80.0) / 2.0 - 0.5;
+    assert!((part["lens"]["cx"].as_f64().unwrap() - cx).abs() < 1e-9, "{}", part["lens"]);
+    for crop in ["80,60,600,360", "80,60", "80,60,-1,3"] {
+        let refused = served.get(&format!("/v1/cameras/front/calibration?crop={crop}&format=ros"));
+        assert_eq!(is_problem(&refused, 422)["field"], "crop");
+    }
     let focus = served.get("/v1/cameras/front/focus?pixel_um=3&f_number=2&focus_m=0.5&cols=9").json();
     let focal_px = focus["focal_px"].as_f64().unwrap();
     assert!((focal_px - sensor["lens"]["fx"].as_f64().unwrap()).abs() < 1e-6, "the calibrated one: {focus}");
@@ -247,6 +256,11 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     let heat = served.get(&format!("/v1/calibrations/{id}/uncertainty.png"));
     assert_eq!((heat.status, heat.media_type.as_str()), (200, "image/png"), "{}", heat.text());
     assert!(image::load_from_memory(&heat.bytes).is_ok());
+    let numbers = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=0.5")).json();
+    has_fields(&numbers, &["sensor", "distance_m", "image_size", "x_px", "y_px", "std_px"]);
+    assert_eq!(numbers["std_px"][0].as_array().unwrap().len(), numbers["x_px"].as_array().unwrap().len());
+    let negative = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=-1"));
+    assert_eq!(is_problem(&negative, 422)["field"], "distance_m");
     is_jpeg(&served.get("/v1/cameras/front/frame.jpg?undistorted=true"), (640, 480));
     is_problem(&served.get("/v1/calibrations/none"), 404);
     is_problem(&served.post_nothing("/v1/calibrations/none/approve"), 404);

@@ -20,3 +20,4 @@ mod served;
 #[cfg(target_os = "linux")]
 mod service;
 mod shared_data;
+mod solve_requests;

@@ -13,7 +13,7 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 
 /// The normal equations of one sight in its local columns: `products[i * columns + j]` for i ≤ j.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct LocalEquations {
     pub(crate) columns: usize,
     pub(crate) products: Vec<f64>,

@@ -3,7 +3,8 @@
 //! K. Madsen, H. B. Nielsen, O. Tingleff, *Methods for non-linear least squares problems*, 2004, section 3.2, with
 //! Marquardt's scaling by the diagonal.
 
-use crate::estimation::joint::normal::{NormalEquations, Step, linearize};
+use crate::estimation::joint::linearize::Columns;
+use crate::estimation::joint::normal::{NormalEquations, Step, linearize, linearize_within};
 use crate::estimation::joint::{Layout, Sight, State};
 use crate::estimation::robust::Loss;
 
@@ -50,7 +51,8 @@ impl Minimum {
     pub(crate) fn descend(self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
         let residual_count: usize = sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
         let Self { state, equations, steps } = self;
-        let linearize = |state: &State| linearize(layout, state, sights, loss);
+        let mut columns = Columns::default();
+        let linearize = |state: &State| linearize_within((layout, state), sights, loss, &mut columns);
         let stepped = |state: &State, step: &Step| state.stepped(layout, &step.global, &step.instants);
         let (state, equations, more) = walk((state, equations), residual_count, stop, (linearize, stepped));
         Self { state, equations, steps: steps + more }
@@ -62,7 +64,7 @@ pub(crate) fn walk<S>(
     (mut state, mut equations): (S, NormalEquations),
     residual_count: usize,
     stop: Stop,
-    (linearize, stepped): (impl Fn(&S) -> Option<NormalEquations>, impl Fn(&S, &Step) -> Option<S>),
+    (mut linearize, stepped): (impl FnMut(&S) -> Option<NormalEquations>, impl Fn(&S, &Step) -> Option<S>),
 ) -> (S, NormalEquations, usize) {
     let (mut lambda, mut growth, mut steps) = (stop.lambda, 2.0, 0);
     for _ in 0..stop.max_steps {

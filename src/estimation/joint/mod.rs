@@ -10,12 +10,14 @@
 //! | which parameters are free, and where each lies in the vector | [`Layout`] |
 //! | residuals, their derivatives, the loss | `linearize` |
 //! | normal equations, board poses eliminated (Schur complement) | `normal` |
+//! | the same for each sight by itself, to be put together in parts | `apart` |
 //! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
 //!
 //! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative to a common centre, so
 //! that a pose's rotation and translation hardly depend on each other. Cost per iteration is linear in the number of
 //! views; no result depends on threads.
 
+pub(crate) mod apart;
 pub(crate) mod depth_terms;
 pub(crate) mod free_lens;
 pub(crate) mod linearize;

@@ -19,6 +19,8 @@ pub(crate) struct NormalEquations {
     pub(crate) coupling: Vec<[f64; 6]>,
     /// Per sight, per corner: (projected − observed) / std; infinite where nothing is projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
+    /// Per sight, what it said by itself; empty where equations were put together otherwise.
+    pub(crate) apart: Vec<LocalEquations>,
 }
 
 /// The part of one instant.
@@ -38,16 +40,29 @@ pub(crate) struct Step {
 
 /// The normal equations at `state`; `None` where a corner that takes part cannot be projected.
 pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: Loss) -> Option<NormalEquations> {
+    linearize_within((layout, state), sights, loss, &mut Columns::default())
+}
+
+/// As [`linearize`], in room that is there already.
+pub(crate) fn linearize_within(
+    (layout, state): (&Layout, &State),
+    sights: &[Sight],
+    loss: Loss,
+    columns: &mut Columns,
+) -> Option<NormalEquations> {
     let mut equations = NormalEquations::empty(layout.len, state.rig_from_board.len());
     equations.residuals = sights.iter().map(|sight| vec![[0.0; 2]; sight.points.len()]).collect();
-    let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
+    equations.apart.reserve_exact(sights.len());
     for (index, sight) in sights.iter().enumerate() {
+        let mut local = LocalEquations::default();
         let results = (equations.residuals[index].as_mut_slice(), &mut local);
-        if !linearize_sight((layout, state), sight, loss, &mut columns, results) {
+        if !linearize_sight((layout, state), sight, loss, columns, results) {
             return None;
         }
         equations.cost += local.cost;
-        equations.add(layout, state, sight, &local);
+        let chained = layout.sensors[sight.sensor].pose_at.map(|_| chain(state, (sight.sensor, sight.instant)));
+        equations.add(layout, (sight.sensor, sight.instant), chained, &local);
+        equations.apart.push(local);
     }
     equations.mirror();
     Some(equations)
@@ -63,22 +78,25 @@ impl NormalEquations {
             instants: vec![InstantBlock::default(); instants],
             coupling: vec![[0.0; 6]; instants * global],
             residuals: Vec::new(),
+            apart: Vec::new(),
         }
     }
 
-    /// Copies the upper half of the globals' block, which is what sums are kept in, to the lower.
+    /// The lower half of the global block from its upper one, which is all that [`Self::add`] fills.
     pub(crate) fn mirror(&mut self) {
-        for i in 0..self.global.nrows() {
-            for j in 0..i {
-                self.global[(i, j)] = self.global[(j, i)];
-            }
-        }
+        self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds one sight's equations, but for their cost.
+    /// Adds what `sensor` saw at `instant`, but for its cost; `chained` is its [`chain`], where it has a pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
-    pub(crate) fn add(&mut self, layout: &Layout, state: &State, sight: &Sight, local: &LocalEquations) {
-        let at = &layout.sensors[sight.sensor];
+    pub(crate) fn add(
+        &mut self,
+        layout: &Layout,
+        (sensor, instant): (usize, usize),
+        chained: Option<(Matrix6<f64>, Matrix6<f64>)>,
+        local: &LocalEquations,
+    ) {
+        let at = &layout.sensors[sensor];
         let residual = local.columns - 1;
         let pose = residual - 6;
         let mut globals: Vec<usize> = (at.lens_at..at.lens_at + at.lens.free.len()).collect();
@@ -89,9 +107,9 @@ impl NormalEquations {
                 self.global[(*gi, *gj)] += local.product(i, j);
             }
         }
-        let block = &mut self.instants[sight.instant];
-        let coupling = &mut self.coupling[sight.instant * layout.len..][..layout.len];
-        let Some(pose_at) = at.pose_at else {
+        let block = &mut self.instants[instant];
+        let coupling = &mut self.coupling[instant * layout.len..][..layout.len];
+        let (Some(pose_at), Some((by_sensor, by_board))) = (at.pose_at, chained) else {
             for a in 0..6 {
                 block.gradient[a] += local.product(pose + a, residual);
                 for b in 0..6 {
@@ -104,7 +122,6 @@ impl NormalEquations {
             return;
         };
         // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
-        let (by_sensor, by_board) = chain(state, (sight.sensor, sight.instant));
         let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
         let gradient = nalgebra::Vector6::from_fn(|a, _| local.product(pose + a, residual));
         let (sensor_square, board_square) = (by_sensor.transpose() * square, by_board.transpose() * square * by_board);

@@ -194,7 +194,9 @@ impl Problem {
                 self.add_offset(&mut equations, state, sight, &local);
             }
             equations.cost += local.cost;
-            equations.add(&self.layout, state, sight, &local);
+            let chained =
+                self.layout.sensors[sight.sensor].pose_at.map(|_| chain(state, (sight.sensor, sight.instant)));
+            equations.add(&self.layout, (sight.sensor, sight.instant), chained, &local);
         }
         if let Some((at, before)) = self.offset {
             let off = (whole.offset_s - before.seconds) / before.std_s;

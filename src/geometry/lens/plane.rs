@@ -10,6 +10,9 @@ use crate::geometry::pixel::Bearing;
 /// The largest ideal radius that any plane model is asked for: 89.9° off the axis.
 pub(super) const MAX_RADIUS: f64 = 573.0;
 
+/// The part of a radius to within which it is inverted before Newton's method goes on.
+const NEARLY: f64 = 1e-6;
+
 /// A distortion of the ideal image plane.
 pub(super) trait PlaneDistortion<const N: usize> {
     /// The square of the ideal radius at which the model folds over; at most `MAX_RADIUS`².
@@ -112,9 +115,27 @@ fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, 
         }
         high = (high * 2.0).min(limit * (1.0 - 1e-6));
     }
+    // False position by the Illinois rule: an end that stays twice counts half.
+    let (mut at_low, mut at_high, mut moved) = (distorted_radius(low) - radius, distorted_radius(high) - radius, 0);
+    if at_high <= NEARLY * radius {
+        return high;
+    }
     for _ in 0..30 {
-        let middle = 0.5 * (low + high);
-        if distorted_radius(middle) < radius { low = middle } else { high = middle }
+        let between = (low * at_high - high * at_low) / (at_high - at_low);
+        if !(low < between && between < high) {
+            break;
+        }
+        let at_between = distorted_radius(between) - radius;
+        if at_between.abs() <= NEARLY * radius {
+            return between;
+        }
+        if at_between < 0.0 {
+            at_high *= if moved < 0 { 0.5 } else { 1.0 };
+            (low, at_low, moved) = (between, at_between, -1);
+        } else {
+            at_low *= if moved > 0 { 0.5 } else { 1.0 };
+            (high, at_high, moved) = (between, at_between, 1);
+        }
     }
     0.5 * (low + high)
 }

@@ -1,0 +1,69 @@
+//! `plumb uncertainty`: how well a calibration knows where things are seen, over the picture.
+
+use std::path::PathBuf;
+
+use crate::calibration::solve::sensor_uncertainty;
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::length::Length;
+use crate::cli::{Failure, output};
+use crate::document::uncertainty::UncertaintyMapDocument;
+use crate::estimation::uncertainty::{Distance, UncertaintyMap};
+use crate::imaging::heat_map::{GridValues, heat_map_png};
+
+/// Says how well a calibration knows where things are seen, over the picture.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first there is unless given.
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
+    /// How far away things are, with its unit, as in 2m; at infinity unless given.
+    #[arg(long, value_name = "LENGTH")]
+    distance: Option<Length>,
+    /// Where to write a heat map with contours, as PNG.
+    #[arg(long, value_name = "FILE.png")]
+    out: Option<PathBuf>,
+    /// Print the uncertainty on a grid of pixels as one JSON document.
+    #[arg(long)]
+    json: bool,
+}
+
+/// Columns of the numbers' grid and of the picture's, along the image's longer side.
+const COLUMNS: [u32; 2] = [13, 49];
+
+/// Runs the command.
+///
+/// # Errors
+/// When the calibration cannot be read, or tells no covariance of the sensor.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let calibration = read_calibration(&args.calibration)?;
+    let file = args.calibration.display();
+    let mut sensors = calibration.picture_sensors();
+    let found = sensors.find(|(name, _)| args.sensor.as_ref().is_none_or(|asked| asked == name));
+    let known = || calibration.picture_sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let unknown = || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
+    let (name, sensor) = found.ok_or_else(unknown)?;
+    let distance = args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.metres));
+    let none = || Failure::failed(format!("{file}: it tells no covariance of {name}; calibrate again"));
+    let map = |columns| sensor_uncertainty(sensor, columns, distance).ok_or_else(none);
+    if let Some(path) = &args.out {
+        let map = map(COLUMNS[1])?;
+        let png = heat_map_png(&drawable(&map), "1 sigma px");
+        write_file(path, &png.ok_or_else(|| Failure::failed("the heat map cannot be written as PNG"))?)?;
+    }
+    let map = map(COLUMNS[0])?;
+    if args.json {
+        return output::print_json(&UncertaintyMapDocument::new(name, distance, &map));
+    }
+    let (median, worst) = map.median_and_worst().ok_or_else(none)?;
+    let center = map.center().ok_or_else(none)?;
+    output::print_line(&format!(
+        "{name}: projections are known to {center:.3} px in the centre, {median:.3} px in the median, {worst:.3} px at worst (1 sigma)"
+    ))
+}
+
+fn drawable(map: &UncertaintyMap) -> GridValues<'_> {
+    GridValues { size: map.grid.size, cols: map.grid.cols as usize, rows: map.grid.rows as usize, values: &map.std_px }
+}

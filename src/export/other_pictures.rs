@@ -1,0 +1,203 @@
+//! The same calibration for other pictures than it was made with, a part of them or scaled, on explicit request only.
+
+use nalgebra::DMatrix;
+
+use crate::calibration::calibration::{
+    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, RigCamera, SensorCalibration,
+};
+use crate::calibration::solve::uncertainty_over;
+use crate::geometry::image_region::{ImageRegion, RegionError, lens_in_region};
+use crate::geometry::pixel::ImageSize;
+
+/// How the pictures that a calibration is wanted for come from those that it was made with.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct OtherPictures {
+    /// The part of them that is shown, in their pixels. Default: the whole.
+    pub crop: Option<ImageRegion>,
+    /// What that is scaled to. Default: not scaled.
+    pub size: Option<ImageSize>,
+    /// The sensor whose pictures they are. Default: all of a calibration's, where nothing is cropped; else its only one.
+    pub sensor: Option<String>,
+}
+
+/// Pictures that a calibration cannot be taken to.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum PicturesError {
+    /// No crop or scale explains them.
+    #[error("{sensor}: {error}")]
+    Region {
+        /// The sensor's name.
+        sensor: String,
+        /// Why not.
+        error: RegionError,
+    },
+    /// A crop is of one sensor's pictures.
+    #[error("the calibration has several sensors, and a crop is of one: say which of {}", .known.join(", "))]
+    SeveralSensors {
+        /// The names of its picture sensors.
+        known: Vec<String>,
+    },
+    /// It has no such sensor.
+    #[error("the calibration has no picture sensor `{name}`: say one of {}", .known.join(", "))]
+    UnknownSensor {
+        /// The name that was asked for.
+        name: String,
+        /// The names of its picture sensors.
+        known: Vec<String>,
+    },
+}
+
+/// `calibration` for other pictures: the lens, and every figure that counts pixels. Poses and depth stay.
+///
+/// # Errors
+/// [`PicturesError`] where a sensor's pictures would be stretched, a crop is not inside them, or it is not said whose it is.
+pub fn for_other_pictures(calibration: &Calibration, other: &OtherPictures) -> Result<Calibration, PicturesError> {
+    if other.crop.is_none() && other.size.is_none() {
+        return Ok(calibration.clone());
+    }
+    let known: Vec<String> = calibration.picture_sensors().map(|(name, _)| name.to_owned()).collect();
+    match &other.sensor {
+        Some(name) if !known.contains(name) => {
+            return Err(PicturesError::UnknownSensor { name: name.clone(), known });
+        }
+        None if other.crop.is_some() && known.len() > 1 => return Err(PicturesError::SeveralSensors { known }),
+        _ => {}
+    }
+    let changed = |name: &str, sensor: &SensorCalibration| {
+        if other.sensor.as_ref().is_some_and(|asked| asked != name) {
+            return Ok(sensor.clone());
+        }
+        let named = |error| PicturesError::Region { sensor: name.to_owned(), error };
+        sensor_for(sensor, other).map_err(named)
+    };
+    let own = |name, sensor: &Option<SensorCalibration>| sensor.as_ref().map(|s| changed(name, s)).transpose();
+    let camera = |camera: &RigCamera| {
+        Ok(RigCamera { name: camera.name.clone(), sensor: changed(&camera.name, &camera.sensor)? })
+    };
+    let (color, infrared) = (own("color", &calibration.color)?, own("infrared", &calibration.infrared)?);
+    let infrared2 = own("infrared2", &calibration.infrared2)?;
+    let cameras = calibration.cameras.iter().map(camera).collect::<Result<_, _>>()?;
+    let mut changed = Calibration { color, infrared, infrared2, cameras, ..calibration.clone() };
+    let scale = changed.picture_sensors().zip(calibration.picture_sensors()).next();
+    let scale = scale.map_or(1.0, |((_, new), (_, old))| scale_between(old, new, other));
+    changed.checks =
+        Checks { held_out_rms_px: calibration.checks.held_out_rms_px.map(|rms| rms * scale), ..calibration.checks };
+    Ok(changed)
+}
+
+/// How many pixels of the new pictures lie across one of the old ones.
+fn scale_between(old: &SensorCalibration, new: &SensorCalibration, other: &OtherPictures) -> f64 {
+    let shown = other.crop.map_or(old.image_size, |crop| crop.size);
+    if old.image_size == new.image_size { 1.0 } else { f64::from(new.image_size.width) / f64::from(shown.width) }
+}
+
+fn sensor_for(sensor: &SensorCalibration, other: &OtherPictures) -> Result<SensorCalibration, RegionError> {
+    let shown = other.crop.unwrap_or(ImageRegion { left: 0, top: 0, size: sensor.image_size });
+    let size = other.size.unwrap_or(shown.size);
+    let lens = lens_in_region(&sensor.lens, sensor.image_size, shown, size)?;
+    let across = f64::from(size.width) / f64::from(shown.size.width);
+    let down = f64::from(size.height) / f64::from(shown.size.height);
+    // fx, fy, cx, cy, skew count pixels; distortion coefficients do not.
+    let in_pixels = [across, down, across, down, across];
+    let factor = |index: usize| in_pixels.get(index).copied().unwrap_or(1.0);
+    let ProjectionUncertainty { center, median, worst } = sensor.uncertainty_px;
+    let covariance = sensor.lens_covariance.iter().enumerate();
+    let scaled_row =
+        |(i, row): (usize, &Vec<f64>)| row.iter().enumerate().map(|(j, value)| value * factor(i) * factor(j)).collect();
+    let lens_covariance: Vec<Vec<f64>> = covariance.map(scaled_row).collect();
+    let scaled = ProjectionUncertainty { center: center * across, median: median * across, worst: worst * across };
+    // Another part of the picture has another median and another worst place.
+    let uncertainty_px = if other.crop.is_some() && !lens_covariance.is_empty() {
+        let count = lens_covariance.len();
+        uncertainty_over(&lens, &DMatrix::from_fn(count, count, |i, j| lens_covariance[i][j]), size)
+    } else {
+        scaled
+    };
+    Ok(SensorCalibration {
+        image_size: size,
+        lens_std: sensor.lens_std.iter().enumerate().map(|(i, std)| std * factor(i)).collect(),
+        lens_covariance,
+        rms_px: sensor.rms_px * across,
+        uncertainty_px,
+        views: sensor.views.iter().map(|view| scaled_view(view, across)).collect(),
+        compared: sensor.compared.iter().map(|compared| scaled_comparison(compared, across)).collect(),
+        board_warp_m: sensor.board_warp_m,
+        lens,
+    })
+}
+
+fn scaled_view(view: &CalibratedView, scale: f64) -> CalibratedView {
+    CalibratedView { rms_px: view.rms_px.map(|rms| rms * scale), ..view.clone() }
+}
+
+fn scaled_comparison(compared: &ComparedLens, scale: f64) -> ComparedLens {
+    ComparedLens { held_out_rms_px: compared.held_out_rms_px * scale, ..compared.clone() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::calibration::tests::example;
+
+    fn scaled_to(size: ImageSize) -> OtherPictures {
+        OtherPictures { size: Some(size), ..OtherPictures::default() }
+    }
+
+    #[test]
+    fn half_the_pixels_and_half_of_all_that_counts_them() {
+        let whole = example();
+        let sensor = whole.color.as_ref().unwrap();
+        let size = ImageSize::new(sensor.image_size.width / 2, sensor.image_size.height / 2);
+        let half = for_other_pictures(&whole, &scaled_to(size)).unwrap();
+        let halved = half.color.as_ref().unwrap();
+        assert_eq!(halved.image_size, size);
+        assert!((halved.lens.matrix.fx - sensor.lens.matrix.fx / 2.0).abs() < 1e-12);
+        assert!((halved.rms_px - sensor.rms_px / 2.0).abs() < 1e-12);
+        assert!((halved.lens_std[0] - sensor.lens_std[0] / 2.0).abs() < 1e-12);
+        assert_eq!(halved.lens_std[5..], sensor.lens_std[5..]);
+        let held_out = |calibration: &Calibration| calibration.checks.held_out_rms_px.unwrap();
+        assert!((held_out(&half) - held_out(&whole) / 2.0).abs() < 1e-12);
+        let back = for_other_pictures(&half, &scaled_to(sensor.image_size)).unwrap();
+        assert_eq!(back.color.unwrap().image_size, sensor.image_size);
+    }
+
+    #[test]
+    fn a_part_of_the_pictures_sees_what_it_saw() {
+        let whole = Calibration { infrared: None, ..example() };
+        let sensor = whole.color.as_ref().unwrap();
+        let crop = ImageRegion { left: 40, top: 20, size: ImageSize::new(320, 240) };
+        let part = for_other_pictures(&whole, &OtherPictures { crop: Some(crop), ..OtherPictures::default() }).unwrap();
+        let part = part.color.unwrap();
+        assert_eq!((part.image_size, part.rms_px), (crop.size, sensor.rms_px));
+        assert_eq!((part.lens.matrix.fx, part.lens.matrix.cx), (sensor.lens.matrix.fx, sensor.lens.matrix.cx - 40.0));
+        assert_eq!(part.lens.matrix.cy, sensor.lens.matrix.cy - 20.0);
+    }
+
+    #[test]
+    fn what_is_not_sure_is_refused_by_name() {
+        let several = Calibration { infrared: example().color, ..example() };
+        let crop = ImageRegion { left: 600, top: 0, size: ImageSize::new(320, 240) };
+        let table = [
+            (
+                several.clone(),
+                OtherPictures { crop: Some(crop), ..OtherPictures::default() },
+                "which of color, infrared",
+            ),
+            (
+                several.clone(),
+                OtherPictures { sensor: Some("left".to_owned()), ..scaled_to(ImageSize::new(320, 240)) },
+                "no picture sensor `left`",
+            ),
+            (
+                several,
+                OtherPictures { crop: Some(crop), sensor: Some("infrared".to_owned()), size: None },
+                "infrared: the region 320x240 at (600, 0) is not inside",
+            ),
+            (example(), scaled_to(ImageSize::new(640, 360)), "color: 640x480 scaled to 640x360 would stretch"),
+        ];
+        for (calibration, other, words) in table {
+            let error = for_other_pictures(&calibration, &other).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
+    }
+}
