@@ -32,7 +32,7 @@ pub struct Supervision {
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
-    /// A device that falls silent for so long, and for ten of its frames, is lost. Default: 1.5 s.
+    /// A device that falls silent for so long, and for five of its frames, is lost. Default: 1.5 s.
     pub stall: Duration,
     /// The same for a device that was opened and has given no frame yet: many take a second or two. Default: 4 s.
     pub first_frame: Duration,
@@ -196,9 +196,9 @@ impl Capture {
     }
 
     fn stall_limit(&self, description: &SourceDescription, delivered: bool) -> Duration {
-        let ten_frames_s = description.fps.map_or(0.0, |fps| 10.0 / fps.max(1e-3));
+        let five_frames_s = description.fps.map_or(0.0, |fps| 5.0 / fps.max(1e-3));
         let limit = if delivered { self.supervision.stall } else { self.supervision.first_frame };
-        limit.max(Duration::from_secs_f64(ten_frames_s))
+        limit.max(Duration::from_secs_f64(five_frames_s))
     }
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {

@@ -394,7 +394,7 @@ const fill = (id, rows) => $(id).querySelector("tbody").replaceChildren(...rows.
 
 // The picture sensors of a calibration by name: a camera's own, or a rig's cameras.
 function picturesOf(calibration) {
-  const own = ["color", "infrared"].filter((name) => calibration.sensors[name]).map((name) => [name, calibration.sensors[name]]);
+  const own = ["color", "infrared", "infrared2"].filter((name) => calibration.sensors[name]).map((name) => [name, calibration.sensors[name]]);
   return new Map([...own, ...(calibration.cameras || []).map((one) => [one.name, one.sensors.color])]);
 }
 
