@@ -77,6 +77,14 @@ class Aligner:
         self.color = np.zeros((*reversed(calibration["sensors"]["color"]["image_size"]), 3), np.uint8)
 
     def frames(self, depth):
+        """The pair as one frame set; the first one or two of a device are not given on."""
+        while True:
+            self.send(depth)
+            arrived, frames = self.sync.try_wait_for_frames(200)
+            if arrived and frames.size() == 2:
+                return frames
+
+    def send(self, depth):
         self.number += 1
         for name, pixels in (("depth", depth), ("color", self.color)):
             frame = rs.software_video_frame()
@@ -87,10 +95,6 @@ class Aligner:
             if name == "depth":
                 frame.depth_units = 0.001
             self.sensors[name].on_video_frame(frame)
-        while True:
-            frames = self.sync.wait_for_frames()
-            if frames.size() == 2:
-                return frames
 
 
 def main():

@@ -209,10 +209,10 @@ impl DepthRegistration {
     pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
         let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
         let mut nearest = vec![0.0f32; width * height];
-        let scale = self.color.lens.matrix.fx / self.camera.lens.matrix.fx;
+        let reach = 0.5 * FOOTPRINT * (self.color.lens.matrix.fx / self.camera.lens.matrix.fx) as f32;
         for (ray, depth) in self.rays_in_color.iter().zip(depths) {
             let Some((pixel, z)) = self.seen_in_color(*ray, *depth) else { continue };
-            let half = (0.5 * FOOTPRINT * scale as f32 * depth / z).max(0.5);
+            let half = (reach * depth / z).max(0.5);
             let columns = covered(pixel[0], half, width);
             for y in covered(pixel[1], half, height) {
                 for held in &mut nearest[y * width..][columns.clone()] {
@@ -228,7 +228,8 @@ impl DepthRegistration {
     /// Where the colour camera sees a reading, and how far away.
     fn seen_in_color(&self, ray: [f32; 3], depth: f32) -> Option<([f32; 2], f32)> {
         let point = self.point_in_color(ray, depth)?;
-        let pixel = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
+        let inverse = 1.0 / point.z;
+        let pixel = self.color.lookup.pixel(point.x * inverse, point.y * inverse);
         (pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
     }
 
@@ -241,9 +242,14 @@ impl DepthRegistration {
 }
 
 fn covered(center: f32, half: f32, length: usize) -> std::ops::Range<usize> {
-    let start = (center - half).ceil().max(0.0) as usize;
-    let end = ((center + half).ceil().max(0.0) as usize).min(length);
-    start.min(end)..end
+    let end = rounded_up(center + half).min(length);
+    rounded_up(center - half).min(end)..end
+}
+
+/// The next whole number that is no less, and not below 0: without the call that rounding is on older processors.
+fn rounded_up(value: f32) -> usize {
+    let whole = value.max(0.0) as usize;
+    whole + usize::from((whole as f32) < value)
 }
 
 /// Metres to readings; what does not fit is 0 and counted.
@@ -251,8 +257,9 @@ fn to_readings(depths: &[f32], size: ImageSize, unit_m: f64) -> (DepthImage, usi
     let per_unit = (1.0 / unit_m) as f32;
     let mut overflowed = 0;
     let reading = |depth: &f32| {
-        let units = (depth * per_unit).round();
-        if units > f32::from(u16::MAX) {
+        // To the nearest, of what is not negative.
+        let units = depth * per_unit + 0.5;
+        if units >= f32::from(u16::MAX) + 1.0 {
             overflowed += 1;
             return 0;
         }
