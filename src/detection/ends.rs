@@ -22,15 +22,36 @@ const LEAST_WEIGHT: u32 = 2;
 const SURE_WEIGHT: u32 = 6;
 
 /// Which sides of `grid` are seen to be ends of the board: those that may be, and of these those that must be. What lies in
-/// front of the board along a line may look like an end at one place, hardly at two.
+/// front of the board along a line may look like an end at one place, hardly at two, and not along half of the line.
 pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (Ends, Ends) {
     let columns = |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
     let rows = |j: i32, outward: i32| side(image, grid, bounds.i, outward, |along| (along, j), (0, 1));
-    let weights = [columns(bounds.i.0, -1), columns(bounds.i.1, 1), rows(bounds.j.0, -1), rows(bounds.j.1, 1)];
-    (weights.map(|weight| weight >= LEAST_WEIGHT), weights.map(|weight| weight >= SURE_WEIGHT))
+    let sides = [columns(bounds.i.0, -1), columns(bounds.i.1, 1), rows(bounds.j.0, -1), rows(bounds.j.1, 1)];
+    (sides.map(|side| side.may_end()), sides.map(|side| side.must_end()))
 }
 
-/// How much shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward` along `axis`.
+/// What the pairs of neighbouring squares outside a line of corners show.
+#[derive(Debug, Clone, Copy, Default)]
+struct Side {
+    /// How much shows that the board ends there.
+    ended: u32,
+    /// Pairs that show it, that show that the board goes on, and all of them, seen or not.
+    ending: u32,
+    continued: u32,
+    pairs: u32,
+}
+
+impl Side {
+    fn may_end(&self) -> bool {
+        self.ended > 3 * self.continued && self.ended >= LEAST_WEIGHT
+    }
+
+    fn must_end(&self) -> bool {
+        self.continued == 0 && self.ended >= SURE_WEIGHT && 2 * self.ending >= self.pairs
+    }
+}
+
+/// What shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward` along `axis`.
 fn side(
     image: GrayView<'_>,
     grid: &Grid,
@@ -38,21 +59,22 @@ fn side(
     outward: i32,
     at: impl Fn(i32) -> (i32, i32),
     axis: (i32, i32),
-) -> u32 {
+) -> Side {
     let outward = (axis.0 * outward, axis.1 * outward);
     let mut previous: Option<Outside> = None;
-    let (mut ended, mut continued) = (0, 0);
+    let mut side = Side { pairs: (most - least + 1) as u32, ..Side::default() };
     // The squares at the corners of the board count too, hence one more on each side.
     for along in least - 1..=most {
         let outside = Outside::look(image, grid, at(along), at(along + 1), outward);
         if let (Some(p), Some(q)) = (previous, outside) {
             let (weight, goes_on) = p.compare(&q);
-            ended += weight;
-            continued += u32::from(goes_on);
+            side.ended += weight;
+            side.ending += u32::from(weight > 0);
+            side.continued += u32::from(goes_on);
         }
         previous = outside;
     }
-    if ended > 3 * continued { ended } else { 0 }
+    side
 }
 
 /// One square outside the line of corners, and what lies beyond it.

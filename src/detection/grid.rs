@@ -169,6 +169,24 @@ impl Grid {
         )
     }
 
+    /// The same rectangle without lines at its sides that hold a single corner.
+    pub(super) fn firm_bounds(&self) -> Option<Bounds> {
+        let mut bounds = self.bounds()?;
+        let firm = |of: fn(&(i32, i32)) -> i32, line: i32| self.members.iter().filter(|at| of(at) == line).count() > 1;
+        let trim = |of: fn(&(i32, i32)) -> i32, (mut least, mut most): (i32, i32)| {
+            while least < most && !firm(of, least) {
+                least += 1;
+            }
+            while least < most && !firm(of, most) {
+                most -= 1;
+            }
+            (least, most)
+        };
+        bounds.i = trim(|at| at.0, bounds.i);
+        bounds.j = trim(|at| at.1, bounds.j);
+        Some(bounds)
+    }
+
     /// From (i, j) to the next corner along i and along j, from the nearest that are known.
     pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         Some([self.step(i, j, (1, 0))?, self.step(i, j, (0, 1))?])

@@ -28,8 +28,6 @@ const LEAST_NEAR_SCORE: f32 = 0.65;
 const LEAST_FIRST_SCORE: f32 = 0.25;
 /// How much more than at the look before it must be for another look.
 const LEAST_GAIN: f32 = 0.1;
-/// A corner this near to its window's middle, in steps, needs no other window of that size.
-const SETTLED: f32 = 0.04;
 /// Least pixels a window reaches.
 const LEAST_REACH_PX: f32 = 2.0;
 
@@ -194,8 +192,7 @@ impl Place {
 pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size: WindowSize) -> Option<Node> {
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
     let first = window(expected, size.reach)?.look_for(image, LEAST_FIRST_SCORE)?;
-    let in_place = first.score >= size.least_score && in_steps(first.center - expected, steps).is_some_and(settled);
-    let mut cross = if in_place { first } else { window(first.center, size.reach)?.look(image)? };
+    let mut cross = window(first.center, size.reach)?.look(image)?;
     let mut before = first.score;
     // A corner that was far off comes nearer with every look.
     while cross.score < size.least_score {
@@ -211,11 +208,6 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     let pixel = if sharp { near.center } else { cross.center };
     let tight = size.reach < WIDE.reach;
     Some(Node { pixel, contrast: cross.contrast, near_contrast: near.contrast, score: cross.score, tight })
-}
-
-/// Whether a corner `off` steps from its window's middle is seen as well as from a window about itself.
-fn settled(off: Vec2) -> bool {
-    off.x.abs().max(off.y.abs()) < SETTLED
 }
 
 /// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image` shows it. One that is not

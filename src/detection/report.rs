@@ -4,9 +4,10 @@ use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex
 use super::cross::Vec2;
 use super::detector::Detector;
 use super::edges::{EdgeCount, count_edges};
+use super::ends::seen_ends;
 use super::grid::Node;
 use super::perspective::Perspective;
-use super::placement::Placement;
+use super::placement::{Placement, place};
 use super::refine::{GridCorner, RefinedCorner};
 use super::verification::off_neighbours;
 use crate::geometry::pixel::Pixel;
@@ -59,6 +60,7 @@ impl Detector {
             self.spare = corners;
             return Err(self.part_reason(image, seen));
         }
+        let placement = if partial { self.as_far_as_reported(image, placement, &corners) } else { placement };
         self.whole = Some(placement).filter(|_| !partial);
         Ok(self.detection(placement, corners))
     }
@@ -128,6 +130,33 @@ impl Detector {
             off_neighbours(part, i, j).is_none_or(near)
                 || perspective.as_ref().and_then(|board| board.off(part, i, j)).is_some_and(near)
         });
+    }
+
+    /// The placement of a part, known only if the corners that are reported tell it, and no line of a single one.
+    fn as_far_as_reported(
+        &mut self,
+        image: GrayView<'_>,
+        placement: Placement,
+        corners: &[DetectedCorner],
+    ) -> Placement {
+        if !placement.known {
+            return placement;
+        }
+        let part = &mut self.part;
+        for index in (0..part.members.len()).rev() {
+            let (i, j) = part.members[index];
+            let (col, row) = placement.in_board(i, j);
+            // Corners are in row-major order.
+            let reported = corners.binary_search_by_key(&(row, col), |corner| (corner.index.row, corner.index.col));
+            if reported.is_err() {
+                part.remove(i, j);
+            }
+        }
+        let again = part.firm_bounds().and_then(|bounds| {
+            let (_, sure) = seen_ends(image, part, bounds);
+            place(part, bounds, sure, self.board)
+        });
+        Placement { known: again == Some(placement), ..placement }
     }
 
     /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all

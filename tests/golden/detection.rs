@@ -1,10 +1,11 @@
 //! Never a wrong label: more than three thousand small seeded pictures of boards, whole, covered, cropped, turned and inverted, and
 //! of boards of another size, with noise and blur. A board may be missed, within the rates below, which may only tighten; what
-//! is answered is right, but for one picture.
+//! is answered is right.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::reasons::Straight;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use plumb::detection::board_detection::{DetectOptions, Detection};
 use plumb::detection::detector::Detector;
@@ -358,13 +359,37 @@ fn cropped_boards_are_never_mislabelled() {
     assert!(answered >= 0.4, "answered {answered:.3}");
 }
 
-/// A bar as bright as the board's white can lie along its last row so that the board seems to end there: one such picture in
-/// a thousand is answered, a row off. It is a fault; the number may only fall.
 #[test]
-fn covered_boards_are_mislabelled_at_most_once_in_a_thousand() {
+fn covered_boards_are_never_mislabelled() {
     let Rates { answered, wrong, .. } = rates(125, Nuisance { covered: true, cropped: false });
-    assert!(wrong.len() <= 1, "{wrong:?}");
+    assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.5, "answered {answered:.3}");
+}
+
+#[test]
+fn boards_of_three_by_three_up_to_thirty_by_twenty_are_found() {
+    for (cols, rows, square_px, size) in [
+        (3, 3, 40.0, (320, 240)),
+        (4, 3, 9.0, (320, 240)),
+        (19, 12, 13.0, (320, 240)),
+        (30, 20, 9.0, (320, 240)),
+        (30, 20, 18.0, (640, 480)),
+        (20, 30, 15.0, (640, 640)),
+    ] {
+        let middle = (size.0 as f64 / 2.0, size.1 as f64 / 2.0);
+        let picture = Straight { size, corners: (cols, rows), middle, ..Straight::new(square_px) }.picture();
+        let board = BoardSize { cols, rows };
+        let found = Detector::new(board).find_board(picture.view(), &DetectOptions { allow_partial: false });
+        let found = found.unwrap_or_else(|reason| panic!("{board} with squares of {square_px} px: {reason}"));
+        for corner in &found.corners {
+            let ahead = found
+                .corners
+                .iter()
+                .find(|other| (other.index.col, other.index.row) == (corner.index.col + 1, corner.index.row));
+            assert!(ahead.is_none_or(|ahead| (corner.pixel.distance_px(ahead.pixel) - square_px).abs() < 0.2));
+        }
+        assert_eq!(found.corners.len(), board.corner_count());
+    }
 }
 
 #[test]

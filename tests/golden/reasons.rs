@@ -8,17 +8,17 @@ use plumb::imaging::gray::GrayImage;
 const BOARD: BoardSize = BoardSize { cols: 9, rows: 6 };
 
 /// A board of `cols` × `rows` inner corners, seen straight on, with the middle of its squares at `middle`.
-struct Straight {
-    size: (usize, usize),
-    corners: (u32, u32),
-    square_px: f64,
-    middle: (f64, f64),
-    colours: [f64; 2],
-    blur_px: f64,
+pub(crate) struct Straight {
+    pub(crate) size: (usize, usize),
+    pub(crate) corners: (u32, u32),
+    pub(crate) square_px: f64,
+    pub(crate) middle: (f64, f64),
+    pub(crate) colours: [f64; 2],
+    pub(crate) blur_px: f64,
 }
 
 impl Straight {
-    fn new(square_px: f64) -> Self {
+    pub(crate) fn new(square_px: f64) -> Self {
         Self {
             size: (320, 240),
             corners: (9, 6),
@@ -29,7 +29,7 @@ impl Straight {
         }
     }
 
-    fn picture(&self) -> GrayImage {
+    pub(crate) fn picture(&self) -> GrayImage {
         let (width, height) = self.size;
         let pixels = (0..width * height).map(|at| self.light((at % width) as f64, (at / width) as f64) as u8).collect();
         GrayImage::from_pixels(width, height, pixels).unwrap()

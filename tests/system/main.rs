@@ -7,6 +7,7 @@ mod cli;
 mod config_examples;
 mod decoding;
 mod depth_file;
+mod detect_reasons;
 mod http_api;
 mod layering;
 mod lens_conformance;

@@ -1,0 +1,80 @@
+//! Why no board was found, as `plumb detect` says it: a picture for each reason, in one run.
+
+use serde_json::Value;
+
+use crate::program::plumb;
+
+/// A picture of a board of inner corners, seen straight on, before white.
+struct Straight {
+    corners: (i32, i32),
+    square_px: f64,
+    /// Where the board's upper left corner is.
+    origin: (f64, f64),
+    colours: [f64; 2],
+    /// Each pixel is the mean of a square reaching this far.
+    soft_px: i32,
+}
+
+const WIDTH: i32 = 320;
+const HEIGHT: i32 = 240;
+
+impl Straight {
+    const WHOLE: Self =
+        Self { corners: (9, 6), square_px: 24.0, origin: (40.3, 36.2), colours: [40.0, 210.0], soft_px: 0 };
+
+    /// The picture as a PGM.
+    fn pgm(&self) -> Vec<u8> {
+        let sharp: Vec<f64> = (0..WIDTH * HEIGHT).map(|at| self.light(at % WIDTH, at / WIDTH)).collect();
+        let mean = |x: i32, y: i32, step: (i32, i32), of: &[f64]| {
+            let reach = -self.soft_px..=self.soft_px;
+            let count = f64::from(2 * self.soft_px + 1);
+            let at = |k: i32| (y + k * step.1).clamp(0, HEIGHT - 1) * WIDTH + (x + k * step.0).clamp(0, WIDTH - 1);
+            reach.map(|k| of[at(k) as usize]).sum::<f64>() / count
+        };
+        let all = || (0..WIDTH * HEIGHT).map(|at| (at % WIDTH, at / WIDTH));
+        let across: Vec<f64> = all().map(|(x, y)| mean(x, y, (1, 0), &sharp)).collect();
+        let mut pgm = format!("P5 {WIDTH} {HEIGHT} 255\n").into_bytes();
+        pgm.extend(all().map(|(x, y)| mean(x, y, (0, 1), &across) as u8));
+        pgm
+    }
+
+    fn light(&self, x: i32, y: i32) -> f64 {
+        let square = |at: i32, origin: f64| ((f64::from(at) - origin) / self.square_px).floor() as i32;
+        let (col, row) = (square(x, self.origin.0), square(y, self.origin.1));
+        let on_board = (0..=self.corners.0).contains(&col) && (0..=self.corners.1).contains(&row);
+        self.colours[usize::from(!on_board || (col + row) % 2 != 0)]
+    }
+}
+
+#[test]
+fn detect_says_why_there_is_no_board() {
+    let pictures = [
+        ("whole", Straight::WHOLE, None),
+        ("flat", Straight { colours: [100.0, 104.0], ..Straight::WHOLE }, Some("contrast")),
+        ("soft", Straight { soft_px: 30, ..Straight::WHOLE }, Some("blur")),
+        ("other", Straight { corners: (7, 5), ..Straight::WHOLE }, Some("a 7x5 board is seen, not 9x6")),
+        ("cut", Straight { origin: (-60.0, 36.2), ..Straight::WHOLE }, Some("cut off")),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(format!("{name}.pgm")).to_str().unwrap().to_owned();
+    for (name, picture, _) in &pictures {
+        std::fs::write(path(name), picture.pgm()).unwrap();
+    }
+    let tiny = path("tiny");
+    std::fs::write(&tiny, [b"P5 30 20 255\n".as_slice(), &[90; 600]].concat()).unwrap();
+    let asked = ["detect", "--board", "9x6", "--json"].map(str::to_owned);
+    let paths = pictures.iter().map(|(name, ..)| path(name)).chain([tiny.clone()]);
+    let finished = plumb(asked.into_iter().chain(paths));
+    let lines: Vec<Value> = finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), pictures.len() + 1, "{finished:?}");
+    let expected = pictures.iter().map(|(_, _, reason)| *reason).chain([Some("30x20")]);
+    for (line, expected) in lines.iter().zip(expected) {
+        match expected {
+            None => assert!(line["found"] == true && line["reason"].is_null(), "{line}"),
+            Some(words) => {
+                assert_eq!(line["found"], false, "{line}");
+                assert!(line["reason"].as_str().is_some_and(|reason| reason.contains(words)), "{words}: {line}");
+            }
+        }
+    }
+}
