@@ -1,7 +1,7 @@
 //! Depth corrected, and depth and colour brought into each other's pictures.
 
 use image::{Rgb, RgbImage};
-use nalgebra::{Point3, Vector2, Vector3};
+use nalgebra::Vector3;
 
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
@@ -9,6 +9,8 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_conversion::DepthConversion;
 use crate::imaging::depth_image::DepthImage;
+use crate::imaging::distortion_lookup::DistortionLookup;
+use crate::imaging::nearest_canvas::NearestCanvas;
 use crate::imaging::point_cloud::CloudPoint;
 
 /// Metric depth as 16-bit readings.
@@ -27,7 +29,7 @@ pub struct CorrectedDepth {
 pub struct DepthRegistration {
     camera: DepthCamera,
     /// The ray (x, y, 1) of each pixel, turned to the colour camera's axes; NaN where the lens sees nothing.
-    rays_in_color: Vec<[f32; 3]>,
+    rays_in_color: [Vec<f32>; 3],
     conversion: DepthConversion,
     color: ColorView,
 }
@@ -42,78 +44,10 @@ struct ColorView {
     lookup: DistortionLookup,
 }
 
-/// Pixels by normalised coordinates, between the nodes of a grid: within a hundredth of a pixel of the lens's own for lenses
-/// of up to 100°, and at a twentieth of its cost.
-#[derive(Debug, Clone)]
-struct DistortionLookup {
-    low: [f32; 2],
-    per_unit: [f32; 2],
-    nodes: Vec<[f32; 2]>,
-}
-
-const LOOKUP: usize = 160;
 /// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours leaves no cracks between.
 const FOOTPRINT: f32 = 1.25;
 /// A point is hidden from the colour camera by what is nearer than this part of its distance.
 const HIDDEN: f32 = 1.03;
-
-impl DistortionLookup {
-    /// Over what the lens sees of its picture, and a little more.
-    fn new(lens: &Lens, size: ImageSize) -> Self {
-        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
-        for k in 0..=64 {
-            let part = f64::from(k) / 64.0;
-            let (x, y) = (part * f64::from(size.width) - 0.5, part * f64::from(size.height) - 0.5);
-            let (right, bottom) = (f64::from(size.width) - 0.5, f64::from(size.height) - 0.5);
-            for pixel in [Pixel::new(x, -0.5), Pixel::new(x, bottom), Pixel::new(-0.5, y), Pixel::new(right, y)] {
-                if let Some(bearing) = lens.bearing_from_pixel(pixel).filter(|b| b.z > 0.05) {
-                    let at = Vector2::new(bearing.x / bearing.z, bearing.y / bearing.z);
-                    (low, high) = (low.inf(&at), high.sup(&at));
-                }
-            }
-        }
-        if !(low.x < high.x && low.y < high.y) {
-            (low, high) = (Vector2::repeat(-1.0), Vector2::repeat(1.0));
-        }
-        let margin = (high - low) * 0.05;
-        let (low, high) = (low - margin, high + margin);
-        let cells = (LOOKUP - 1) as f64;
-        let node = |k: usize| {
-            let at = [low.x, low.y].into_iter().zip([high.x, high.y]).zip([k % LOOKUP, k / LOOKUP]);
-            let [x, y] = [0, 1].map({
-                let at: Vec<f64> = at.map(|((low, high), index)| low + (high - low) * index as f64 / cells).collect();
-                move |axis: usize| at[axis]
-            });
-            match lens.pixel_from_point(&Point3::new(x, y, 1.0)) {
-                Some(pixel) => [pixel.x as f32, pixel.y as f32],
-                None => [f32::NAN; 2],
-            }
-        };
-        Self {
-            low: [low.x as f32, low.y as f32],
-            per_unit: [(cells / (high.x - low.x)) as f32, (cells / (high.y - low.y)) as f32],
-            nodes: (0..LOOKUP * LOOKUP).map(node).collect(),
-        }
-    }
-
-    /// The pixel at normalised coordinates; NaN outside.
-    fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
-        let (u, v) = ((x - self.low[0]) * self.per_unit[0], (y - self.low[1]) * self.per_unit[1]);
-        let limit = (LOOKUP - 1) as f32;
-        if !(u >= 0.0 && v >= 0.0 && u < limit && v < limit) {
-            return [f32::NAN; 2];
-        }
-        let (column, row) = (u as usize, v as usize);
-        let (s, t) = (u - column as f32, v - row as f32);
-        let at = row * LOOKUP + column;
-        let (a, b) = (&self.nodes[at..at + 2], &self.nodes[at + LOOKUP..at + LOOKUP + 2]);
-        [0, 1].map(|axis| {
-            let upper = a[0][axis] + s * (a[1][axis] - a[0][axis]);
-            let lower = b[0][axis] + s * (b[1][axis] - b[0][axis]);
-            upper + t * (lower - upper)
-        })
-    }
-}
 
 impl DepthRegistration {
     /// For the pictures of `camera`, seen from a colour camera with `color` and pictures of `color_size`.
@@ -126,6 +60,7 @@ impl DepthRegistration {
             Some(bearing) => (rotation * (bearing.into_inner() / bearing.z)).cast().into(),
             None => [f32::NAN; 3],
         };
+        let rays: Vec<[f32; 3]> = pixels().map(ray).collect();
         let color = ColorView {
             size: color_size,
             translation: color_from_depth.translation().cast(),
@@ -133,7 +68,7 @@ impl DepthRegistration {
             lookup: DistortionLookup::new(color, color_size),
         };
         Self {
-            rays_in_color: pixels().map(ray).collect(),
+            rays_in_color: [0, 1, 2].map(|axis| rays.iter().map(|ray| ray[axis]).collect()),
             conversion: DepthConversion::new(camera),
             camera: camera.clone(),
             color,
@@ -169,12 +104,12 @@ impl DepthRegistration {
     /// `depths` are those of [`Self::depths_m`].
     pub fn points(&self, depths: &[f32], color: Option<&RgbImage>) -> Vec<CloudPoint> {
         let nearest = self.nearest_in_color(depths);
-        let point = |(ray, depth): (&[f32; 3], &f32)| {
-            let point = self.point_in_color(*ray, *depth)?;
+        let point = |(pixel, depth): (usize, &f32)| {
+            let point = self.point_in_color(pixel, *depth)?;
             let color = color.and_then(|picture| self.color_of(&point, &nearest, picture));
             Some(CloudPoint { point_m: point.into(), color: color.unwrap_or_default() })
         };
-        self.rays_in_color.iter().zip(depths).filter_map(point).collect()
+        depths.iter().enumerate().filter_map(point).collect()
     }
 
     /// The colour picture as the depth camera would see it, as far as depth was measured; black elsewhere, and where
@@ -183,12 +118,8 @@ impl DepthRegistration {
         let nearest = self.nearest_in_color(depths);
         let width = self.camera.image_size.width;
         RgbImage::from_fn(width, self.camera.image_size.height, |x, y| {
-            let at = (y * width + x) as usize;
-            let point = self
-                .rays_in_color
-                .get(at)
-                .zip(depths.get(at))
-                .and_then(|(ray, depth)| self.point_in_color(*ray, *depth));
+            let pixel = (y * width + x) as usize;
+            let point = depths.get(pixel).and_then(|depth| self.point_in_color(pixel, *depth));
             Rgb(point.and_then(|point| self.color_of(&point, &nearest, color)).unwrap_or_default())
         })
     }
@@ -207,49 +138,52 @@ impl DepthRegistration {
 
     /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none.
     pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
-        let (width, height) = (self.color.size.width as usize, self.color.size.height as usize);
-        let mut nearest = vec![0.0f32; width * height];
-        let reach = 0.5 * FOOTPRINT * (self.color.lens.matrix.fx / self.camera.lens.matrix.fx) as f32;
-        for (ray, depth) in self.rays_in_color.iter().zip(depths) {
-            let Some((pixel, z)) = self.seen_in_color(*ray, *depth) else { continue };
-            let half = (reach * depth / z).max(0.5);
-            let columns = covered(pixel[0], half, width);
-            for y in covered(pixel[1], half, height) {
-                for held in &mut nearest[y * width..][columns.clone()] {
-                    if *held == 0.0 || z < *held {
-                        *held = z;
-                    }
+        let half = 0.5 * FOOTPRINT * (self.color.lens.matrix.fx / self.camera.lens.matrix.fx) as f32;
+        let width = self.camera.image_size.width.max(1) as usize;
+        let mut canvas = NearestCanvas::new(self.color.size, half);
+        let mut row = Row { x: vec![0.0; width], y: vec![0.0; width], z: vec![0.0; width] };
+        let [x, y, z] = self.rays_in_color.each_ref().map(|axis| axis.chunks_exact(width));
+        for (((x, y), z), depths) in x.zip(y).zip(z).zip(depths.chunks_exact(width)) {
+            self.color.project([x, y, z], depths, &mut row);
+            for (((x, y), z), depth) in row.x.iter().zip(&row.y).zip(&row.z).zip(depths) {
+                if *z > 0.0 {
+                    canvas.cover(self.color.lookup.pixel(*x, *y), half * depth / z, *z);
                 }
             }
         }
-        nearest
+        canvas.into_depths()
     }
 
-    /// Where the colour camera sees a reading, and how far away.
-    fn seen_in_color(&self, ray: [f32; 3], depth: f32) -> Option<([f32; 2], f32)> {
-        let point = self.point_in_color(ray, depth)?;
-        let inverse = 1.0 / point.z;
-        let pixel = self.color.lookup.pixel(point.x * inverse, point.y * inverse);
-        (pixel[0].is_finite() && pixel[1].is_finite()).then_some((pixel, point.z))
-    }
-
-    /// The point that a depth stands for, in the colour camera's frame; `None` for no reading, and behind the camera.
-    fn point_in_color(&self, ray: [f32; 3], depth: f32) -> Option<Vector3<f32>> {
-        let point = Vector3::from(ray) * depth + self.color.translation;
-        // Not for a ray that is not a number either.
+    /// The point that a depth at the `pixel`-th of the picture stands for, in the colour camera's frame; `None` for no reading,
+    /// and behind the camera.
+    fn point_in_color(&self, pixel: usize, depth: f32) -> Option<Vector3<f32>> {
+        let [x, y, z] = &self.rays_in_color;
+        let ray = Vector3::new(*x.get(pixel)?, *y.get(pixel)?, *z.get(pixel)?);
+        let point = ray * depth + self.color.translation;
         (depth > 0.0 && point.z > 0.0).then_some(point)
     }
 }
 
-fn covered(center: f32, half: f32, length: usize) -> std::ops::Range<usize> {
-    let end = rounded_up(center + half).min(length);
-    rounded_up(center - half).min(end)..end
+impl ColorView {
+    /// Where the points that a row of depths stands for are.
+    fn project(&self, rays_in_color: [&[f32]; 3], depths: &[f32], row: &mut Row) {
+        let ([right, down, ahead], [tx, ty, tz]) = (rays_in_color, self.translation.into());
+        let rays = right.iter().zip(down).zip(ahead).zip(depths);
+        let points = row.x.iter_mut().zip(&mut row.y).zip(&mut row.z);
+        for (((x, y), z), (((right, down), ahead), depth)) in points.zip(rays) {
+            let distance = depth * ahead + tz;
+            let per_z = 1.0 / distance;
+            (*x, *y) = ((depth * right + tx) * per_z, (depth * down + ty) * per_z);
+            *z = if *depth > 0.0 && distance > 0.0 { distance } else { 0.0 };
+        }
+    }
 }
 
-/// The next whole number that is no less, and not below 0: without the call that rounding is on older processors.
-fn rounded_up(value: f32) -> usize {
-    let whole = value.max(0.0) as usize;
-    whole + usize::from((whole as f32) < value)
+/// Points of a row in a camera's frame: x/z, y/z and z in metres; z = 0 for none.
+struct Row {
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
 }
 
 /// Metres to readings; what does not fit is 0 and counted.
@@ -361,16 +295,5 @@ mod tests {
         assert_eq!(corrected.picture.row(0), [0; 64]);
         assert_eq!(corrected.picture.row(2)[5], 9900);
         assert_eq!((corrected.beyond, corrected.overflowed), (2048, 0));
-    }
-
-    #[test]
-    fn the_lookup_is_the_lens() {
-        let (lens, lookup) = (color_lens(), DistortionLookup::new(&color_lens(), COLOR_SIZE));
-        for k in 0..500 {
-            let pixel = Pixel::new(f64::from(k % 25) * 5.0, f64::from(k / 25) * 4.7);
-            let bearing = lens.bearing_from_pixel(pixel).unwrap();
-            let [x, y] = lookup.pixel((bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32);
-            assert!(pixel.distance_px(Pixel::new(f64::from(x), f64::from(y))) < 0.01, "{pixel:?} {x} {y}");
-        }
     }
 }
