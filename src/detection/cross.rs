@@ -191,6 +191,7 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
         for j in 0..LINES {
             let values = self.line(j as i32);
             let side = if j < LINES / 2 { -1.0 } else { 1.0 };
+            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
             for lane in 0..LANES {
                 all.sums[lane] += values[lane];
                 all.squares[lane] += values[lane] * values[lane];

@@ -91,7 +91,7 @@ fn first_corner(grid: &Grid, frame: Frame, board: BoardSize) -> Option<((i32, i3
         [(i - 1, j - 1), (i + width - 1, j - 1), (i + width - 1, j + height - 1), (i - 1, j + height - 1)];
     // At corner 0 columns run along +i without a turn, at corner 1 with one quarter turn, and so on.
     let upright = (board.cols as i32, board.rows as i32) == (width, height);
-    let fits = |turns: usize| board.cols == board.rows || (turns % 2 == 0) == upright;
+    let fits = |turns: usize| board.cols == board.rows || turns.is_multiple_of(2) == upright;
     let choices = (0..4).filter(|&turns| fits(turns));
     if !board.orientation_ambiguous() {
         let dark = |&turns: &usize| grid.polarity(outer_squares[turns].0, outer_squares[turns].1) < 0.0;

@@ -98,6 +98,7 @@ macro_rules! of_eight {
 }
 
 #[inline(always)]
+#[expect(clippy::neg_multiply, reason = "one macro for both halves of the ring")]
 fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
     let n = out.len();
     macro_rules! shifted {

@@ -55,9 +55,9 @@ fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
             return x;
         }
         if value.signum() == sign {
-            low = x
+            low = x;
         } else {
-            high = x
+            high = x;
         }
         let next = x - value / slope(coefficients, x);
         if (next - x).abs() <= f64::EPSILON * x {

@@ -176,7 +176,7 @@ fn measure(condition: &Condition) -> Figures {
             for (slot, refined) in slots.iter().zip(&refined) {
                 match refined {
                     Some(RefinedCorner { pixel, std_px, .. }) => {
-                        errors[*slot].push([pixel.x - seen[*slot].x, pixel.y - seen[*slot].y, *std_px])
+                        errors[*slot].push([pixel.x - seen[*slot].x, pixel.y - seen[*slot].y, *std_px]);
                     }
                     None => figures.missing += 1,
                 }

@@ -43,7 +43,7 @@ impl Scene {
         let inverted = rng.random_bool(0.3);
         let cover = nuisance.covered.then(|| Cover::new(&mut rng));
         let light = Light::new(&mut rng, inverted);
-        Self::of(&mut rng, &pixel_from_board, board, cover, (&light, inverted))
+        Self::of(&mut rng, &pixel_from_board, board, cover.as_ref(), (&light, inverted))
     }
 
     /// The picture of `board` where `pixel_from_board` puts it, in this light and inverted or not.
@@ -51,7 +51,7 @@ impl Scene {
         rng: &mut ChaCha8Rng,
         pixel_from_board: &Matrix3<f64>,
         board: BoardSize,
-        cover: Option<Cover>,
+        cover: Option<&Cover>,
         (light, inverted): (&Light, bool),
     ) -> Self {
         let corners = (0..board.rows * board.cols)
@@ -100,7 +100,7 @@ impl Scene {
         let starts = [((0, 0), 0), ((cols - 1, 0), 1), ((cols - 1, rows - 1), 2), ((0, rows - 1), 3)];
         let canonical = |turns: u8| match (self.board.orientation_ambiguous(), cols == rows) {
             (true, true) => true,
-            (true, false) => turns % 2 == 0,
+            (true, false) => turns.is_multiple_of(2),
             (false, _) => turns == if self.inverted { 2 } else { 0 },
         };
         let answered = starts.into_iter().find(|&(first, turns)| canonical(turns) && near(first, turns));
@@ -218,13 +218,13 @@ fn render(
     rng: &mut ChaCha8Rng,
     pixel_from_board: &Matrix3<f64>,
     board: BoardSize,
-    cover: Option<Cover>,
+    cover: Option<&Cover>,
     light: &Light,
 ) -> GrayImage {
     let board_from_pixel = pixel_from_board.try_inverse().unwrap();
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     let part_at = |x: f64, y: f64| {
-        if cover.as_ref().is_some_and(|cover| cover.hides(x, y)) {
+        if cover.is_some_and(|cover| cover.hides(x, y)) {
             return Part::Cover;
         }
         let [c, r] = project(&board_from_pixel, x, y);
@@ -238,7 +238,7 @@ fn render(
     let value = |part: Part, x: f64, y: f64| {
         let shade = 1.0 + light.slope[0] * (x - 120.0) + light.slope[1] * (y - 90.0);
         match part {
-            Part::Cover => cover.as_ref().map_or(0.0, |cover| cover.value),
+            Part::Cover => cover.map_or(0.0, |cover| cover.value),
             Part::Square(c, r) => shade * light.squares[(c + r).rem_euclid(2) as usize],
             Part::Margin => shade * light.margin,
             Part::Behind => light.behind[0] + light.behind[1] * (x - 120.0) + light.behind[2] * (y - 90.0),

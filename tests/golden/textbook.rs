@@ -29,6 +29,7 @@ fn board() -> Chessboard {
 }
 
 /// Board points and pixels of each photograph; `None` where the photographs are absent.
+#[expect(clippy::type_complexity, reason = "a list of lists of pairs is what it is")]
 fn photographs() -> Option<Vec<Vec<(Point2<f64>, Point2<f64>)>>> {
     let folder = shared_data("pora")?;
     let mut detector = Detector::new(board().size);

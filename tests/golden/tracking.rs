@@ -33,7 +33,7 @@ impl Stream {
         Self { rng, board, light, inverted, pixel_from_board, motion }
     }
 
-    fn picture(&mut self, cover: Option<Cover>) -> Scene {
+    fn picture(&mut self, cover: Option<&Cover>) -> Scene {
         Scene::of(&mut self.rng, &self.pixel_from_board, self.board, cover, (&self.light, self.inverted))
     }
 
@@ -111,7 +111,7 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
             let mut detector = Detector::new(stream.board);
             for number in 0..20 {
                 let cover = (number % 7 == 5).then(|| Cover::new(&mut stream.rng));
-                let scene = stream.picture(cover);
+                let scene = stream.picture(cover.as_ref());
                 let whole_board = inside(&stream.pixel_from_board, stream.board) && scene.shortest_step_px() > 8.0;
                 let sighting = look(&mut detector, &scene);
                 if number % 7 != 5 && whole_board {

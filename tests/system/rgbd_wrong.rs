@@ -124,7 +124,6 @@ fn each_wrong_thing_is_one_clear_line() {
     for with_infrared in [true, false] {
         for (name, change, word) in table {
             let finished = calibrated(&sets, change, with_infrared);
-            println!("{name}, infrared {with_infrared}: {}", finished.stderr.trim());
             assert_eq!((finished.code, finished.stdout.as_str()), (Some(1), ""), "{name}: {}", finished.stderr);
             assert_eq!(finished.stderr.trim_end().lines().count(), 1, "{name}: {}", finished.stderr);
             assert!(finished.stderr.contains(word), "{name}, infrared {with_infrared}: {}", finished.stderr);

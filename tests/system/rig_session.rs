@@ -199,9 +199,10 @@ fn a_hangup_exchanges_the_rigs_that_changed() {
     hangup(&(rig("head", &["left", "right"]) + &rig("tail", &["right", "far"])));
     until(&served, "/v1/rigs/tail", |status, _| status == 200);
     assert_eq!(served.get("/v1/rigs/head").json()["cameras"], json!(["left", "right"]));
+    let goes_on =
+        |session: &Value| session["state"] == "collecting" && session["cameras"].as_array().unwrap().len() == 2;
+    until(&served, &format!("/v1/sessions/{id}"), |_, session| goes_on(session));
     until(&served, "/v1/cameras/right", |_, camera| camera["session"] == *id);
-    let session = served.get(&format!("/v1/sessions/{id}")).json();
-    assert!(session["state"] == "collecting" && session["cameras"].as_array().unwrap().len() == 2, "{session}");
     let own = served.post("/v1/cameras/far/sessions", &request());
     assert_eq!(own.status, 201, "the camera that left the rig is free: {}", own.text());
     let stopped = served.post_nothing(&format!("/v1/sessions/{id}/stop")).json();

@@ -23,8 +23,8 @@ impl Cholesky {
             }
             lower[col][col] = rest.sqrt();
             inverse[col] = 1.0 / lower[col][col];
-            for row in col + 1..UNKNOWNS {
-                lower[row][col] *= inverse[col];
+            for row in &mut lower[col + 1..] {
+                row[col] *= inverse[col];
             }
             // What is left for the columns to come: sums that do not wait for each other.
             for row in col + 1..UNKNOWNS {

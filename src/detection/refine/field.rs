@@ -153,6 +153,7 @@ impl pulp::NullaryFnOnce for Summation<'_> {
             let basis =
                 basis([(place[0] - field.middle[0]) * field.scale[0], (place[1] - field.middle[1]) * field.scale[1]]);
             let mut off = value;
+            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
             for k in 0..LANES {
                 // Coefficients beyond the field's terms are 0.
                 off -= basis[k] * field.coefficients[k];
@@ -162,11 +163,12 @@ impl pulp::NullaryFnOnce for Summation<'_> {
             let weight = trust * weight;
             for (row, sums) in sums.normal[..terms].iter_mut().enumerate() {
                 let weighted = weight * basis[row];
-                for k in 0..LANES {
-                    sums[k] += weighted * basis[k];
+                for (sum, basis) in sums.iter_mut().zip(&basis) {
+                    *sum += weighted * basis;
                 }
             }
             let weighted = weight * value;
+            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
             for k in 0..LANES {
                 sums.right[k] += weighted * basis[k];
             }

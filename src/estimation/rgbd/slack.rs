@@ -39,6 +39,7 @@ impl Slack {
     }
 
     /// The next, by the views that take part.
+    #[expect(clippy::needless_pass_by_value, reason = "an iterator is for its one reader")]
     pub(super) fn next<'a>(self, apart: impl Iterator<Item = &'a Apart> + Clone) -> Self {
         let of = |from: usize, variance: f64| {
             // Three numbers of the sensors' pose were fitted to the same views.
