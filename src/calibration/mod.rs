@@ -11,6 +11,7 @@ pub mod factory_check;
 pub mod guidance;
 pub mod placement;
 pub mod rgbd_calibration;
+mod rgbd_check;
 pub mod rig_session;
 pub mod second_infrared;
 pub mod session;

@@ -59,6 +59,19 @@ fn calibrate(served: &Served) -> Value {
     session
 }
 
+fn has_views(session: &Value) -> bool {
+    session["views_kept"].as_u64() >= Some(3)
+}
+
+/// A daemon, and the id of the session that collects views of its rig.
+fn collecting(folder: &std::path::Path) -> (Served, String) {
+    let served = Served::start(folder, &configuration());
+    let mut events = served.events("?camera=head", Some("0"));
+    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
+    events.until(|event| event.name == "session" && has_views(&event.data));
+    (served, id)
+}
+
 #[test]
 fn a_rig_is_found_to_within_its_prediction() {
     let folder = tempfile::tempdir().unwrap();
@@ -144,15 +157,11 @@ fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
 #[test]
 fn a_killed_daemon_goes_on_with_a_rig_s_session_and_replays_come_out_the_same() {
     let folder = tempfile::tempdir().unwrap();
-    let served = Served::start(folder.path(), &configuration());
-    let mut events = served.events("?camera=head", Some("0"));
-    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
-    let kept = |data: &Value| data["views_kept"].as_u64() >= Some(3);
-    events.until(|event| event.name == "session" && kept(&event.data));
+    let (served, id) = collecting(folder.path());
     served.kill();
     let served = Served::start(folder.path(), &configuration());
     let session = served.get(&format!("/v1/sessions/{id}")).json();
-    assert!(session["state"] == "collecting" && kept(&session), "{session}");
+    assert!(session["state"] == "collecting" && has_views(&session), "{session}");
     assert_eq!(served.delete(&format!("/v1/sessions/{id}")).status, 200);
 
     let replay = || {
@@ -182,11 +191,7 @@ fn until(served: &Served, path: &str, wanted: impl Fn(u16, &Value) -> bool) {
 #[test]
 fn a_hangup_exchanges_the_rigs_that_changed() {
     let folder = tempfile::tempdir().unwrap();
-    let served = Served::start(folder.path(), &configuration());
-    let mut events = served.events("?camera=head", Some("0"));
-    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
-    let kept = |data: &Value| data["views_kept"].as_u64() >= Some(3);
-    events.until(|event| event.name == "session" && kept(&event.data));
+    let (served, id) = collecting(folder.path());
     let file = folder.path().join("plumb.toml");
     let before = std::fs::read_to_string(&file).unwrap();
     let without_rig = &before[..before.find("[[rig]]").unwrap()];
