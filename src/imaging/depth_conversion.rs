@@ -9,6 +9,7 @@ use crate::geometry::pixel::Pixel;
 #[derive(Debug, Clone)]
 pub(super) struct DepthConversion {
     reading: DepthReading,
+    width: usize,
     correction: Option<PixelCorrections>,
 }
 
@@ -17,10 +18,18 @@ struct PixelCorrections {
     quantity: CorrectedQuantity,
     /// How many there are a pixel.
     terms: usize,
-    /// Pixel by pixel, each power by power.
+    /// Row by row of the picture, then power by power, then pixel by pixel.
     coefficients: Vec<f32>,
     /// The nearest and the farthest depth that the polynomial is not held at.
     seen_m: [f32; 2],
+}
+
+/// What a row is worked out in, kept from row to row.
+#[derive(Debug, Default)]
+pub(super) struct ConversionRow {
+    /// What the polynomial is in, as read.
+    quantity: Vec<f32>,
+    polynomial: Vec<f32>,
 }
 
 impl DepthConversion {
@@ -32,84 +41,116 @@ impl DepthConversion {
             let terms = if near <= far { correction.terms } else { 0 };
             let mut coefficients = Vec::with_capacity((size.width * size.height) as usize * terms);
             for y in 0..size.height {
-                for x in 0..size.width {
-                    let at = correction.at(Pixel::new(f64::from(x), f64::from(y)));
-                    coefficients.extend(at.terms.iter().take(terms).map(|term| *term as f32));
+                let at = |x: u32| correction.at(Pixel::new(f64::from(x), f64::from(y))).terms;
+                let row: Vec<_> = (0..size.width).map(at).collect();
+                for power in 0..terms {
+                    coefficients.extend(row.iter().map(|terms| terms.get(power).copied().unwrap_or(0.0) as f32));
                 }
             }
             PixelCorrections { quantity: correction.quantity, terms, coefficients, seen_m: [near, far] }
         };
         let correction = camera.correction.as_ref().map(of_pixels).filter(|corrections| corrections.terms > 0);
-        Self { reading: camera.reading, correction }
+        Self { reading: camera.reading, width: size.width.max(1) as usize, correction }
     }
 
     /// The depth of each reading in metres; 0 for `invalid` and for what no surface gives.
     pub(super) fn depths_m(&self, readings: &[u16], invalid: Option<u16>) -> Vec<f32> {
+        let mut depths = vec![0.0; readings.len()];
+        pulp::Arch::new().dispatch(Rows { conversion: self, readings, invalid, depths: &mut depths });
+        depths
+    }
+
+    /// The depth in metres of each reading of row `y`, as [`Self::depths_m`].
+    #[inline(always)]
+    pub(super) fn convert_row(
+        &self,
+        y: usize,
+        (readings, invalid): (&[u16], Option<u16>),
+        row: &mut ConversionRow,
+        depths: &mut [f32],
+    ) {
         match self.reading {
             DepthReading::Metric { unit_m } => {
                 let unit_m = unit_m as f32;
-                self.each(readings, invalid, move |raw| unit_m * raw)
+                depths.iter_mut().zip(readings).for_each(|(depth, raw)| *depth = unit_m * f32::from(*raw));
             }
             DepthReading::Disparity { offset, slope } => {
                 let (offset, slope) = (offset as f32, slope as f32);
-                self.each(readings, invalid, move |raw| 1.0 / (offset + slope * raw))
+                let each = depths.iter_mut().zip(readings);
+                each.for_each(|(depth, raw)| *depth = 1.0 / (offset + slope * f32::from(*raw)));
             }
         }
-    }
-
-    fn each(&self, readings: &[u16], invalid: Option<u16>, z: impl Fn(f32) -> f32 + Copy) -> Vec<f32> {
-        let Some(correction) = &self.correction else {
-            return readings
-                .iter()
-                .map(|raw| if Some(*raw) == invalid { 0.0 } else { present(z(f32::from(*raw))) })
-                .collect();
-        };
-        match correction.terms {
-            1 => correction.depths_m::<1>(readings, invalid, z),
-            2 => correction.depths_m::<2>(readings, invalid, z),
-            3 => correction.depths_m::<3>(readings, invalid, z),
-            _ => correction.depths_m::<4>(readings, invalid, z),
+        let invalid = invalid.map_or(-1.0, f32::from);
+        for (depth, raw) in depths.iter_mut().zip(readings) {
+            *depth = if f32::from(*raw) == invalid { 0.0 } else { present(*depth) };
+        }
+        if let Some(correction) = &self.correction {
+            correction.correct_row(y, row, depths);
         }
     }
 }
 
 impl PixelCorrections {
-    fn depths_m<const TERMS: usize>(
-        &self,
-        readings: &[u16],
-        invalid: Option<u16>,
-        z: impl Fn(f32) -> f32 + Copy,
-    ) -> Vec<f32> {
+    #[inline(always)]
+    fn correct_row(&self, y: usize, row: &mut ConversionRow, depths: &mut [f32]) {
+        let (ConversionRow { quantity, polynomial }, width) = (row, depths.len());
+        quantity.resize(width, 0.0);
+        polynomial.resize(width, 0.0);
+        polynomial.fill(0.0);
         let [near, far] = self.seen_m;
-        let invalid = invalid.map_or(-1.0, f32::from);
-        let polynomial = |terms: &[f32; TERMS], x: f32| terms.iter().rev().fold(0.0, |sum, term| sum * x + term);
-        let (pixels, _) = self.coefficients.as_chunks::<TERMS>();
-        let each = readings.iter().zip(pixels);
-        match self.quantity {
-            CorrectedQuantity::Depth => each
-                .map(|(raw, terms)| {
-                    let raw = f32::from(*raw);
-                    let z = z(raw);
-                    let corrected = z + polynomial(terms, z.max(near).min(far));
-                    if raw != invalid && z > 0.0 && z < f32::INFINITY { present(corrected) } else { 0.0 }
-                })
-                .collect(),
-            CorrectedQuantity::InverseDepth => {
-                let (low, high) = (1.0 / far, 1.0 / near);
-                each.map(|(raw, terms)| {
-                    let raw = f32::from(*raw);
-                    let z = z(raw);
-                    let inverse = 1.0 / z;
-                    let corrected = 1.0 / (inverse + polynomial(terms, inverse.max(low).min(high)));
-                    if raw != invalid && z > 0.0 && z < f32::INFINITY { present(corrected) } else { 0.0 }
-                })
-                .collect()
+        let [low, high] = match self.quantity {
+            CorrectedQuantity::Depth => {
+                quantity.copy_from_slice(depths);
+                [near, far]
             }
+            CorrectedQuantity::InverseDepth => {
+                quantity.iter_mut().zip(depths.iter()).for_each(|(inverse, depth)| *inverse = 1.0 / depth);
+                [1.0 / far, 1.0 / near]
+            }
+        };
+        let from = y * self.terms * width;
+        let terms = self.coefficients.get(from..from + self.terms * width).unwrap_or_default();
+        for terms in terms.chunks_exact(width).rev() {
+            for ((sum, quantity), term) in polynomial.iter_mut().zip(quantity.iter()).zip(terms) {
+                *sum = *sum * quantity.max(low).min(high) + term;
+            }
+        }
+        let each = depths.iter_mut().zip(quantity.iter()).zip(polynomial.iter());
+        match self.quantity {
+            CorrectedQuantity::Depth => each.for_each(|((depth, quantity), polynomial)| {
+                *depth = if *depth > 0.0 { present(quantity + polynomial) } else { 0.0 };
+            }),
+            CorrectedQuantity::InverseDepth => each.for_each(|((depth, quantity), polynomial)| {
+                *depth = if *depth > 0.0 { present(1.0 / (quantity + polynomial)) } else { 0.0 };
+            }),
+        }
+    }
+}
+
+/// A whole picture. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Rows<'a> {
+    conversion: &'a DepthConversion,
+    readings: &'a [u16],
+    invalid: Option<u16>,
+    depths: &'a mut [f32],
+}
+
+impl pulp::NullaryFnOnce for Rows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let mut row = ConversionRow::default();
+        let width = self.conversion.width;
+        let rows = self.readings.chunks_exact(width).zip(self.depths.chunks_exact_mut(width));
+        for (y, (readings, depths)) in rows.enumerate() {
+            self.conversion.convert_row(y, (readings, self.invalid), &mut row, depths);
         }
     }
 }
 
 /// 0 for what is no depth.
+#[inline(always)]
 fn present(depth_m: f32) -> f32 {
     if depth_m > 0.0 && depth_m < f32::INFINITY { depth_m } else { 0.0 }
 }

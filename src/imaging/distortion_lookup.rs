@@ -8,7 +8,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 /// Pixels by normalised coordinates (x/z, y/z), bilinear between the nodes of a grid: within a hundredth of a pixel of the lens's
 /// own for lenses of up to 100°.
 #[derive(Debug, Clone)]
-pub(crate) struct DistortionLookup {
+pub(super) struct DistortionLookup {
     low: [f32; 2],
     per_unit: [f32; 2],
     /// Of each cell, for x and y of the pixel: at its first corner, what is added along each side, and by both together.
@@ -67,7 +67,7 @@ fn cell(value: f32) -> (usize, f32) {
 }
 
 /// The least and the greatest normalised coordinates of a picture's border, and a little beyond them.
-fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
+pub(super) fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
     let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
     for k in 0..=64 {
         let part = f64::from(k) / 64.0;

@@ -1,5 +1,6 @@
 //! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
 
+mod color_view;
 pub mod decode;
 mod depth_conversion;
 pub mod depth_image;

@@ -1,5 +1,7 @@
 //! Depth corrected, and depth and colour brought into each other's pictures.
 
+use std::marker::PhantomData;
+
 use image::{Rgb, RgbImage};
 use nalgebra::Vector3;
 
@@ -7,10 +9,10 @@ use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
-use crate::imaging::depth_conversion::DepthConversion;
+use crate::imaging::color_view::ColorView;
+use crate::imaging::depth_conversion::{ConversionRow, DepthConversion};
 use crate::imaging::depth_image::DepthImage;
-use crate::imaging::distortion_lookup::DistortionLookup;
-use crate::imaging::nearest_canvas::NearestCanvas;
+use crate::imaging::nearest_canvas::{HeldDepth, NearestCanvas, SquareRow};
 use crate::imaging::point_cloud::CloudPoint;
 
 /// Metric depth as 16-bit readings.
@@ -32,20 +34,12 @@ pub struct DepthRegistration {
     rays_in_color: [Vec<f32>; 3],
     conversion: DepthConversion,
     color: ColorView,
-}
-
-/// Where a point of the depth camera's frame is in the colour picture.
-#[derive(Debug, Clone)]
-struct ColorView {
-    size: ImageSize,
-    /// Of `color_from_depth`.
-    translation: Vector3<f32>,
-    lens: Lens,
-    lookup: DistortionLookup,
+    /// How many of colour's pixels a reading covers to each side, at the same distance from both.
+    half: f32,
 }
 
 /// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours leaves no cracks between.
-const FOOTPRINT: f32 = 1.25;
+const FOOTPRINT: f64 = 1.25;
 /// A point is hidden from the colour camera by what is nearer than this part of its distance.
 const HIDDEN: f32 = 1.03;
 
@@ -61,17 +55,12 @@ impl DepthRegistration {
             None => [f32::NAN; 3],
         };
         let rays: Vec<[f32; 3]> = pixels().map(ray).collect();
-        let color = ColorView {
-            size: color_size,
-            translation: color_from_depth.translation().cast(),
-            lens: *color,
-            lookup: DistortionLookup::new(color, color_size),
-        };
         Self {
             rays_in_color: [0, 1, 2].map(|axis| rays.iter().map(|ray| ray[axis]).collect()),
             conversion: DepthConversion::new(camera),
+            half: (0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx) as f32,
             camera: camera.clone(),
-            color,
+            color: ColorView::new(color, color_size, color_from_depth),
         }
     }
 
@@ -83,8 +72,8 @@ impl DepthRegistration {
     /// Corrected depth in `unit_m`, in the depth camera's own picture.
     pub fn correct(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
         let depths = self.depths_m(picture, invalid);
-        let correction = self.camera.correction.as_ref();
-        let beyond = |depth: &&f32| **depth > 0.0 && correction.is_some_and(|c| !c.has_seen(1.0 / f64::from(**depth)));
+        let seen_m = self.camera.correction.as_ref().map_or([0.0, f32::INFINITY], |c| c.seen_m.map(|m| m as f32));
+        let beyond = |depth: &&f32| **depth > 0.0 && !(**depth >= seen_m[0] && **depth <= seen_m[1]);
         let beyond = depths.iter().filter(beyond).count();
         let (picture, overflowed) = to_readings(&depths, picture.size(), unit_m);
         CorrectedDepth { picture, beyond, overflowed }
@@ -93,10 +82,14 @@ impl DepthRegistration {
     /// Corrected depth in `unit_m`, as the colour camera would see it: what is behind something nearer is hidden, and what
     /// the depth camera did not see is 0. Each reading covers what its pixel covers of the colour picture.
     pub fn register(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
-        let depths = self.depths_m(picture, invalid);
-        let nearest = self.nearest_in_color(&depths);
-        let (picture, overflowed) = to_readings(&nearest, self.color.size, unit_m);
-        CorrectedDepth { picture, beyond: 0, overflowed }
+        let depths = Depths::Read { readings: picture.readings(), invalid };
+        let work = Registering { registration: self, depths, per_unit: (1.0 / unit_m) as f32, held: PhantomData };
+        let (readings, overflowed) = pulp::Arch::new().dispatch(work);
+        CorrectedDepth {
+            picture: DepthImage::new(self.color.size, readings).unwrap_or_default(),
+            beyond: 0,
+            overflowed,
+        }
     }
 
     /// The measured points in the colour camera's frame, row by row of the depth picture; each has the colour that `color`
@@ -126,7 +119,7 @@ impl DepthRegistration {
 
     /// What the colour picture shows of a point, unless something nearer hides it.
     fn color_of(&self, point: &Vector3<f32>, nearest: &[f32], color: &RgbImage) -> Option<[u8; 3]> {
-        let [x, y] = self.color.lookup.pixel(point.x / point.z, point.y / point.z);
+        let [x, y] = self.color.pixel(point.x / point.z, point.y / point.z);
         let ColorView { size, .. } = self.color;
         if color.dimensions() != (size.width, size.height) || !(x > -0.5 && y > -0.5) {
             return None;
@@ -136,22 +129,11 @@ impl DepthRegistration {
         (point.z <= *seen * HIDDEN).then(|| color.get_pixel(x, y).0)
     }
 
-    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none.
+    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none. `depths` are those
+    /// of [`Self::depths_m`].
     pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
-        let half = 0.5 * FOOTPRINT * (self.color.lens.matrix.fx / self.camera.lens.matrix.fx) as f32;
-        let width = self.camera.image_size.width.max(1) as usize;
-        let mut canvas = NearestCanvas::new(self.color.size, half);
-        let mut row = Row { x: vec![0.0; width], y: vec![0.0; width], z: vec![0.0; width] };
-        let [x, y, z] = self.rays_in_color.each_ref().map(|axis| axis.chunks_exact(width));
-        for (((x, y), z), depths) in x.zip(y).zip(z).zip(depths.chunks_exact(width)) {
-            self.color.project([x, y, z], depths, &mut row);
-            for (((x, y), z), depth) in row.x.iter().zip(&row.y).zip(&row.z).zip(depths) {
-                if *z > 0.0 {
-                    canvas.cover(self.color.lookup.pixel(*x, *y), half * depth / z, *z);
-                }
-            }
-        }
-        canvas.into_depths()
+        let depths = Depths::Metres(depths);
+        pulp::Arch::new().dispatch(Registering { registration: self, depths, per_unit: 1.0, held: PhantomData }).0
     }
 
     /// The point that a depth at the `pixel`-th of the picture stands for, in the colour camera's frame; `None` for no reading,
@@ -164,26 +146,50 @@ impl DepthRegistration {
     }
 }
 
-impl ColorView {
-    /// Where the points that a row of depths stands for are.
-    fn project(&self, rays_in_color: [&[f32]; 3], depths: &[f32], row: &mut Row) {
-        let ([right, down, ahead], [tx, ty, tz]) = (rays_in_color, self.translation.into());
-        let rays = right.iter().zip(down).zip(ahead).zip(depths);
-        let points = row.x.iter_mut().zip(&mut row.y).zip(&mut row.z);
-        for (((x, y), z), (((right, down), ahead), depth)) in points.zip(rays) {
-            let distance = depth * ahead + tz;
-            let per_z = 1.0 / distance;
-            (*x, *y) = ((depth * right + tx) * per_z, (depth * down + ty) * per_z);
-            *z = if *depth > 0.0 && distance > 0.0 { distance } else { 0.0 };
-        }
-    }
+/// What is registered.
+enum Depths<'a> {
+    Read { readings: &'a [u16], invalid: Option<u16> },
+    Metres(&'a [f32]),
 }
 
-/// Points of a row in a camera's frame: x/z, y/z and z in metres; z = 0 for none.
-struct Row {
-    x: Vec<f32>,
-    y: Vec<f32>,
-    z: Vec<f32>,
+/// Registering a whole picture, as one depth of each pixel of colour, and how many depths do not fit. A struct, not a closure: all
+/// of it must be inlined to be compiled for the processor.
+struct Registering<'a, T> {
+    registration: &'a DepthRegistration,
+    depths: Depths<'a>,
+    per_unit: f32,
+    held: PhantomData<T>,
+}
+
+impl<T: HeldDepth> pulp::NullaryFnOnce for Registering<'_, T> {
+    type Output = (Vec<T>, usize);
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let DepthRegistration { camera, rays_in_color, conversion, color, half } = self.registration;
+        let width = camera.image_size.width.max(1) as usize;
+        let mut canvas = NearestCanvas::<T>::new(color.size, *half);
+        let (mut squares, mut working) = (SquareRow::new(width), ConversionRow::default());
+        let (mut depths, mut overflowed) = (vec![0.0; width], 0);
+        let [x, y, z] = rays_in_color.each_ref().map(|axis| axis.chunks_exact(width));
+        for (row, ((x, y), z)) in x.zip(y).zip(z).enumerate() {
+            let here = row * width..(row + 1) * width;
+            match self.depths {
+                Depths::Read { readings, invalid } => {
+                    let Some(readings) = readings.get(here) else { break };
+                    conversion.convert_row(row, (readings, invalid), &mut working, &mut depths);
+                }
+                Depths::Metres(metres) => {
+                    let Some(metres) = metres.get(here) else { break };
+                    depths.copy_from_slice(metres);
+                }
+            }
+            color.project([x, y, z], &depths, *half, &mut squares);
+            canvas.cover(&mut squares, self.per_unit);
+            overflowed += squares.depth.iter().filter(|depth| !T::fits(**depth, self.per_unit)).count();
+        }
+        (canvas.into_depths(), overflowed)
+    }
 }
 
 /// Metres to readings; what does not fit is 0 and counted.
@@ -228,8 +234,11 @@ mod tests {
     }
 
     fn registration(correction: Option<DepthCorrection>) -> DepthRegistration {
-        let color_from_depth = Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.025, 0.0, 0.0));
-        DepthRegistration::new(&camera(correction), &color_lens(), COLOR_SIZE, &color_from_depth)
+        DepthRegistration::new(&camera(correction), &color_lens(), COLOR_SIZE, &color_from_depth())
+    }
+
+    fn color_from_depth() -> Pose {
+        Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.025, 0.0, 0.0))
     }
 
     #[test]
@@ -295,5 +304,61 @@ mod tests {
         assert_eq!(corrected.picture.row(0), [0; 64]);
         assert_eq!(corrected.picture.row(2)[5], 9900);
         assert_eq!((corrected.beyond, corrected.overflowed), (2048, 0));
+    }
+
+    /// Depth in colour by its definition, in double precision, with squares that reach `more` pixels farther to each side.
+    fn by_definition(camera: &DepthCamera, color: &Lens, picture: &DepthImage, more: f64) -> Vec<f64> {
+        let color_from_depth = color_from_depth();
+        let mut nearest = vec![f64::INFINITY; (COLOR_SIZE.width * COLOR_SIZE.height) as usize];
+        for (k, reading) in picture.readings().iter().enumerate().filter(|(_, reading)| **reading > 0) {
+            let pixel = Pixel::new((k % 64) as f64, (k / 64) as f64);
+            let Some(point) = camera.point_from_reading(pixel, f64::from(*reading)) else { continue };
+            let in_color = color_from_depth * point;
+            let Some(at) = color.pixel_from_point(&in_color) else { continue };
+            let half = 0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx * point.z / in_color.z + more;
+            for (y, row) in nearest.chunks_exact_mut(COLOR_SIZE.width as usize).enumerate() {
+                for (x, nearest) in row.iter_mut().enumerate() {
+                    let covers = |at: f64, pixel: usize| pixel as f64 >= at - half && (pixel as f64) < at + half;
+                    if covers(at.x, x) && covers(at.y, y) {
+                        *nearest = nearest.min(in_color.z);
+                    }
+                }
+            }
+        }
+        nearest
+    }
+
+    #[test]
+    fn every_pixel_is_as_in_double_precision() {
+        let grid = SplineGrid { size: DEPTH_SIZE, cols: 3, rows: 2 };
+        let mut correction = DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 2.5]);
+        correction.coefficients.iter_mut().enumerate().for_each(|(k, c)| *c = 0.02 * (k as f64).sin());
+        let noise = |k: usize| (k * 7919 % 61) as u16;
+        let raw = |k: usize| match (k % 64, k / 64) {
+            (20..40, 15..35) => 700 + noise(k),
+            (x, y) if (x + 3 * y) % 29 == 0 => 0,
+            (x, y) => 1500 + 10 * (x + y) as u16 + noise(k),
+        };
+        let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
+        let camera = camera(Some(correction));
+        let fisheye =
+            Lens::from_parameters(LensModel::KannalaBrandt, &[110.0, 110.0, 63.0, 47.0, 0.0, -0.02, 0.003, 0.0, 0.0]);
+        let rational = [110.0, 109.0, 63.0, 47.0, 0.1, 0.3, -0.1, 0.001, -0.002, 0.01, 0.35, -0.05, 0.01];
+        let rational = Lens::from_parameters(LensModel::Rational, &rational);
+        // In pixels: what the formulas and the table of the lens lose in single precision.
+        for (color, slack) in [(color_lens(), 1e-3), (rational.unwrap(), 1e-3), (fisheye.unwrap(), 1e-2)] {
+            let registration = DepthRegistration::new(&camera, &color, COLOR_SIZE, &color_from_depth());
+            let registered = registration.register(&picture, None, 0.0001).picture;
+            let most = by_definition(&camera, &color, &picture, slack);
+            let least = by_definition(&camera, &color, &picture, -slack);
+            let mut alike = 0;
+            for (k, reading) in registered.readings().iter().enumerate() {
+                let depth = if *reading > 0 { f64::from(*reading) } else { f64::INFINITY };
+                let (low, high) = (most[k] * 1e4 - 0.51, least[k] * 1e4 + 0.51);
+                assert!(depth >= low && depth <= high, "{color:?} at {k}: {depth}, not within {low} to {high}");
+                alike += usize::from(low + 1.1 > high || high.is_infinite() && low.is_infinite());
+            }
+            assert!(alike > registered.readings().len() * 95 / 100, "{alike} pixels are told exactly");
+        }
     }
 }
