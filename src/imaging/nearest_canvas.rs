@@ -55,7 +55,7 @@ impl HeldDepth for u16 {
 
     #[inline(always)]
     fn held(depth_m: f32, per_unit: f32) -> Self {
-        let units = (depth_m * per_unit).max(0.0).min(TOO_MANY_UNITS);
+        let units = (depth_m * per_unit).clamp(0.0, TOO_MANY_UNITS);
         (whole(units) as u16).wrapping_sub(1)
     }
 
