@@ -66,16 +66,30 @@ pub enum Rejection {
 }
 
 impl Rejection {
-    /// The stable names, as counted in [`Rejections`], in the order of documents.
-    pub const KINDS: [&'static str; 8] =
-        ["no_board", "partial", "blurred", "moving", "too_similar", "unreadable", "other_image_size", "full"];
+    /// The stable names, as counted in [`Rejections`], in the order of documents: those of [`NoBoard::KINDS`] among them.
+    pub const KINDS: [&'static str; 14] = [
+        "no_corners",
+        "no_grid",
+        "other_size",
+        "low_contrast",
+        "image_too_small",
+        "cut_off",
+        "incomplete",
+        "partial",
+        "blurred",
+        "moving",
+        "too_similar",
+        "unreadable",
+        "other_image_size",
+        "full",
+    ];
 
     /// A short stable name for counters, documents and events.
     pub fn kind(&self) -> &'static str {
         match self {
-            Self::NoBoard(NoBoard::Blurred { .. }) | Self::Blurred { .. } => "blurred",
-            Self::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. }) | Self::Partial { .. } => "partial",
-            Self::NoBoard(_) => "no_board",
+            Self::NoBoard(reason) => reason.kind(),
+            Self::Partial { .. } => "partial",
+            Self::Blurred { .. } => "blurred",
             Self::Moving { .. } => "moving",
             Self::TooSimilar { .. } => "too_similar",
             Self::Unreadable { .. } => "unreadable",
@@ -221,4 +235,22 @@ fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore)
     });
     let moved_px = shared.max_by(f64::total_cmp)?;
     (moved_px < CUT * seen.image_size.diagonal_px()).then_some(moved_px / elapsed_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_without_a_board_has_a_count_of_its_own() {
+        for kind in NoBoard::KINDS {
+            assert!(Rejection::KINDS.contains(&kind), "{kind}");
+        }
+        let mut rejections = Rejections::default();
+        rejections.count(&Rejection::NoBoard(NoBoard::LowContrast { range: 3 }));
+        rejections.count(&Rejection::NoBoard(NoBoard::Blurred { blur_px: 9.0 }));
+        rejections.count(&Rejection::Blurred { blur_px: 4.0, limit_px: 2.0 });
+        let counted: Vec<_> = rejections.iter().filter(|(_, count)| *count > 0).collect();
+        assert_eq!(counted, [("low_contrast", 1), ("blurred", 2)]);
+    }
 }

@@ -78,7 +78,7 @@ fn each_reason_is_counted_and_told() {
     let no_board = || Err(Rejection::NoBoard(NoBoard::NoCorners));
     let unreadable = || Err(Rejection::Unreadable { detail: "cut short".to_owned() });
     let steps: [(&FrameFacts, Result<&Detection, Rejection>, Option<&str>); 7] = [
-        (&frame(0), no_board(), Some("no_board")),
+        (&frame(0), no_board(), Some("no_corners")),
         (&frame(1), Ok(&still), None),
         (&soon, Ok(&shifted), Some("moving")),
         (&frame(4), Ok(&shifted), Some("too_similar")),

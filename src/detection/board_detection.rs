@@ -113,6 +113,10 @@ pub enum NoBoard {
 }
 
 impl NoBoard {
+    /// Every name that [`Self::kind`] gives.
+    pub const KINDS: [&'static str; 8] =
+        ["image_too_small", "low_contrast", "blurred", "no_corners", "no_grid", "other_size", "cut_off", "incomplete"];
+
     /// A short stable name for counters and events.
     pub fn kind(&self) -> &'static str {
         match self {

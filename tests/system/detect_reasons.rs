@@ -1,8 +1,11 @@
-//! Why no board was found, as `plumb detect` says it: a picture for each reason, in one run.
+//! Why no board was found, as `plumb detect` says it, and as a session counts, announces and publishes it.
 
-use serde_json::Value;
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
 
 use crate::program::plumb;
+use crate::served::Served;
 
 /// A picture of a board of inner corners, seen straight on, before white.
 struct Straight {
@@ -76,5 +79,45 @@ fn detect_says_why_there_is_no_board() {
                 assert!(line["reason"].as_str().is_some_and(|reason| reason.contains(words)), "{words}: {line}");
             }
         }
+    }
+}
+
+/// What turned a frame away reaches all who look from afar: the events, the session's document and the metrics.
+#[test]
+fn a_session_counts_and_tells_each_reason_by_its_own_name() {
+    let pictures = [
+        ("low_contrast", Straight { colours: [100.0, 104.0], ..Straight::WHOLE }, "not enough contrast"),
+        ("blurred", Straight { soft_px: 30, ..Straight::WHOLE }, "too blurred"),
+        ("other_size", Straight { corners: (7, 5), ..Straight::WHOLE }, "a 7x5 board is seen, not 9x6"),
+        ("no_corners", Straight { corners: (0, 0), square_px: 90.0, ..Straight::WHOLE }, "no chessboard corners"),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let recording = folder.path().join("pictures");
+    std::fs::create_dir(&recording).unwrap();
+    for (name, picture, _) in &pictures {
+        std::fs::write(recording.join(format!("{name}.pgm")), picture.pgm()).unwrap();
+    }
+    let path = recording.display().to_string();
+    let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 200, repeat = true }}");
+    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let mut events = served.events("?camera=front", None);
+    let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025});
+    let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();
+    let mut awaited: BTreeSet<&str> = pictures.iter().map(|(kind, ..)| *kind).collect();
+    while !awaited.is_empty() {
+        let event = events.until(|event| event.name == "detection").data;
+        assert!(event["found"] == false && event["session"] == session["id"], "{event}");
+        let (kind, reason) = (event["rejection"].as_str().unwrap(), event["reason"].as_str().unwrap());
+        let (.., words) = pictures.iter().find(|(name, ..)| *name == kind).unwrap_or_else(|| panic!("{event}"));
+        assert!(reason.contains(words), "{event}");
+        awaited.remove(kind);
+    }
+    let counted = served.get(&format!("/v1/sessions/{}", session["id"].as_str().unwrap())).json();
+    let metrics = served.get("/metrics").text();
+    for (kind, ..) in &pictures {
+        assert!(counted["rejected"][kind].as_u64().unwrap() > 0, "{kind}: {counted}");
+        let label = format!("plumb_frames_rejected_total{{camera=\"front\",reason=\"{kind}\"}} ");
+        let count = metrics.lines().find_map(|line| line.strip_prefix(&label)).unwrap_or_else(|| panic!("{metrics}"));
+        assert!(count.parse::<u64>().unwrap() > 0, "{kind}: {count}");
     }
 }

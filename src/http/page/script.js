@@ -7,8 +7,9 @@ const SVG = "http://www.w3.org/2000/svg";
 const FORMATS = ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"];
 const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
-  no_board: "no board", partial: "partly out of view", blurred: "blurred", moving: "moving",
-  too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
+  no_corners: "no board", no_grid: "corners without a grid", other_size: "another board", low_contrast: "too little contrast",
+  image_too_small: "picture too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
+  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
 
