@@ -23,6 +23,10 @@ const LEAST_LINE: u32 = 3;
 const MOST_GRIDS: usize = 2;
 /// Squares from which a grid is grown, on one level.
 const MOST_STARTS: usize = 24;
+/// A candidate this near to a corner is that corner, in pixels of the level.
+const SAME_PX: f32 = 2.5;
+/// A grid as small as this that grows to more than a whole board on a finer level is none: stripes look so.
+const SMALL: usize = LEAST_PART;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 
@@ -194,16 +198,20 @@ impl Detector {
         let view = self.pyramid.level(image, level);
         let radius = self.board.cols.max(self.board.rows) as i32 + 2;
         self.growth.start(view, &self.candidates.found, seed, radius, &mut self.grid);
+        if !self.is_whole() && self.grid.bounds().is_some_and(|bounds| !self.exceeds_board(bounds)) {
+            self.growth.reach(view, &self.candidates.found, &self.neighbourhood, &mut self.grid);
+        }
         self.grid.members.len() >= 6
     }
 
     /// The candidates of `level` that are corners of the grid, or of the best part (kept at level 0), seed no other.
     fn spend(&mut self, level: usize, of_part: bool) {
         let (grid, scale) = if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
-        let offset = Vec2::repeat(0.5);
-        for (used, candidate) in self.used.iter_mut().zip(&self.candidates.found) {
-            let p = (candidate.pixel + offset) * scale - offset;
-            *used = *used || near(grid, p, 6.0 * scale * scale);
+        let (offset, used) = (Vec2::repeat(0.5), &mut self.used);
+        for &(i, j) in &grid.members {
+            let Some(p) = grid.pixel(i, j) else { continue };
+            let p = (p + offset) / scale - offset;
+            self.neighbourhood.visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
         }
     }
 
@@ -215,8 +223,12 @@ impl Detector {
             seen.too_large = true;
             return Found::Other { cols: larger(bounds), rows: smaller(bounds) };
         }
+        let small = self.grid.members.len() < SMALL;
         self.follow(image, level);
-        if !verify(image, &mut self.grid) {
+        if small && self.grid.members.len() >= self.most_corners() {
+            return Found::Nothing;
+        }
+        if !verify(image, &mut self.grid) || (self.bridge(image) && !verify(image, &mut self.grid)) {
             return Found::Nothing;
         }
         let Some(bounds) = self.grid.bounds() else { return Found::Nothing };
@@ -237,6 +249,7 @@ impl Detector {
 
     /// Takes the grid from `level` to the image itself, and looks for more of the board on the way if some is missing.
     fn follow(&mut self, image: GrayView<'_>, level: usize) {
+        let most = if self.grid.members.len() < SMALL { self.most_corners() } else { usize::MAX };
         for finer in (0..level).rev() {
             self.grid.descend();
             let view = self.pyramid.level(image, finer);
@@ -245,25 +258,29 @@ impl Detector {
                 continue;
             }
             self.grid.forget_attempts();
-            self.growth.grow(view, &mut self.grid, if finer == 0 { &WINDOWS } else { &WINDOWS[..1] });
+            let sizes = if finer == 0 { &WINDOWS[..] } else { &WINDOWS[..1] };
+            self.growth.grow_to(view, &mut self.grid, sizes, most);
+            if self.grid.members.len() >= most {
+                return;
+            }
         }
         if level == 0 && !self.is_whole() {
             self.grid.forget_attempts();
-            self.growth.grow(image, &mut self.grid, &WINDOWS);
+            self.growth.grow_to(image, &mut self.grid, &WINDOWS, most);
         }
         if level == 0 || !self.is_whole() {
             sharpen_all(image, &mut self.grid, &WINDOWS, &EXACT);
         }
-        self.bridge(image);
     }
 
-    /// Looks for the rest of a board of which a good part is found, across what covers it.
-    fn bridge(&mut self, image: GrayView<'_>) {
+    /// Looks for the rest of a board of which a good part is found, across what covers it. True if there is more of it.
+    fn bridge(&mut self, image: GrayView<'_>) -> bool {
+        let before = self.grid.members.len();
         for _ in 0..2 {
-            let Some(bounds) = self.grid.bounds() else { return };
+            let Some(bounds) = self.grid.bounds() else { break };
             let count = self.grid.members.len();
             if count < LEAST_PART || self.is_whole() || self.exceeds_board(bounds) {
-                return;
+                break;
             }
             let (longer, shorter) =
                 (self.board.cols.max(self.board.rows) as i32, self.board.cols.min(self.board.rows) as i32);
@@ -278,9 +295,15 @@ impl Detector {
                 Bounds { i: (bounds.i.0 - room_i, bounds.i.1 + room_i), j: (bounds.j.0 - room_j, bounds.j.1 + room_j) };
             self.growth.bridge(image, &mut self.grid, wider);
             if self.grid.members.len() == count {
-                return;
+                break;
             }
         }
+        self.grid.members.len() > before
+    }
+
+    /// No board of the size looked for shows as many corners, even if a line on each side is none of its own.
+    fn most_corners(&self) -> usize {
+        (self.board.cols as usize + 2) * (self.board.rows as usize + 2) + 1
     }
 
     /// Fewer corners are not believed to be part of the board.
@@ -312,9 +335,4 @@ fn larger(bounds: Bounds) -> u32 {
 
 fn smaller(bounds: Bounds) -> u32 {
     bounds.width().min(bounds.height()) as u32
-}
-
-/// Whether `p` is one of the corners of `grid`, up to the square of a distance.
-fn near(grid: &Grid, p: Vec2, most: f32) -> bool {
-    grid.members.iter().any(|&(i, j)| grid.pixel(i, j).is_some_and(|q| (q - p).norm_squared() < most))
 }

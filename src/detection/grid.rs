@@ -107,6 +107,11 @@ impl Grid {
         (i.abs() <= r && j.abs() <= r && !self.places.is_empty()).then(|| ((j + r) * (2 * r + 1) + i + r) as usize)
     }
 
+    /// Whether the grid has room for (i, j).
+    pub(super) fn holds(&self, i: i32, j: i32) -> bool {
+        self.slot(i, j).is_some()
+    }
+
     /// The corner at (i, j).
     pub(super) fn get(&self, i: i32, j: i32) -> Option<Node> {
         self.slot(i, j).and_then(|slot| self.places[slot].node)
@@ -185,6 +190,13 @@ impl Grid {
         bounds.i = trim(|at| at.0, bounds.i);
         bounds.j = trim(|at| at.1, bounds.j);
         Some(bounds)
+    }
+
+    /// Whether all four corners of a square at (i, j) are known, nothing in front of any of them.
+    pub(super) fn is_firm(&self, i: i32, j: i32) -> bool {
+        let clear = |i: i32, j: i32| self.get(i, j).is_some_and(|node| !node.tight);
+        let squares = [(1, 1), (-1, 1), (-1, -1), (1, -1)];
+        clear(i, j) && squares.into_iter().any(|(di, dj)| clear(i + di, j) && clear(i, j + dj) && clear(i + di, j + dj))
     }
 
     /// From (i, j) to the next corner along i and along j, from the nearest that are known.

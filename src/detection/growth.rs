@@ -5,11 +5,13 @@
 
 use std::collections::VecDeque;
 
+use super::bend::predict_bent;
 use super::candidates::Candidate;
 use super::cross::{Vec2, Window};
+use super::edges::is_edge;
 use super::grid::{Bounds, Grid, Node};
 use super::perspective::Perspective;
-use super::seeds::Seed;
+use super::seeds::{Neighbourhood, Seed};
 use crate::imaging::gray::GrayView;
 
 /// Least alternation of the four squares, as a share of the contrast found.
@@ -18,6 +20,14 @@ const LEAST_ALTERNATION: f32 = 0.3;
 const MOST_OFF: f32 = 0.4;
 /// The same where no neighbour is known.
 const MOST_OFF_FAR: f32 = 0.2;
+/// How far a candidate may lie from where a corner was predicted, in steps: to the side, nearer and farther. Less than what a
+/// step that skips two covered corners, or the one after it, is off. And the sine of how far its edges may be turned.
+const MOST_ASIDE: f32 = 0.45;
+const MOST_NEARER: f32 = 0.45;
+const MOST_FARTHER: f32 = 0.75;
+const MOST_TURN: f32 = 0.5;
+/// A place this far from another, in steps, is worth a look of its own.
+const ELSEWHERE: f32 = 0.15;
 /// Part of the way to the neighbours that counts as very near.
 const NEAR: f32 = 0.16;
 /// Least contrast very near a corner, as a share of the neighbours'.
@@ -96,12 +106,20 @@ impl Growth {
 
     /// Grows `grid` as far as `image` shows corners in windows of these `sizes`.
     pub(super) fn grow(&mut self, image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize]) {
+        self.grow_to(image, grid, sizes, usize::MAX);
+    }
+
+    /// The same, up to `most` corners.
+    pub(super) fn grow_to(&mut self, image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize], most: usize) {
         self.queue.clear();
         for index in 0..grid.members.len() {
             let (i, j) = grid.members[index];
             self.push_around(i, j);
         }
         while let Some((i, j)) = self.queue.pop_front() {
+            if grid.members.len() >= most {
+                return;
+            }
             if !grid.attempt(i, j) {
                 continue;
             }
@@ -109,6 +127,29 @@ impl Growth {
                 grid.set(i, j, node);
                 self.push_around(i, j);
             }
+        }
+    }
+
+    /// Goes on from the corners of `grid` to candidates farther off than they were expected, as where a lens squeezes the
+    /// board, and grows from there.
+    pub(super) fn reach(
+        &mut self,
+        image: GrayView<'_>,
+        candidates: &[Candidate],
+        neighbourhood: &Neighbourhood,
+        grid: &mut Grid,
+    ) {
+        grid.forget_attempts();
+        let mut from = 0;
+        while let Some(&(i, j)) = grid.members.get(from) {
+            for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
+                let place = Stretch::from(grid, (i, j), (di, dj));
+                if let Some(node) = place.and_then(|place| place.look(image, candidates, neighbourhood)) {
+                    grid.set(i + di, j + dj, node);
+                    self.grow(image, grid, &WINDOWS[..1]);
+                }
+            }
+            from += 1;
         }
     }
 
@@ -120,8 +161,10 @@ impl Growth {
                 if grid.get(i, j).is_some() {
                     continue;
                 }
-                let Some(place) = Place::by_perspective(&perspective, grid, i, j) else { continue };
-                let Some(node) = place.look(image, &WINDOWS) else { continue };
+                let place = Place::by_perspective(&perspective, grid, i, j);
+                let seen = place.and_then(|place| place.look(image, &WINDOWS));
+                let seen = seen.or_else(|| Place::by_bend(grid, i, j, place)?.look(image, &WINDOWS));
+                let Some(node) = seen else { continue };
                 grid.set(i, j, node);
                 self.grow(image, grid, &WINDOWS);
                 let Some(fitted) = Perspective::fit(grid) else { return };
@@ -171,6 +214,14 @@ impl Place {
         })
     }
 
+    /// Beside a corner of a board that is bent, if that is not where it was looked for `before`.
+    fn by_bend(grid: &Grid, i: i32, j: i32, before: Option<Self>) -> Option<Self> {
+        let beside = [(1, 0), (0, 1), (-1, 0), (0, -1)].into_iter().any(|(di, dj)| grid.get(i + di, j + dj).is_some());
+        let place = Self { expected: predict_bent(grid, i, j).filter(|_| beside)?, ..Self::by_neighbours(grid, i, j)? };
+        let off = before.and_then(|before| in_steps(place.expected - before.expected, place.steps));
+        (off.is_none_or(|off| off.x.abs().max(off.y.abs()) > ELSEWHERE)).then_some(place)
+    }
+
     /// The corner there, in the first of the windows that shows one.
     pub(super) fn look(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
         sizes.iter().find_map(|&size| {
@@ -185,6 +236,54 @@ impl Place {
             (fits && alternates(size.reach, node.contrast) && alternates(NEAR.min(size.reach), node.near_contrast))
                 .then_some(node)
         })
+    }
+}
+
+/// A place beside a corner at which nothing was seen, to be looked for farther off.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    place: Place,
+    /// The corner it lies beside, and along which of the steps, forward or back.
+    from: Node,
+    axis: usize,
+    forward: f32,
+}
+
+impl Stretch {
+    /// The place from the corner (i, j) of `grid` towards (di, dj), if it is free.
+    fn from(grid: &Grid, (i, j): (i32, i32), (di, dj): (i32, i32)) -> Option<Self> {
+        let (from, (i, j)) = (grid.get(i, j)?, (i + di, j + dj));
+        if grid.get(i, j).is_some() || !grid.holds(i, j) {
+            return None;
+        }
+        let axis = usize::from(dj != 0);
+        Some(Self { place: Place::by_neighbours(grid, i, j)?, from, axis, forward: (di + dj) as f32 })
+    }
+
+    /// The corner there: at a candidate of the right colours, with an edge all the way to it.
+    fn look(&self, image: GrayView<'_>, candidates: &[Candidate], neighbourhood: &Neighbourhood) -> Option<Node> {
+        let Place { expected, steps, polarity, .. } = self.place;
+        let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
+        let edges = if polarity > 0.0 { [way(0), way(1)] } else { [way(1), way(0)] };
+        let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        let fits = |candidate: &Candidate| {
+            turn(candidate.edges[0], edges[0]) < MOST_TURN
+                && turn(candidate.edges[1], edges[1]) < MOST_TURN
+                && in_steps(candidate.pixel - expected, steps).is_some_and(|off| {
+                    let (along, aside) = if self.axis == 0 { (off.x, off.y) } else { (off.y, off.x) };
+                    aside.abs() < MOST_ASIDE && (-MOST_NEARER..MOST_FARTHER).contains(&(along * self.forward))
+                })
+        };
+        let reach = MOST_FARTHER * steps[self.axis].norm() + MOST_ASIDE * steps[1 - self.axis].norm();
+        let at = candidates[neighbourhood.nearest(candidates, expected, reach, fits)?].pixel;
+        let mut steps = steps;
+        steps[self.axis] = (at - self.from.pixel) * self.forward;
+        let node = Place { expected: at, steps, ..self.place }.look(image, &WINDOWS[..1])?;
+        // Beyond +i, the square on the side of +v has the opposite of the farther corner's polarity; a quarter turn changes
+        // the sign.
+        let (aside, sign) = if self.axis == 0 { (steps[1], self.forward) } else { (steps[0], self.forward) };
+        let contrast = -0.5 * (node.contrast.abs() + self.from.contrast.abs()) * polarity * sign;
+        is_edge(image, self.from.pixel, node.pixel, aside, contrast).filter(|&holds| holds).map(|_| node)
     }
 }
 

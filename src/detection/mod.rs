@@ -2,6 +2,7 @@
 //!
 //! **May miss, never mislabels.** `README.md` beside this file has the table of stages, what was measured, and what was tried.
 
+mod bend;
 pub mod board_detection;
 pub mod board_plane;
 mod candidates;

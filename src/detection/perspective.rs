@@ -24,9 +24,15 @@ pub(super) struct Perspective {
 impl Perspective {
     /// Fits `grid`; `None` if its corners do not determine it.
     pub(super) fn fit(grid: &Grid) -> Option<Self> {
+        Self::fit_to(grid, |_, _| true)
+    }
+
+    /// Fits those corners of `grid` that are `believed`; `None` if they do not determine it.
+    pub(super) fn fit_to(grid: &Grid, believed: impl Fn(i32, i32) -> bool) -> Option<Self> {
         let bounds = grid.bounds()?;
-        let count = grid.members.len() as f32;
-        let pixels = || grid.members.iter().filter_map(|&(i, j)| Some((i, j, grid.pixel(i, j)?)));
+        let members = || grid.members.iter().filter(|&&(i, j)| believed(i, j));
+        let pixels = || members().filter_map(|&(i, j)| Some((i, j, grid.pixel(i, j)?)));
+        let count = pixels().count() as f32;
         let mean = pixels().fold(Vec2::zeros(), |sum, (_, _, p)| sum + p) / count;
         let spread = pixels().map(|(_, _, p)| (p - mean).norm()).sum::<f32>() / count;
         let middle = (f64::from(bounds.i.0 + bounds.i.1) / 2.0, f64::from(bounds.j.0 + bounds.j.1) / 2.0);
@@ -61,8 +67,13 @@ impl Perspective {
 
     /// Where the corner (i, j) of `grid` must be: moved as the nearest known corners are off the homography.
     pub(super) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
+        self.predict_by(grid, i, j, |_, _| true)
+    }
+
+    /// The same, moved as those corners only that are `believed`.
+    fn predict_by(&self, grid: &Grid, i: i32, j: i32, believed: impl Fn(i32, i32) -> bool) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
-        for &(mi, mj) in &grid.members {
+        for &(mi, mj) in grid.members.iter().filter(|&&(mi, mj)| believed(mi, mj)) {
             let away = ((mi - i) * (mi - i) + (mj - j) * (mj - j)) as f32;
             if away > 16.0 || away == 0.0 {
                 continue;
@@ -76,9 +87,9 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
-    /// How far the corner (i, j) of `grid` lies from where it must be, in steps.
-    pub(super) fn off(&self, grid: &Grid, i: i32, j: i32) -> Option<f32> {
-        let off = in_steps(grid.pixel(i, j)? - self.predict(grid, i, j)?, self.steps(i, j)?)?;
+    /// How far the corner (i, j) of `grid` lies from where it must be as the `believed` ones have it, in steps.
+    pub(super) fn off(&self, grid: &Grid, i: i32, j: i32, believed: impl Fn(i32, i32) -> bool) -> Option<f32> {
+        let off = in_steps(grid.pixel(i, j)? - self.predict_by(grid, i, j, believed)?, self.steps(i, j)?)?;
         Some(off.x.abs().max(off.y.abs()))
     }
 

@@ -9,7 +9,7 @@ use super::grid::Node;
 use super::perspective::Perspective;
 use super::placement::{Placement, place};
 use super::refine::{GridCorner, RefinedCorner};
-use super::verification::off_neighbours;
+use super::verification::{astray, off_bent, off_neighbours};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -19,8 +19,11 @@ const STANDING_SCORE: f32 = 0.7;
 const STANDING_OFF: f32 = 0.05;
 /// Least standard deviation of a corner with something in front of it a few pixels away, whose edge may pull it.
 const TIGHT_STD_PX: f64 = 0.3;
-/// How far a corner of a part may lie from where its neighbours put it, in steps.
+/// How far a corner of a part may lie from where its neighbours put it, in steps; one with something in front of it.
 const MOST_ASTRAY: f32 = 0.12;
+const MOST_ASTRAY_TIGHT: f32 = 0.08;
+/// Corners that tell where those must be that have no square of their own.
+const LEAST_FIRM: usize = 8;
 
 impl Detector {
     /// The corners of `part`, exactly, in the board's order.
@@ -122,13 +125,24 @@ impl Detector {
                 part.set(i, j, Node { pixel, ..node });
             }
         }
-        let perspective = Perspective::fit(part);
+        let (part, perspective) = (&self.part, Perspective::fit(&self.part));
+        let firm = |i: i32, j: i32| part.is_firm(i, j);
+        let known = part.members.iter().filter(|&&(i, j)| firm(i, j)).count();
+        let of_firm = Perspective::fit_to(part, firm).filter(|_| known >= LEAST_FIRM);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
             let near = |off: f32| off < MOST_ASTRAY;
+            if !firm(i, j)
+                && let Some(off) = of_firm.as_ref().and_then(|board| board.off(part, i, j, firm))
+            {
+                // A line along the edge of a cover is no witness for itself: it may follow that edge, corner by corner.
+                let tight = part.get(i, j).is_some_and(|node| node.tight);
+                let bent = off_bent(part, i, j).filter(|_| tight).unwrap_or(off);
+                return if tight { off.min(bent) < MOST_ASTRAY_TIGHT } else { near(off) };
+            }
             // At the end of a line few neighbours tell, and a slant or a bend misleads them; the whole board knows better.
-            off_neighbours(part, i, j).is_none_or(near)
-                || perspective.as_ref().and_then(|board| board.off(part, i, j)).is_some_and(near)
+            astray(part, i, j, MOST_ASTRAY).is_none_or(near)
+                || perspective.as_ref().and_then(|board| board.off(part, i, j, |_, _| true)).is_some_and(near)
         });
     }
 

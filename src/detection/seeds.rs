@@ -116,6 +116,38 @@ impl Neighbourhood {
         links
     }
 
+    /// The candidate nearest to `place` of those that `fits`, within `reach` pixels.
+    pub(super) fn nearest(
+        &self,
+        candidates: &[Candidate],
+        place: Vec2,
+        reach: f32,
+        fits: impl Fn(&Candidate) -> bool,
+    ) -> Option<usize> {
+        let (mut best, mut nearest) = (f32::MAX, None);
+        self.visit_near(candidates, place, reach, |index| {
+            let away = (candidates[index].pixel - place).norm_squared();
+            if away < best && fits(&candidates[index]) {
+                (best, nearest) = (away, Some(index));
+            }
+        });
+        nearest
+    }
+
+    /// Visits the candidates within `reach` pixels of `place`.
+    pub(super) fn visit_near(&self, candidates: &[Candidate], place: Vec2, reach: f32, mut visit: impl FnMut(usize)) {
+        let (left, top) = self.bin_of(place - Vec2::repeat(reach));
+        let (right, bottom) = self.bin_of(place + Vec2::repeat(reach));
+        for y in top..=bottom {
+            let (first, last) = (self.starts[y * self.across + left], self.starts[y * self.across + right + 1]);
+            for &member in &self.members[first as usize..last as usize] {
+                if (candidates[member as usize].pixel - place).norm_squared() < reach * reach {
+                    visit(member as usize);
+                }
+            }
+        }
+    }
+
     fn visit_ring(&self, bx: usize, by: usize, ring: usize, mut visit: impl FnMut(usize)) {
         let (left, right) = (bx as isize - ring as isize, bx + ring);
         let (top, bottom) = (by as isize - ring as isize, by + ring);

@@ -1,5 +1,6 @@
 //! The last look, which can only drop: every corner's edges and its place among its neighbours.
 
+use super::bend::predict_bent;
 use super::edges::{EdgeCount, count_edges};
 use super::grid::Grid;
 use super::growth::in_steps;
@@ -46,7 +47,7 @@ fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
 /// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False if too many must go.
 fn drop_misplaced(grid: &mut Grid) -> bool {
     for _ in 0..MOST_MISPLACED {
-        let off = |&(i, j): &(i32, i32)| Some((off_neighbours(grid, i, j)?, (i, j)));
+        let off = |&(i, j): &(i32, i32)| Some((astray(grid, i, j, MOST_OFF)?, (i, j)));
         let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
             Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
@@ -54,6 +55,19 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
         }
     }
     false
+}
+
+/// How far the corner (i, j) lies from where its neighbours put it, in steps; if that is more than `most`, on a board that may
+/// be bent.
+pub(super) fn astray(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
+    let off = off_neighbours(grid, i, j)?;
+    Some(if off > most { off_bent(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
+}
+
+/// How far the corner (i, j) lies from where it must be on a board that may be bent, in steps.
+pub(super) fn off_bent(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+    let off = in_steps(grid.pixel(i, j)? - predict_bent(grid, i, j)?, grid.steps(i, j)?)?;
+    Some(off.x.abs().max(off.y.abs()))
 }
 
 /// How far the corner (i, j) lies from where its neighbours put it, in steps.

@@ -1,0 +1,78 @@
+//! Where a corner must be on a board that a lens bends: a surface of second order through the corners around it.
+//!
+//! Across a few squares even a full fisheye bends and squeezes a board no more than that, where steps that only go on as they
+//! were, or as perspective alone has them, are off by a quarter of a square.
+
+use nalgebra::{SMatrix, SVector};
+
+use super::cross::Vec2;
+use super::grid::Grid;
+
+/// Corners this many lines away tell, on each side.
+const REACH: i32 = 2;
+/// Terms of the surface: 1, i, j, i², ij, j².
+const TERMS: usize = 6;
+/// Fewer corners than this tell nothing.
+const FEWEST: usize = TERMS + 2;
+
+/// Where the corner (i, j) of `grid` must be, itself not asked; `None` if too few corners are around it.
+pub(super) fn predict_bent(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
+    let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
+    let mut right = SMatrix::<f32, TERMS, 2>::zeros();
+    let (mut count, mut origin) = (0, None);
+    for (dj, di) in (-REACH..=REACH).flat_map(|dj| (-REACH..=REACH).map(move |di| (dj, di))) {
+        let Some(p) = grid.pixel(i + di, j + dj).filter(|_| (di, dj) != (0, 0)) else { continue };
+        let away = p - *origin.get_or_insert(p);
+        let (x, y) = (di as f32, dj as f32);
+        let row = SVector::<f32, TERMS>::from([1.0, x, y, x * x, x * y, y * y]);
+        // The nearest tell most.
+        let weight = (1.0 + x * x + y * y).powi(-2);
+        normal += row * row.transpose() * weight;
+        right += row * away.transpose() * weight;
+        count += 1;
+    }
+    let origin = origin.filter(|_| count >= FEWEST)?;
+    let least = 1e-3 * normal.diagonal().min();
+    let surface = normal.cholesky().filter(|factor| factor.l_dirty().diagonal().min().powi(2) > least)?.solve(&right);
+    Some(origin + Vec2::new(surface[(0, 0)], surface[(0, 1)]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::grid::Node;
+
+    fn grid(members: impl Iterator<Item = (i32, i32)>, at: impl Fn(i32, i32) -> Vec2) -> Grid {
+        let mut grid = Grid::default();
+        grid.clear(10, true);
+        for (i, j) in members {
+            grid.set(i, j, Node { pixel: at(i, j), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
+        }
+        grid
+    }
+
+    /// As an equidistant fisheye sees a board from close by: steps shrink by a third from one to the next at its rim.
+    fn fisheye(i: i32, j: i32) -> Vec2 {
+        let (x, y) = (f64::from(i) * 0.45 - 0.2, f64::from(j) * 0.4 - 0.5);
+        let radius = x.hypot(y);
+        let scale = 110.0 * radius.atan() / radius.max(1e-9);
+        Vec2::new((200.0 + scale * x) as f32, (150.0 + scale * y) as f32)
+    }
+
+    #[test]
+    fn a_board_in_a_fisheye_is_continued_at_its_rim() {
+        let grid = grid((0..5).flat_map(|j| (0..4).map(move |i| (i, j))), fisheye);
+        for (i, j) in [(4, 1), (4, 3), (3, 4), (0, 0), (2, 2)] {
+            let put = predict_bent(&grid, i, j).expect("enough corners");
+            let step = (fisheye(i, j) - fisheye(i - 1, j)).norm();
+            assert!((put - fisheye(i, j)).norm() < 0.15 * step, "({i}, {j}) is off by {}", put - fisheye(i, j));
+        }
+    }
+
+    #[test]
+    fn corners_that_determine_no_surface_tell_nothing() {
+        let straight = |i: i32, j: i32| Vec2::new(20.0 * i as f32, 20.0 * j as f32);
+        assert_eq!(predict_bent(&grid((0..3).flat_map(|j| (0..2).map(move |i| (i, j))), straight), 2, 1), None);
+        assert_eq!(predict_bent(&grid((0..10).map(|k| (k % 5, k / 5)), straight), 2, 2), None);
+    }
+}

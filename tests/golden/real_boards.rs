@@ -1,0 +1,86 @@
+//! Boards in real photographs: found, whole, and every corner labelled as its neighbours are.
+
+use std::path::{Path, PathBuf};
+
+use plumb::detection::board_detection::{DetectOptions, Detection};
+use plumb::detection::detector::Detector;
+use plumb::geometry::board::BoardSize;
+use plumb::geometry::pixel::Pixel;
+use plumb::imaging::decode::luma;
+use plumb::imaging::frame::SensorKind;
+use plumb::imaging::gray::GrayImage;
+use plumb::imaging::picture_file::frame_from_file;
+
+use crate::shared_data::shared_data;
+
+fn look(detector: &mut Detector, path: &Path) -> Detection {
+    let mut image = GrayImage::default();
+    luma(&frame_from_file(SensorKind::Color, std::fs::read(path).unwrap()), &mut image).unwrap();
+    let found = detector.find_board(image.view(), &DetectOptions { allow_partial: true });
+    found.unwrap_or_else(|no_board| panic!("{}: {no_board}", path.display()))
+}
+
+/// The pictures in the folder `name`, in the order of their names; there must be `count`.
+fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(shared_data(name)?).unwrap().map(|entry| entry.unwrap().path());
+    let is_picture = |path: &PathBuf| path.extension().is_some_and(|kind| kind == "jpg" || kind == "png");
+    let mut paths: Vec<PathBuf> = entries.filter(is_picture).collect();
+    paths.sort();
+    assert_eq!(paths.len(), count, "{name}");
+    Some(paths)
+}
+
+fn at(found: &Detection, col: i32, row: i32) -> Option<Pixel> {
+    found.corners.iter().find(|corner| (corner.index.col, corner.index.row) == (col, row)).map(|corner| corner.pixel)
+}
+
+/// Every square keeps the way round that boards have, and no step along a line is twice the one before: a line that was
+/// skipped or counted twice would break that, whatever the lens.
+fn assert_even_grid(found: &Detection, path: &Path) {
+    let minus = |p: Pixel, q: Pixel| (p.x - q.x, p.y - q.y);
+    let mut squares = 0;
+    for (col, row) in found.corners.iter().map(|corner| (corner.index.col, corner.index.row)) {
+        let Some(p) = at(found, col, row) else { continue };
+        if let (Some(q), Some(r)) = (at(found, col + 1, row), at(found, col, row + 1)) {
+            let ((ux, uy), (vx, vy)) = (minus(q, p), minus(r, p));
+            assert!(ux * vy - uy * vx > 0.0, "{}: square at {col}, {row}", path.display());
+            squares += 1;
+        }
+        for (dc, dr) in [(1, 0), (0, 1)] {
+            if let (Some(q), Some(r)) = (at(found, col + dc, row + dr), at(found, col - dc, row - dr)) {
+                let ratio = p.distance_px(q) / p.distance_px(r);
+                assert!((0.55..1.8).contains(&ratio), "{}: step at {col}, {row}: {ratio}", path.display());
+            }
+        }
+    }
+    assert!(squares > 0);
+}
+
+#[test]
+fn every_board_in_a_full_fisheye_is_found_whole() {
+    let Some(paths) = pictures("boofcv-fisheye-chess", 26) else { return };
+    let board: BoardSize = "4x6".parse().unwrap();
+    let mut detector = Detector::new(board);
+    for path in &paths {
+        let found = look(&mut detector, path);
+        assert!(!found.partial && found.position_known, "{}: {} corners", path.display(), found.corners.len());
+        assert_eq!(found.corners.len(), board.corner_count());
+        assert_even_grid(&found, path);
+    }
+}
+
+#[test]
+fn every_small_board_on_a_large_plate_is_found() {
+    let Some(paths) = pictures("opencv-extra-subpixel", 33) else { return };
+    let board: BoardSize = "4x5".parse().unwrap();
+    let mut detector = Detector::new(board);
+    let mut whole = 0;
+    for path in &paths {
+        let found = look(&mut detector, path);
+        assert!(found.position_known && found.corners.len() + 1 >= board.corner_count(), "{}", path.display());
+        assert_even_grid(&found, path);
+        whole += usize::from(!found.partial);
+    }
+    // The others are as sharp as pixels can show, and the place of one corner each is undetermined.
+    assert!(whole >= 30, "{whole} of 33");
+}
