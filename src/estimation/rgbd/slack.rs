@@ -20,6 +20,11 @@ pub(super) struct Slack {
 /// A variance that stands for none.
 const NONE: f64 = 1e-16;
 
+/// By how much a variance must make what was seen likelier, as a natural logarithm, to be taken for more than chance: of views
+/// without any slack, about one set in forty shows as much (half a χ² of one, at the edge of what a variance can be: S. Self and
+/// K.-Y. Liang, *Asymptotic properties of maximum likelihood estimators under nonstandard conditions*, 1987).
+const LEAST_GAIN: f64 = 2.0;
+
 impl Slack {
     /// With what a view's own motion adds.
     pub(super) fn covariance(self, motion: &[f64; 6]) -> Vector6<f64> {
@@ -54,7 +59,23 @@ impl Slack {
             }
             if determined <= 0.0 { variance } else { (squares / determined).clamp(NONE, 1.0) }
         };
-        Self { turn: of(0, self.turn), shift: of(3, self.shift) }
+        Self { turn: of(0, self.turn), shift: of(3, self.shift) }.where_shown(apart, self)
+    }
+
+    /// Without what the views do not show: a variance that only followed chance would make the sensors' pose look less certain
+    /// than it is. `held` are the variances that the views' own spread was told with.
+    fn where_shown<'a>(mut self, apart: impl Iterator<Item = &'a Apart> + Clone, held: Self) -> Self {
+        let likelihood = |slack: Self| -> f64 {
+            let (turn, shift) = (slack.turn - held.turn, slack.shift - held.shift);
+            apart.clone().map(|view| view.likelihood(turn, shift)).sum()
+        };
+        if likelihood(self) - likelihood(Self { turn: NONE, ..self }) < LEAST_GAIN {
+            self.turn = NONE;
+        }
+        if likelihood(self) - likelihood(Self { shift: NONE, ..self }) < LEAST_GAIN {
+            self.shift = NONE;
+        }
+        self
     }
 
     pub(super) fn is_near(self, other: Self) -> bool {
@@ -72,6 +93,8 @@ pub(super) struct Apart {
     pub(super) slack: Vector6<f64>,
     pub(super) prior: Vector6<f64>,
     pub(super) posterior: Matrix6<f64>,
+    /// What corners alone leave open of it.
+    measured: Matrix6<f64>,
     /// How unlikely: a χ² with six degrees of freedom.
     pub(super) surprise: f64,
 }
@@ -92,7 +115,18 @@ impl Apart {
         let posterior = (precision + measured.cholesky()?.inverse()).cholesky()?.inverse();
         let spread = measured + Matrix6::from_diagonal(&prior);
         let surprise = apart.dot(&spread.cholesky()?.solve(&apart));
-        Some(Self { apart, slack, prior, posterior, surprise })
+        Some(Self { apart, slack, prior, posterior, measured, surprise })
+    }
+
+    /// The logarithm of how likely it is, up to a constant, with variances of turn and shift that are larger than the prior's.
+    fn likelihood(&self, turn: f64, shift: f64) -> f64 {
+        let more = Vector6::new(turn, turn, turn, shift, shift, shift);
+        let prior = (self.prior + more).map(|variance| variance.max(NONE));
+        let Some(factor) = (self.measured + Matrix6::from_diagonal(&prior)).cholesky() else {
+            return f64::NEG_INFINITY;
+        };
+        let logarithm: f64 = factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum();
+        -logarithm - 0.5 * self.apart.dot(&factor.solve(&self.apart))
     }
 }
 
