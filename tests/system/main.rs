@@ -14,6 +14,7 @@ mod lens_conformance;
 mod live_session;
 mod program;
 mod recordings;
+mod rgbd_bent;
 mod rgbd_session;
 mod rgbd_wrong;
 mod rig_session;
