@@ -19,5 +19,6 @@ pub mod session_record;
 pub mod solve;
 pub mod solve_rgbd;
 pub mod solve_rig;
+pub mod stated_calibration;
 pub(crate) mod verdict;
 pub mod view;

@@ -9,7 +9,9 @@ use axum::http::{HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
 use crate::calibration::calibration::Calibration;
+use crate::calibration::stated_calibration::stated_calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
+use crate::document::time;
 use crate::export::other_pictures::{OtherPictures, PicturesError, for_other_pictures};
 use crate::export::{ExportError, ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::{ImageRegion, RegionError};
@@ -74,6 +76,31 @@ pub(super) async fn current_of(
         ))
     };
     written(&for_asked_pictures(&found.ok_or_else(none)?, parameters)?, format, parameters)
+}
+
+/// What the device states of its own sensors, as it left the factory, in any format: as it is stated, without any measurement.
+#[utoipa::path(get, path = "/v1/cameras/{camera}/factory", tag = "calibrations",
+    params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
+    responses(
+        (status = 200, description = "the factory's calibration", content(
+            (CalibrationDocument = "application/json"), (String = "application/yaml"), (String = "text/plain"))),
+        (status = 404, description = "no such camera, or its device states nothing of its lenses", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown format, or one that cannot hold this lens", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn stated(
+    State(shared): State<Arc<Shared>>,
+    Address(camera): Address<String>,
+    parameters: Parameters,
+) -> Result<Response, Problem> {
+    let factory = shared.fleet.camera(&camera)?.factory;
+    let format = format(&parameters)?;
+    let now_ns = time::utc_ns(jiff::Timestamp::now());
+    let stated = stated_calibration(&factory, &camera, now_ns).ok_or_else(|| {
+        Problem::not_found(format!(
+            "the device of camera `{camera}` states nothing of its lenses, or is not there yet; run a session to calibrate it"
+        ))
+    })?;
+    written(&for_asked_pictures(&stated, &parameters)?, format, &parameters)
 }
 
 /// Every calibration of a camera, newest first.

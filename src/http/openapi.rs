@@ -36,6 +36,7 @@ use crate::http::{
         views::picture,
         calibrations::current,
         calibrations::history,
+        calibrations::stated,
         calibrations::one,
         calibrations::approve,
         uncertainty::numbers,

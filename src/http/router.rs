@@ -32,6 +32,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/cameras/{camera}/sessions", post(sessions::start))
         .route("/v1/cameras/{camera}/calibration", get(calibrations::current))
         .route("/v1/cameras/{camera}/calibrations", get(calibrations::history))
+        .route("/v1/cameras/{camera}/factory", get(calibrations::stated))
         .route("/v1/rigs", get(rigs::list))
         .route("/v1/rigs/{rig}", get(rigs::one))
         .route("/v1/rigs/{rig}/sessions", post(rigs::start))

@@ -113,6 +113,26 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
     assert_eq!(factory["sensors"]["depth"]["unit_m"], 0.001, "{camera}");
     let shift = translation(named(&factory["extrinsics"], "color_from_depth"));
     assert!((shift - Vector3::new(0.01431131, 0.00060231, 0.00061080)).norm() < 1e-6, "{camera}");
+    // The same in every format.
+    let calibration = served.get("/v1/cameras/front/factory").json();
+    assert_eq!(
+        calibration["sensors"]["depth"]["lens"]["fx"], factory["sensors"]["depth"]["lens"]["fx"],
+        "{calibration}"
+    );
+    for (asked, number) in [
+        ("ros&sensor=depth", "390.4314"),
+        ("ros", "613.2036"),
+        ("opencv&sensor=depth", "331.3878"),
+        ("kalibr", "613.4193"),
+        ("mrcal", "319.9388"),
+        ("colmap", "239.1829"),
+        ("depth", "390.4314"),
+        ("urdf", "0.0143113"),
+        ("tf", "0.0143113"),
+    ] {
+        let answer = served.get(&format!("/v1/cameras/front/factory?format={asked}"));
+        assert!(answer.status == 200 && answer.text().contains(number), "{asked}: {} {}", answer.status, answer.text());
+    }
 }
 
 #[test]

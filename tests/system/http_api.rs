@@ -115,7 +115,9 @@ fn a_camera_is_shown_with_its_picture() {
     assert_eq!(is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=x"), 422)["field"], "sensor");
     assert_eq!(is_problem(&served.get("/v1/cameras/front/frame.jpg?overlay=2"), 422)["field"], "overlay");
     is_problem(&served.get("/v1/cameras/front/calibration"), 404);
-    for unknown in ["", "/frame.jpg", "/preview.mjpg", "/calibration", "/calibrations"] {
+    // A recording's device states nothing.
+    is_problem(&served.get("/v1/cameras/front/factory"), 404);
+    for unknown in ["", "/frame.jpg", "/preview.mjpg", "/calibration", "/calibrations", "/factory"] {
         is_problem(&served.get(&format!("/v1/cameras/rear{unknown}")), 404);
     }
 }

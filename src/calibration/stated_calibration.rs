@@ -1,0 +1,134 @@
+//! What a device states of its own sensors, as a calibration: so that it can be written in every format, as it is stated.
+
+use crate::calibration::calibration::{
+    Calibration, Checks, Extrinsics, Grade, ProjectionUncertainty, SensorCalibration, Verdict,
+};
+use crate::calibration::depth_calibration::{DepthCalibration, DepthNoise};
+use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+use crate::geometry::lens::Lens;
+use crate::imaging::factory::{FactoryCalibration, FactorySensor};
+use crate::imaging::frame::SensorKind;
+
+/// Every number as `factory` has it; `None` where it states no lens. Deviations are 0 and uncertainties infinite: nothing was
+/// measured. `created_at_ns` is when it was asked for.
+pub fn stated_calibration(factory: &FactoryCalibration, camera: &str, created_at_ns: i64) -> Option<Calibration> {
+    let of = |sensor: SensorKind| factory.sensor(sensor).and_then(|stated| Some((stated, stated.lens?)));
+    let picture = |sensor: SensorKind| of(sensor).map(|(stated, lens)| picture_sensor(stated, lens));
+    let depth = of(SensorKind::Depth).and_then(|(stated, lens)| depth_sensor(stated, lens));
+    let [color, infrared, infrared2] = [SensorKind::Color, SensorKind::Infrared, SensorKind::Infrared2].map(picture);
+    if color.is_none() && infrared.is_none() && infrared2.is_none() && depth.is_none() {
+        return None;
+    }
+    let extrinsics = |stated: &FactorySensor| {
+        (stated.sensor != SensorKind::Color).then_some(Extrinsics {
+            name: format!("color_from_{}", stated.sensor.name()),
+            target_from_source: stated.color_from_sensor?,
+            rotation_std: [0.0; 3],
+            translation_std_m: [0.0; 3],
+        })
+    };
+    let mut reasons =
+        vec!["as the device states it, not measured: a session with a board says how far it holds".to_owned()];
+    reasons.extend(factory.sensors.iter().filter(|stated| stated.lens.is_none()).map(left_out));
+    Some(Calibration {
+        id: "factory".to_owned(),
+        camera: Some(camera.to_owned()),
+        session: None,
+        created_at_ns,
+        target: None,
+        color,
+        infrared,
+        infrared2,
+        depth,
+        cameras: Vec::new(),
+        extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
+        checks: Checks::default(),
+        verdict: Verdict { grade: Grade::Usable, reasons },
+    })
+}
+
+fn left_out(stated: &FactorySensor) -> String {
+    format!(
+        "{} is left out: no lens here says the same as the device's {}, with its coefficients {:?}",
+        stated.sensor.name(),
+        stated.stated.model,
+        stated.stated.coefficients
+    )
+}
+
+fn picture_sensor(stated: &FactorySensor, lens: Lens) -> SensorCalibration {
+    let unknown = f64::INFINITY;
+    SensorCalibration {
+        image_size: stated.image_size,
+        lens,
+        lens_std: vec![0.0; lens.parameters().len()],
+        lens_covariance: Vec::new(),
+        rms_px: 0.0,
+        uncertainty_px: ProjectionUncertainty { center: unknown, median: unknown, worst: unknown },
+        views: Vec::new(),
+        compared: Vec::new(),
+        board_warp_m: None,
+    }
+}
+
+fn depth_sensor(stated: &FactorySensor, lens: Lens) -> Option<DepthCalibration> {
+    let reading = DepthReading::Metric { unit_m: stated.depth_unit_m? };
+    Some(DepthCalibration {
+        camera: DepthCamera { image_size: stated.image_size, lens, reading, correction: None },
+        invalid: None,
+        lens_std: vec![0.0; lens.parameters().len()],
+        bias: Vec::new(),
+        noise: DepthNoise::default(),
+        time_offset: None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::pixel::ImageSize;
+    use crate::geometry::pose::Pose;
+    use crate::imaging::factory::StatedLens;
+
+    fn stated(sensor: SensorKind, fx: f64, lens: bool) -> FactorySensor {
+        let matrix = CameraMatrix { fx, fy: fx, cx: 320.5, cy: 240.25, skew: 0.0 };
+        FactorySensor {
+            sensor,
+            image_size: ImageSize::new(640, 480),
+            stated: StatedLens {
+                model: "BrownConradyInverse".to_owned(),
+                focal_px: [fx; 2],
+                principal_px: [320.5, 240.25],
+                coefficients: vec![0.1; 5],
+            },
+            lens: lens.then(|| Lens::pinhole(matrix)),
+            color_from_sensor: Some(Pose::from_axis_angle([0.0, 0.01, 0.0].into(), [0.015, 0.0, 0.001].into())),
+            depth_unit_m: (sensor == SensorKind::Depth).then_some(0.001),
+        }
+    }
+
+    #[test]
+    fn every_number_is_as_stated() {
+        let [color, depth] = [stated(SensorKind::Color, 612.5, true), stated(SensorKind::Depth, 385.25, true)];
+        let infrared = stated(SensorKind::Infrared, 385.25, false);
+        let factory = FactoryCalibration { sensors: vec![color.clone(), infrared, depth.clone()] };
+        let calibration = stated_calibration(&factory, "front", 7).unwrap();
+        assert_eq!(calibration.color.map(|sensor| sensor.lens), color.lens);
+        let camera = calibration.depth.unwrap().camera;
+        assert_eq!((Some(camera.lens), camera.reading), (depth.lens, DepthReading::Metric { unit_m: 0.001 }));
+        assert_eq!(calibration.infrared, None);
+        let names: Vec<&str> = calibration.extrinsics.iter().map(|one| one.name.as_str()).collect();
+        assert_eq!(names, ["color_from_infrared", "color_from_depth"]);
+        assert_eq!(Some(calibration.extrinsics[1].target_from_source), depth.color_from_sensor);
+        let told = calibration.verdict.reasons.join("\n");
+        assert!(told.contains("not measured") && told.contains("infrared is left out"), "{told}");
+    }
+
+    #[test]
+    fn nothing_is_made_of_nothing() {
+        let only = |one| FactoryCalibration { sensors: vec![one] };
+        assert_eq!(stated_calibration(&FactoryCalibration::default(), "front", 7), None);
+        assert_eq!(stated_calibration(&only(stated(SensorKind::Color, 600.0, false)), "front", 7), None);
+    }
+}
