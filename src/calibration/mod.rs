@@ -10,6 +10,7 @@ pub mod drift;
 pub mod factory_check;
 pub mod guidance;
 pub mod placement;
+pub mod plane_error;
 pub mod rgbd_calibration;
 mod rgbd_check;
 pub mod rig_session;

@@ -9,8 +9,10 @@ use image::{ImageFormat, RgbImage};
 use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
+use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
 use crate::cli::sources::{FrameSets, is_recording};
 use crate::cli::{Failure, output, progress};
+use crate::estimation::robust::median;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
@@ -31,6 +33,10 @@ pub struct Args {
     /// Write the points as NAME.ply too, in the colour camera's frame; with their colours where the colour picture is there
     #[arg(long)]
     cloud: bool,
+    /// Where the colour picture shows the calibration's board (held still), say how far depth is off it before and after
+    /// correction, and draw it as NAME-error.png
+    #[arg(long)]
+    errors: bool,
     /// Correct and register each picture N times; elapsed_ms is the fastest
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u32,
@@ -64,6 +70,16 @@ struct Written {
     too_far_for_unit: usize,
     /// Correction and registration alone, without reading and writing.
     elapsed_ms: f64,
+    /// Off the board that colour sees, where that was asked for and is seen.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    off_board: Option<BeforeAndAfter>,
+}
+
+/// What comes with a depth picture.
+#[derive(Default)]
+struct Colored {
+    picture: Option<RgbImage>,
+    frame: Option<Frame>,
 }
 
 /// Corrects every depth picture; one that cannot be is told at the end, and the others are written.
@@ -75,6 +91,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         return Err(Failure::usage(format!("--unit {}: give metres per unit, as in 0.001", args.unit)));
     }
     let calibration = read_calibration(&args.calibration)?;
+    let mut plane_errors = args.errors.then(|| PlaneErrors::new(&calibration)).transpose()?;
     let file = args.calibration.display();
     let missing = |what: &str| {
         Failure::failed(format!("{file}: calibrates no {what}; calibrate from a recording with colour and depth"))
@@ -89,11 +106,16 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
     let spinner = progress::spinner("correcting");
     let (mut written, mut failures) = (Vec::new(), Vec::new());
-    let mut give = |path: String, name: String, picture: Result<(DepthImage, Option<RgbImage>), String>| {
+    let mut give = |path: String, name: String, picture: Result<(DepthImage, Colored), String>| {
         spinner.inc(1);
         let outcome = picture.and_then(|(picture, color)| {
             fits(&picture, depth.camera.image_size)?;
-            correct(args, (&registration, depth.invalid), (&path, &name), (&picture, color.as_ref()))
+            let picture_of_color = (&picture, color.picture.as_ref());
+            let mut one = correct(args, (&registration, depth.invalid), (&path, &name), picture_of_color)?;
+            if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
+                one.off_board = off_board(args, errors, &name, (frame, &picture))?;
+            }
+            Ok(one)
         });
         match outcome {
             Ok(one) => written.push(one),
@@ -104,19 +126,21 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let place = Path::new(source);
         if place.is_dir() && !place.join("depth").is_dir() {
             for path in pictures_in(place)? {
-                give(path.display().to_string(), stem(&path), read(&path).map(|depth| (depth, None)));
+                give(path.display().to_string(), stem(&path), read(&path).map(|depth| (depth, Colored::default())));
             }
         } else if place.is_dir() || is_recording(place) {
             for frames in FrameSets::new(std::iter::once(source.clone())) {
                 let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
                 let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
                 let name = frames.set.name.clone().unwrap_or_else(|| format!("{:06}", frames.set.sequence));
-                let color = frames.set.frame(SensorKind::Color).filter(|_| needs_color(args)).map(decode::rgb);
-                let color = color.transpose().map_err(|error| format!("its colour picture: {error}"));
+                let color = frames.set.frame(SensorKind::Color);
+                let picture = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
+                let picture = picture.map_err(|error| format!("its colour picture: {error}"));
+                let color = picture.map(|picture| Colored { picture, frame: color.cloned() });
                 give(frames.path(), name, decoded(frame).and_then(|depth| Ok((depth, color?))));
             }
         } else {
-            give(source.clone(), stem(place), read(place).map(|depth| (depth, None)));
+            give(source.clone(), stem(place), read(place).map(|depth| (depth, Colored::default())));
         }
     }
     spinner.finish_and_clear();
@@ -133,11 +157,7 @@ fn correct(
         Some("color") => registration.register(picture, invalid, args.unit),
         _ => registration.correct(picture, invalid, args.unit),
     });
-    let write = |name: String, bytes: &[u8]| {
-        let out = args.out.join(name);
-        write_file(&out, bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
-        Ok::<_, String>(out.display().to_string())
-    };
+    let write = |name: String, bytes: &[u8]| write(args, &name, bytes);
     if needs_color(args) {
         let depths = registration.depths_m(picture, invalid);
         if args.cloud {
@@ -158,7 +178,26 @@ fn correct(
         beyond_calibrated_range: corrected.beyond,
         too_far_for_unit: corrected.overflowed,
         elapsed_ms,
+        off_board: None,
     })
+}
+
+/// How far `picture` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it shows none.
+fn off_board(
+    args: &Args,
+    errors: &mut PlaneErrors,
+    name: &str,
+    (frame, picture): (&Frame, &DepthImage),
+) -> Result<Option<BeforeAndAfter>, String> {
+    let Some((off, drawn)) = errors.of(frame, picture)? else { return Ok(None) };
+    write(args, &format!("{name}-error.png"), &encode_png(&drawn)?)?;
+    Ok(Some(off))
+}
+
+fn write(args: &Args, name: &str, bytes: &[u8]) -> Result<String, String> {
+    let out = args.out.join(name);
+    write_file(&out, bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    Ok(out.display().to_string())
 }
 
 /// What `work` gives, and the least time that one of the repetitions took, in milliseconds.
@@ -188,6 +227,7 @@ fn encode_png(picture: &RgbImage) -> Result<Vec<u8>, String> {
 
 fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), Failure> {
     let (count, beyond) = (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
+    let off: Vec<[f64; 2]> = written.iter().filter_map(|one| Some(one.off_board?.rms_m())).collect();
     if args.json {
         output::print_json(&Report { unit_m: args.unit, registered: args.register.clone(), written })?;
     } else if count > 0 {
@@ -196,6 +236,9 @@ fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), F
             output::print_line(&format!(
                 "{beyond} readings lie beyond the distances that were calibrated: corrected as at the nearest"
             ))?;
+        }
+        if args.errors {
+            output::print_line(&off_line(&off))?;
         }
     }
     match failures {
@@ -206,6 +249,19 @@ fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), F
             failures.len() + count
         ))),
         [first, ..] => Err(Failure::failed(first)),
+    }
+}
+
+/// The middle of all pictures' root mean squares before and after correction, in metres: a moving board, which colour and depth
+/// see at different moments, is off in depth however right it is.
+fn off_line(off: &[[f64; 2]]) -> String {
+    let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
+    match (middle_mm(0), middle_mm(1)) {
+        (Some(before), Some(after)) => format!(
+            "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} pictures",
+            off.len()
+        ),
+        _ => "no colour picture with depth shows the calibration's board: give a recording of it".to_owned(),
     }
 }
 

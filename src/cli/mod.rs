@@ -22,6 +22,7 @@ pub mod in_order;
 pub mod length;
 pub mod lens_name;
 pub mod output;
+mod plane_errors;
 pub mod progress;
 pub mod record;
 pub mod search;

@@ -7,6 +7,7 @@ pub mod depth_image;
 pub mod depth_picture;
 mod distortion_lookup;
 pub mod draw;
+pub mod error_picture;
 pub mod factory;
 pub mod frame;
 pub mod gray;

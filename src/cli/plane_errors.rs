@@ -1,0 +1,108 @@
+//! How far depth is off a board that colour sees, before and after correction, as numbers and as a picture.
+
+use serde::Serialize;
+
+use crate::calibration::calibration::Calibration;
+use crate::calibration::plane_error::{mean_and_rms_m, plane_error};
+use crate::calibration::view::{FrameFacts, View};
+use crate::cli::Failure;
+use crate::detection::board_detection::DetectOptions;
+use crate::detection::detector::Detector;
+use crate::estimation::board_pose::board_poses;
+use crate::geometry::board::Chessboard;
+use crate::geometry::depth_camera::DepthCamera;
+use crate::geometry::lens::Lens;
+use crate::geometry::pose::Pose;
+use crate::imaging::decode::luma;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::error_picture::draw_errors;
+use crate::imaging::frame::Frame;
+use crate::imaging::gray::GrayImage;
+
+/// Measures depth by the board in colour's pictures.
+pub struct PlaneErrors {
+    board: Chessboard,
+    color: Lens,
+    color_from_depth: Pose,
+    depth: DepthCamera,
+    invalid: Option<u16>,
+    detector: Detector,
+    image: GrayImage,
+}
+
+/// Depth less that of the board's plane, in metres.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct OffPlane {
+    mean_m: f64,
+    rms_m: f64,
+}
+
+/// Of one picture, as the device gives it and corrected.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BeforeAndAfter {
+    before: OffPlane,
+    after: OffPlane,
+}
+
+impl BeforeAndAfter {
+    /// The root mean squares, in metres.
+    pub fn rms_m(&self) -> [f64; 2] {
+        [self.before.rms_m, self.after.rms_m]
+    }
+}
+
+impl PlaneErrors {
+    /// For the camera of `calibration`, by its own board.
+    ///
+    /// # Errors
+    /// For a calibration without a board, colour, depth or the pose between them.
+    pub fn new(calibration: &Calibration) -> Result<Self, Failure> {
+        let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+        let parts = calibration.target.zip(calibration.color.as_ref()).zip(calibration.depth.as_ref()).zip(stated);
+        let (((board, color), depth), color_from_depth) = parts.ok_or_else(|| {
+            Failure::failed(
+                "--errors needs a calibration by a board, of colour and depth; calibrate with plumb calibrate",
+            )
+        })?;
+        Ok(Self {
+            board,
+            color: color.lens,
+            color_from_depth: color_from_depth.target_from_source,
+            depth: depth.camera.clone(),
+            invalid: depth.invalid,
+            detector: Detector::new(board.size),
+            image: GrayImage::default(),
+        })
+    }
+
+    /// What is off in `picture`, and how it looks; `None` where the board is not in `color`, or nothing of it in depth.
+    ///
+    /// # Errors
+    /// For a colour picture that cannot be read.
+    pub fn of(
+        &mut self,
+        color: &Frame,
+        picture: &DepthImage,
+    ) -> Result<Option<(BeforeAndAfter, image::RgbImage)>, String> {
+        luma(color, &mut self.image).map_err(|error| format!("its colour picture: {error}"))?;
+        let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default()) else {
+            return Ok(None);
+        };
+        let image_size = self.image.size();
+        let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
+        let view = View { number: 0, frame, detection }.to_board_view(&self.board);
+        let poses = board_poses(&self.color, &view).unwrap_or_default();
+        let Some(pose) = poses.first() else { return Ok(None) };
+        let on_board = (&self.board, &pose.camera_from_board);
+        let errors = plane_error((&self.depth, &self.color_from_depth), on_board, (picture, self.invalid));
+        let [before, after] = [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
+        Ok(before.zip(after).and_then(|(before, after)| {
+            let [first, second] = [("before", before), ("after", after)]
+                .map(|(when, [_, rms_m])| format!("{when} {:.2} mm rms", 1e3 * rms_m));
+            let both = [errors.before_m.as_slice(), errors.after_m.as_slice()];
+            let off = |[mean_m, rms_m]: [f64; 2]| OffPlane { mean_m, rms_m };
+            let drawn = draw_errors(both, errors.size, [&first, &second])?;
+            Some((BeforeAndAfter { before: off(before), after: off(after) }, drawn))
+        }))
+    }
+}
