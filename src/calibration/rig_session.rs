@@ -7,10 +7,10 @@
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
+use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::session::{LEAST_VIEWS, Session, SessionOver};
-use crate::calibration::session_record::{
-    Finish, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
-};
+use crate::calibration::session_end::Ending;
+use crate::calibration::session_record::{RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState};
 use crate::calibration::solve_rig::{RigCameraInput, RigInput};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
@@ -51,6 +51,16 @@ pub enum RigAction {
     Solve,
     /// Store the record for good: the session is over.
     Close,
+}
+
+impl From<Ending> for RigAction {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Announce => Self::Announce,
+            Ending::Solve => Self::Solve,
+            Ending::Close => Self::Close,
+        }
+    }
 }
 
 /// What became of a moment.
@@ -233,30 +243,22 @@ impl RigSession {
                 }
             }
         }
-        let grown = is_new.iter().enumerate().filter(|(member, _)| moment_of[*member].is_some());
-        actions.extend(
-            grown.filter(|(member, _)| self.wants_estimate(*member)).map(|(member, _)| RigAction::Estimate(member)),
-        );
+        let grown = (0..is_new.len()).filter(|member| moment_of[*member].is_some());
+        let enough = |member: &usize| self.members[*member].session.views().len() >= LEAST_VIEWS;
+        actions.extend(grown.filter(enough).map(RigAction::Estimate));
         actions
     }
 
-    /// An estimate is made anew when the views have grown by a fifth: it costs, and changes little before.
-    fn wants_estimate(&self, member: usize) -> bool {
-        let session = &self.members[member].session;
-        let made_of = session.record().estimate.map_or(0, |estimate| estimate.views as usize);
-        session.views().len() >= LEAST_VIEWS && session.views().len() >= made_of + (made_of / 5).max(1)
-    }
-
     /// Takes the estimate that [`RigAction::Estimate`] asked for; one that could not be made leaves the one before.
-    pub fn estimated(&mut self, member: usize, estimate: Option<RunningEstimate>) -> Vec<RigAction> {
+    pub fn estimated(&mut self, member: usize, estimate: Option<EstimateSoFar>) -> Vec<RigAction> {
         if self.record.state.is_over() {
             return Vec::new();
         }
+        let mut actions = if estimate.is_some() { vec![RigAction::Announce] } else { Vec::new() };
         if let Some(member) = self.members.get_mut(member) {
             member.session.estimated(estimate);
         }
         self.renew();
-        let mut actions = if estimate.is_some() { vec![RigAction::Announce] } else { Vec::new() };
         if self.record.state == SessionState::Collecting {
             actions.extend(self.end_if_reached());
         }
@@ -268,11 +270,8 @@ impl RigSession {
     /// # Errors
     /// [`SessionOver`].
     pub fn stop(&mut self, now_ns: i64) -> Result<Vec<RigAction>, SessionOver> {
-        match self.record.state {
-            SessionState::Collecting => Ok(self.solve_or_fail("", now_ns)),
-            SessionState::Solving => Ok(Vec::new()),
-            state => Err(SessionOver { state }),
-        }
+        let enough = self.enough();
+        self.record.stop(enough, now_ns)
     }
 
     /// Gives it up; its views stay. `now_ns` is UTC since the Unix epoch.
@@ -280,76 +279,44 @@ impl RigSession {
     /// # Errors
     /// [`SessionOver`].
     pub fn abort(&mut self, now_ns: i64) -> Result<Vec<RigAction>, SessionOver> {
-        match self.record.state {
-            SessionState::Collecting | SessionState::Solving => Ok(self.close(SessionState::Aborted, None, now_ns)),
-            state => Err(SessionOver { state }),
-        }
+        self.record.abort(now_ns)
     }
 
     /// Takes the answer to [`RigAction::Solve`]: the id of the calibration, or why there is none.
     pub fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<RigAction> {
-        if self.record.state != SessionState::Solving {
-            return Vec::new();
-        }
-        match outcome {
-            Ok(calibration) => {
-                self.record.calibration = Some(calibration);
-                self.close(SessionState::Finished, None, now_ns)
-            }
-            Err(reason) => self.close(SessionState::Failed, Some(reason), now_ns),
-        }
+        self.record.solved(outcome, now_ns)
     }
 
     /// No frame will ever come again from any camera: a session that was to end by itself ends now, another one waits to
     /// be stopped.
     pub fn sources_ended(&mut self, reason: &str, now_ns: i64) -> Vec<RigAction> {
-        if self.record.state != SessionState::Collecting {
-            return Vec::new();
-        }
-        if self.record.request.finish.is_some_and(|finish| finish != Finish::default()) {
-            return self.stop(now_ns).unwrap_or_default();
-        }
-        self.record.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
-        vec![RigAction::Announce]
+        let enough = self.enough();
+        self.record.source_ended(reason, enough, now_ns)
     }
 
-    fn solve_or_fail(&mut self, because: &str, now_ns: i64) -> Vec<RigAction> {
+    /// Whether the views can be solved, or what to do.
+    fn enough(&self) -> Result<(), String> {
         let enough = |member: &&Member| member.session.views().len() >= LEAST_VIEWS;
         if self.members.iter().filter(enough).count() >= 2 {
-            self.record.state = SessionState::Solving;
-            self.record.reason = None;
-            self.record.guidance = Guidance::default();
-            return vec![RigAction::Announce, RigAction::Solve];
+            return Ok(());
         }
         let kept: Vec<String> =
             self.members.iter().map(|member| format!("{} {}", member.camera, member.session.views().len())).collect();
-        let reason = format!(
-            "{because}views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
+        Err(format!(
+            "views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
             kept.join(", ")
-        );
-        self.close(SessionState::Failed, Some(reason), now_ns)
+        ))
     }
 
     fn end_if_reached(&mut self) -> Vec<RigAction> {
         let Some(finish) = self.record.request.finish else { return Vec::new() };
-        let now_ns = self.record.started_at_ns.saturating_add((self.record.collecting_s * 1e9) as i64);
-        if finish.max_seconds.is_some_and(|limit| self.record.collecting_s >= limit) {
-            return self.solve_or_fail("the time is up; ", now_ns);
-        }
         let shared = |member: &SessionMember| member.views_shared as usize >= LEAST_VIEWS;
-        let reached = self.members.iter().all(|member| member.session.reaches(&finish));
-        if reached && self.record.members.iter().all(shared) {
-            return self.solve_or_fail("", now_ns);
+        let reached = || self.members.iter().all(|member| member.session.reaches(&finish));
+        if !(self.record.is_time_up() || (self.record.members.iter().all(shared) && reached())) {
+            return Vec::new();
         }
-        Vec::new()
-    }
-
-    fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<RigAction> {
-        self.record.state = state;
-        self.record.reason = reason;
-        self.record.guidance = Guidance::default();
-        self.record.finished_at_ns = Some(now_ns.max(self.record.started_at_ns));
-        vec![RigAction::Close]
+        let enough = self.enough().map_err(|why| format!("the time is up: {why}"));
+        self.record.solve_or_fail_by_itself(enough)
     }
 
     /// The longest that any camera has collected.

@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::*;
 use crate::calibration::placement::tests::{SIZE, detection_at};
+use crate::calibration::session_record::Finish;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
 

@@ -1,12 +1,6 @@
 //! What the product decides: a calibration session as a state machine. Events go in (a frame was looked at, an estimate is
-//! ready, someone asks to stop), [`Action`]s come out; whoever owns the session performs them.
-//!
-//! ```text
-//! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
-//!     │                                          └──────▶ failed (its views stay)
-//!     ├──stop with too few views──▶ failed
-//!     └──abort──▶ aborted          (also from solving)
-//! ```
+//! ready, someone asks to stop), [`Action`]s come out; whoever owns the session performs them. How it ends is in
+//! [`super::session_end`].
 //!
 //! It reads no clock and starts no thread: time comes inside frames and requests. Which views are kept depends on the
 //! frames alone; only reaching an uncertainty goal depends on when estimates are ready.
@@ -15,7 +9,10 @@ use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, adm
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::{Guidance, advise};
 use crate::calibration::placement::Placement;
-use crate::calibration::session_record::{Finish, RunningEstimate, SessionRecord, SessionState};
+use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
+use crate::calibration::session_end::Ending;
+pub use crate::calibration::session_end::SessionOver;
+use crate::calibration::session_record::{Finish, SessionRecord, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
@@ -51,12 +48,14 @@ pub struct Observed {
     pub actions: Vec<Action>,
 }
 
-/// A request that comes too late.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the session is {} already", state.name())]
-pub struct SessionOver {
-    /// How it ended.
-    pub state: SessionState,
+impl From<Ending> for Action {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Announce => Self::Announce,
+            Ending::Solve => Self::Solve,
+            Ending::Close => Self::Close,
+        }
+    }
 }
 
 /// One camera's session.
@@ -68,6 +67,7 @@ pub struct Session {
     before: Option<SeenBefore>,
     last_time_ns: Option<i64>,
     obstacle: Option<(Rejection, u32)>,
+    going_on: Option<GoingOn>,
     estimating: bool,
     /// A view was kept while an estimate was being made.
     estimate_outdated: bool,
@@ -84,6 +84,7 @@ impl Session {
             before: None,
             last_time_ns: None,
             obstacle: None,
+            going_on: None,
             estimating: false,
             estimate_outdated: false,
             options: *options,
@@ -178,14 +179,15 @@ impl Session {
     }
 
     /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves the one before.
-    pub fn estimated(&mut self, estimate: Option<RunningEstimate>) -> Vec<Action> {
+    pub fn estimated(&mut self, estimate: Option<EstimateSoFar>) -> Vec<Action> {
         self.estimating = false;
         if self.record.state.is_over() {
             return Vec::new();
         }
         let mut actions = Vec::new();
-        if let Some(estimate) = estimate {
-            self.record.estimate = Some(estimate);
+        if let Some(EstimateSoFar { running, going_on }) = estimate {
+            self.record.estimate = Some(running);
+            self.going_on = going_on;
             actions.push(Action::Announce);
         }
         if self.record.state == SessionState::Collecting {
@@ -195,6 +197,11 @@ impl Session {
             actions.extend(self.end_if_reached());
         }
         actions
+    }
+
+    /// What the newest estimate left for the next one to go on from.
+    pub fn going_on(&self) -> Option<&GoingOn> {
+        self.going_on.as_ref()
     }
 
     /// Whether an estimate is being made.
@@ -208,18 +215,8 @@ impl Session {
     /// # Errors
     /// [`SessionOver`].
     pub fn stop(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
-        match self.record.state {
-            SessionState::Collecting if self.views.len() < LEAST_VIEWS => {
-                let reason = format!(
-                    "{} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions",
-                    self.views.len()
-                );
-                Ok(self.close(SessionState::Failed, Some(reason), now_ns))
-            }
-            SessionState::Collecting => Ok(self.begin_solve()),
-            SessionState::Solving => Ok(Vec::new()),
-            state => Err(SessionOver { state }),
-        }
+        let enough = self.enough();
+        self.record.stop(enough, now_ns)
     }
 
     /// Gives it up; its views stay. `now_ns` is UTC since the Unix epoch.
@@ -227,24 +224,12 @@ impl Session {
     /// # Errors
     /// [`SessionOver`].
     pub fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
-        match self.record.state {
-            SessionState::Collecting | SessionState::Solving => Ok(self.close(SessionState::Aborted, None, now_ns)),
-            state => Err(SessionOver { state }),
-        }
+        self.record.abort(now_ns)
     }
 
     /// Takes the answer to [`Action::Solve`]: the id of the calibration, or why there is none.
     pub fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
-        if self.record.state != SessionState::Solving {
-            return Vec::new();
-        }
-        match outcome {
-            Ok(calibration) => {
-                self.record.calibration = Some(calibration);
-                self.close(SessionState::Finished, None, now_ns)
-            }
-            Err(reason) => self.close(SessionState::Failed, Some(reason), now_ns),
-        }
+        self.record.solved(outcome, now_ns)
     }
 
     /// The camera gives no frames for `reason`: the session waits for it, and says so.
@@ -278,14 +263,19 @@ impl Session {
 
     /// No frame will ever come again: a session that was to end by itself ends now, another one waits to be stopped.
     pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
-        if self.record.state != SessionState::Collecting {
-            return Vec::new();
+        let enough = self.enough();
+        self.record.source_ended(reason, enough, now_ns)
+    }
+
+    /// Whether the views can be solved, or what to do.
+    fn enough(&self) -> Result<(), String> {
+        if self.views.len() >= LEAST_VIEWS {
+            return Ok(());
         }
-        if self.record.request.finish.is_some_and(|finish| finish != Finish::default()) {
-            return self.stop(now_ns).unwrap_or_default();
-        }
-        self.record.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
-        vec![Action::Announce]
+        Err(format!(
+            "{} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions",
+            self.views.len()
+        ))
     }
 
     fn admit(&mut self, frame: &FrameFacts, seen: Result<&Detection, Rejection>) -> Result<u32, Rejection> {
@@ -352,19 +342,11 @@ impl Session {
 
     fn end_if_reached(&mut self) -> Vec<Action> {
         let Some(finish) = self.record.request.finish else { return Vec::new() };
-        let time_is_up = finish.max_seconds.is_some_and(|limit| self.record.collecting_s >= limit);
-        if !(time_is_up || self.goals_reached(&finish)) {
+        if !(self.record.is_time_up() || self.goals_reached(&finish)) {
             return Vec::new();
         }
-        if self.views.len() >= LEAST_VIEWS {
-            return self.begin_solve();
-        }
-        let reason = format!(
-            "the time is up and {} views were kept, where at least {LEAST_VIEWS} are needed; start again with more time",
-            self.views.len()
-        );
-        let now_ns = self.record.started_at_ns.saturating_add((self.record.collecting_s * 1e9) as i64);
-        self.close(SessionState::Failed, Some(reason), now_ns)
+        let enough = self.enough().map_err(|why| format!("the time is up: {why}"));
+        self.record.solve_or_fail_by_itself(enough)
     }
 
     fn goals_reached(&self, finish: &Finish) -> bool {
@@ -376,21 +358,6 @@ impl Session {
                 estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL) && estimate.uncertainty_px.median <= goal_px
             }),
         }
-    }
-
-    fn begin_solve(&mut self) -> Vec<Action> {
-        self.record.state = SessionState::Solving;
-        self.record.reason = None;
-        self.record.guidance = Guidance::default();
-        vec![Action::Announce, Action::Solve]
-    }
-
-    fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<Action> {
-        self.record.state = state;
-        self.record.reason = reason;
-        self.record.guidance = Guidance::default();
-        self.record.finished_at_ns = Some(now_ns.max(self.record.started_at_ns));
-        vec![Action::Close]
     }
 }
 

@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::*;
 use crate::calibration::calibration::ProjectionUncertainty;
 use crate::calibration::placement::tests::{SIZE, detection_at};
-use crate::calibration::session_record::SessionRequest;
+use crate::calibration::session_record::{RunningEstimate, SessionRequest};
 use crate::detection::board_detection::NoBoard;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
@@ -38,10 +38,11 @@ fn placements() -> Vec<Detection> {
     [-0.12, 0.0, 0.12].iter().flat_map(|x| tilts.map(|tilt| at(*x, tilt))).collect()
 }
 
-fn estimate_of(views: u32, median: f64) -> Option<RunningEstimate> {
+fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
     let lens = Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 });
     let uncertainty_px = ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
-    Some(RunningEstimate { lens, rms_px: 0.1, uncertainty_px, views })
+    let running = RunningEstimate { lens, rms_px: 0.1, uncertainty_px, views };
+    Some(EstimateSoFar { running, going_on: None })
 }
 
 /// Feeds `detections` as frames from `first` on; the actions of all.
@@ -157,7 +158,7 @@ fn time_is_that_of_the_frames_and_ends_it() {
     assert_eq!(starved.waited(4.9), []);
     assert_eq!(starved.waited(0.2), [Action::Close]);
     assert_eq!(starved.record().state, SessionState::Failed);
-    assert!(starved.record().reason.as_ref().unwrap().starts_with("the time is up and 0 views were kept"));
+    assert!(starved.record().reason.as_ref().unwrap().starts_with("the time is up: 0 views were kept and at least 3"));
 }
 
 #[test]

@@ -32,9 +32,10 @@ pub(crate) fn judge(
     coverage: &Coverage,
 ) -> Verdict {
     let mut findings: Vec<(Grade, String)> = Vec::new();
-    findings.extend(self::uncertainty(uncertainty));
+    // Causes before what follows from them: of findings of one grade the first is to be mended first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
+    findings.extend(self::uncertainty(uncertainty, estimate.shared_error.sqrt()));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
@@ -59,56 +60,58 @@ fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
     (grade != Grade::Good).then_some((grade, reason))
 }
 
-/// How much of the image is known well enough.
-fn uncertainty(map: Option<&UncertaintyMap>) -> Option<(Grade, String)> {
+/// How much of the image is known well enough, where views that are off as a whole make it `factor` times as uncertain.
+fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, String)> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
         return Some((Grade::Poor, "nothing tells where in the image projections can be trusted".to_owned()));
     };
-    let [good_px, usable_px] = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
+    let limits_px = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
     let part = |limit_px: f64| seen.iter().filter(|std_px| **std_px <= limit_px).count() as f64 / seen.len() as f64;
-    let [good, usable] = KNOWN_PART;
-    let grade = if part(good_px) >= good {
-        Grade::Good
-    } else if part(usable_px) >= usable {
-        Grade::Usable
-    } else {
-        Grade::Poor
+    let graded = |[good_px, usable_px]: [f64; 2]| match KNOWN_PART {
+        [good, _] if part(good_px) >= good => Grade::Good,
+        [_, usable] if part(usable_px) >= usable => Grade::Usable,
+        _ => Grade::Poor,
     };
+    let (grade, [good_px, _]) = (graded(limits_px), limits_px);
     let unknown = |col: usize, row: usize| {
         let std_px = map.std_px[row * map.grid.cols as usize + col];
         f64::from(u8::from(std_px.is_some_and(|std_px| std_px > good_px)))
     };
     let place = region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
     let percent = (1.0 - part(good_px)) * 100.0;
+    let remedy = if graded(limits_px.map(|limit_px| limit_px * factor)) > grade {
+        "most of it because the model does not fit: mend that first, then add views there"
+    } else {
+        "add views there, near and far, tilted"
+    };
     let reason = format!(
-        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px: add views there, near and far, tilted"
+        "projections are uncertain by more than {good_px:.2} px (1 sigma) in {percent:.0} % of the image, most in the {place}, by up to {worst_px:.2} px: {remedy}"
     );
     worse_than_good(grade, reason)
 }
 
-/// That the model does not fit, and why, as far as it can be told.
+/// That the model does not fit: first why, as far as it can be told, then what shows it.
 fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
-    let mut findings: Vec<(Grade, String)> =
+    let signs: Vec<(Grade, String)> =
         [halves(estimate, check), shared_error(estimate), smooth_residuals(check)].into_iter().flatten().collect();
-    if let Some(worst) = findings.iter().map(|(grade, _)| *grade).min() {
-        findings.push((worst, cause(estimate, check)));
-    }
-    findings
+    let Some(worst) = signs.iter().map(|(grade, _)| *grade).min() else { return Vec::new() };
+    let signs: Vec<String> = signs.into_iter().map(|(_, sign)| sign).collect();
+    vec![(worst, cause(estimate, check)), (worst, format!("the model does not fit: {}", signs.join("; ")))]
 }
 
 fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
-            "motion while the rows of the picture were read explains {percent:.0} % of what is left (rolling shutter): hold board and camera still for each view"
+            "board or camera moved while the rows of a picture were read one after another (rolling shutter), which explains {percent:.0} % of what is left: hold both still for each view"
         )
     });
     let uneven = check.misfit.unevenness_m.map(|metres| {
         let millimetres = metres * 1000.0;
         format!(
-            "the residuals turn with the board: it seems bent or uneven by {millimetres:.2} mm; use a flat, stiff one"
+            "what is left turns with the board, which seems bent or uneven by {millimetres:.2} mm: mount it on something flat and stiff"
         )
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
@@ -117,43 +120,42 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     }
     let others = "check that the board is flat and held still, and that focus and zoom stay as they are";
     if estimate.compared.is_empty() {
-        return format!("let the lens model be chosen (auto); else {others}");
+        return format!("nothing tells why the model does not fit: let the lens model be chosen (auto); else {others}");
     }
-    others.to_owned()
+    format!("nothing tells why no lens model fits: {others}")
 }
 
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
     let enough = estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
     let Some(ratio) = check.split_half_ratio else {
-        let reason = "two halves of the views differ too much to be compared: the model does not fit".to_owned();
-        return enough.then_some((Grade::Poor, reason));
+        return enough.then(|| (Grade::Poor, "two halves of the views differ too much to be compared".to_owned()));
     };
     let change = check.focal_change.unwrap_or(0.0) * 100.0;
-    let reason = format!(
-        "two halves of the views differ {ratio:.1} times as much as predicted (fx by {change:.2} %): the model does not fit"
+    let sign = format!(
+        "two halves of the views differ {ratio:.1} times as much as their uncertainties predict (fx by {change:.2} %)"
     );
-    worse_than_good(graded(ratio, SPLIT_HALF), reason)
+    worse_than_good(graded(ratio, SPLIT_HALF), sign)
 }
 
 fn shared_error(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let factor = estimate.shared_error.sqrt();
-    let reason = format!(
-        "the corners of a view err together, which makes the uncertainty {factor:.1} times what it were if each erred by itself: the model does not fit"
+    let sign = format!(
+        "views are off as a whole, which makes the result {factor:.1} times as uncertain as the scatter of their corners alone would"
     );
-    worse_than_good(graded(factor, SHARED), reason)
+    worse_than_good(graded(factor, SHARED), sign)
 }
 
 fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
     let correlation = check.residual_correlation?;
-    let reason =
-        format!("neighbouring corners are off together (correlation {correlation:.2}): the model does not fit");
-    worse_than_good(graded(correlation, CORRELATION), reason)
+    let sign =
+        format!("neighbouring corners are off the same way (correlation {correlation:.2}, where noise alone has none)");
+    worse_than_good(graded(correlation, CORRELATION), sign)
 }
 
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
     let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
-        "the residuals turn with the board: it seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns; use a flat, stiff one, or have its warp estimated"
+        "what is left turns with the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
     );
     Some((Grade::Usable, reason))
 }

@@ -1,7 +1,7 @@
 //! Whether the model is right at all, which no residual of the fit itself can tell: two disjoint halves of the views are
 //! fitted apart, and each predicts the other.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera::{CameraEstimate, CameraFit};
 use crate::estimation::joint::Layout;
@@ -40,6 +40,9 @@ const BOW_GAIN: [f64; 2] = [0.05, 40.0];
 const SUSPICIOUS_RATIO: f64 = 2.0;
 const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
+/// Where another lens raises the squares of a view by less than this part, what second order leaves out of it is far less.
+const NEARBY: f64 = 0.2;
+
 /// Neighbours that it takes to tell a correlation from chance.
 const MIN_PAIRS: usize = 100;
 
@@ -57,7 +60,10 @@ impl ModelCheck {
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let look = suspicious && views.len() >= Self::MIN_VIEWS;
         let misfit = if look { Misfit::of(fit, &views, size) } else { Misfit::default() };
-        Self { bow_m: bow_m(fit), residual_correlation, misfit, ..halves }
+        // A bow leaves smooth residuals: where neighbours go apart rather than together, none is worth looking for.
+        let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
+        let bow_m = if smooth { bow_m(fit) } else { None };
+        Self { bow_m, residual_correlation, misfit, ..halves }
     }
 
     fn halves(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {
@@ -81,7 +87,8 @@ impl ModelCheck {
         });
         let (count, sum) = ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
         let crossed = |lens: &Lens, views: &[usize]| -> Option<f64> {
-            views.iter().map(|view| squares_under(lens, fit, &fit.sights[*view])).sum()
+            let looked_at_again = |view: usize| squares_under(lens, fit, &fit.sights[view]);
+            views.iter().map(|view| squares_nearby(lens, fit, *view).or_else(|| looked_at_again(*view))).sum()
         };
         let held_out = crossed(&lens_b, &even).and_then(|sum| Some(sum + crossed(&lens_a, &odd)?));
         let corners = views.iter().flat_map(|view| &fit.sights[*view].used).filter(|used| **used).count();
@@ -92,6 +99,24 @@ impl ModelCheck {
             ..Self::default()
         })
     }
+}
+
+/// The sum of squared pixel errors of one view at its best pose under a lens near that of the fit, to second order from what
+/// the view said there; `None` where that is not near enough, or its corners have not all the same to say.
+fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
+    let (minimum, sight) = (&fit.robust.minimum, &fit.sights[view]);
+    let free = &fit.layout.sensors[0].lens.free;
+    let inverse_std = *sight.inverse_std.first()?;
+    if fit.layout.len > free.len() || sight.inverse_std.iter().any(|other| *other != inverse_std) {
+        return None;
+    }
+    let part = std::iter::once((view, 0));
+    let alone = together(&minimum.equations.apart, (&fit.layout, &minimum.state), &fit.sights, (part, 1));
+    let (information, score) = alone.reduced(0)?;
+    let (there, here) = (lens.parameters(), fit.lens().parameters());
+    let moved = DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
+    let raised = 2.0 * score.dot(&moved) + moved.dot(&(&information * &moved));
+    (raised.abs() < NEARBY * alone.cost).then_some((alone.cost + raised) / (inverse_std * inverse_std))
 }
 
 fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {

@@ -9,7 +9,7 @@
 
 use std::ops::Range;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera::CameraFit;
 use crate::estimation::joint::apart::together;
@@ -34,22 +34,62 @@ fn factor(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> Option<f
         return None;
     }
     let Minimum { state, equations, .. } = &fit.robust.minimum;
-    let rows = unit.rows(block.start, block.len());
-    let own = unit.view((block.start, block.start), (block.len(), block.len())).into_owned().cholesky()?.inverse();
+    let pulls = Pulls::on(block, unit)?;
     let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
     for sights in instants {
         let parts = sights.iter().map(|sight| (*sight, 0));
         let alone = together(&equations.apart, (&fit.layout, state), &fit.sights, (parts, 1));
         let (information, score) = alone.reduced(0)?;
-        let pull = rows * score;
-        seen += pull.dot(&(&own * &pull));
-        // The covariance of the pull, in units of the parameters' own; what the estimate took up of it is gone.
-        let carried = rows * information;
-        let part = &own * (&carried * rows.transpose());
-        let taken_up = (&own * (&carried * unit * carried.transpose())).trace();
+        let (part, taken_up) = pulls.expected(&information);
+        seen += pulls.seen(&score);
         expected += part.trace() - taken_up;
         variance += 2.0 * part.dot(&part.transpose());
     }
     let factor = seen / (fit.noise_square() * expected);
     (factor > 1.0 + CHANCE * variance.sqrt() / expected).then_some(factor)
+}
+
+/// What the scores of instants do to the parameters of a block, in units of the block's own covariance.
+struct Pulls<'a> {
+    unit: &'a DMatrix<f64>,
+    /// The block's rows of `unit` and the inverse of its own part; `None` where the block is all of it.
+    block: Option<(DMatrix<f64>, DMatrix<f64>)>,
+}
+
+impl<'a> Pulls<'a> {
+    fn on(block: Range<usize>, unit: &'a DMatrix<f64>) -> Option<Self> {
+        if block.len() == unit.nrows() {
+            return Some(Self { unit, block: None });
+        }
+        let own = unit.view((block.start, block.start), (block.len(), block.len())).into_owned();
+        Some(Self { unit, block: Some((unit.rows(block.start, block.len()).into_owned(), own.cholesky()?.inverse())) })
+    }
+
+    /// The square of the pull of one score.
+    fn seen(&self, score: &DVector<f64>) -> f64 {
+        match &self.block {
+            None => score.dot(&(self.unit * score)),
+            Some((rows, own)) => {
+                let pull = rows * score;
+                pull.dot(&(own * &pull))
+            }
+        }
+    }
+
+    /// The covariance of the pull that an instant with this information has if corners err by themselves, and how much of
+    /// that the estimate took up, which is gone.
+    fn expected(&self, information: &DMatrix<f64>) -> (DMatrix<f64>, f64) {
+        match &self.block {
+            None => {
+                let part = information * self.unit;
+                let taken_up = part.dot(&part.transpose());
+                (part, taken_up)
+            }
+            Some((rows, own)) => {
+                let carried = rows * information;
+                let part = own * (&carried * rows.transpose());
+                (part, (own * (&carried * self.unit * carried.transpose())).trace())
+            }
+        }
+    }
 }

@@ -6,7 +6,8 @@ use std::time::Instant;
 use tokio::sync::oneshot;
 
 use crate::calibration::calibration::Calibration;
-use crate::calibration::session_record::{RunningEstimate, SessionRecord, SessionRequest};
+use crate::calibration::running_estimate::EstimateSoFar;
+use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::live_frame::Look;
 use crate::pipeline::search::Search;
@@ -53,7 +54,7 @@ pub(super) enum Message {
     /// So many seconds went by without a frame.
     Waited(f64),
     /// A running estimate of a session, if it could be made.
-    Estimated { session: String, estimate: Option<RunningEstimate> },
+    Estimated { session: String, estimate: Option<EstimateSoFar> },
     /// A session's solve.
     Solved { session: String, solved: Result<Box<Calibration>, String> },
     /// Begin a session.

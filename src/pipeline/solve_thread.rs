@@ -6,16 +6,15 @@ use std::time::Instant;
 
 use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::rgbd_calibration::with_depth;
+use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
 use crate::calibration::second_infrared::{StereoInput, with_second_infrared};
 use crate::calibration::session::Session;
-use crate::calibration::session_record::RunningEstimate;
-use crate::calibration::solve::{SolvedCamera, estimate_views, solve_views};
+use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::board::Chessboard;
-use crate::geometry::lens::LensModel;
 use crate::geometry::pixel::ImageSize;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
@@ -27,8 +26,8 @@ pub(super) struct Job {
     pub(super) session: String,
     pub(super) problem: CameraProblem,
     pub(super) lens: LensChoice,
-    /// The model that the newest estimate took, where the choice is left open.
-    pub(super) chosen: Option<LensModel>,
+    /// What the newest estimate left to this one; the result is solved from nothing.
+    pub(super) going_on: Option<GoingOn>,
     /// The result itself, and not only how far it is.
     pub(super) is_final: bool,
     /// The board, and what depth adds, for the result.
@@ -45,7 +44,7 @@ impl Job {
         let image_size = session.image_size().unwrap_or(ImageSize::new(0, 0));
         Self {
             session: record.id.clone(),
-            chosen: record.estimate.filter(|estimate| 2 * estimate.views > session.views().len() as u32).map(model_of),
+            going_on: session.going_on().filter(|_| !is_final).cloned(),
             problem: CameraProblem { image_size, views },
             lens: record.request.lens,
             is_final,
@@ -59,23 +58,12 @@ impl Job {
         CameraOptions { lens: self.lens, ..CameraOptions::default() }
     }
 
-    /// Comparing every model costs ten times a fit: it is done again when the views have doubled since, and at the end.
-    fn running_options(&self) -> CameraOptions {
-        let lens = match (self.lens, self.chosen) {
-            (LensChoice::Auto, Some(model)) => LensChoice::Model(model),
-            (lens, _) => lens,
-        };
-        CameraOptions { lens, ..CameraOptions::default() }
-    }
-
     /// How far the views are; `None` while they do not determine the lens.
-    pub(super) fn estimate(&self) -> Option<RunningEstimate> {
-        let estimated = guarded(|| estimate_views(&self.problem, &self.running_options()));
-        match estimated {
-            Ok(Ok((estimate, uncertainty_px))) => {
-                let views = estimate.views.iter().filter(|view| view.fault.is_none()).count() as u32;
-                let running = RunningEstimate { lens: estimate.lens, rms_px: estimate.rms_px, uncertainty_px, views };
-                (uncertainty_px.worst.is_finite() && running.rms_px.is_finite()).then_some(running)
+    pub(super) fn estimate(&self) -> Option<EstimateSoFar> {
+        match guarded(|| estimate_so_far(&self.problem, self.lens, self.going_on.as_ref())) {
+            Ok(Ok(estimate)) => {
+                let running = &estimate.running;
+                (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite()).then_some(estimate)
             }
             Ok(Err(error)) => {
                 tracing::debug!(session = self.session, "no estimate yet: {error}");
@@ -132,10 +120,6 @@ fn without_depth(mut calibration: Calibration, reason: &str) -> Calibration {
     calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
     calibration.verdict.reasons.push(format!("depth is not calibrated: {reason}"));
     calibration
-}
-
-fn model_of(estimate: RunningEstimate) -> LensModel {
-    estimate.lens.model()
 }
 
 /// Does one job after the other until nobody asks any more.

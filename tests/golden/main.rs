@@ -20,6 +20,7 @@ mod rgbd_kinect;
 mod rgbd_time;
 mod rgbd_wrong;
 mod rig;
+mod running_estimate;
 mod seeded_camera;
 mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]

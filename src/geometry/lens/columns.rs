@@ -20,19 +20,27 @@ const BY_COEFFICIENT: usize = 9;
 /// Points worked on together.
 const BLOCK: usize = 8;
 
+/// Copies a block, or as much of one as there is left.
+#[inline(always)]
+fn copy(from: &[f64], to: &mut [f64]) {
+    match (from.first_chunk::<BLOCK>(), to.first_chunk_mut::<BLOCK>()) {
+        (Some(from), Some(to)) => *to = *from,
+        _ => to.iter_mut().zip(from).for_each(|(to, from)| *to = *from),
+    }
+}
+
 impl DistortedColumns {
     #[inline(always)]
     pub(super) fn fill<const N: usize>(&mut self, model: &impl DistortionModel<N>, points: [&[f64]; 3]) {
         self.len = points.iter().map(|column| column.len()).min().unwrap_or(0);
         self.values.resize((BY_COEFFICIENT + 2 * N) * self.len, 0.0);
+        // Arrays of known size and place: nothing to check inside the loop.
+        let mut block = [[1.0; BLOCK]; 3];
+        let (mut fixed, mut by_coefficients) = ([[0.0; BLOCK]; BY_COEFFICIENT], [[[0.0; BLOCK]; 2]; N]);
         for from in (0..self.len).step_by(BLOCK) {
-            let count = BLOCK.min(self.len - from);
-            let mut block = [[1.0; BLOCK]; 3];
             for (block, column) in block.iter_mut().zip(points) {
-                block[..count].copy_from_slice(&column[from..from + count]);
+                copy(&column[from..], block);
             }
-            // Arrays of known size and place: nothing to check inside the loop.
-            let (mut fixed, mut by_coefficients) = ([[0.0; BLOCK]; BY_COEFFICIENT], [[[0.0; BLOCK]; 2]; N]);
             for k in 0..BLOCK {
                 let (distorted, inside) = model.distort_or_axis(&Point3::new(block[0][k], block[1][k], block[2][k]));
                 fixed[0][k] = distorted.normalized.x;
@@ -49,7 +57,7 @@ impl DistortedColumns {
             }
             let blocks = fixed.iter().chain(by_coefficients.as_flattened());
             for (column, block) in self.values.chunks_exact_mut(self.len).zip(blocks) {
-                column[from..from + count].copy_from_slice(&block[..count]);
+                copy(block, &mut column[from..]);
             }
         }
     }

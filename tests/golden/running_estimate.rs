@@ -1,0 +1,103 @@
+//! The estimate that a session shows while it collects: gone on from view to view, it is what a solve of the same views from
+//! nothing gives.
+
+use plumb::calibration::running_estimate::{EstimateSoFar, estimate_so_far};
+use plumb::calibration::solve::estimate_views;
+use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::geometry::lens::LensModel;
+
+use crate::seeded_camera::SeededCamera;
+
+/// The estimates of the first three views of `problem`, of four, and so on; `None` where there is none.
+fn walk(problem: &CameraProblem, lens: LensChoice) -> Vec<(CameraProblem, Option<EstimateSoFar>)> {
+    let mut newest: Option<EstimateSoFar> = None;
+    let estimates = (3..=problem.views.len()).map(|views| {
+        let so_far = CameraProblem { views: problem.views[..views].to_vec(), ..problem.clone() };
+        let going_on = newest.as_ref().and_then(|newest| newest.going_on.as_ref());
+        let estimate = estimate_so_far(&so_far, lens, going_on).ok();
+        newest = estimate.clone().or_else(|| newest.take());
+        (so_far, estimate)
+    });
+    estimates.collect()
+}
+
+/// How far the estimates of a walk are from those made anew with the same lens model at most: in standard deviations of the
+/// lens's parameters, and as a part of the predicted uncertainty.
+fn furthest_from_anew(walk: &[(CameraProblem, Option<EstimateSoFar>)]) -> [f64; 2] {
+    let mut furthest = [0.0; 2];
+    for (problem, estimate) in walk {
+        let Some(EstimateSoFar { running, .. }) = estimate else { continue };
+        let lens = LensChoice::Model(running.lens.model());
+        let (anew, uncertainty_px) =
+            estimate_views(problem, &CameraOptions { lens, ..CameraOptions::default() }).unwrap();
+        let used = anew.views.iter().filter(|view| view.fault.is_none()).count();
+        assert_eq!(running.views as usize, used, "of {} views", problem.views.len());
+        let parameters = running.lens.parameters().into_iter().zip(anew.lens.parameters()).zip(anew.lens_std());
+        for ((running, anew), std) in parameters.filter(|(_, std)| *std > 0.0) {
+            furthest[0] = f64::max(furthest[0], (running - anew).abs() / std);
+        }
+        furthest[1] = f64::max(furthest[1], (running.uncertainty_px.median / uncertainty_px.median - 1.0).abs());
+    }
+    furthest
+}
+
+fn problem_of(camera: &SeededCamera, views: usize, seed: u64) -> CameraProblem {
+    let mut rng = SeededCamera::rng(seed);
+    let poses = camera.poses(views, &mut rng);
+    camera.problem(&poses, &mut rng)
+}
+
+#[test]
+fn it_is_what_a_solve_from_nothing_gives_after_every_view() {
+    let cameras = [
+        ("ordinary", SeededCamera::ordinary(), LensModel::Brown),
+        ("narrow", SeededCamera::narrow(), LensModel::Brown),
+        ("wide", SeededCamera::wide(), LensModel::Rational),
+        ("fisheye", SeededCamera::fisheye(), LensModel::KannalaBrandt),
+    ];
+    for (name, camera, model) in cameras {
+        let problem = problem_of(&camera, 40, 31);
+        let walk = walk(&problem, LensChoice::Model(model));
+        let [lens, uncertainty] = furthest_from_anew(&walk);
+        println!("{name}: {lens:.1e} standard deviations, {uncertainty:.1e} of the uncertainty");
+        assert!(lens < 0.02 && uncertainty < 1e-3, "{name}: {lens} std, {uncertainty}");
+        let gone_on = walk.iter().filter(|(_, estimate)| {
+            let going_on = estimate.as_ref().and_then(|estimate| estimate.going_on.as_ref());
+            going_on.is_some_and(|going_on| !going_on.was_made_anew())
+        });
+        let gone_on = gone_on.count();
+        assert!(gone_on >= 25, "{name}: gone on {gone_on} times of 38, where nothing is wrong");
+        assert!(self::walk(&problem, LensChoice::Model(model)) == walk, "{name}: the same views, another estimate");
+    }
+}
+
+#[test]
+fn a_bad_view_on_the_way_is_rejected_as_in_a_solve_from_nothing() {
+    let camera = SeededCamera::ordinary();
+    let mut problem = problem_of(&camera, 30, 32);
+    for corner in &mut problem.views[14].correspondences {
+        corner.pixel.x += 40.0 * corner.point_in_board.x;
+    }
+    let pixels: Vec<_> = problem.views[20].correspondences.iter().map(|corner| corner.pixel).collect();
+    for (corner, pixel) in problem.views[20].correspondences.iter_mut().zip(pixels.iter().rev()) {
+        corner.pixel.x = pixel.x;
+    }
+    let [lens, uncertainty] = furthest_from_anew(&walk(&problem, LensChoice::Model(LensModel::Brown)));
+    assert!(lens < 0.02 && uncertainty < 1e-3, "{lens} std, {uncertainty}");
+}
+
+#[test]
+fn the_lens_model_is_chosen_again_as_views_double() {
+    let camera = SeededCamera::wide();
+    let problem = problem_of(&camera, 26, 33);
+    let walk = walk(&problem, LensChoice::Auto);
+    let [lens, _] = furthest_from_anew(&walk);
+    assert!(lens < 0.02, "{lens} std");
+    let chosen = |views: usize| walk[views - 3].1.as_ref().unwrap().running.lens.model();
+    let anew = |views: usize| {
+        let problem = CameraProblem { views: problem.views[..views].to_vec(), ..problem.clone() };
+        estimate_views(&problem, &CameraOptions::default()).unwrap().0.lens.model()
+    };
+    assert_eq!([chosen(6), chosen(12), chosen(24)], [anew(6), anew(12), anew(24)]);
+}
