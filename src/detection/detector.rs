@@ -4,6 +4,7 @@ use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::ends::seen_ends;
+use super::following::Followed;
 use super::grid::{Bounds, Grid};
 use super::growth::{Growth, WINDOWS, sharpen_all};
 use super::placement::{Placement, place};
@@ -52,6 +53,7 @@ pub struct Detector {
     /// Where the last board lies in `part`, if the whole of it was seen.
     pub(super) whole: Option<Placement>,
     pub(super) last: LastBoard,
+    pub(super) followed: Followed,
     /// Memory for the corners of the next detection.
     pub(super) spare: Vec<DetectedCorner>,
 }
@@ -93,6 +95,7 @@ impl Detector {
             refiner: Refiner::new(),
             whole: None,
             last: LastBoard::default(),
+            followed: Followed::default(),
             spare: Vec::new(),
         }
     }

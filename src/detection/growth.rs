@@ -194,7 +194,7 @@ pub(super) struct Place {
 }
 
 impl Place {
-    fn by_neighbours(grid: &Grid, i: i32, j: i32) -> Option<Self> {
+    pub(super) fn by_neighbours(grid: &Grid, i: i32, j: i32) -> Option<Self> {
         Some(Self {
             expected: grid.predict(i, j)?,
             steps: grid.steps(i, j)?,

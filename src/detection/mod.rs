@@ -10,6 +10,7 @@ mod cross;
 pub mod detector;
 mod edges;
 mod ends;
+mod following;
 mod grid;
 mod growth;
 mod perspective;

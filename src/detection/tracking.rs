@@ -7,21 +7,16 @@
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::cross::Vec2;
 use super::detector::Detector;
+use super::following::Expected;
 use super::grid::{Grid, Node};
-use super::growth::{FOLLOWED, Place, WINDOWS, sharpen};
 use super::placement::{Placement, place};
-use super::verification::verify;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
 /// Corners of a followed board that are refined, to know the blur and how exact the others are.
-const SAMPLED: usize = 5;
-/// Squares of more pixels than this are looked at once more.
-const LARGE: f32 = 150.0;
+const SAMPLED: usize = 4;
 /// Least standard deviation that is stated for a corner that is not refined, in pixels.
 const LEAST_STD_PX: f64 = 0.05;
-/// A board of which more than this share is not where it should be is not followed.
-const MOST_LOST: usize = 4;
 
 /// A board in a live picture.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,7 +36,9 @@ pub(super) struct LastBoard {
     motion: Vec<Vec2>,
     before: Vec<Vec2>,
     /// Whether the square beyond the first corner, towards the board's middle, is bright.
-    bright: bool,
+    pub(super) bright: bool,
+    /// Width of the blur across its edges, in pixels.
+    pub(super) blur_px: f32,
 }
 
 impl LastBoard {
@@ -66,8 +63,8 @@ impl LastBoard {
         self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
     }
 
-    /// Where corner `index` should be, and the steps to its neighbours.
-    fn expect(&self, index: usize, board: BoardSize, with_motion: bool) -> Option<(Vec2, [Vec2; 2])> {
+    /// Where corner `index` should be.
+    pub(super) fn expect(&self, index: usize, board: BoardSize, with_motion: bool) -> Option<Expected> {
         let (cols, rows) = (board.cols as usize, board.rows as usize);
         let step = |at: usize, length: usize, stride: usize| {
             let low = index - stride.min(at * stride);
@@ -77,7 +74,8 @@ impl LastBoard {
         };
         let steps = [step(index % cols, cols, 1)?, step(index / cols, rows, cols)?];
         let moved = if with_motion { *self.motion.get(index)? } else { Vec2::zeros() };
-        Some((self.nodes.get(index)?.pixel + moved, steps))
+        let last = *self.nodes.get(index)?;
+        Some(Expected { last, expected: last.pixel + moved, steps })
     }
 }
 
@@ -89,6 +87,7 @@ impl Detector {
     /// [`NoBoard`] says why there is none.
     pub fn track_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Sighting, NoBoard> {
         if let Some(detection) = self.follow_board(image) {
+            self.last.blur_px = detection.blur_px as f32;
             return Ok(Sighting { detection, followed: true });
         }
         let searched = self.find_board(image, options);
@@ -96,6 +95,7 @@ impl Detector {
             Some(placement) => self.last.remember(&self.part, placement, self.board),
             None => self.last.forget(),
         }
+        self.last.blur_px = searched.as_ref().map_or(0.0, |detection| detection.blur_px as f32);
         searched.map(|detection| Sighting { detection, followed: false })
     }
 
@@ -108,47 +108,16 @@ impl Detector {
         if !moved && !self.look_where_expected(image, false) {
             return None;
         }
-        // What a picture of more squares shows beyond the board is found here too, and then it is not this board.
-        let sizes = if self.is_whole() { &WINDOWS[..1] } else { &WINDOWS[..] };
-        self.growth.grow(image, &mut self.grid, sizes);
-        if !self.is_whole() || !verify(image, &mut self.grid) || !self.is_whole() {
+        if !self.is_whole() {
+            self.look_between(image);
+        }
+        if !self.is_whole() || !self.holds_together(image) || self.goes_on_beyond(image) {
             return None;
         }
         let placement = place(&self.grid, self.grid.bounds()?, [false; 4], self.board)?;
         std::mem::swap(&mut self.grid, &mut self.part);
         self.last.remember(&self.part, placement, self.board);
         self.report_followed(image, placement)
-    }
-
-    /// Starts a grid, in the board's own order, from the corners that are seen where they are expected.
-    fn look_where_expected(&mut self, image: GrayView<'_>, with_motion: bool) -> bool {
-        let board = self.board;
-        let (last, grid) = (&self.last, &mut self.grid);
-        grid.clear(board.cols.max(board.rows) as i32 + 2, last.bright);
-        let count = board.corner_count();
-        let mut lost = 0;
-        for (index, node) in last.nodes.iter().enumerate() {
-            let (i, j) = (index as i32 % board.cols as i32, index as i32 / board.cols as i32);
-            let seen = last.expect(index, board, with_motion).and_then(|(expected, steps)| {
-                let contrast = [node.contrast.abs(), node.near_contrast.abs()];
-                let place = Place { expected, steps, polarity: grid.polarity(i, j), contrast, most_off: 0.3 };
-                let found = place.look(image, &[FOLLOWED])?;
-                let reaches = if steps[0].norm_squared().min(steps[1].norm_squared()) > LARGE * LARGE {
-                    &[0.1, 0.04][..]
-                } else {
-                    &[0.1]
-                };
-                Some(sharpen(image, &found, steps, reaches).unwrap_or(found))
-            });
-            match seen {
-                Some(node) => grid.set(i, j, node),
-                None => lost += 1,
-            }
-            if lost * MOST_LOST > count {
-                return false;
-            }
-        }
-        true
     }
 
     /// The corners of `part` as they were followed; a few of them refined, to know the blur and how far the others may be off.

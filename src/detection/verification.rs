@@ -9,7 +9,7 @@ use crate::imaging::gray::GrayView;
 /// Part of all edges that must hold.
 const LEAST_HELD: f32 = 0.75;
 /// How far a corner may lie from where its neighbours put it, in steps.
-const MOST_OFF: f32 = 0.22;
+pub(super) const MOST_OFF: f32 = 0.22;
 /// A grid with more misplaced corners than this is none.
 const MOST_MISPLACED: usize = 12;
 

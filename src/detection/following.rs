@@ -1,0 +1,278 @@
+//! The corners of a board that was seen in the picture before, each looked for where it must be now.
+//!
+//! How far a corner is off where it was expected tells where its neighbours are: but for the first, one small window is
+//! enough, as narrow as the blur allows. That it is the board is shown by all of it together: every square between the
+//! corners bright or dark by turns, and none beyond them.
+
+use super::cross::{Vec2, Window};
+use super::detector::Detector;
+use super::edges::sample;
+use super::grid::{Grid, Node};
+use super::growth::{FOLLOWED, Place, WINDOWS};
+use super::verification::{MOST_OFF, off_neighbours};
+use crate::geometry::board::BoardSize;
+use crate::imaging::gray::GrayView;
+
+/// A board of which more than this share is not where it should be is not followed.
+const MOST_LOST: usize = 4;
+/// How far off a corner may be whose neighbours are not found yet, in steps.
+const MOST_OFF_FIRST: f32 = 0.3;
+/// What windows reach across each edge: one as near as says most exactly where a corner is; and where that shows none, one as
+/// far as neighbours foretell it, in pixels and in steps. Both at least so many times the width of the blur.
+const FORETOLD_PX: f32 = 5.0;
+const FORETOLD_STEPS: f32 = 0.06;
+/// The same where a wide window, coarsely sampled, has found it.
+const FOUND_STEPS: f32 = 0.12;
+const FORETOLD_BLURS: f32 = 2.5;
+/// From there windows narrow by this: each tells where the corner is to within the next.
+const NARROWER: f32 = 0.45;
+const EXACT_PX: f32 = 2.5;
+const EXACT_BLURS: f32 = 2.0;
+/// Most of a step that a window reaches.
+const MOST_REACH: f32 = 0.4;
+/// Least correlation with a chessboard corner, of the far one and of the near one.
+const LEAST_SCORES: [f32; 2] = [0.6, 0.7];
+/// Least contrast, as a share of the last: windows of other sizes, and light, differ by less.
+const LEAST_CONTRAST: f32 = 0.3;
+/// A window in which the corner is farther from the middle than this share of its reach is moved there, a few times.
+const MOST_ASIDE: [f32; 2] = [0.4, 0.2];
+const MOST_LOOKS: usize = 3;
+/// Where each edge is looked at between its two corners, and how far to its sides, in steps.
+const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
+const ASIDE: f32 = 0.25;
+/// Steps longer than this make large squares, in pixels.
+const LARGE: f32 = 16.0;
+/// Least difference of an edge's two sides, as a share of that of the edges around; and the part of all edges that hold.
+const LEAST_DIFFERENCE: f32 = 0.25;
+const LEAST_HELD: f32 = 0.75;
+/// How far from a place beyond the board its four quarters are looked at, in steps, and the least by which they alternate,
+/// as a share of the contrast, to be looked at more closely.
+const BEYOND: f32 = 0.3;
+const MAY_ALTERNATE: f32 = 0.1;
+
+/// An edge between two corners, by their index in the board's order.
+#[derive(Debug, Clone, Copy)]
+struct Edge {
+    ends: [usize; 2],
+    /// How much brighter the side is that should be, in three places.
+    differences: [f32; 3],
+}
+
+/// What following keeps from picture to picture, to be used again.
+#[derive(Debug, Default)]
+pub(super) struct Followed {
+    /// How far each corner is off where it was expected.
+    off: Vec<Option<Vec2>>,
+    edges: Vec<Edge>,
+    /// Sum of differences, edges, and edges that hold, corner by corner.
+    around: Vec<(f32, u32, u32)>,
+}
+
+impl Detector {
+    /// Starts a grid, in the board's own order, from the corners that are seen where they are expected.
+    pub(super) fn look_where_expected(&mut self, image: GrayView<'_>, with_motion: bool) -> bool {
+        let board = self.board;
+        let Self { last, grid, followed, .. } = self;
+        grid.clear(board.cols.max(board.rows) as i32 + 2, last.bright);
+        followed.off.clear();
+        let (count, cols) = (board.corner_count(), board.cols as usize);
+        let mut lost = 0;
+        for index in 0..count {
+            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
+            let beside = (i > 0).then(|| followed.off[index - 1]).flatten();
+            let above = (j > 0).then(|| followed.off[index - cols]).flatten();
+            let off = beside.zip(above).map(|(a, b)| (a + b) * 0.5).or(beside).or(above);
+            let seen = last.expect(index, board, with_motion).and_then(|corner| {
+                let node = corner.look(image, off, grid.polarity(i, j), last.blur_px)?;
+                Some((node, node.pixel - corner.expected))
+            });
+            followed.off.push(seen.map(|(_, off)| off));
+            match seen {
+                Some((node, _)) => grid.set(i, j, node),
+                None => lost += 1,
+            }
+            if lost * MOST_LOST > count {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// Looks for the corners that were not seen where they were expected where their neighbours put them.
+    pub(super) fn look_between(&mut self, image: GrayView<'_>) {
+        let cols = self.board.cols as usize;
+        for index in 0..self.board.corner_count() {
+            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
+            if self.grid.get(i, j).is_none()
+                && let Some(node) = Place::by_neighbours(&self.grid, i, j).and_then(|place| place.look(image, &WINDOWS))
+            {
+                self.grid.set(i, j, node);
+            }
+        }
+    }
+
+    /// Whether the whole board in the grid, in the board's own order, holds together: every corner in its place among its
+    /// neighbours and most of its edges between bright and dark.
+    pub(super) fn holds_together(&mut self, image: GrayView<'_>) -> bool {
+        let Self { grid, followed, board, .. } = self;
+        let in_place = |&(i, j): &(i32, i32)| off_neighbours(grid, i, j).is_some_and(|off| off <= MOST_OFF);
+        grid.members.iter().all(in_place) && followed.edges_hold(image, grid, *board)
+    }
+
+    /// Whether the pattern goes on beyond the board: then it is another.
+    pub(super) fn goes_on_beyond(&self, image: GrayView<'_>) -> bool {
+        let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
+        let beside = (0..rows).flat_map(|j| [(-1, j), (cols, j)]);
+        let above = (0..cols).flat_map(|i| [(i, -1), (i, rows)]);
+        beside.chain(above).any(|(i, j)| {
+            Place::by_neighbours(&self.grid, i, j)
+                .filter(|place| may_be_corner(image, place))
+                .is_some_and(|place| place.look(image, &[FOLLOWED]).is_some())
+        })
+    }
+}
+
+/// Whether the four squares about `place` may be bright and dark by turns.
+fn may_be_corner(image: GrayView<'_>, place: &Place) -> bool {
+    let [u, v] = place.steps;
+    let window = Window { center: place.expected, a: u * BEYOND, b: v * BEYOND }.inside(image, 0.25);
+    let depth = window.and_then(|window| window.alternation(image));
+    depth.is_some_and(|depth| depth * place.polarity > MAY_ALTERNATE * place.contrast[0])
+}
+
+/// A corner of the board as it was, and where it should be now.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Expected {
+    /// What was seen of it.
+    pub last: Node,
+    /// Where it should be.
+    pub expected: Vec2,
+    /// From there to the next corner along i and along j.
+    pub steps: [Vec2; 2],
+}
+
+impl Expected {
+    /// The corner, which is `off` as far as its neighbours foretell it.
+    fn look(&self, image: GrayView<'_>, off: Option<Vec2>, polarity: f32, blur_px: f32) -> Option<Node> {
+        let near = |place, steps| self.look_near(image, place, polarity, (steps, blur_px));
+        let near_by = off.and_then(|off| near(self.expected + off, FORETOLD_STEPS));
+        near_by.or_else(|| {
+            let contrast = [self.last.contrast.abs(), self.last.near_contrast.abs()];
+            let expected = self.expected + off.unwrap_or_else(Vec2::zeros);
+            let place = Place { expected, steps: self.steps, polarity, contrast, most_off: MOST_OFF_FIRST };
+            let found = place.look(image, &[FOLLOWED])?;
+            Some(near(found.pixel, FOUND_STEPS).unwrap_or(found))
+        })
+    }
+
+    /// The corner near `place`, off by so many steps at most and under that much blur.
+    fn look_near(&self, image: GrayView<'_>, place: Vec2, polarity: f32, (off, blur_px): (f32, f32)) -> Option<Node> {
+        let [u, v] = self.steps;
+        let lengths = [u.norm(), v.norm()];
+        let (area, spread) = ((u.x * v.y - u.y * v.x).abs(), lengths[0] * lengths[1]);
+        // What a window reaches across an edge, it reaches along the other by the slant more.
+        let slant = spread / area.max(0.05 * spread);
+        let look = |center: Vec2, reach_px: f32| {
+            let window = Window::on_board(center, u, v, MOST_REACH, reach_px * slant).inside(image, 0.25)?;
+            window.look(image).filter(|cross| cross.contrast * polarity > 0.0)
+        };
+        let least_contrast = LEAST_CONTRAST * self.last.near_contrast.abs();
+        // A window tells where a corner is the better the nearer it is to the middle.
+        let settle = |mut center: Vec2, reach_px: f32, stage: usize| {
+            for _ in 0..MOST_LOOKS {
+                let cross = look(center, reach_px)?;
+                if (cross.center - center).norm() < MOST_ASIDE[stage] * reach_px {
+                    let clear = cross.score >= LEAST_SCORES[stage] && cross.contrast.abs() >= least_contrast;
+                    return clear.then_some(cross);
+                }
+                center = cross.center;
+            }
+            None
+        };
+        let exact = EXACT_PX.max(EXACT_BLURS * blur_px);
+        let settled = settle(place, exact, 1).or_else(|| {
+            let mut reach = FORETOLD_PX.max(off * lengths[0].min(lengths[1])).max(FORETOLD_BLURS * blur_px);
+            let mut center = place;
+            while reach > exact {
+                center = settle(center, reach, 0)?.center;
+                reach *= NARROWER;
+            }
+            settle(center, exact, 1)
+        })?;
+        Some(Node {
+            pixel: settled.center,
+            contrast: polarity * self.last.contrast.abs(),
+            near_contrast: settled.contrast,
+            score: settled.score,
+            tight: false,
+        })
+    }
+}
+
+/// Brightness of the pixel at `p`; `None` outside the image.
+fn nearest(image: GrayView<'_>, p: Vec2) -> Option<f32> {
+    let (x, y) = (p.x.round(), p.y.round());
+    let inside = x >= 0.0 && y >= 0.0 && x < image.width() as f32 && y < image.height() as f32;
+    inside.then(|| f32::from(image.row(y as usize)[x as usize]))
+}
+
+impl Followed {
+    /// Measures the edges of the whole board in `grid`; whether enough of them hold, and at each corner half of them.
+    fn edges_hold(&mut self, image: GrayView<'_>, grid: &mut Grid, board: BoardSize) -> bool {
+        self.measure_edges(image, grid, board);
+        let Self { edges, around, .. } = self;
+        around.clear();
+        around.resize(board.corner_count(), (0.0, 0, 0));
+        for edge in edges.iter() {
+            for end in edge.ends {
+                around[end].0 += edge.differences.iter().sum::<f32>() / 3.0;
+                around[end].1 += 1;
+            }
+        }
+        let mut held = 0;
+        for edge in edges.iter() {
+            let usual = edge.ends.map(|end| around[end].0 / around[end].1 as f32);
+            let least = LEAST_DIFFERENCE * 0.5 * (usual[0] + usual[1]);
+            if least > 0.0 && edge.differences.iter().all(|&difference| difference >= least) {
+                held += 1;
+                edge.ends.iter().for_each(|&end| around[end].2 += 1);
+            }
+        }
+        let cols = board.cols as usize;
+        let mut all_hold = held as f32 >= LEAST_HELD * edges.len() as f32 && !edges.is_empty();
+        for (index, &(differences, seen, held)) in around.iter().enumerate() {
+            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
+            let Some(node) = grid.get(i, j) else { return false };
+            let contrast = differences / seen.max(1) as f32;
+            all_hold &= 2 * held >= seen && (seen == 0 || contrast >= LEAST_CONTRAST * node.contrast.abs());
+            if seen > 0 {
+                grid.set(i, j, Node { contrast: contrast * grid.polarity(i, j), ..node });
+            }
+        }
+        all_hold
+    }
+
+    fn measure_edges(&mut self, image: GrayView<'_>, grid: &Grid, board: BoardSize) {
+        self.edges.clear();
+        let cols = board.cols as usize;
+        for index in 0..board.corner_count() {
+            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
+            let (Some(node), Some([u, v])) = (grid.get(i, j), grid.steps(i, j)) else { continue };
+            for (other, at, aside) in [((i + 1, j), index + 1, v), ((i, j + 1), index + cols, u)] {
+                let Some(end) = grid.pixel(other.0, other.1) else { continue };
+                let along = end - node.pixel;
+                // In large squares a single pixel is as good.
+                let large = u.norm_squared().min(v.norm_squared()) > LARGE * LARGE;
+                let brightness = if large { nearest } else { sample };
+                let difference = |part: f32| {
+                    let on = node.pixel + along * part;
+                    Some(brightness(image, on + aside * ASIDE)? - brightness(image, on - aside * ASIDE)?)
+                };
+                if let [Some(a), Some(b), Some(c)] = ALONG.map(difference) {
+                    let differences = [a, b, c].map(|difference| difference * grid.polarity(i, j));
+                    self.edges.push(Edge { ends: [index, at], differences });
+                }
+            }
+        }
+    }
+}
