@@ -59,12 +59,12 @@ impl Slack {
             }
             if determined <= 0.0 { variance } else { (squares / determined).clamp(NONE, 1.0) }
         };
-        Self { turn: of(0, self.turn), shift: of(3, self.shift) }.where_shown(apart, self)
+        Self { turn: of(0, self.turn), shift: of(3, self.shift) }.where_shown(&apart, self)
     }
 
     /// Without what the views do not show: a variance that only followed chance would make the sensors' pose look less certain
     /// than it is. `held` are the variances that the views' own spread was told with.
-    fn where_shown<'a>(mut self, apart: impl Iterator<Item = &'a Apart> + Clone, held: Self) -> Self {
+    fn where_shown<'a>(mut self, apart: &(impl Iterator<Item = &'a Apart> + Clone), held: Self) -> Self {
         let likelihood = |slack: Self| -> f64 {
             let (turn, shift) = (slack.turn - held.turn, slack.shift - held.shift);
             apart.clone().map(|view| view.likelihood(turn, shift)).sum()
