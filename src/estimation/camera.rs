@@ -8,7 +8,7 @@ use crate::estimation::joint::normal::chain;
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::lens_choice::{self, LensTrial};
 use crate::estimation::model_check::ModelCheck;
-use crate::estimation::model_error::with_model_error;
+use crate::estimation::model_error::{common_error_px, with_common_error};
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{RobustFit, robust_fit};
@@ -49,6 +49,8 @@ pub struct CameraStart {
     pub lens: Lens,
     /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are found anew.
     pub camera_from_board: Vec<Option<Pose>>,
+    /// Its [`CameraEstimate::common_px`].
+    pub common_px: f64,
 }
 
 /// A calibrated camera.
@@ -60,7 +62,10 @@ pub struct CameraEstimate {
     pub lens: Lens,
     /// Covariance of the lens parameters, in the order of [`Lens::parameter_names`]; zero rows for those not estimated.
     pub lens_covariance: DMatrix<f64>,
-    /// The noise that the residuals tell of: the factor on each corner's own `std_px`.
+    /// The error that all corners were taken to have beyond their own `std_px`, in pixels: what the residuals show of one. It
+    /// brings weights nearer to equal.
+    pub common_px: f64,
+    /// The noise that the residuals tell of: the factor on each corner's `std_px`, with [`Self::common_px`] in it.
     pub noise: f64,
     /// How many times greater all variances are than if each corner erred by itself: 1 unless the views show that the
     /// corners of a view err together. Covariances have it in them.
@@ -104,7 +109,8 @@ impl CameraEstimate {
     /// What to start from when views are added.
     pub fn to_start(&self) -> CameraStart {
         let good = |view: &ViewEstimate| view.fault.is_none().then_some(view.camera_from_board).flatten();
-        CameraStart { lens: self.lens, camera_from_board: self.views.iter().map(good).collect() }
+        let camera_from_board = self.views.iter().map(good).collect();
+        CameraStart { lens: self.lens, camera_from_board, common_px: self.common_px }
     }
 
     /// The part of all corners that took no part.
@@ -138,27 +144,29 @@ pub fn calibrate_and_check(
 
 fn solve(problem: &CameraProblem, options: &CameraOptions) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
-    let (first, first_fit) = solve_weighted(problem, options)?;
-    let Some(reweighted) = with_model_error(problem, &first) else { return Ok((first, first_fit)) };
+    let known_px = options.start.as_ref().map_or(0.0, |start| start.common_px);
+    let (first, first_fit) = solve_weighted((problem, known_px), options)?;
+    let Some(common_px) = common_error_px(problem, &first) else { return Ok((first, first_fit)) };
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
-    match solve_weighted(&reweighted, &again) {
+    match solve_weighted((problem, common_px), &again) {
         Ok((estimate, fit)) => Ok((CameraEstimate { compared: first.compared, ..estimate }, fit)),
         Err(_) => Ok((first, first_fit)),
     }
 }
 
-/// As [`solve`], with the corners weighted as they are told.
+/// As [`solve`], with an error of `common_px` added to every corner's own.
 fn solve_weighted(
-    problem: &CameraProblem,
+    (problem, common_px): (&CameraProblem, f64),
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
+    let problem = &*with_common_error(problem, common_px);
     let mut prepared = Prepared::of(problem);
     let (fit, compared) = match options.lens {
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
         LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
     };
-    Ok((CameraEstimate { compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? }, fit))
+    Ok((CameraEstimate { common_px, compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? }, fit))
 }
 
 pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
@@ -454,6 +462,7 @@ pub(crate) fn assemble(
         image_size: problem.image_size,
         lens,
         lens_covariance,
+        common_px: 0.0,
         noise: part.noise * noise2.sqrt(),
         shared_error,
         rms_px: rms_of_views(&views),

@@ -15,6 +15,7 @@ use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
 
 /// How one lens model did.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -45,6 +46,12 @@ const COLUMNS: u32 = 12;
 /// A step's cost is as it was foreseen within this part: the problem is linear there, and the step its minimum.
 const FORESEEN: f64 = 0.01;
 
+/// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of that.
+const LEAST_DENOMINATOR: f64 = 0.1;
+
+/// Squared radii at which it is looked at.
+const POLE_STEPS: u32 = 400;
+
 /// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations from its minimum.
 const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
@@ -63,6 +70,10 @@ pub(crate) fn choose_lens(
             Ok(fit) => fits.push(fit),
             Err(error) => refusal = Some(error),
         }
+    }
+    let is_sound = |fit: &CameraFit| !has_pole(fit.lens(), prepared.image_size);
+    if fits.iter().any(is_sound) {
+        fits.retain(is_sound);
     }
     // The model that fits most closely tells best which corners are wrong.
     let closest = fits.iter().min_by(|a, b| a.robust.limit.total_cmp(&b.robust.limit));
@@ -83,6 +94,20 @@ pub(crate) fn choose_lens(
         parameters: trial.fit.layout.sensors[0].lens.free.len(),
     };
     Ok((chosen.fit.clone(), trials.iter().map(told).collect()))
+}
+
+/// Whether the denominator of a rational lens comes near 0 somewhere in the picture. Views that do not determine all of its
+/// parameters are fitted best by a numerator and a denominator of huge coefficients that cancel but for a kink on a circle,
+/// which no lens has.
+fn has_pole(lens: &Lens, size: ImageSize) -> bool {
+    let coefficients = lens.distortion.coefficients();
+    let [_, _, _, _, _, k4, k5, k6] = coefficients.as_slice() else { return false };
+    let matrix = lens.matrix;
+    let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
+    let farthest = (reach(matrix.cx, size.width) / matrix.fx).hypot(reach(matrix.cy, size.height) / matrix.fy);
+    let denominator = |r2: f64| 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+    (1..=POLE_STEPS)
+        .any(|k| denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR)
 }
 
 /// The order in which models are preferred: by the number of their parameters, but the fisheye's, with one less, after the
@@ -188,4 +213,24 @@ pub(crate) fn squares_under(lens: &Lens, fit: &CameraFit, sight: &Sight) -> Opti
         |corner: usize| residuals[corner].map(|r| (r / sight.inverse_std[corner]).powi(2)).iter().sum::<f64>();
     let squares: f64 = used().map(squares).sum();
     squares.is_finite().then_some(squares)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_numerator_and_a_denominator_that_cancel_are_no_lens() {
+        let rational = |coefficients: [f64; 8]| {
+            let parameters = [&[700.0, 700.0, 319.5, 239.5, 0.0], coefficients.as_slice()].concat();
+            Lens::from_parameters(LensModel::Rational, &parameters).unwrap()
+        };
+        let size = ImageSize::new(640, 480);
+        assert!(has_pole(&rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]), size));
+        assert!(!has_pole(&rational([0.34, 0.016, 0.0, 0.0, 0.0004, 0.65, 0.1, 0.002]), size));
+        assert!(!has_pole(&rational([12.0, 5.0, 0.0, 0.0, 0.3, 12.3, 8.0, 1.2]), size));
+        let brown =
+            Lens::from_parameters(LensModel::Brown, &[700.0, 700.0, 319.5, 239.5, 0.0, -0.3, 0.1, 0.0, 0.0, 0.0]);
+        assert!(!has_pole(&brown.unwrap(), size));
+    }
 }

@@ -1,42 +1,87 @@
 //! What no corner's own standard deviation knows of: a board that is not quite flat or square, a lens that its model only
-//! nearly describes. It is the same for all corners, so where residuals are far above the corners' own deviations, weights by these
-//! alone would trust a few sharp corners with an error that is not theirs.
+//! nearly describes, and that the deviations are themselves only estimates, which differ more than the errors do. It is the
+//! same for all corners; weights by the corners' own deviations alone would trust a few that seem sharp with an error that is not theirs.
 //!
-//! One more variance for all corners, chosen so that residuals come out as predicted (the iteration of R. C. Paule and
-//! J. Mandel, *Consensus values and weighting factors*, 1982).
+//! One more variance for all corners, so that residuals bear out the weights: where they are the same for corners of small and
+//! of large deviations, it is large and the weights nearly equal; where they follow the deviations, it is 0. It is the one of
+//! greatest likelihood for variances k (std² + common²) with any k (a variance component, as in R. C. Paule and J. Mandel,
+//! *Consensus values and weighting factors*, 1982, but with the level free).
+
+use std::borrow::Cow;
 
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 
-/// Residuals this many times the corners' own deviations are noise that was told too small, not another error.
-const TOLD: f64 = 1.5;
+/// Weights that differ by less than this part from better ones cost next to nothing of the estimate.
+const NEAR: f64 = 0.2;
 
-/// The problem with the common error added to every corner's variance; `None` where the corners' own deviations explain
-/// the residuals of `estimate`, or all are equal, so that weights would stay as they are.
-pub(crate) fn with_model_error(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<CameraProblem> {
-    let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
-    let seen: Vec<(f64, f64)> = views
-        .flat_map(|(given, view)| given.correspondences.iter().zip(&view.residuals_px).zip(&view.used))
-        .filter(|(_, used)| **used)
-        .map(|((corner, [x, y]), _)| (corner.std_px.powi(2), 0.5 * (x * x + y * y)))
-        .collect();
-    let all_equal = seen.windows(2).all(|pair| pair[0].0 == pair[1].0);
-    let excess = |common: f64| {
-        let sum: f64 = seen.iter().map(|(variance, square)| square / (variance + common)).sum();
-        sum / seen.len().max(1) as f64
-    };
-    if all_equal || !(excess(0.0) > TOLD * TOLD && excess(0.0).is_finite()) {
-        return None;
+/// Corners looked at, at most.
+const CORNERS: usize = 1000;
+
+/// The least common variance that is tried, in units of a sharp corner's own, and the greatest, in units of a blurred one's;
+/// in between each is twice the one before.
+const TRIED: [f64; 2] = [0.125, 64.0];
+
+/// The problem with a common error of `common_px` added to every corner's own.
+pub(crate) fn with_common_error(problem: &CameraProblem, common_px: f64) -> Cow<'_, CameraProblem> {
+    if common_px == 0.0 {
+        return Cow::Borrowed(problem);
     }
-    let (mut low, mut high) = (0.0, seen.iter().map(|(_, square)| *square).sum::<f64>());
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if excess(middle) > 1.0 { low = middle } else { high = middle }
-    }
-    let corner = |c: &Correspondence| Correspondence { std_px: (c.std_px.powi(2) + high).sqrt(), ..*c };
+    let corner = |c: &Correspondence| Correspondence { std_px: c.std_px.hypot(common_px), ..*c };
     let view = |view: &BoardView| BoardView {
         name: view.name.clone(),
         correspondences: view.correspondences.iter().map(corner).collect(),
     };
-    Some(CameraProblem { image_size: problem.image_size, views: problem.views.iter().map(view).collect() })
+    Cow::Owned(CameraProblem { image_size: problem.image_size, views: problem.views.iter().map(view).collect() })
+}
+
+/// The common error that the residuals of `estimate` tell of, in pixels; `None` where weights with it would be near those
+/// that it was made with, or all corners have the same deviation and weights stay as they are.
+pub(crate) fn common_error_px(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
+    let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
+    let corners = views.flat_map(|(given, view)| given.correspondences.iter().zip(&view.residuals_px).zip(&view.used));
+    let seen: Vec<Seen> =
+        corners.filter(|(_, used)| **used).map(|((corner, residual), _)| Seen::of(corner, residual)).collect();
+    if seen.windows(2).all(|pair| pair[0].variance == pair[1].variance) {
+        return None;
+    }
+    let seen: Vec<Seen> = seen.iter().step_by(seen.len().div_ceil(CORNERS)).copied().collect();
+    let mut variances: Vec<f64> = seen.iter().map(|seen| seen.variance).collect();
+    let [sharp, blurred] = [0.05, 0.95].map(|part| {
+        let at = ((variances.len() - 1) as f64 * part) as usize;
+        *variances.select_nth_unstable_by(at, f64::total_cmp).1
+    });
+    let doubled = |common: &f64| (*common < TRIED[1] * blurred).then_some(2.0 * common);
+    let least = (TRIED[0] * sharp).max(f64::MIN_POSITIVE);
+    let tried = std::iter::once(0.0).chain(std::iter::successors(Some(least), doubled));
+    let likelihoods = tried.map(|common| (unlikelihood(&seen, common), common));
+    let best = likelihoods.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
+    // How much more a sharp corner has to say than a blurred one.
+    let contrast = |common: f64| ((blurred + common) / (sharp + common)).ln();
+    ((contrast(best) - contrast(estimate.common_px.powi(2))).abs() > NEAR).then_some(best.sqrt())
+}
+
+/// A corner that takes part.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    /// Its own variance per axis, as it was told.
+    variance: f64,
+    /// The mean square of its two residuals.
+    square: f64,
+}
+
+impl Seen {
+    fn of(corner: &Correspondence, [x, y]: &[f64; 2]) -> Self {
+        Self { variance: corner.std_px.powi(2), square: 0.5 * (x * x + y * y) }
+    }
+}
+
+/// −ln of the likelihood, but for a constant, at the likeliest level.
+fn unlikelihood(seen: &[Seen], common: f64) -> f64 {
+    let (mut level, mut spread) = (0.0, 0.0);
+    for Seen { variance, square } in seen {
+        level += square / (variance + common);
+        spread += (variance + common).ln();
+    }
+    seen.len() as f64 * level.ln() + spread
 }

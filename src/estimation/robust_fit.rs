@@ -15,8 +15,9 @@ const HUBER: f64 = 2.0;
 /// Fewer wrong corners than this do no harm that choosing the right ones would not undo.
 const FEW: f64 = 0.005;
 
-/// Until the scale of the residuals is known to a few percent.
-const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-3 };
+/// Until the scale of the residuals is known to a few percent. Little damping: a start from the closed form is near, and more
+/// costs a step of its own.
+const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
 /// A view needs this part of its corners, or its labels are wrong rather than its corners.
 const MIN_USED: f64 = 0.6;

@@ -28,3 +28,4 @@ mod shared_data;
 mod textbook;
 mod tracking;
 mod walk;
+mod weights;
