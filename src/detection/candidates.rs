@@ -190,10 +190,13 @@ fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
         let (dx, dy) = HALF_RING[k % 8];
         if k % 16 < 8 { (dx, dy) } else { (-dx, -dy) }
     };
-    let ring: [u8; 16] = std::array::from_fn(|k| {
-        let (dx, dy) = offset(k);
-        image.row((y as i32 + dy) as usize)[(x as i32 + dx) as usize]
-    });
+    let middle = y * image.stride() + x;
+    let mut ring = [0u8; 16];
+    for (k, (dx, dy)) in HALF_RING.into_iter().enumerate() {
+        let away = dy as isize * image.stride() as isize + dx as isize;
+        let pixel = |at: usize| image.bytes().get(at).copied().unwrap_or(0);
+        (ring[k], ring[k + 8]) = (pixel(middle.wrapping_add_signed(away)), pixel(middle.wrapping_add_signed(-away)));
+    }
     let (least, most) = ring.iter().fold((255, 0), |(l, m), &v| (v.min(l), v.max(m)));
     let twice_middle = u16::from(least) + u16::from(most);
     let above =
@@ -205,12 +208,13 @@ fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
     let place = |k: usize| Vec2::new(offset(k).0 as f32, offset(k).1 as f32);
     let middle = 0.5 * f32::from(twice_middle);
     let starts_rising = above >> ((changes.trailing_zeros() + 1) % 16) & 1 == 1;
-    let crossings: [Vec2; 4] = std::array::from_fn(|_| {
+    let mut crossings = [Vec2::zeros(); 4];
+    for crossing in &mut crossings {
         let k = changes.trailing_zeros() as usize;
         changes &= changes - 1;
         let (from, to) = (f32::from(ring[k]) - middle, f32::from(ring[(k + 1) % 16]) - middle);
-        place(k).lerp(&place(k + 1), from / (from - to))
-    });
+        *crossing = place(k).lerp(&place(k + 1), from / (from - to));
+    }
     let opposite = |p: Vec2, q: Vec2| p.dot(&q) < -0.6 * p.norm() * q.norm();
     if !opposite(crossings[0], crossings[2]) || !opposite(crossings[1], crossings[3]) {
         return None;

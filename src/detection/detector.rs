@@ -23,7 +23,9 @@ const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
 const MOST_GRIDS: usize = 2;
 /// Squares from which a grid is grown, on one level.
-const MOST_STARTS: usize = 24;
+const MOST_STARTS: usize = 16;
+/// Fewer corners than this are no grid: things that lie about make them.
+const LEAST_GROWN: usize = 7;
 /// A candidate this near to a corner is that corner, in pixels of the level.
 const SAME_PX: f32 = 2.5;
 /// A grid as small as this that grows to more than a whole board on a finer level is none: stripes look so.
@@ -74,6 +76,8 @@ pub(super) struct Seen {
     pub(super) size: (u32, u32),
     pub(super) other: Option<(u32, u32)>,
     pub(super) too_large: bool,
+    /// Corners of the largest grid that was looked for across what may cover it.
+    bridged: usize,
 }
 
 impl Detector {
@@ -204,7 +208,7 @@ impl Detector {
         if !self.is_whole() && self.grid.bounds().is_some_and(|bounds| !self.exceeds_board(bounds)) {
             self.growth.reach(view, &self.candidates.found, &self.neighbourhood, &mut self.grid);
         }
-        self.grid.members.len() >= 6
+        self.grid.members.len() >= LEAST_GROWN
     }
 
     /// The candidates of `level` that are corners of the grid, or of the best part (kept at level 0), seed no other.
@@ -231,8 +235,16 @@ impl Detector {
         if small && self.grid.members.len() >= self.most_corners() {
             return Found::Nothing;
         }
-        if !verify(image, &mut self.grid) || (self.bridge(image) && !verify(image, &mut self.grid)) {
+        if !verify(image, &mut self.grid) {
             return Found::Nothing;
+        }
+        // What was no board on a coarser level is not looked for across its covers again.
+        let verified = self.grid.members.len();
+        if verified > seen.bridged {
+            seen.bridged = verified;
+            if self.bridge(image) && !verify(image, &mut self.grid) {
+                return Found::Nothing;
+            }
         }
         let Some(bounds) = self.grid.bounds() else { return Found::Nothing };
         let count = self.grid.members.len();
@@ -240,14 +252,20 @@ impl Detector {
             seen.largest = count;
             seen.size = (larger(bounds), smaller(bounds));
         }
-        let (possible, sure) = seen_ends(image, &self.grid, bounds);
-        let fits = place(&self.grid, bounds, possible, self.board).is_some();
-        match place(&self.grid, bounds, sure, self.board).filter(|_| fits) {
+        match self.placement(image) {
             Some(placement) if self.is_whole() => Found::Whole(placement),
             Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => Found::Part(placement),
             Some(_) => Found::Nothing,
             None => Found::Other { cols: larger(bounds), rows: smaller(bounds) },
         }
+    }
+
+    /// Where the board can lie in the grid, all its ends that may be seen considered.
+    fn placement(&self, image: GrayView<'_>) -> Option<Placement> {
+        let bounds = self.grid.bounds()?;
+        let (possible, sure) = seen_ends(image, &self.grid, bounds);
+        place(&self.grid, bounds, possible, self.board)?;
+        place(&self.grid, bounds, sure, self.board)
     }
 
     /// Takes the grid from `level` to the image itself, and looks for more of the board on the way if some is missing.

@@ -83,6 +83,8 @@ impl Bounds {
 pub(super) struct Grid {
     radius: i32,
     places: Vec<Place>,
+    /// Places that may not be as they were at first.
+    touched: Vec<usize>,
     /// Indices of the corners, in the order they were found.
     pub members: Vec<(i32, i32)>,
     /// Those of which a finer level shows nothing where they were taken to.
@@ -94,10 +96,15 @@ pub(super) struct Grid {
 impl Grid {
     /// Empties the grid; it will hold indices up to `radius` from (0, 0).
     pub(super) fn clear(&mut self, radius: i32, bright: bool) {
-        self.radius = radius.min(LARGEST_RADIUS);
-        let side = (2 * self.radius + 1) as usize;
-        self.places.clear();
-        self.places.resize(side * side, Place::default());
+        for slot in self.touched.drain(..) {
+            self.places[slot] = Place::default();
+        }
+        if self.radius != radius.min(LARGEST_RADIUS) || self.places.is_empty() {
+            self.radius = radius.min(LARGEST_RADIUS);
+            let side = (2 * self.radius + 1) as usize;
+            self.places.clear();
+            self.places.resize(side * side, Place::default());
+        }
         self.members.clear();
         self.bright = bright;
     }
@@ -128,6 +135,7 @@ impl Grid {
             && self.places[slot].node.replace(node).is_none()
         {
             self.members.push((i, j));
+            self.touched.push(slot);
         }
     }
 
@@ -147,14 +155,17 @@ impl Grid {
         if place.node.is_some() || place.attempts >= MOST_ATTEMPTS {
             return false;
         }
+        if place.attempts == 0 {
+            self.touched.push(slot);
+        }
         place.attempts += 1;
         true
     }
 
     /// Forgets what was looked at in vain: another level may show more.
     pub(super) fn forget_attempts(&mut self) {
-        for place in &mut self.places {
-            place.attempts = 0;
+        for &slot in &self.touched {
+            self.places[slot].attempts = 0;
         }
     }
 

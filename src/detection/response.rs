@@ -30,15 +30,19 @@ impl Response {
     /// Computes the response of `image`; 0 within [`REACH`] of the border.
     pub(super) fn compute(&mut self, image: GrayView<'_>) {
         (self.width, self.height) = (image.width(), image.height());
-        self.values.resize(self.width * self.height, 0);
         let (width, height) = (self.width, self.height);
+        // Never made smaller: what is added would be written twice.
+        if self.values.len() < width * height {
+            self.values.resize(width * height, 0);
+        }
+        let values = &mut self.values[..width * height];
         if width <= 2 * REACH || height <= 2 * REACH {
-            self.values.fill(0);
+            values.fill(0);
             return;
         }
-        self.values[..REACH * width].fill(0);
-        self.values[(height - REACH) * width..].fill(0);
-        pulp::Arch::new().dispatch(Rows { image, values: &mut self.values });
+        values[..REACH * width].fill(0);
+        values[(height - REACH) * width..].fill(0);
+        pulp::Arch::new().dispatch(Rows { image, values });
     }
 
     /// Columns.

@@ -91,7 +91,7 @@ impl Neighbourhood {
         }
         let origin = &candidates[from];
         let (bx, by) = self.bin_of(origin.pixel);
-        let mut best = [(reach, None); 4];
+        let (mut best, mut farthest) = ([(reach, None); 4], reach);
         for ring in 0..=(reach / BIN) as usize + 1 {
             if best.iter().all(|&(distance, _)| distance < (ring as f32 - 1.0) * BIN) {
                 break;
@@ -99,6 +99,10 @@ impl Neighbourhood {
             self.visit_ring(bx, by, ring, |index| {
                 let other = &candidates[index];
                 let step = other.pixel - origin.pixel;
+                // The way along an edge and the way off it together are no shorter than the way straight there.
+                if step.norm_squared() >= farthest * farthest {
+                    return;
+                }
                 let quarter = nearest_direction(origin, step);
                 let way = direction(origin, quarter);
                 let along = step.dot(&way);
@@ -108,6 +112,7 @@ impl Neighbourhood {
                 let nearer = along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
                 if nearer && opposite_colours(origin, other) {
                     best[quarter] = (distance, Some(index));
+                    farthest = best.iter().fold(0.0, |most, &(distance, _)| distance.max(most));
                 }
             });
         }
