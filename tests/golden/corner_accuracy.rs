@@ -89,6 +89,8 @@ struct Figures {
     missing: usize,
     squares: f64,
     normalized_squares: f64,
+    /// Variance over the noise, corner by corner, in units of what was predicted.
+    scatter: f64,
     bias_squares: f64,
     places: f64,
 }
@@ -103,6 +105,8 @@ impl Figures {
         self.corners += count;
         self.squares += squares;
         self.normalized_squares += errors.iter().map(|[x, y, std]| (x * x + y * y) / (2.0 * std * std)).sum::<f64>();
+        let predicted = errors.iter().map(|[_, _, std]| 2.0 * std * std).sum::<f64>() / count;
+        self.scatter += scatter / predicted;
         self.bias_squares += mean[0] * mean[0] + mean[1] * mean[1] - scatter / count;
         self.places += 1.0;
     }
@@ -113,6 +117,11 @@ impl Figures {
 
     fn normalized(&self) -> f64 {
         (self.normalized_squares / self.corners).sqrt()
+    }
+
+    /// Scatter over predicted standard deviation.
+    fn scatter(&self) -> f64 {
+        (self.scatter / self.places).sqrt()
     }
 
     fn bias_px(&self) -> f64 {
@@ -192,14 +201,17 @@ fn hold(conditions: &[Condition]) {
     for condition in conditions {
         let figures = measure(condition);
         let (rms, normalized, bias) = (figures.rms_px(), figures.normalized(), figures.bias_px());
+        let scatter = figures.scatter();
         let Figures { corners, missing, .. } = figures;
         let name = condition.name;
         let told = format!(
-            "{name}: rms {rms:.5} px, error/std {normalized:.3}, bias {bias:.5} px, {corners} corners, {missing} missing"
+            "{name}: rms {rms:.5} px, error/std {normalized:.3}, scatter/std {scatter:.3}, bias {bias:.5} px, \
+             {corners} corners, {missing} missing"
         );
         println!("{told}");
         let exact = rms <= condition.rms_px && bias <= condition.bias_px;
-        if !exact || !(0.85..1.15).contains(&normalized) || missing > 0 || corners < 300.0 {
+        let honest = [normalized, scatter].iter().all(|ratio| (0.8..1.15).contains(ratio));
+        if !exact || !honest || missing > 0 || corners < 300.0 {
             broken.push(told);
         }
     }

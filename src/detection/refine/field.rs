@@ -2,12 +2,14 @@
 //! foretells a corner left out best.
 
 /// Terms of a polynomial of an order, from 0 to the highest.
-const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
+pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
 const MOST_TERMS: usize = 15;
 /// Room for them, for the sake of vectors.
-const LANES: usize = 16;
+pub(super) const LANES: usize = 16;
 /// Corners that a term takes at least.
 const SAMPLES_PER_TERM: usize = 2;
+/// Of a term's square so much must be told apart from those before it.
+const APART: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 3;
 /// A sample this many times the mean square off has lost three quarters of its weight (Geman & McClure).
@@ -28,29 +30,106 @@ pub(super) struct Field {
     /// Places are moved and scaled to −1 … 1.
     middle: [f64; 2],
     scale: [f64; 2],
-    /// By order, and by falling power of the column within it.
-    coefficients: [f64; LANES],
-    terms: usize,
+    solution: Solution,
 }
 
-/// Weighted normal equations of all terms, their right sides, and the sums of weights and of squared values.
-struct Sums {
+/// What was found: coefficients by order, and by falling power of the first of the two within it; 0 beyond the terms.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Solution {
+    pub coefficients: [f64; LANES],
+    pub terms: usize,
+}
+
+/// A solution and the weighted mean squares that it leaves, and that the highest order would.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Solved {
+    pub solution: Solution,
+    pub mean_square: f64,
+    pub chosen_mean_square: f64,
+}
+
+/// Weighted normal equations of all terms, their right sides, and the sums of trust and of squared values.
+#[derive(Default)]
+pub(super) struct Sums {
     normal: [[f64; LANES]; MOST_TERMS],
     right: [f64; LANES],
-    weights: f64,
+    trust: f64,
     squares: f64,
+}
+
+/// The highest order, up to `order`, that `count` samples may have.
+pub(super) fn highest_order(count: usize, order: usize) -> usize {
+    (0..=order).rev().find(|&order| SAMPLES_PER_TERM * TERMS[order] <= count).unwrap_or(0)
+}
+
+/// What is left of a sample's weight whose weighted square is `square`, of `mean_square` in the mean.
+#[inline(always)]
+pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
+    let doubt = 1.0 + square / (TOLERANCE * mean_square);
+    1.0 / (doubt * doubt)
+}
+
+impl Sums {
+    /// Adds a sample: its columns, its value, its weight and how much of that is trust.
+    #[inline(always)]
+    pub fn add(&mut self, columns: &[f64; LANES], value: f64, weight: f64, trust: f64, terms: usize) {
+        for (row, sums) in self.normal[..terms].iter_mut().enumerate() {
+            let weighted = weight * columns[row];
+            for (sum, column) in sums.iter_mut().zip(columns) {
+                *sum += weighted * column;
+            }
+        }
+        let weighted = weight * value;
+        for k in 0..LANES {
+            self.right[k] += weighted * columns[k];
+        }
+        self.trust += trust;
+        self.squares += weighted * value;
+    }
+
+    /// The coefficients of the order up to `order` that generalised cross-validation prefers, of `count` samples; and the
+    /// mean square that the highest leaves. Of a term so much of its square at least must be told apart from those before,
+    /// `apart`. `None`: the samples do not even tell a mean.
+    pub fn solve(mut self, order: usize, count: usize, apart: f64) -> Option<Solved> {
+        let Self { normal, right, trust, squares } = &mut self;
+        let sound = factor(normal, TERMS[order], apart);
+        // What each term explains of the squares.
+        for row in 0..sound {
+            right[row] = (right[row] - dot(&normal[row][..row], &right[..row])) / normal[row][row];
+        }
+        let mut best = None;
+        let mut left = f64::INFINITY;
+        for &terms in TERMS[..=order].iter().filter(|&&terms| terms <= sound) {
+            let rest = (*squares - dot(&right[..terms], &right[..terms])).max(1e-14 * *squares);
+            left = rest / *trust;
+            let free = 1.0 - terms as f64 / count as f64;
+            let score = left / (free * free).max(1e-9);
+            if best.is_none_or(|(least, _)| score < least) {
+                best = Some((score, terms));
+            }
+        }
+        let (score, terms) = best?;
+        let mut coefficients = [0.0; LANES];
+        for row in (0..terms).rev() {
+            let known: f64 = (row + 1..terms).map(|k| normal[k][row] * coefficients[k]).sum();
+            coefficients[row] = (right[row] - known) / normal[row][row];
+        }
+        let free = (1.0 - terms as f64 / count as f64).powi(2).max(1e-9);
+        Some(Solved { solution: Solution { coefficients, terms }, mean_square: left, chosen_mean_square: score * free })
+    }
 }
 
 impl Field {
     /// Fits a field of `order` at most; 0 everywhere if there are no samples.
     pub fn fit(samples: &[FieldSample], order: usize) -> Self {
         let mut field = Self::spanning(samples);
-        let order = (0..=order).rev().find(|&order| SAMPLES_PER_TERM * TERMS[order] <= samples.len()).unwrap_or(0);
+        let order = highest_order(samples.len(), order);
         let mut mean_square = f64::INFINITY;
         for _ in 0..ROUNDS {
-            let sums = field.sums(samples, TERMS[order], mean_square);
-            let Some(left) = field.solve(sums, order, samples.len()) else { break };
-            mean_square = left.max(f64::MIN_POSITIVE);
+            let sums =
+                pulp::Arch::new().dispatch(Summation { field: &field, samples, terms: TERMS[order], mean_square });
+            let Some(solved) = sums.solve(order, samples.len(), APART) else { break };
+            (field.solution, mean_square) = (solved.solution, solved.mean_square.max(f64::MIN_POSITIVE));
         }
         field
     }
@@ -66,47 +145,13 @@ impl Field {
         }
     }
 
-    fn sums(&self, samples: &[FieldSample], terms: usize, mean_square: f64) -> Sums {
-        pulp::Arch::new().dispatch(Summation { field: self, samples, terms, mean_square })
-    }
-
-    /// Takes the coefficients of the order up to `order` that generalised cross-validation prefers; returns the mean square
-    /// that the highest leaves. `None`: the samples do not even tell a mean.
-    fn solve(&mut self, mut sums: Sums, order: usize, count: usize) -> Option<f64> {
-        let Sums { normal, right, weights, squares } = &mut sums;
-        let sound = factor(normal, TERMS[order]);
-        // What each term explains of the squares.
-        for row in 0..sound {
-            right[row] = (right[row] - dot(&normal[row][..row], &right[..row])) / normal[row][row];
-        }
-        let mut best = None;
-        let mut left = f64::INFINITY;
-        for &terms in TERMS[..=order].iter().filter(|&&terms| terms <= sound) {
-            let rest = (*squares - dot(&right[..terms], &right[..terms])).max(1e-14 * *squares);
-            left = rest / *weights;
-            let free = 1.0 - terms as f64 / count as f64;
-            let score = left / (free * free).max(1e-9);
-            if best.is_none_or(|(least, _)| score < least) {
-                best = Some((score, terms));
-            }
-        }
-        let (_, terms) = best?;
-        self.terms = terms;
-        self.coefficients = [0.0; LANES];
-        for row in (0..terms).rev() {
-            let known: f64 = (row + 1..terms).map(|k| normal[k][row] * self.coefficients[k]).sum();
-            self.coefficients[row] = (right[row] - known) / normal[row][row];
-        }
-        Some(left)
-    }
-
     fn scaled(&self, place: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| (place[k] - self.middle[k]) * self.scale[k])
     }
 
     /// The field's value at `place`.
     pub fn at(&self, place: [f64; 2]) -> f64 {
-        dot(&basis(self.scaled(place))[..self.terms], &self.coefficients[..self.terms])
+        dot(&basis(self.scaled(place)), &self.solution.coefficients)
     }
 
     /// Its change per column and per row there.
@@ -116,15 +161,15 @@ impl Field {
         let mut term = 0;
         for order in 0..TERMS.len() {
             for row_power in 0..=order {
-                if term < self.terms && order > 0 {
+                if term < self.solution.terms && order > 0 {
                     // One order below, terms lie at the same row power (less a column), or one before (less a row).
                     let below = TERMS[order - 1] - order;
                     let col_power = order - row_power;
                     if col_power > 0 {
-                        slope[0] += self.coefficients[term] * col_power as f64 * lower[below + row_power];
+                        slope[0] += self.solution.coefficients[term] * col_power as f64 * lower[below + row_power];
                     }
                     if row_power > 0 {
-                        slope[1] += self.coefficients[term] * row_power as f64 * lower[below + row_power - 1];
+                        slope[1] += self.solution.coefficients[term] * row_power as f64 * lower[below + row_power - 1];
                     }
                 }
                 term += 1;
@@ -148,32 +193,16 @@ impl pulp::NullaryFnOnce for Summation<'_> {
     #[inline(always)]
     fn call(self) -> Sums {
         let Self { field, samples, terms, mean_square } = self;
-        let mut sums = Sums { normal: [[0.0; LANES]; MOST_TERMS], right: [0.0; LANES], weights: 0.0, squares: 0.0 };
+        let mut sums = Sums::default();
         for &FieldSample { place, value, weight } in samples {
             let basis =
                 basis([(place[0] - field.middle[0]) * field.scale[0], (place[1] - field.middle[1]) * field.scale[1]]);
             let mut off = value;
-            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
-            for k in 0..LANES {
-                // Coefficients beyond the field's terms are 0.
-                off -= basis[k] * field.coefficients[k];
+            for (basis, coefficient) in basis.iter().zip(&field.solution.coefficients) {
+                off -= basis * coefficient;
             }
-            let doubt = if mean_square.is_finite() { weight * off * off / (TOLERANCE * mean_square) } else { 0.0 };
-            let trust = 1.0 / ((1.0 + doubt) * (1.0 + doubt));
-            let weight = trust * weight;
-            for (row, sums) in sums.normal[..terms].iter_mut().enumerate() {
-                let weighted = weight * basis[row];
-                for (sum, basis) in sums.iter_mut().zip(&basis) {
-                    *sum += weighted * basis;
-                }
-            }
-            let weighted = weight * value;
-            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
-            for k in 0..LANES {
-                sums.right[k] += weighted * basis[k];
-            }
-            sums.weights += trust;
-            sums.squares += weighted * value;
+            let trust = if mean_square.is_finite() { trust(weight * off * off, mean_square) } else { 1.0 };
+            sums.add(&basis, value, trust * weight, trust, terms);
         }
         sums
     }
@@ -181,7 +210,7 @@ impl pulp::NullaryFnOnce for Summation<'_> {
 
 /// All terms at a scaled place.
 #[inline(always)]
-fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
+pub(super) fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
     let (x2, y2) = (x * x, y * y);
     let (x3, y3) = (x2 * x, y2 * y);
     [1.0, x, y, x2, x * y, y2, x3, x2 * y, x * y2, y3, x2 * x2, x3 * y, x2 * y2, x * y3, y2 * y2, 0.0]
@@ -193,13 +222,13 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Puts the lower triangular L with L·Lᵀ in place of the first `terms` of `normal`; returns how many of them the samples
 /// tell apart.
-fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize) -> usize {
+fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, apart: f64) -> usize {
     for row in 0..terms {
         for col in 0..=row {
             let rest = normal[row][col] - dot(&normal[row][..col], &normal[col][..col]);
             if col < row {
                 normal[row][col] = rest / normal[col][col];
-            } else if rest > 1e-6 * normal[row][row] {
+            } else if rest > apart * normal[row][row] {
                 normal[row][row] = rest.sqrt();
             } else {
                 return row;

@@ -96,6 +96,19 @@ impl Lattice {
         inside.then_some((row * self.size[0] + col) as usize)
     }
 
+    /// The lines along `axis`: the place of each, −1 … 1, and which corners are on it, in order.
+    pub fn lines(&self, axis: usize) -> impl Iterator<Item = (f64, impl Iterator<Item = usize> + Clone)> {
+        let [along, across] = [self.size[axis], self.size[1 - axis]];
+        let strides = [1, self.size[0]];
+        (0..across).map(move |line| {
+            let place = (2 * line - (across - 1)) as f64 / (across - 1).max(1) as f64;
+            let slots = (0..along).filter_map(move |step| {
+                self.slots[(line * strides[1 - axis] + step * strides[axis]) as usize].map(|slot| slot as usize)
+            });
+            (place, slots)
+        })
+    }
+
     fn slot(&self, index: GridIndex, step: [i64; 2]) -> Option<usize> {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }

@@ -6,7 +6,7 @@
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `cholesky` | weighted least squares, robust against what does not belong |
 //! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
-//! | trust | `halves`, `scatter`, `misfit` | how far off corners are: the parts of their edges disagree, or one fits worse than the others |
+//! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
 //! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
 //! of light and the noise known from the board. `README.md` beside this file says what was measured.
@@ -23,6 +23,7 @@ mod noise;
 mod normal_equations;
 mod samples;
 mod scatter;
+mod straightness;
 mod window;
 
 use crate::detection::board_detection::GridIndex;
@@ -35,6 +36,7 @@ use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{Columns, Noise};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
+use crate::detection::refine::straightness::Straightness;
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -72,6 +74,7 @@ pub struct Refiner {
     noise: PooledNoise,
     scatter: Scatter,
     misfit: Misfit,
+    straightness: Straightness,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
 }
@@ -137,6 +140,21 @@ impl Refiner {
                 .zip(of_corner)
                 .map(|(corner, of_corner)| RefinedCorner { std_px: of_board * of_corner * corner.std_px, ..corner });
         }
+        self.widen_by_lines(refined);
+    }
+
+    /// Widens all standard deviations where corners scatter more about the board's lines than they say.
+    fn widen_by_lines(&mut self, refined: &mut [Option<RefinedCorner>]) {
+        self.straightness.clear();
+        for axis in 0..2 {
+            let lines = self.lattice.lines(axis).map(|(place, line)| {
+                let seen: &[Option<RefinedCorner>] = refined;
+                (place, line.filter_map(move |slot| seen[slot].as_ref()))
+            });
+            self.straightness.take(lines);
+        }
+        let factor = self.straightness.std_factor();
+        refined.iter_mut().flatten().for_each(|corner| corner.std_px *= factor);
     }
 
     /// The first fits.

@@ -1,0 +1,295 @@
+//! How much more corners scatter than foretold, by how straight their lines are: noise that spans a whole corner, as JPEG's
+//! blocks or light between corners make it, shows in no corner's own residuals, but it moves corners off their lines.
+//!
+//! In a line's own frame, t along its chord and n across, a line is n = a + b·t + f(t, y), with its own a and b whatever the
+//! perspective, and one polynomial f of t, from its second power on, and of the line's place y that all lines share: the
+//! bend f″ that a lens makes is smooth over the picture.
+
+use crate::detection::refine::RefinedCorner;
+use crate::detection::refine::corner_model::length;
+use crate::detection::refine::field::{LANES, Solution, Sums, TERMS, basis, highest_order, trust};
+
+/// Highest order of the bend.
+const BEND_ORDER: usize = 3;
+/// Of a term's square so much must be told apart from those before it: lines of few corners tell no high powers of t.
+const APART: f64 = 1e-3;
+/// Least squares are repeated against outliers.
+const ROUNDS: usize = 2;
+/// What the weights against outliers leave of the variance of normally distributed numbers in the second round.
+const TRUSTED: f64 = 0.66;
+/// Fewer corners make no line that shows anything.
+const LEAST_LINE: usize = 3;
+/// Fewer degrees of freedom tell no scatter.
+const LEAST_FREE: f64 = 20.0;
+/// More scatter than this is not noise but a lens that bends lines more than f can follow; the more, the surer.
+const MOST: f64 = 1.4;
+
+/// A corner in its line's frame: t and y scaled to about −1 … 1, n in pixels.
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    t: f64,
+    y: f64,
+    n: f64,
+    /// One over the variance foretold.
+    certainty: f64,
+}
+
+/// The lines of a board; keeps its buffers from board to board.
+#[derive(Debug, Default)]
+pub(super) struct Straightness {
+    points: Vec<Point>,
+    /// Ends of the lines within `points`.
+    ends: Vec<usize>,
+    /// Sum of squares left and of degrees of freedom, over both families of lines.
+    left: f64,
+    free: f64,
+}
+
+impl Straightness {
+    /// Forgets all lines.
+    pub fn clear(&mut self) {
+        (self.left, self.free) = (0.0, 0.0);
+    }
+
+    /// Takes a family of lines: for each its place and its corners in order.
+    pub fn take<'a, Line>(&mut self, lines: impl Iterator<Item = (f64, Line)>)
+    where
+        Line: Iterator<Item = &'a RefinedCorner> + Clone,
+    {
+        self.points.clear();
+        self.ends.clear();
+        lines.for_each(|(place, line)| self.add_line(place, line));
+        let scale = self.points.iter().map(|point| point.t.abs()).fold(1.0, f64::max);
+        self.points.iter_mut().for_each(|point| point.t /= scale);
+        let free: usize = self.lines().map(|line| line.len() - 2).sum();
+        let order = highest_order(free, BEND_ORDER);
+        let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
+        let mut scatter = None;
+        for _ in 0..ROUNDS {
+            let summation = Summation { lines: self, solution: &solution, terms: TERMS[order], mean_square };
+            let Some(solved) = pulp::Arch::new().dispatch(summation).solve(order, free, APART) else { return };
+            mean_square = solved.mean_square.max(f64::MIN_POSITIVE);
+            solution = solved.solution;
+            scatter = Some(solved.chosen_mean_square);
+        }
+        if let Some(scatter) = scatter {
+            // Offset and slope of each line, and the bend, take up their share.
+            let all = self.points.len() as f64;
+            self.left += scatter * all / TRUSTED;
+            self.free += (free - solution.terms.min(free)) as f64;
+        }
+    }
+
+    /// The factor on standard deviations: at least 1.
+    pub fn std_factor(&self) -> f64 {
+        if self.free < LEAST_FREE {
+            return 1.0;
+        }
+        let ratio = (self.left / self.free).sqrt();
+        if ratio < MOST { ratio.max(1.0) } else { (MOST * MOST / ratio).max(1.0) }
+    }
+
+    fn lines(&self) -> impl Iterator<Item = &[Point]> {
+        let starts = std::iter::once(0).chain(self.ends.iter().copied());
+        starts.zip(&self.ends).map(|(start, &end)| &self.points[start..end])
+    }
+
+    fn add_line<'a>(&mut self, y: f64, line: impl Iterator<Item = &'a RefinedCorner> + Clone) {
+        let (Some(first), Some(last)) = (line.clone().next(), line.clone().last()) else { return };
+        let chord = [last.pixel.x - first.pixel.x, last.pixel.y - first.pixel.y];
+        let span = length(chord);
+        if line.clone().count() < LEAST_LINE || span < 1.0 {
+            return;
+        }
+        let [x, y_along] = chord.map(|v| v / span);
+        self.points.extend(line.map(|corner| {
+            let [dx, dy] = [corner.pixel.x - first.pixel.x, corner.pixel.y - first.pixel.y];
+            let (t, n) = (x * dx + y_along * dy - span / 2.0, x * dy - y_along * dx);
+            Point { t, y, n, certainty: 1.0 / (corner.std_px * corner.std_px) }
+        }));
+        self.ends.push(self.points.len());
+    }
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Summation<'a> {
+    lines: &'a Straightness,
+    solution: &'a Solution,
+    terms: usize,
+    mean_square: f64,
+}
+
+/// A line's weighted sums of 1, t, t², and of each column and of t times it; the last column is n.
+struct Trend {
+    moments: [f64; 3],
+    columns: [[f64; LANES]; 2],
+}
+
+impl pulp::NullaryFnOnce for Summation<'_> {
+    type Output = Sums;
+
+    #[inline(always)]
+    fn call(self) -> Sums {
+        let Self { lines, solution, terms, mean_square } = self;
+        let mut sums = Sums::default();
+        let mut start = 0;
+        for &end in &lines.ends {
+            let line = &lines.points[start..end];
+            start = end;
+            // First as it lies, then with less weight on what is far off.
+            let mut trend = Trend::of(line, solution, None);
+            if mean_square.is_finite() {
+                trend = Trend::of(line, solution, Some((&trend, mean_square)));
+            }
+            for point in line {
+                let columns = columns(point);
+                let trust = if mean_square.is_finite() {
+                    let off = trend.left(point, &columns, solution);
+                    trust(point.certainty * off * off, mean_square)
+                } else {
+                    1.0
+                };
+                let (columns, n) = trend.removed(point, &columns);
+                sums.add(&columns, n, trust * point.certainty, trust, terms);
+            }
+        }
+        sums
+    }
+}
+
+/// The second integrals by t of all terms of the bend, and n beyond them.
+#[inline(always)]
+fn columns(point: &Point) -> [f64; LANES] {
+    // By falling power of t within each order: t^p becomes t^(p+2) / ((p+1)(p+2)).
+    const OVER: [f64; LANES] = [
+        0.5,
+        1.0 / 6.0,
+        0.5,
+        1.0 / 12.0,
+        1.0 / 6.0,
+        0.5,
+        1.0 / 20.0,
+        1.0 / 12.0,
+        1.0 / 6.0,
+        0.5,
+        1.0 / 30.0,
+        1.0 / 20.0,
+        1.0 / 12.0,
+        1.0 / 6.0,
+        0.5,
+        0.0,
+    ];
+    let squared = point.t * point.t;
+    let mut columns = basis([point.t, point.y]);
+    for k in 0..LANES {
+        columns[k] *= squared * OVER[k];
+    }
+    columns[LANES - 1] = point.n;
+    columns
+}
+
+impl Trend {
+    #[inline(always)]
+    fn of(line: &[Point], solution: &Solution, before: Option<(&Trend, f64)>) -> Self {
+        let mut trend = Self { moments: [0.0; 3], columns: [[0.0; LANES]; 2] };
+        for point in line {
+            let columns = columns(point);
+            let mut weight = point.certainty;
+            if let Some((before, mean_square)) = before {
+                let off = before.left(point, &columns, solution);
+                weight *= trust(weight * off * off, mean_square);
+            }
+            let tilted = weight * point.t;
+            trend.moments[0] += weight;
+            trend.moments[1] += tilted;
+            trend.moments[2] += tilted * point.t;
+            for k in 0..LANES {
+                trend.columns[0][k] += weight * columns[k];
+                trend.columns[1][k] += tilted * columns[k];
+            }
+        }
+        // In place of the sums: offset and slope of each column.
+        let [w, wt, wtt] = trend.moments;
+        let unit = 1.0 / (w * wtt - wt * wt).max(1e-12);
+        for k in 0..LANES {
+            let [sum, tilted] = [trend.columns[0][k], trend.columns[1][k]];
+            trend.columns[0][k] = (wtt * sum - wt * tilted) * unit;
+            trend.columns[1][k] = (w * tilted - wt * sum) * unit;
+        }
+        trend
+    }
+
+    /// The columns at a point without the line's offset and slope, and n likewise.
+    #[inline(always)]
+    fn removed(&self, point: &Point, columns: &[f64; LANES]) -> ([f64; LANES], f64) {
+        let mut rest = [0.0; LANES];
+        for k in 0..LANES {
+            rest[k] = columns[k] - self.columns[0][k] - self.columns[1][k] * point.t;
+        }
+        let n = std::mem::take(&mut rest[LANES - 1]);
+        (rest, n)
+    }
+
+    /// What `solution` leaves of n at a point.
+    #[inline(always)]
+    fn left(&self, point: &Point, columns: &[f64; LANES], solution: &Solution) -> f64 {
+        let (columns, mut n) = self.removed(point, columns);
+        for k in 0..LANES {
+            n -= columns[k] * solution.coefficients[k];
+        }
+        n
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::pixel::Pixel;
+
+    const STD_PX: f64 = 0.01;
+
+    /// A 9×6 board in perspective, bent by a lens (`k1` at a radius of 300 px), with noise of so many standard deviations.
+    fn factor(k1: f64, noise: f64) -> f64 {
+        let mut state = 1_u64;
+        let mut normal = || {
+            let mut sum = -6.0;
+            for _ in 0..12 {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
+            }
+            sum * noise * STD_PX
+        };
+        let mut corners = Vec::new();
+        for (row, col) in (0..6).flat_map(|row| (0..9).map(move |col| (f64::from(row), f64::from(col)))) {
+            let w = 1.0 + 0.04 * col - 0.03 * row;
+            let (x, y) = ((60.0 * col - 10.0 * row - 240.0) / w, (12.0 * col + 55.0 * row - 150.0) / w);
+            let bent = 1.0 + k1 * (x * x + y * y) / 90_000.0;
+            let pixel = Pixel::new(320.0 + x * bent + normal(), 240.0 + y * bent + normal());
+            corners.push(RefinedCorner { pixel, std_px: STD_PX, blur_px: 1.0, contrast: 100.0 });
+        }
+        let mut straightness = Straightness::default();
+        straightness.clear();
+        straightness.take((0..6).map(|row| (row as f64 / 2.5 - 1.0, corners[9 * row..9 * row + 9].iter())));
+        straightness.take((0..9).map(|col| (col as f64 / 4.0 - 1.0, corners[col..].iter().step_by(9))));
+        straightness.std_factor()
+    }
+
+    #[test]
+    fn corners_that_scatter_as_foretold_keep_their_std() {
+        assert_eq!(factor(0.0, 0.5), 1.0);
+        assert!(factor(-0.02, 1.0) < 1.15, "{}", factor(-0.02, 1.0));
+    }
+
+    #[test]
+    fn more_scatter_widens_it_and_a_bend_beyond_the_polynomials_does_not() {
+        assert!((1.1..1.4).contains(&factor(-0.02, 1.25)), "{}", factor(-0.02, 1.25));
+        assert!(factor(-0.6, 0.3) < 1.1, "{}", factor(-0.6, 0.3));
+    }
+
+    #[test]
+    fn without_lines_nothing_is_known() {
+        let mut straightness = Straightness::default();
+        straightness.take(std::iter::empty::<(f64, std::slice::Iter<'_, RefinedCorner>)>());
+        assert_eq!(straightness.std_factor(), 1.0);
+    }
+}
