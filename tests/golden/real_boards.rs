@@ -74,13 +74,11 @@ fn every_small_board_on_a_large_plate_is_found() {
     let Some(paths) = pictures("opencv-extra-subpixel", 33) else { return };
     let board: BoardSize = "4x5".parse().unwrap();
     let mut detector = Detector::new(board);
-    let mut whole = 0;
+    // Some are as sharp as pixels can show, with edges midway between two rows of them.
     for path in &paths {
         let found = look(&mut detector, path);
-        assert!(found.position_known && found.corners.len() + 1 >= board.corner_count(), "{}", path.display());
+        assert!(!found.partial && found.position_known, "{}: {} corners", path.display(), found.corners.len());
+        assert_eq!(found.corners.len(), board.corner_count());
         assert_even_grid(&found, path);
-        whole += usize::from(!found.partial);
     }
-    // The others are as sharp as pixels can show, and the place of one corner each is undetermined.
-    assert!(whole >= 30, "{whole} of 33");
 }

@@ -11,6 +11,10 @@ pub(super) const UNKNOWNS: usize = 9;
 /// eliminated is a factor's corner.
 pub(super) const SHIFT: usize = UNKNOWNS - 2;
 
+/// 1/σ of an edge that a pixel's own width alone blurs, or a sharpening camera a little less. An edge midway between two rows of
+/// pixels shows none of its width: without a limit it would be taken for infinitely sharp, and its place for unknown.
+const SHARPEST: f64 = 3.6;
+
 /// One corner, in the pixels of its window and relative to the window's origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct CornerModel {
@@ -67,7 +71,8 @@ impl CornerModel {
             let unit = 1.0 / length(turned);
             moved.along[edge] = turned.map(|v| v * unit);
             let sharpness = self.sharpness[edge];
-            moved.sharpness[edge] = (sharpness + step[2 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
+            let kept = (sharpness + step[2 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
+            moved.sharpness[edge] = kept.min(SHARPEST);
         }
         moved.level += step[4];
         moved.amplitude += step[5];
