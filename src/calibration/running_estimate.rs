@@ -74,6 +74,7 @@ impl GoingOn {
 }
 
 /// How an estimate came about.
+#[derive(Clone, Copy)]
 struct Made {
     anew: bool,
     looked_for_among: usize,

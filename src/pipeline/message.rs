@@ -54,7 +54,7 @@ pub(super) enum Message {
     /// So many seconds went by without a frame.
     Waited(f64),
     /// A running estimate of a session, if it could be made.
-    Estimated { session: String, estimate: Option<EstimateSoFar> },
+    Estimated { session: String, estimate: Option<Box<EstimateSoFar>> },
     /// A session's solve.
     Solved { session: String, solved: Result<Box<Calibration>, String> },
     /// Begin a session.

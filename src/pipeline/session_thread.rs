@@ -84,7 +84,7 @@ impl SessionThread {
             Message::Waited(seconds) => self.tell(|session| session.waited(seconds)),
             Message::Estimated { session: id, estimate } => {
                 if self.is_current(&id) {
-                    self.tell(|session| session.estimated(estimate));
+                    self.tell(|session| session.estimated(estimate.map(|estimate| *estimate)));
                 }
             }
             Message::Solved { session: id, solved } => {

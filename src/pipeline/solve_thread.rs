@@ -133,7 +133,7 @@ pub(super) fn run(camera: &Arc<LiveCamera>, jobs: &Receiver<Job>) {
             camera.metrics.solve_seconds.with_label_values(&[&camera.name]).observe(elapsed);
             Message::Solved { session, solved }
         } else {
-            Message::Estimated { session, estimate: job.estimate() }
+            Message::Estimated { session, estimate: job.estimate().map(Box::new) }
         };
         if camera.messages.blocking_send(answer).is_err() {
             return;

@@ -80,8 +80,8 @@ impl Sums {
             }
         }
         let weighted = weight * value;
-        for k in 0..LANES {
-            self.right[k] += weighted * columns[k];
+        for (sum, column) in self.right.iter_mut().zip(columns) {
+            *sum += weighted * column;
         }
         self.trust += trust;
         self.squares += weighted * value;

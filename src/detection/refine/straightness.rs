@@ -203,9 +203,10 @@ impl Trend {
             trend.moments[0] += weight;
             trend.moments[1] += tilted;
             trend.moments[2] += tilted * point.t;
-            for k in 0..LANES {
-                trend.columns[0][k] += weight * columns[k];
-                trend.columns[1][k] += tilted * columns[k];
+            let [sums, tilted_sums] = &mut trend.columns;
+            for ((sum, tilted_sum), column) in sums.iter_mut().zip(tilted_sums).zip(&columns) {
+                *sum += weight * column;
+                *tilted_sum += tilted * column;
             }
         }
         // In place of the sums: offset and slope of each column.
@@ -222,9 +223,11 @@ impl Trend {
     /// The columns at a point without the line's offset and slope, and n likewise.
     #[inline(always)]
     fn removed(&self, point: &Point, columns: &[f64; LANES]) -> ([f64; LANES], f64) {
-        let mut rest = [0.0; LANES];
-        for k in 0..LANES {
-            rest[k] = columns[k] - self.columns[0][k] - self.columns[1][k] * point.t;
+        let [offsets, slopes] = &self.columns;
+        let mut rest = *columns;
+        for ((rest, offset), slope) in rest.iter_mut().zip(offsets).zip(slopes) {
+            *rest -= offset;
+            *rest -= slope * point.t;
         }
         let n = std::mem::take(&mut rest[LANES - 1]);
         (rest, n)
@@ -234,8 +237,8 @@ impl Trend {
     #[inline(always)]
     fn left(&self, point: &Point, columns: &[f64; LANES], solution: &Solution) -> f64 {
         let (columns, mut n) = self.removed(point, columns);
-        for k in 0..LANES {
-            n -= columns[k] * solution.coefficients[k];
+        for (column, coefficient) in columns.iter().zip(&solution.coefficients) {
+            n -= column * coefficient;
         }
         n
     }
