@@ -125,8 +125,9 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
         ("opencv&sensor=depth", "331.3878"),
         ("kalibr", "613.4193"),
         ("mrcal", "319.9388"),
-        ("colmap", "239.1829"),
-        ("depth", "390.4314"),
+        // Its pixels have their corners, not their centres, at integers.
+        ("colmap", "239.6829"),
+        ("depth", "reading depth 0.001"),
         ("urdf", "0.0143113"),
         ("tf", "0.0143113"),
     ] {
