@@ -3,7 +3,7 @@
 librealsense's own align on the same depth pictures.
 
     cargo build --release
-    pip install numpy opencv-python-headless pyrealsense2 && python benches/depth_align.py [--views 60]
+    pip install numpy opencv-python-headless pyrealsense2 mcap mcap-protobuf-support && python benches/depth_align.py [--views 60]
 
 librealsense's align knows no correction of depth and is given lenses without distortion, which is its fastest case. Prints a
 line of JSON for each: milliseconds, the fastest of some runs for each picture, in the median over all pictures.
