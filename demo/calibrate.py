@@ -40,6 +40,10 @@ def wait_until_ready(daemon):
 
 def collect():
     """Runs a session to its end, telling what it sees; the finished session."""
+    left = ask(CAMERA)["session"]
+    if left:
+        print("a session that an earlier demo left is stopped first", flush=True)
+        ask(f"{ADDRESS}/v1/sessions/{left}/stop", {})
     session = ask(f"{CAMERA}/sessions", REQUEST)
     told = None
     while session["state"] in ("collecting", "solving"):
