@@ -74,7 +74,17 @@ def tell(session):
     print("Ctrl-C ends it.", flush=True)
 
 
+def refuse_company():
+    """Ends the demo where another daemon has its address: that one's answers would be taken for the demo's."""
+    try:
+        urllib.request.urlopen(f"{ADDRESS}/healthz", timeout=5).close()
+    except (urllib.error.URLError, ConnectionError):
+        return
+    sys.exit(f"something serves at {ADDRESS} already; stop it and try again")
+
+
 def main():
+    refuse_company()
     daemon = subprocess.Popen([sys.argv[1], "serve", "--config", "config/demo.toml"])
     try:
         wait_until_ready(daemon)
