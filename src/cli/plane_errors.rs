@@ -12,6 +12,7 @@ use crate::estimation::board_pose::board_poses;
 use crate::geometry::board::Chessboard;
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
@@ -23,6 +24,7 @@ use crate::imaging::gray::GrayImage;
 pub struct PlaneErrors {
     board: Chessboard,
     color: Lens,
+    color_size: ImageSize,
     color_from_depth: Pose,
     depth: DepthCamera,
     invalid: Option<u16>,
@@ -67,6 +69,7 @@ impl PlaneErrors {
         Ok(Self {
             board,
             color: color.lens,
+            color_size: color.image_size,
             color_from_depth: color_from_depth.target_from_source,
             depth: depth.camera.clone(),
             invalid: depth.invalid,
@@ -78,17 +81,23 @@ impl PlaneErrors {
     /// What is off in `picture`, and how it looks; `None` where the board is not in `color`, or nothing of it in depth.
     ///
     /// # Errors
-    /// For a colour picture that cannot be read.
+    /// For a colour picture that cannot be read, or is of another size than the calibration's.
     pub fn of(
         &mut self,
         color: &Frame,
         picture: &DepthImage,
     ) -> Result<Option<(BeforeAndAfter, image::RgbImage)>, String> {
         luma(color, &mut self.image).map_err(|error| format!("its colour picture: {error}"))?;
+        let image_size = self.image.size();
+        if image_size != self.color_size {
+            let expected = self.color_size;
+            return Err(format!(
+                "its colour picture is {image_size}, the calibration is of {expected}; record at that size"
+            ));
+        }
         let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default()) else {
             return Ok(None);
         };
-        let image_size = self.image.size();
         let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
         let view = View { number: 0, frame, detection }.to_board_view(&self.board);
         let poses = board_poses(&self.color, &view).unwrap_or_default();
