@@ -25,6 +25,7 @@ mod seeded_camera;
 mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]
 mod shared_data;
+mod stored_corners;
 mod textbook;
 mod tracking;
 mod walk;
