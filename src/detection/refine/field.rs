@@ -48,7 +48,7 @@ pub(super) struct Solved {
     pub chosen_mean_square: f64,
 }
 
-/// Weighted normal equations of all terms, their right sides, and the sums of trust and of squared values.
+/// Weighted normal equations of all terms (the lower triangle), their right sides, and the sums of trust and of squared values.
 #[derive(Default)]
 pub(super) struct Sums {
     normal: [[f64; LANES]; MOST_TERMS],
@@ -73,18 +73,27 @@ impl Sums {
     /// Adds a sample: its columns, its value, its weight and how much of that is trust.
     #[inline(always)]
     pub fn add(&mut self, columns: &[f64; LANES], value: f64, weight: f64, trust: f64, terms: usize) {
-        for (row, sums) in self.normal[..terms].iter_mut().enumerate() {
-            let weighted = weight * columns[row];
-            for (sum, column) in sums.iter_mut().zip(columns) {
-                *sum += weighted * column;
-            }
-        }
+        self.add_rows::<0, 4>(columns, weight, terms);
+        self.add_rows::<4, 8>(columns, weight, terms);
+        self.add_rows::<8, 12>(columns, weight, terms);
+        self.add_rows::<12, 16>(columns, weight, terms);
         let weighted = weight * value;
         for (sum, column) in self.right.iter_mut().zip(columns) {
             *sum += weighted * column;
         }
         self.trust += trust;
         self.squares += weighted * value;
+    }
+
+    /// Adds to the rows `FROM` … `TO`, as far as there are terms, as much of each as may be left of the diagonal.
+    #[inline(always)]
+    fn add_rows<const FROM: usize, const TO: usize>(&mut self, columns: &[f64; LANES], weight: f64, terms: usize) {
+        for row in FROM..TO.min(terms) {
+            let weighted = weight * columns[row];
+            for (sum, column) in self.normal[row][..TO].iter_mut().zip(&columns[..TO]) {
+                *sum += weighted * column;
+            }
+        }
     }
 
     /// The coefficients of the order up to `order` that generalised cross-validation prefers, of `count` samples; and the

@@ -1,7 +1,7 @@
 //! Fitting the corner model to its samples: Levenberg and Marquardt's method on weighted squares.
 
-use crate::detection::refine::cholesky::Cholesky;
 use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::elimination::solve;
 use crate::detection::refine::normal_equations::{Columns, Linearised, Noise, NormalEquations, Residuals};
 use crate::detection::refine::samples::Samples;
 
@@ -70,22 +70,20 @@ pub(super) fn fit(
             best = model;
             std::mem::swap(&mut equations, &mut next);
         }
-        let factor = Cholesky::new(&equations.normal, damping)?;
-        let step = factor.solve(&equations.gradient);
-        model = best.moved_by(&step);
+        let solved = solve(&equations.products, damping)?;
+        model = best.moved_by(&solved.step);
         let last_step = length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
         let sharpness = best.sharpness[0].max(best.sharpness[1]);
         let rests = last_step * sharpness < options.enough;
         if (rests && (iteration >= least || model.is_like(&best, options.alike))) || iteration == most {
-            let explained: f64 = step.iter().zip(&equations.gradient).map(|(s, g)| s * g).sum();
             let residuals = equations.residuals;
-            let mean_square = noise.corrected(&residuals, (residuals.squares - explained).max(0.0));
+            let mean_square = noise.corrected(&residuals, solved.left);
             return Some(Fit {
                 model,
                 residuals,
                 mean_square,
                 residual_rms: (mean_square * noise.variance()).sqrt(),
-                covariance: position_covariance(&factor, &model),
+                covariance: position_covariance(solved.last_covariance, &model),
                 last_step,
             });
         }
@@ -93,9 +91,8 @@ pub(super) fn fit(
     None
 }
 
-/// The covariance of the shifts of the edges, as moves of the corner.
-fn position_covariance(factor: &Cholesky, model: &CornerModel) -> [f64; 3] {
-    let [aa, ab, bb] = factor.last_covariance();
+/// The covariance of the shifts of the edges (xx, xy, yy), as moves of the corner.
+fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
     let moves = |i: usize, j: usize| a[i] * a[j] * aa + (a[i] * b[j] + b[i] * a[j]) * ab + b[i] * b[j] * bb;
     [moves(0, 0), moves(0, 1), moves(1, 1)]

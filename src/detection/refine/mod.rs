@@ -4,15 +4,15 @@
 //! | --- | --- | --- |
 //! | window | `window`, `samples` | gathers the pixels along the cells' own axes, short of the next edges |
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
-//! | fit | `fit`, `normal_equations`, `cholesky` | weighted least squares, robust against what does not belong |
+//! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against what does not belong |
 //! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
 //! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
 //! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
 //! of light and the noise known from the board. `README.md` beside this file says what was measured.
 
-mod cholesky;
 mod corner_model;
+mod elimination;
 mod field;
 mod fit;
 mod gaussian;

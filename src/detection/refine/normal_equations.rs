@@ -3,11 +3,10 @@
 use pulp::{Simd, WithSimd};
 
 use crate::detection::refine::corner_model::{CornerModel, UNKNOWNS};
+use crate::detection::refine::elimination::{COLUMNS, Products};
 use crate::detection::refine::gaussian::edge_profile;
 use crate::detection::refine::samples::Samples;
 
-/// The derivatives by each unknown, then the residual.
-const COLUMNS: usize = UNKNOWNS + 1;
 /// Which of the columns has the residuals.
 pub(super) const RESIDUAL: usize = UNKNOWNS;
 
@@ -48,10 +47,8 @@ impl Noise {
 /// The sums of a linearisation. Weights are 1/σ² of the noise, less for the window's border and for outliers.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct NormalEquations {
-    /// Sums of products of derivatives, the lower triangle.
-    pub normal: [[f64; UNKNOWNS]; UNKNOWNS],
-    /// Sums of derivative times residual (seen less modelled).
-    pub gradient: [f64; UNKNOWNS],
+    /// Sums of products of the derivatives and the residual (seen less modelled).
+    pub products: Products,
     /// What is left.
     pub residuals: Residuals,
 }
@@ -248,19 +245,27 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     }
 }
 
-/// Sums of products of the columns: blocks of 4 × 2 sums keep the lanes busy and fit the registers.
+/// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the lanes busy.
 #[inline(always)]
 fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut NormalEquations) {
-    for col in [0, 2] {
-        block::<S, 4, 2>(simd, columns, length, [0, col], equations);
-    }
-    for col in [0, 2, 4, 6] {
-        block::<S, 4, 2>(simd, columns, length, [4, col], equations);
-    }
-    for col in [0, 4] {
-        block::<S, 2, 4>(simd, columns, length, [8, col], equations);
-    }
-    block::<S, 2, 2>(simd, columns, length, [8, 8], equations);
+    let products = &mut equations.products;
+    triangle::<S, 4>(simd, columns, length, 0, products);
+    block::<S, 4, 2>(simd, columns, length, [0, 4], products);
+    block::<S, 4, 2>(simd, columns, length, [0, 6], products);
+    block::<S, 4, 2>(simd, columns, length, [0, 8], products);
+    triangle::<S, 4>(simd, columns, length, 4, products);
+    block::<S, 4, 2>(simd, columns, length, [4, 8], products);
+    triangle::<S, 2>(simd, columns, length, 8, products);
+    equations.residuals.squares = products[RESIDUAL][RESIDUAL];
+}
+
+/// `COUNT` columns of `length` samples, from `first` on.
+#[inline(always)]
+fn vectors<S: Simd, const COUNT: usize>(columns: &[f32], length: usize, first: usize) -> [&[S::f32s]; COUNT] {
+    std::array::from_fn(|k| {
+        let start = (first + k) * length;
+        &S::as_simd_f32s(&columns[start..start + length]).0[..length / S::F32_LANES]
+    })
 }
 
 /// Sums of products of R columns from `first[0]` on with C columns from `first[1]` on.
@@ -270,14 +275,11 @@ fn block<S: Simd, const R: usize, const C: usize>(
     columns: &[f32],
     length: usize,
     first: [usize; 2],
-    equations: &mut NormalEquations,
+    products: &mut Products,
 ) {
-    let lanes = length / S::F32_LANES;
-    let column = |k: usize| &S::as_simd_f32s(&columns[k * length..(k + 1) * length]).0[..lanes];
-    let a: [&[S::f32s]; R] = std::array::from_fn(|k| column(first[0] + k));
-    let b: [&[S::f32s]; C] = std::array::from_fn(|k| column(first[1] + k));
+    let (a, b) = (vectors::<S, R>(columns, length, first[0]), vectors::<S, C>(columns, length, first[1]));
     let mut sums = [[simd.splat_f32s(0.0); C]; R];
-    for i in 0..lanes {
+    for i in 0..length / S::F32_LANES {
         for r in 0..R {
             for c in 0..C {
                 sums[r][c] = simd.mul_add_f32s(a[r][i], b[c][i], sums[r][c]);
@@ -286,7 +288,26 @@ fn block<S: Simd, const R: usize, const C: usize>(
     }
     for (r, sums) in sums.iter().enumerate() {
         for (c, sum) in sums.iter().enumerate() {
-            equations.put(first[0] + r, first[1] + c, f64::from(simd.reduce_sum_f32s(*sum)));
+            products[first[0] + r][first[1] + c] = f64::from(simd.reduce_sum_f32s(*sum));
+        }
+    }
+}
+
+/// Sums of products of N columns from `first` on with each other.
+#[inline(always)]
+fn triangle<S: Simd, const N: usize>(simd: S, columns: &[f32], length: usize, first: usize, products: &mut Products) {
+    let a = vectors::<S, N>(columns, length, first);
+    let mut sums = [[simd.splat_f32s(0.0); N]; N];
+    for i in 0..length / S::F32_LANES {
+        for r in 0..N {
+            for c in r..N {
+                sums[r][c] = simd.mul_add_f32s(a[r][i], a[c][i], sums[r][c]);
+            }
+        }
+    }
+    for (r, sums) in sums.iter().enumerate() {
+        for (c, sum) in sums.iter().enumerate().skip(r) {
+            products[first + r][first + c] = f64::from(simd.reduce_sum_f32s(*sum));
         }
     }
 }
@@ -295,17 +316,5 @@ impl Residuals {
     /// Their mean square, in units of the noise.
     pub fn mean_square(&self) -> f64 {
         self.squares / self.effective.max(1.0)
-    }
-}
-
-impl NormalEquations {
-    fn put(&mut self, row: usize, col: usize, sum: f64) {
-        match (row, col) {
-            (UNKNOWNS, UNKNOWNS) => self.residuals.squares = sum,
-            (UNKNOWNS, col) => self.gradient[col] = sum,
-            (row, UNKNOWNS) => self.gradient[row] = sum,
-            (row, col) if col <= row => self.normal[row][col] = sum,
-            _ => {}
-        }
     }
 }

@@ -22,6 +22,8 @@ pub(super) struct Samples {
     weight: Vec<f32>,
     /// How many samples there are, without the padding.
     pub count: usize,
+    /// Where the padding begins whose weight is 0; everywhere else it is 1.
+    padded_from: usize,
 }
 
 impl Samples {
@@ -51,7 +53,7 @@ impl Samples {
         &self.value[..self.length()]
     }
 
-    /// 1, and 0 for the padding.
+    /// 1, and 0 for the padding, where positions are any and values 0.
     pub fn weight(&self) -> &[f32] {
         &self.weight[..self.length()]
     }
@@ -62,38 +64,34 @@ impl Samples {
         pulp::Arch::new().dispatch(QuarterMeans { samples: self, along: along.map(|d| d.map(|v| v as f32)) })
     }
 
+    /// Makes room for `more` samples, and for whole lanes and the padding after them.
     #[inline(always)]
     fn make_room(&mut self, more: usize) {
-        let room = (self.count + more).next_multiple_of(PADDING);
+        let room = self.count + more + RUN + PADDING;
         if self.x.len() < room {
-            for lane in [&mut self.x, &mut self.y, &mut self.value, &mut self.weight] {
+            for lane in [&mut self.x, &mut self.y, &mut self.value] {
                 lane.resize(2 * room, 0.0);
             }
+            self.weight.resize(2 * room, 1.0);
         }
     }
 
-    /// Appends `length` values of `row` at `y`, from `x` on. Whole lanes are written: what is too much is overwritten by the
-    /// next run, or by the padding.
+    /// Appends `length` values of `bytes` from `at` on, for which there is room, at `y` from `x` on. Whole lanes are written:
+    /// what is too much is overwritten by the next run, or by the padding.
     #[inline(always)]
-    fn push_run(&mut self, x: f32, y: f32, row: &[u8], length: usize) {
-        self.make_room(length + RUN);
-        let steps: [f32; RUN] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
-        let span = self.count..self.count + length.next_multiple_of(RUN);
-        let (xs, ys, values) = (&mut self.x[span.clone()], &mut self.y[span.clone()], &mut self.value[span]);
+    fn push_run(&mut self, [x, y]: [f32; 2], bytes: &[u8], at: usize, length: usize) {
+        const STEPS: [f32; RUN] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
         let mut start = 0;
         while start < length {
-            let bytes: [u8; RUN] = match row.get(start..start + RUN).and_then(|chunk| chunk.try_into().ok()) {
-                Some(bytes) => bytes,
-                None => std::array::from_fn(|i| row.get(start + i).copied().unwrap_or(0)),
+            let seen: [u8; RUN] = match bytes.get(at + start..).and_then(|rest| rest.first_chunk()) {
+                Some(seen) => *seen,
+                None => std::array::from_fn(|i| bytes.get(at + start + i).copied().unwrap_or(0)),
             };
+            let to = self.count + start..self.count + start + RUN;
             let from = x + start as f32;
-            let mut places = [0.0; RUN];
-            for (place, step) in places.iter_mut().zip(steps) {
-                *place = from + step;
-            }
-            values[start..start + RUN].copy_from_slice(&bytes.map(f32::from));
-            xs[start..start + RUN].copy_from_slice(&places);
-            ys[start..start + RUN].copy_from_slice(&[y; RUN]);
+            self.value[to.clone()].copy_from_slice(&seen.map(f32::from));
+            self.x[to.clone()].copy_from_slice(&STEPS.map(|step| from + step));
+            self.y[to].copy_from_slice(&[y; RUN]);
             start += RUN;
         }
         self.count += length;
@@ -101,8 +99,7 @@ impl Samples {
 
     /// Appends averages of `BIN` × `BIN` pixels.
     #[inline(always)]
-    fn push_binned<const BIN: usize>(&mut self, x: f32, y: f32, rows: [&[u8]; BIN], length: usize) {
-        self.make_room(length);
+    fn push_binned<const BIN: usize>(&mut self, [x, y]: [f32; 2], rows: [&[u8]; BIN], length: usize) {
         for i in 0..length {
             let mut sum = 0;
             for row in rows {
@@ -117,14 +114,15 @@ impl Samples {
         self.count += length;
     }
 
+    /// Takes the weight from what lies beyond the last sample, and gives it back to where the last window ended.
     #[inline(always)]
     fn pad(&mut self) {
         self.make_room(0);
-        let padding = self.count..self.length();
-        for lane in [&mut self.x, &mut self.y, &mut self.value, &mut self.weight] {
-            lane[padding.clone()].fill(0.0);
-        }
-        self.weight[..self.count].fill(1.0);
+        let ended = self.padded_from;
+        self.weight[ended..ended + PADDING].fill(1.0);
+        self.weight[self.count..self.count + PADDING].fill(0.0);
+        self.value[self.count..self.count + PADDING].fill(0.0);
+        self.padded_from = self.count;
     }
 }
 
@@ -177,38 +175,40 @@ impl WithSimd for Gather<'_> {
         let bin = window.bin as i64;
         let half = (window.bin as f64 - 1.0) / 2.0;
         let first = window.origin.map(|o| (o - half).round());
-        let offset = [0, 1].map(|k| (first[k] + half - window.origin[k]) / bin as f64);
-        // The columns of bins that lie in the image.
-        let inside =
-            [-(first[0] as i64).div_euclid(bin), (image.width() as i64 - bin - first[0] as i64).div_euclid(bin)];
+        let offset = [0, 1].map(|k| ((first[k] + half - window.origin[k]) / window.bin as f64) as f32);
+        let first = first.map(|o| o as i64);
+        // The columns and rows of bins that lie in the image.
+        let size = [image.width() as i64, image.height() as i64];
+        let inside = [0, 1].map(|k| [-first[k].div_euclid(bin), (size[k] - bin - first[k]).div_euclid(bin)]);
         let mut wanted = 0;
         let mut above = -rows.reach;
         while above <= rows.reach {
-            let spans = rows.spans(above as f64 + offset[1], offset[0]);
-            for (j, spans) in (above..=rows.reach).zip(spans) {
-                let top = first[1] as i64 + j * bin;
-                let in_image = top >= 0 && top + bin <= image.height() as i64;
-                for [from, to] in spans {
-                    let (from, to) = (i64::from(from), i64::from(to));
-                    wanted += (to - from + 1).max(0);
-                    let (from, to) = (from.max(inside[0]), to.min(inside[1]));
-                    if !in_image || from > to {
+            let runs = rows.runs(above as f32 + offset[1], offset[0], inside[0].map(|end| end as f32));
+            wanted += runs.wanted;
+            samples.make_room(runs.lengths.iter().flatten().sum::<i32>() as usize);
+            for (k, row) in (above..=rows.reach).enumerate().take(ROWS) {
+                if row < inside[1][0] || row > inside[1][1] {
+                    continue;
+                }
+                let top = (first[1] + row * bin) as usize;
+                for (from, lengths) in runs.from.iter().zip(&runs.lengths) {
+                    let length = lengths[k] as usize;
+                    if length == 0 {
                         continue;
                     }
-                    let (x, y) = ((from as f64 + offset[0]) as f32, (j as f64 + offset[1]) as f32);
-                    let (left, length) = ((first[0] as i64 + from * bin) as usize, (to - from + 1) as usize);
-                    let top = top as usize;
+                    let at = [from[k] as f32 + offset[0], row as f32 + offset[1]];
+                    let left = (first[0] + i64::from(from[k]) * bin) as usize;
                     match window.bin {
-                        1 => samples.push_run(x, y, &image.row(top)[left..], length),
-                        2 => samples.push_binned(x, y, rows_from::<2>(image, top, left), length),
-                        _ => samples.push_binned(x, y, rows_from::<4>(image, top, left), length),
+                        1 => samples.push_run(at, image.bytes(), top * image.stride() + left, length),
+                        2 => samples.push_binned(at, rows_from::<2>(image, top, left), length),
+                        _ => samples.push_binned(at, rows_from::<4>(image, top, left), length),
                     }
                 }
             }
             above += ROWS as i64;
         }
         samples.pad();
-        samples.count as f64 / (wanted as f64).max(1.0)
+        samples.count as f64 / f64::from(wanted.max(1))
     }
 }
 
@@ -221,9 +221,17 @@ fn rows_from<'a, const COUNT: usize>(image: GrayView<'a>, top: usize, left: usiz
 /// What each row of a window holds: a parallelogram's run, or what of it is near an edge. In bins.
 struct Rows {
     /// Middle per row, and half width, of four bands: two whose meet is the window, two that are near an edge.
-    bands: [[f64; 2]; 4],
+    bands: [[f32; 2]; 4],
     /// Rows −reach … reach may hold something.
     reach: i64,
+}
+
+/// The runs of some rows, two in each, either of which may be empty: where they start and how long they are.
+struct Runs {
+    from: [[i32; ROWS]; 2],
+    lengths: [[i32; ROWS]; 2],
+    /// How long they would be together, were the image wide enough.
+    wanted: i32,
 }
 
 impl Rows {
@@ -241,54 +249,67 @@ impl Rows {
         // Where |a·x + b·y| ≤ 1.
         let bands = [within[0], within[1], near[0], near[1]].map(|[a, b]| {
             let slope = if a.abs() < 1e-6 { 1e-6 } else { a };
-            [-b / slope, 1.0 / slope.abs()]
+            [(-b / slope) as f32, (1.0 / slope.abs()) as f32]
         });
         Self { bands, reach: reach.ceil() as i64 + 1 }
     }
 
-    /// The parts of the rows from `y` on: of each, two runs from … to of whole places, counted from `offset`, either of which
-    /// may be empty. Eight rows at once, with nothing but arithmetic, for the sake of vectors.
+    /// The runs of whole places, counted from `offset`, in the rows from `y` on, as far as they are `inside` the image. Eight
+    /// rows at once, with nothing but arithmetic, for the sake of vectors.
     #[inline(always)]
-    fn spans(&self, y: f64, offset: f64) -> [[[i32; 2]; 2]; ROWS] {
-        let mut spans = [[[0, -1]; 2]; ROWS];
-        let (mut from, mut to) = ([[0.0; ROWS]; 2], [[0.0; ROWS]; 2]);
+    fn runs(&self, y: f32, offset: f32, inside: [f32; 2]) -> Runs {
+        let mut runs = Runs { from: [[0; ROWS]; 2], lengths: [[0; ROWS]; 2], wanted: 0 };
+        let mut wanted = [0.0; ROWS];
         for k in 0..ROWS {
-            let y = y + k as f64;
+            let y = y + k as f32;
             let (a, b) = (band(self.bands[0], y), band(self.bands[1], y));
             let (near, other) = (band(self.bands[2], y), band(self.bands[3], y));
-            let inside = [most(a[0], b[0]), least(a[1], b[1])];
+            let within = [most(a[0], b[0]), least(a[1], b[1])];
             let (left, right) = (
                 [least(near[0], other[0]), if near[0] < other[0] { near[1] } else { other[1] }],
                 [most(near[0], other[0]), if near[0] < other[0] { other[1] } else { near[1] }],
             );
             let together = right[0] <= left[1];
             let first_end = if together { most(left[1], right[1]) } else { left[1] };
-            from[0][k] = (most(inside[0], left[0]) - offset).ceil();
-            to[0][k] = (least(inside[1], first_end) - offset).floor();
-            from[1][k] = (most(inside[0], right[0]) - offset).ceil();
-            to[1][k] = if together { from[1][k] - 1.0 } else { (least(inside[1], right[1]) - offset).floor() };
+            let second_end = if together { right[0] - 2.0 } else { right[1] };
+            let ends = [[left[0], first_end], [right[0], second_end]].map(|[start, end]| {
+                [(most(within[0], start) - offset).ceil(), (least(within[1], end) - offset).floor()]
+            });
+            for run in 0..2 {
+                let [from, to] = ends[run];
+                wanted[k] += most(to - from + 1.0, 0.0);
+                let from = least(most(from, inside[0]), inside[1]);
+                runs.from[run][k] = whole(from);
+                runs.lengths[run][k] = whole(most(least(to, inside[1]) - from + 1.0, 0.0));
+            }
         }
-        for k in 0..ROWS {
-            spans[k] = [[from[0][k] as i32, to[0][k] as i32], [from[1][k] as i32, to[1][k] as i32]];
-        }
-        spans
+        runs.wanted = whole(wanted.iter().sum());
+        runs
     }
+}
+
+/// A whole number of less than four million, as one: without the care that `as` takes of larger ones.
+#[inline(always)]
+fn whole(value: f32) -> i32 {
+    // To this, one is the last of a number's bits.
+    const ONES: f32 = 12_582_912.0;
+    (value + ONES).to_bits() as i32 - ONES.to_bits() as i32
 }
 
 /// Where a band lies in row `y`.
 #[inline(always)]
-fn band([middle, half]: [f64; 2], y: f64) -> [f64; 2] {
+fn band([middle, half]: [f32; 2], y: f32) -> [f32; 2] {
     [middle * y - half, middle * y + half]
 }
 
 /// The larger of two numbers, neither of which is NaN: one instruction.
 #[inline(always)]
-fn most(a: f64, b: f64) -> f64 {
+fn most(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
 /// The smaller of two numbers, neither of which is NaN.
 #[inline(always)]
-fn least(a: f64, b: f64) -> f64 {
+fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }

@@ -1,0 +1,149 @@
+//! Solving the small normal equations of a corner, by eliminating one unknown after the other.
+
+use crate::detection::refine::corner_model::UNKNOWNS;
+
+/// The derivatives by each unknown, then the residual.
+pub(super) const COLUMNS: usize = UNKNOWNS + 1;
+/// Room for a row of them, for the sake of vectors.
+const ROOM: usize = 12;
+const LANES: usize = 4;
+
+/// Sums of products of columns with each other. Of each row what is on the diagonal and right of it counts.
+pub(super) type Products = [[f64; ROOM]; COLUMNS];
+
+/// What the normal equations tell.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Solved {
+    /// The step in the unknowns.
+    pub step: [f64; UNKNOWNS],
+    /// The sum of squares that it leaves.
+    pub left: f64,
+    /// Covariance of the last two unknowns, the block of the inverse: xx, xy, yy.
+    pub last_covariance: [f64; 3],
+}
+
+/// Solves the equations that make `products`' last column as small as the others can, their diagonal first made larger by
+/// the fraction `damping`; `None` unless they determine every unknown.
+pub(super) fn solve(products: &Products, damping: f64) -> Option<Solved> {
+    pulp::Arch::new().dispatch(Elimination { products, damping })
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Elimination<'a> {
+    products: &'a Products,
+    damping: f64,
+}
+
+impl pulp::NullaryFnOnce for Elimination<'_> {
+    type Output = Option<Solved>;
+
+    #[inline(always)]
+    fn call(self) -> Option<Solved> {
+        let Self { products, damping } = self;
+        let mut rows = *products;
+        // One over what is left on the diagonal.
+        let mut inverse = [0.0; UNKNOWNS];
+        for k in 0..UNKNOWNS {
+            let own = products[k][k];
+            let rest = rows[k][k] + damping * own;
+            if !(rest > 1e-9 * own && rest.is_finite()) {
+                return None;
+            }
+            inverse[k] = 1.0 / rest;
+            let eliminated = rows[k];
+            let mut scaled = eliminated;
+            for value in &mut scaled {
+                *value *= inverse[k];
+            }
+            for row in k + 1..COLUMNS {
+                let times = eliminated[row];
+                for lanes in row / LANES..ROOM / LANES {
+                    for c in lanes * LANES..(lanes + 1) * LANES {
+                        rows[row][c] -= times * scaled[c];
+                    }
+                }
+            }
+            rows[k] = scaled;
+        }
+        let mut step: [f64; UNKNOWNS] = std::array::from_fn(|k| rows[k][UNKNOWNS]);
+        for k in (1..UNKNOWNS).rev() {
+            for row in 0..k {
+                step[row] -= rows[row][k] * step[k];
+            }
+        }
+        let (last, before) = (UNKNOWNS - 1, UNKNOWNS - 2);
+        let mixed = rows[before][last];
+        let yy = inverse[last];
+        Some(Solved {
+            step,
+            left: rows[UNKNOWNS][UNKNOWNS].max(0.0),
+            last_covariance: [inverse[before] + mixed * mixed * yy, -mixed * yy, yy],
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Columns of a hundred samples, in no order that repeats.
+    fn products() -> Products {
+        let mut products = [[0.0; ROOM]; COLUMNS];
+        for i in 0..100 {
+            let at = |k: usize| (f64::from(i) * (0.7 + 0.31 * k as f64) + (k * k) as f64).sin();
+            for row in 0..COLUMNS {
+                for col in row..COLUMNS {
+                    products[row][col] += at(row) * at(col);
+                }
+            }
+        }
+        products
+    }
+
+    fn of(products: &Products, row: usize, col: usize) -> f64 {
+        products[row.min(col)][row.max(col)]
+    }
+
+    #[test]
+    fn a_step_leaves_the_columns_nothing_to_explain() {
+        let products = products();
+        let solved = solve(&products, 0.0).expect("independent columns");
+        let mut left = of(&products, UNKNOWNS, UNKNOWNS);
+        for row in 0..UNKNOWNS {
+            let explained: f64 = (0..UNKNOWNS).map(|col| of(&products, row, col) * solved.step[col]).sum();
+            assert!((explained - of(&products, row, UNKNOWNS)).abs() < 1e-9);
+            left -= solved.step[row] * of(&products, row, UNKNOWNS);
+        }
+        assert!((solved.left - left).abs() < 1e-9 && left > 0.0);
+    }
+
+    #[test]
+    fn the_covariance_is_the_inverse_s_last_block() {
+        let products = products();
+        let covariance = solve(&products, 0.0).expect("independent columns").last_covariance;
+        // The inverse's columns are the solutions for unit right sides.
+        let of_unit = |unknown: usize| {
+            let mut unit = products;
+            for (row, sums) in unit.iter_mut().enumerate() {
+                sums[UNKNOWNS] = f64::from(row == unknown);
+            }
+            solve(&unit, 0.0).expect("independent columns").step
+        };
+        let (last, before) = (of_unit(UNKNOWNS - 1), of_unit(UNKNOWNS - 2));
+        let expected = [before[UNKNOWNS - 2], before[UNKNOWNS - 1], last[UNKNOWNS - 1]];
+        assert!(covariance.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+
+    #[test]
+    fn dependent_columns_determine_nothing() {
+        let mut products = products();
+        for row in 0..COLUMNS {
+            // The fourth column as the first once more.
+            let (like, here) = (of(&products, 0, row), row);
+            products[here.min(3)][here.max(3)] = like;
+        }
+        products[3][3] = products[0][0];
+        assert!(solve(&products, 0.0).is_none());
+        assert!(solve(&[[f64::NAN; ROOM]; COLUMNS], 0.1).is_none());
+    }
+}
