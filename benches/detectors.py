@@ -1,12 +1,15 @@
 #!/usr/bin/env python3
-"""Plumb's detector beside OpenCV's, on the same rendered pictures with exact truth, one thread each.
+"""Plumb's detector beside OpenCV's, chess-corners and calib-targets, on the same rendered pictures with exact truth, one thread each.
 
-    cargo bench --bench hard_pictures -- target/hard_pictures
+    cargo build --release && cargo bench --bench hard_pictures -- target/hard_pictures
+    cargo build --release --manifest-path benches/peers/Cargo.toml --target-dir target/peers
     pip install opencv-python-headless && python benches/detectors.py target/hard_pictures
 
 Of each picture: how many of the corners to be seen were found, their 2-D rms error in pixels, and the fastest of several
-times in milliseconds, decoding not counted; beside OpenCV's time its ratio to Plumb's. A corner counts if it is within 2 px
-of a true one, no two for one; OpenCV's classic detector is refined by cornerSubPix, 11x11.
+times in milliseconds, decoding not counted, of others as a multiple of Plumb's. A corner counts if it is within 2 px
+of a true one, no two for one. OpenCV's classic detector runs without its fast check and is refined by cornerSubPix, 5x5
+(the fastest way to a board) and 11x11; chess-corners and calib-targets refine by their saddle point. chess-corners
+answers with corners, not with a board.
 """
 
 import json
@@ -20,7 +23,9 @@ import cv2
 import numpy as np
 
 REPEATS = 5
+DEFAULT = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 PLUMB = os.environ.get("PLUMB", "target/release/plumb")
+PEERS = os.environ.get("PLUMB_PEERS", "target/peers/release/plumb-peers")
 
 
 def plumb(path, cols, rows):
@@ -28,6 +33,15 @@ def plumb(path, cols, rows):
     run = subprocess.run(command + ["--board", f"{cols}x{rows}", str(path)], capture_output=True, text=True)
     answer = json.loads(run.stdout)
     return np.array(answer["corners"]).reshape(-1, 2), answer["elapsed_ms"]
+
+
+def of_rust(method):
+    def look(path, _cols, _rows):
+        run = subprocess.run([PEERS, method, str(REPEATS), str(path)], capture_output=True, text=True, check=True)
+        answer = json.loads(run.stdout)
+        return np.array(answer["corners"]).reshape(-1, 2), answer["elapsed_ms"]
+
+    return look
 
 
 def timed(look):
@@ -39,17 +53,20 @@ def timed(look):
     return corners, 1e3 * min(times)
 
 
-def classic(path, cols, rows):
-    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+def classic(half_window):
+    def of_picture(path, cols, rows):
+        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
 
-    def look():
-        found, corners = cv2.findChessboardCorners(grey, (cols, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
-        if not found:
-            return np.empty((0, 2))
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
-        return cv2.cornerSubPix(grey, corners, (5, 5), (-1, -1), stop).reshape(-1, 2)
+        def look():
+            found, corners = cv2.findChessboardCorners(grey, (cols, rows), flags=DEFAULT)
+            if not found:
+                return np.empty((0, 2))
+            stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
+            return cv2.cornerSubPix(grey, corners, (half_window, half_window), (-1, -1), stop).reshape(-1, 2)
 
-    return timed(look)
+        return timed(look)
+
+    return of_picture
 
 
 def sectors(path, cols, rows):
@@ -72,7 +89,7 @@ def score(corners, truth):
     squares = {}
     for corner, place in enumerate(nearest):
         if apart[corner, place] < 2.0:
-            squares.setdefault(place, apart[corner, place] ** 2)
+            squares[place] = min(squares.get(place, np.inf), apart[corner, place] ** 2)
     return list(squares.values())
 
 
@@ -80,18 +97,21 @@ def main():
     cv2.setNumThreads(1)
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "target/hard_pictures")
     document = json.loads((folder / "truth.json").read_text())
-    cols, rows = document["cols"], document["rows"]
-    peers = {"Plumb": plumb, "OpenCV classic": classic, "OpenCV SB exhaustive": sectors}
+    peers = {"Plumb": plumb, "classic 5×5": classic(2), "classic 11×11": classic(5), "SB exhaustive": sectors}
+    if Path(PEERS).exists():
+        peers |= {name: of_rust(name) for name in ("chess-corners", "calib-targets")}
+    else:
+        print(f"LEFT OUT: chess-corners and calib-targets, for there is no {PEERS}; build it as above", file=sys.stderr)
     print("| picture | corners seen | " + " | ".join(peers) + " |\n| --- | --- |" + " --- |" * len(peers))
     for picture in document["pictures"]:
         truth = np.array([[np.nan if v is None else v for v in corner] for corner in picture["corners"]])
         cells, own = [], None
         for peer in peers.values():
-            corners, ms = peer(folder / picture["file"], cols, rows)
-            own = own or ms
+            corners, ms = peer(folder / picture["file"], picture["cols"], picture["rows"])
             squares = score(corners, truth)
             rms = f"{np.sqrt(np.mean(squares)):.4f} px" if squares else "–"
-            cells.append(f"{len(squares)}, {rms}, {ms:.1f} ms (×{ms / own:.1f})")
+            cells.append(f"{len(squares)}, {rms}, " + (f"×{ms / own:.1f}" if own else f"{ms:.2f} ms"))
+            own = own or ms
         name = picture["file"].removesuffix(".png")
         print(f"| {name} | {sum(picture['seen'])} | " + " | ".join(cells) + " |")
 
