@@ -75,13 +75,13 @@ pub enum NoBoard {
     #[error("no chessboard corners seen; is the board in view, and not too small (a square needs about 6 px)?")]
     NoCorners,
     /// Corners, but no grid.
-    #[error("{corners} chessboard-like corners seen, but they form no grid; the largest regular part is {cols}x{rows}")]
+    #[error("{corners} chessboard-like corners seen, but {}", largest_grid(*cols, *rows))]
     NoGrid {
         /// How many corners were seen.
         corners: usize,
-        /// Width of the largest regular part, in corners.
+        /// Width of the largest regular part, in corners; 0 if there is none.
         cols: u32,
-        /// Height of the largest regular part, in corners.
+        /// Height of the largest regular part, in corners; 0 if there is none.
         rows: u32,
     },
     /// A board, but not this one.
@@ -132,9 +132,30 @@ impl NoBoard {
     }
 }
 
+fn largest_grid(cols: u32, rows: u32) -> String {
+    match (cols, rows) {
+        (0, _) | (_, 0) => "no grid of them: is a chessboard in view, flat and not too small?".to_owned(),
+        _ => {
+            format!("no more than {cols}x{rows} of them form a grid; show more of the board, nearer and in even light")
+        }
+    }
+}
+
 /// How to look.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DetectOptions {
     /// Answer with part of a board where the whole is not seen. Default: false.
     pub allow_partial: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_without_a_grid_are_told_from_a_small_grid() {
+        let told = |cols, rows| NoBoard::NoGrid { corners: 57, cols, rows }.to_string();
+        assert!(told(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"), "{}", told(0, 0));
+        assert!(told(4, 3).contains("no more than 4x3 of them form a grid"), "{}", told(4, 3));
+    }
 }
