@@ -210,8 +210,7 @@ fn hold(conditions: &[Condition]) {
         );
         println!("{told}");
         let exact = rms <= condition.rms_px && bias <= condition.bias_px;
-        // Never too small by much; too large where a lens's bends are taken for scatter, and by what of the error is bias.
-        let honest = (0.75..1.15).contains(&normalized) && (0.7..1.15).contains(&scatter);
+        let honest = (0.85..1.15).contains(&normalized) && (0.8..1.15).contains(&scatter);
         if !exact || !honest || missing > 0 || corners < 300.0 {
             broken.push(told);
         }

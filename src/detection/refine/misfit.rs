@@ -1,14 +1,17 @@
 //! Corners at which the model fits worse than at the board's others: beside what covers the board, or in its shadow.
 //!
-//! What noise leaves of a fit is of either sign all over the window, and moves a corner by as little as its standard deviation
-//! says. What a cover leaves is on one side, and pulls: the corner is off by more the more of the residuals are of that kind.
+//! Noise is the board's: what one corner's residuals say of it, more or less than the others', is chance, or the shape of the
+//! blur, which moves no corner. What a cover leaves is on one side, and pulls: the corner is off by more the more of the residuals
+//! are of that kind.
 
 /// Fewer corners than this have no usual fit.
 const FEWEST_CORNERS: usize = 8;
-/// Mean squares up to this many times the usual one are noise: of the residuals, or of the light.
-const USUAL: f64 = 1.5;
-/// What a mean square adds to the factor on the standard deviation, per usual one beyond that.
-const PULL: f64 = 0.6;
+/// Mean squares are beyond the usual one by chance up to this many of their standard deviations, √(2/samples).
+const CHANCE: f64 = 3.0;
+/// And never less than this, where a corner has no noise at all.
+const LEAST_TIMES: f64 = 0.1;
+/// What the excess over that adds to the factor on the standard deviation, and its square.
+const PULL: [f64; 2] = [1.0, 0.4];
 /// No corner any more: this many times the usual mean square, and less than this part of the usual share of samples agrees.
 const NO_CORNER: (f64, f64) = (6.0, 0.65);
 
@@ -19,6 +22,15 @@ pub(super) struct Quality {
     pub mean_square: f64,
     /// The share of the samples that agree with the model.
     pub agreeing: f64,
+    /// How many these are.
+    pub samples: f64,
+}
+
+/// What is usual on a board.
+#[derive(Clone, Copy)]
+struct Usual {
+    mean_square: f64,
+    agreeing: f64,
 }
 
 /// The qualities of a board's corners.
@@ -39,19 +51,21 @@ impl Misfit {
         self.of_corners.push(quality);
     }
 
-    /// For each corner the factor on its standard deviation; `None` where what is seen is no corner beside the others.
+    /// For each corner the factor on the standard deviation that its own residuals foretell; `None` where what is seen is no
+    /// corner beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
         let usual = self.usual();
         self.of_corners.iter().map(move |quality| {
             let (quality, Some(usual)) = ((*quality)?, usual) else { return Some(1.0) };
-            let times = quality.mean_square / usual.mean_square;
+            let times = (quality.mean_square / usual.mean_square).max(LEAST_TIMES);
+            let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
             let no_corner = times > NO_CORNER.0 && quality.agreeing < NO_CORNER.1 * usual.agreeing;
-            (!no_corner).then_some(1.0 + PULL * (times - USUAL).max(0.0))
+            (!no_corner).then_some((1.0 + excess * (PULL[0] + PULL[1] * excess)) / times.sqrt())
         })
     }
 
     /// The medians.
-    fn usual(&mut self) -> Option<Quality> {
+    fn usual(&mut self) -> Option<Usual> {
         let Self { of_corners, sorted } = self;
         let mut median = |of: fn(&Quality) -> f64| {
             sorted.clear();
@@ -60,7 +74,7 @@ impl Misfit {
             (sorted.len() >= FEWEST_CORNERS).then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
         let (mean_square, agreeing) = (median(|q| q.mean_square)?, median(|q| q.agreeing)?);
-        (mean_square > 0.0).then_some(Quality { mean_square, agreeing })
+        (mean_square > 0.0).then_some(Usual { mean_square, agreeing })
     }
 }
 
@@ -71,7 +85,7 @@ mod tests {
     fn factors(qualities: &[Option<(f64, f64)>]) -> Vec<Option<f64>> {
         let mut misfit = Misfit::default();
         for quality in qualities {
-            misfit.take(quality.map(|(mean_square, agreeing)| Quality { mean_square, agreeing }));
+            misfit.take(quality.map(|(mean_square, agreeing)| Quality { mean_square, agreeing, samples: 450.0 }));
         }
         misfit.std_factors().collect()
     }
@@ -81,10 +95,21 @@ mod tests {
         let mut seen = vec![Some((1.1, 0.97)); 12];
         seen.extend([Some((3.3, 0.8)), None, Some((9.0, 0.5)), Some((9.0, 0.8))]);
         let factors = factors(&seen);
-        assert!(factors[..12].iter().all(|&factor| factor == Some(1.0)));
-        assert!(factors[12].is_some_and(|factor| (1.8..2.0).contains(&factor)));
+        assert!(factors[..12].iter().all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12)));
+        // Three times the residuals foretell √3 times the deviation by themselves.
+        assert!(factors[12].is_some_and(|factor| (3.5..4.5).contains(&(factor * 3_f64.sqrt()))));
         assert_eq!((factors[13], factors[14]), (None, None));
         assert!(factors[15].is_some_and(|factor| factor > 4.0));
+    }
+
+    #[test]
+    fn a_little_more_or_less_than_the_others_changes_nothing() {
+        let mut seen = vec![Some((1.0, 0.97)); 11];
+        seen.extend([Some((0.81, 0.97)), Some((1.18, 0.97))]);
+        let factors = factors(&seen);
+        for (factor, (mean_square, _)) in factors.iter().flatten().zip(seen.iter().flatten()) {
+            assert!((factor * f64::sqrt(*mean_square) - 1.0).abs() < 1e-12);
+        }
     }
 
     #[test]

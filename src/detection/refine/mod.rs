@@ -36,7 +36,7 @@ use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{Columns, Noise};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
-use crate::detection::refine::straightness::Straightness;
+use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -75,6 +75,10 @@ pub struct Refiner {
     scatter: Scatter,
     misfit: Misfit,
     straightness: Straightness,
+    /// The factor of each corner on its standard deviation; `None`: no corner.
+    of_corners: Vec<Option<f64>>,
+    /// The covariance of each corner in units of the square of its standard deviation: xx, xy, yy.
+    shapes: Vec<[f64; 3]>,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
 }
@@ -124,34 +128,46 @@ impl Refiner {
         let fitted = std::mem::take(&mut self.fitted);
         refined.clear();
         self.misfit.clear();
+        self.straightness.clear();
+        self.shapes.clear();
         for (corner, first) in corners.iter().zip(&fitted) {
             let second = first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
             let second = second.filter(|second| second.is_corner(corner));
             self.misfit.take(second.as_ref().map(Fitted::quality));
             if let Some(second) = second.as_ref().filter(|_| tells_scatter(corners, corner)) {
-                self.note_scatter(second);
+                self.note_scatter(refined.len(), second);
+            }
+            self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
+            if let Some(second) = &second {
+                self.straightness.note_window(second.window.extent);
             }
             refined.push(second.as_ref().map(Fitted::refined));
         }
         self.fitted = fitted;
-        let of_board = self.scatter.std_factor();
-        for (corner, of_corner) in refined.iter_mut().zip(self.misfit.std_factors()) {
+        self.of_corners.clear();
+        self.of_corners.extend(self.misfit.std_factors());
+        let of_board = self.scatter.std_factor(&self.of_corners);
+        for (corner, of_corner) in refined.iter_mut().zip(&self.of_corners) {
             *corner = corner
-                .zip(of_corner)
+                .zip(*of_corner)
                 .map(|(corner, of_corner)| RefinedCorner { std_px: of_board * of_corner * corner.std_px, ..corner });
         }
-        self.widen_by_lines(refined);
+        self.scale_by_lines(refined);
     }
 
-    /// Widens all standard deviations where corners scatter more about the board's lines than they say.
-    fn widen_by_lines(&mut self, refined: &mut [Option<RefinedCorner>]) {
-        self.straightness.clear();
+    /// Widens or narrows all standard deviations where corners scatter more or less about the board's lines than they say.
+    fn scale_by_lines(&mut self, refined: &mut [Option<RefinedCorner>]) {
         for axis in 0..2 {
             let lines = self.lattice.lines(axis).map(|(place, line)| {
                 let seen: &[Option<RefinedCorner>] = refined;
-                (place, line.filter_map(move |slot| seen[slot].as_ref()))
+                let shapes = &self.shapes;
+                let placed = line.filter_map(move |slot| {
+                    let RefinedCorner { pixel, std_px, .. } = seen[slot]?;
+                    Some(Placed { pixel, covariance: shapes[slot].map(|share| share * std_px * std_px) })
+                });
+                (place, placed)
             });
-            self.straightness.take(lines);
+            self.straightness.take(axis, lines);
         }
         let factor = self.straightness.std_factor();
         refined.iter_mut().flatten().for_each(|corner| corner.std_px *= factor);
@@ -254,12 +270,12 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
-    /// Notes how far the parts of the edges of the corner just fitted disagree, beside what its residuals foretell.
-    fn note_scatter(&mut self, fitted: &Fitted) {
+    /// Notes how far the parts of the edges of the corner just fitted, the `slot`-th, disagree, beside what its residuals foretell.
+    fn note_scatter(&mut self, slot: usize, fitted: &Fitted) {
         let Fitted { window, fit, noise, .. } = fitted;
         let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
         for apart in disagreements(&self.samples, &fit.model, reach, &self.columns).into_iter().flatten() {
-            self.scatter.take(noise.corrected_disagreement(apart) / fit.mean_square);
+            self.scatter.take(slot, noise.corrected_disagreement(apart) / fit.mean_square);
         }
     }
 
@@ -357,7 +373,14 @@ impl Fitted {
     }
 
     fn quality(&self) -> Quality {
-        Quality { mean_square: self.fit.mean_square, agreeing: self.agreeing }
+        let samples = self.fit.residuals.effective.max(1.0);
+        Quality { mean_square: self.fit.mean_square, agreeing: self.agreeing, samples }
+    }
+
+    /// The covariance of the position for a mean variance of 1 per axis.
+    fn shape(&self) -> [f64; 3] {
+        let [xx, xy, yy] = self.fit.covariance;
+        [xx, xy, yy].map(|v| v / ((xx + yy) / 2.0))
     }
 
     fn refined(&self) -> RefinedCorner {

@@ -3,8 +3,8 @@
 /// How far the halves of edges disagree.
 #[derive(Debug, Default)]
 pub(super) struct Scatter {
-    /// Squares, in units of the variance that a fit's residuals foretell.
-    ratios: Vec<f64>,
+    /// Of which corner, and squares in units of the variance that its residuals foretell.
+    ratios: Vec<(usize, f64)>,
 }
 
 /// Fewer edges than this say nothing about a board.
@@ -13,8 +13,6 @@ const FEWEST_EDGES: usize = 12;
 const TRUSTED: f64 = 0.9;
 /// The mean of that share of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with z = 1.645.
 const TRUSTED_MEAN: f64 = 0.623;
-/// What the board's bend and light, themselves found with noise, add to a corner's standard deviation.
-const FROM_BOARD: f64 = 1.05;
 
 impl Scatter {
     /// Forgets all edges.
@@ -22,21 +20,25 @@ impl Scatter {
         self.ratios.clear();
     }
 
-    /// Takes one edge's ratio.
-    pub fn take(&mut self, ratio: f64) {
+    /// Takes the ratio of one edge of the corner of this number.
+    pub fn take(&mut self, corner: usize, ratio: f64) {
         if ratio.is_finite() {
-            self.ratios.push(ratio);
+            self.ratios.push((corner, ratio));
         }
     }
 
-    /// The factor on standard deviations that were taken from the residuals.
-    pub fn std_factor(&mut self) -> f64 {
+    /// The factor on standard deviations that were taken from the residuals and multiplied by `of_corners`.
+    pub fn std_factor(&mut self, of_corners: &[Option<f64>]) -> f64 {
+        for (corner, ratio) in &mut self.ratios {
+            let foretold = of_corners.get(*corner).copied().flatten().unwrap_or(1.0);
+            *ratio /= foretold * foretold;
+        }
         let trusted = (TRUSTED * self.ratios.len() as f64).round() as usize;
         if self.ratios.len() < FEWEST_EDGES {
-            return FROM_BOARD;
+            return 1.0;
         }
-        self.ratios.sort_unstable_by(f64::total_cmp);
-        let mean = self.ratios[..trusted].iter().sum::<f64>() / trusted as f64;
-        FROM_BOARD * (mean / TRUSTED_MEAN).sqrt().clamp(0.1, 10.0)
+        self.ratios.sort_unstable_by(|(_, a), (_, b)| a.total_cmp(b));
+        let mean = self.ratios[..trusted].iter().map(|(_, ratio)| ratio).sum::<f64>() / trusted as f64;
+        (mean / TRUSTED_MEAN).sqrt().clamp(0.1, 10.0)
     }
 }
