@@ -36,6 +36,8 @@ pub(super) struct Cross {
 const LINES: usize = 6;
 const SAMPLES: usize = 6;
 const LANES: usize = 8;
+/// What touches the border is not inside: this part of a window is left between, for rounding.
+const TOUCHING: f32 = 1e-4;
 
 impl Window {
     /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
@@ -47,10 +49,8 @@ impl Window {
 
     /// The same window, shrunk until it lies inside `image`; `None` if less than `least` of it is left.
     pub(super) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
-        let half = Vec2::new(self.a.x.abs() + self.b.x.abs(), self.a.y.abs() + self.b.y.abs());
-        let room_x = self.center.x.min((image.width() as f32 - 1.0) - self.center.x);
-        let room_y = self.center.y.min((image.height() as f32 - 1.0) - self.center.y);
-        let fit = (room_x / half.x.max(1e-6)).min(room_y / half.y.max(1e-6)) - 1e-4;
+        let (half, room) = (self.half(), self.room(image));
+        let fit = (room.x / half.x.max(1e-6)).min(room.y / half.y.max(1e-6)) - TOUCHING;
         if fit < least || !fit.is_finite() {
             return None;
         }
@@ -60,6 +60,23 @@ impl Window {
         Some(self)
     }
 
+    /// Half of its bounding box.
+    fn half(&self) -> Vec2 {
+        Vec2::new(self.a.x.abs() + self.b.x.abs(), self.a.y.abs() + self.b.y.abs())
+    }
+
+    /// From its middle to the nearest border of `image`.
+    fn room(&self, image: GrayView<'_>) -> Vec2 {
+        let (right, bottom) = (image.width() as f32 - 1.0, image.height() as f32 - 1.0);
+        Vec2::new(self.center.x.min(right - self.center.x), self.center.y.min(bottom - self.center.y))
+    }
+
+    /// Whether all of it lies inside `image`.
+    fn is_inside(&self, image: GrayView<'_>) -> bool {
+        let (half, room) = (self.half(), self.room(image));
+        room.x >= half.x * (1.0 + TOUCHING) && room.y >= half.y * (1.0 + TOUCHING)
+    }
+
     /// Looks at the window once. `None` if it leaves the image or is flat.
     pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
         self.look_for(image, 0.0)
@@ -67,8 +84,10 @@ impl Window {
 
     /// Looks at the window once. `None` if it leaves the image, is flat or scores less than `least_score`.
     pub(super) fn look_for(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
-        let inside = self.inside(image, 1.0)?;
-        let lines = FixedLines::start(image, inside.center - inside.a - inside.b, inside.a * 0.4, inside.b * 0.4);
+        if !self.is_inside(image) {
+            return None;
+        }
+        let lines = FixedLines::start(image, self.center - self.a - self.b, self.a * 0.4, self.b * 0.4);
         let Sums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
         let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
         let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
@@ -88,11 +107,13 @@ impl Window {
     /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the smaller of the bright
     /// less the larger of the dark, with the sign that [`Cross::contrast`] has. `None` outside the image; 0 if not.
     pub(super) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
-        let inside = self.inside(image, 1.0)?;
+        if !self.is_inside(image) {
+            return None;
+        }
         let at = |p: Vec2| bilinear(image.bytes(), image.stride(), p.x, p.y);
-        let (sum, difference) = (inside.a + inside.b, inside.a - inside.b);
-        let (p, q) = (at(inside.center + sum), at(inside.center - sum));
-        let (r, s) = (at(inside.center + difference), at(inside.center - difference));
+        let (sum, difference) = (self.a + self.b, self.a - self.b);
+        let (p, q) = (at(self.center + sum), at(self.center - sum));
+        let (r, s) = (at(self.center + difference), at(self.center - difference));
         let (bright, dark) = (p.min(q) - r.max(s), r.min(s) - p.max(q));
         Some(if bright > 0.0 {
             bright
@@ -107,10 +128,11 @@ impl Window {
 /// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place them, 8 to interpolate.
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
 struct FixedLines<'a> {
-    bytes: &'a [u8],
-    stride: usize,
-    /// The whole pixel that the first sample lies in; the rest is counted from there.
-    base: usize,
+    /// The image from the first pixel of the parallelogram's bounding box on, and the same one row below, of one length.
+    upper: &'a [u8],
+    lower: &'a [u8],
+    stride: i32,
+    /// The first sample, from that pixel.
     start: [i32; 2],
     along: [i32; 2],
     down: [i32; 2],
@@ -127,58 +149,55 @@ struct Sums {
 }
 
 impl<'a> FixedLines<'a> {
-    /// All that will be sampled must lie in 0 … size − 1.
+    /// All that will be sampled must lie in 0 … size − 1; what rounding puts beyond is moved back.
     fn start(image: GrayView<'a>, start: Vec2, along: Vec2, down: Vec2) -> Self {
-        let fixed = |v: Vec2| [(v.x * 65536.0) as i64, (v.y * 65536.0) as i64];
-        let step = |v: Vec2| fixed(v).map(|v| v as i32);
-        let [x, y] = fixed(start).map(|v| v.max(0));
-        Self {
-            bytes: image.bytes(),
-            stride: image.stride(),
-            base: (y >> 16) as usize * image.stride() + (x >> 16) as usize,
-            start: [x, y].map(|v| (v & 0xffff) as i32),
-            along: step(along),
-            down: step(down),
-        }
-    }
-
-    /// The two pixels at `at` and the two below, as 16 bits each. In the image's last row and column nothing beyond is read
-    /// with any weight.
-    #[inline(always)]
-    fn four(&self, at: usize) -> [i32; 2] {
-        let pair = |at: usize| match self.bytes.get(at..).and_then(|rest| rest.first_chunk()) {
-            Some(pair) => i32::from(u16::from_le_bytes(*pair)),
-            None => self.bytes.get(at).copied().map_or(0, i32::from),
+        let fixed = |v: f32| (v * 65536.0) as i64;
+        let place = |start: f32, along: f32, down: f32, size: usize| {
+            let (start, along, down) = (fixed(start), fixed(along), fixed(down));
+            let far = (SAMPLES - 1) as i64;
+            let (before, after) = (far * (along.min(0) + down.min(0)), far * (along.max(0) + down.max(0)));
+            let first = (start + before).min(((size as i64 - 1) << 16) - 1 - (after - before)).max(0);
+            (first >> 16, [(first & 0xffff) - before, along, down].map(|v| v as i32))
         };
-        [pair(at), pair(at + self.stride)]
+        let (left, x) = place(start.x, along.x, down.x, image.width());
+        let (top, y) = place(start.y, along.y, down.y, image.height());
+        let base = top as usize * image.stride() + left as usize;
+        let lower = image.bytes().get(base + image.stride()..).unwrap_or_default();
+        let upper = image.bytes().get(base..base + lower.len()).unwrap_or_default();
+        let [start, along, down] = std::array::from_fn(|k| [x[k], y[k]]);
+        Self { upper, lower, stride: image.stride() as i32, start, along, down }
     }
 
-    /// Line `j` of six samples; the lanes beyond are 0.
+    /// Where each sample lies: the pixel, and eight bits of a fraction of the way to the next.
     #[inline(always)]
-    fn line(&self, j: i32) -> [f32; LANES] {
-        let (mut at, mut fx, mut fy) = ([0i32; LANES], [0i32; LANES], [0i32; LANES]);
-        let (left, top) = (
-            self.start[0].wrapping_add(self.down[0].wrapping_mul(j)),
-            self.start[1].wrapping_add(self.down[1].wrapping_mul(j)),
-        );
-        for lane in 0..LANES {
-            let x = left.wrapping_add(self.along[0].wrapping_mul(lane as i32));
-            let y = top.wrapping_add(self.along[1].wrapping_mul(lane as i32));
-            at[lane] = (y >> 16).wrapping_mul(self.stride as i32).wrapping_add(x >> 16);
-            (fx[lane], fy[lane]) = ((x >> 8) & 255, (y >> 8) & 255);
+    fn places(&self) -> ([u32; LINES * LANES], [u32; LINES * LANES]) {
+        let (mut at, mut fractions) = ([0; LINES * LANES], [0; LINES * LANES]);
+        for (k, (at, fractions)) in at.iter_mut().zip(&mut fractions).enumerate() {
+            let (i, j) = ((k % LANES).min(SAMPLES - 1) as i32, (k / LANES) as i32);
+            let [x, y] = std::array::from_fn(|axis| {
+                let (along, down) = (self.along[axis].wrapping_mul(i), self.down[axis].wrapping_mul(j));
+                self.start[axis].wrapping_add(along).wrapping_add(down)
+            });
+            *at = (y >> 16).wrapping_mul(self.stride).wrapping_add(x >> 16) as u32;
+            *fractions = ((x >> 8) & 255 | (y << 8) & 0xff0000) as u32;
         }
-        let (mut upper, mut lower) = ([0i32; LANES], [0i32; LANES]);
-        for lane in 0..SAMPLES {
-            [upper[lane], lower[lane]] = self.four(self.base.wrapping_add_signed(at[lane] as isize));
+        (at, fractions)
+    }
+
+    /// The four pixels about each of the samples, two of a row in 16 bits.
+    #[inline(always)]
+    fn fours(&self, at: &[u32; LINES * LANES]) -> [u32; LINES * LANES] {
+        let mut fours = [0; LINES * LANES];
+        for (fours, at) in fours.chunks_exact_mut(LANES).zip(at.chunks_exact(LANES)) {
+            for lane in 0..SAMPLES {
+                let pair = at[lane] as usize..at[lane] as usize + 2;
+                if let (Some(&[a, b]), Some(&[c, d])) = (self.upper.get(pair.clone()), self.lower.get(pair)) {
+                    let row = |pair| u32::from(u16::from_le_bytes(pair));
+                    fours[lane] = row([a, b]) | row([c, d]) << 16;
+                }
+            }
         }
-        let mut values = [0.0; LANES];
-        for lane in 0..LANES {
-            let (a, b) = (upper[lane] & 255, upper[lane] >> 8);
-            let (c, d) = (lower[lane] & 255, lower[lane] >> 8);
-            let (upper, lower) = (a * 256 + (b - a) * fx[lane], c * 256 + (d - c) * fx[lane]);
-            values[lane] = (upper * 256 + (lower - upper) * fy[lane]) as f32 * (1.0 / 65536.0);
-        }
-        values
+        fours
     }
 }
 
@@ -187,9 +206,19 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
 
     #[inline(always)]
     fn call(self) -> Sums {
+        let (at, fractions) = self.places();
+        let fours = self.fours(&at);
         let mut all = Sums { sums: [0.0; LANES], squares: [0.0; LANES], columns: [0.0; LANES], rows: [0.0; LINES] };
         for j in 0..LINES {
-            let values = self.line(j as i32);
+            let mut values = [0.0; LANES];
+            for lane in 0..LANES {
+                let (four, fraction) = (fours[j * LANES + lane], fractions[j * LANES + lane]);
+                let byte = |n: u32| ((four >> (8 * n)) & 255) as i32;
+                let (fx, fy) = ((fraction & 255) as i32, (fraction >> 16) as i32);
+                let upper = byte(0) * 256 + (byte(1) - byte(0)) * fx;
+                let lower = byte(2) * 256 + (byte(3) - byte(2)) * fx;
+                values[lane] = (upper * 256 + (lower - upper) * fy) as f32 * (1.0 / 65536.0);
+            }
             let side = if j < LINES / 2 { -1.0 } else { 1.0 };
             #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
             for lane in 0..LANES {
