@@ -1,12 +1,15 @@
 //! Which pixels could be chessboard corners: the strongest local maxima of the response, each looked at once more.
 //!
-//! However busy the picture, no more than [`MOST_TILES`] maxima and [`MOST`] candidates go on: time is bounded by pixels.
+//! However busy the picture, only so many maxima and [`MOST`] candidates go on: time is bounded by pixels.
 
 use super::cross::{Vec2, Window};
 use super::response::{HALF_RING, REACH, Response};
 use crate::imaging::gray::GrayView;
 
-/// Tiles of the response, 4×4 pixels each, whose maximum is looked at.
+/// Tiles of the response, 4×4 pixels each, whose maximum is looked at: so many for each corner of the board, within bounds.
+/// One square of the board among them is enough, and the hardest pictures need 2.
+const TILES_A_CORNER: usize = 6;
+const FEWEST_TILES: usize = 320;
 const MOST_TILES: usize = 768;
 /// Candidates that go on.
 pub(super) const MOST: usize = 600;
@@ -43,14 +46,17 @@ pub(super) struct CandidateSearch {
     tiles: Vec<u8>,
     /// The strongest tiles: the largest response and where it is.
     sorted: Vec<(u8, u32, u32)>,
+    /// How many may be.
+    most_tiles: usize,
     maxima: [Vec<u8>; 2],
     /// What was found last, in raster order of tiles.
     pub found: Vec<Candidate>,
 }
 
 impl CandidateSearch {
-    /// Finds the candidates of `image`, whose response is `response`.
-    pub(super) fn search(&mut self, image: GrayView<'_>, response: &Response) {
+    /// Finds the candidates of `image`, whose response is `response`, for a board of so many `corners`.
+    pub(super) fn search(&mut self, image: GrayView<'_>, response: &Response, corners: usize) {
+        self.most_tiles = (TILES_A_CORNER * corners).clamp(FEWEST_TILES, MOST_TILES);
         self.collect_tiles(response);
         self.found.clear();
         for &(value, x, y) in &self.sorted {
@@ -97,8 +103,8 @@ impl CandidateSearch {
             let count = counts[value];
             counts[value] = kept;
             kept += count;
-            if kept >= MOST_TILES {
-                (kept, least) = (MOST_TILES, value);
+            if kept >= self.most_tiles {
+                (kept, least) = (self.most_tiles, value);
                 break;
             }
         }
@@ -115,8 +121,10 @@ impl CandidateSearch {
                 }
                 let tile = group * GROUP + tile;
                 let (left, top) = (tile % across * TILE, tile / across * TILE);
-                let at = (0..TILE * TILE).find(|i| response.row(top + i / TILE)[left + i % TILE] == value).unwrap_or(0);
-                self.sorted[*slot] = (value, (left + at % TILE) as u32, (top + at / TILE) as u32);
+                let places = (0..TILE).map(|y| (y, &response.row(top + y)[left..left + TILE]));
+                let strongest = |(y, row): (usize, &[u8])| Some((row.iter().position(|&other| other == value)?, y));
+                let (x, y) = places.filter_map(strongest).next().unwrap_or_default();
+                self.sorted[*slot] = (value, (left + x) as u32, (top + y) as u32);
                 *slot += 1;
             }
         }
@@ -161,13 +169,16 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
     if x < REACH || y < REACH || x + REACH >= response.width() || y + REACH >= response.height() {
         return false;
     }
-    (y - 2..=y + 2).all(|row| {
-        let values = &response.row(row)[x - 2..=x + 2];
-        values.iter().enumerate().all(|(i, &other)| {
-            let before = row < y || (row == y && i < 2);
-            if before { other < value } else { other <= value }
-        })
-    })
+    let (mut before, mut after) = (0, 0);
+    for row in 0..5 {
+        let Some(&[a, b, c, d, e]) = response.row(y + row - 2).get(x - 2..x + 3) else { return false };
+        match row {
+            0 | 1 => before = a.max(b).max(c).max(d.max(e)).max(before),
+            2 => (before, after) = (a.max(b).max(before), d.max(e)),
+            _ => after = a.max(b).max(c).max(d.max(e)).max(after),
+        }
+    }
+    before < value && after <= value
 }
 
 /// Reads the two edges from the ring about (`x`, `y`) and the exact place from a window along them.
@@ -186,25 +197,23 @@ fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
 
 /// The edges that leave the middle of the ring: it must cross its own middle grey four times, at opposite places in pairs.
 fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
-    let offset = |k: usize| {
-        let (dx, dy) = HALF_RING[k % 8];
-        if k % 16 < 8 { (dx, dy) } else { (-dx, -dy) }
-    };
-    let middle = y * image.stride() + x;
-    let mut ring = [0u8; 16];
-    for (k, (dx, dy)) in HALF_RING.into_iter().enumerate() {
-        let away = dy as isize * image.stride() as isize + dx as isize;
-        let pixel = |at: usize| image.bytes().get(at).copied().unwrap_or(0);
-        (ring[k], ring[k + 8]) = (pixel(middle.wrapping_add_signed(away)), pixel(middle.wrapping_add_signed(-away)));
-    }
-    let (least, most) = ring.iter().fold((255, 0), |(l, m), &v| (v.min(l), v.max(m)));
+    let ring = ring_about(image, x, y)?;
+    let (least, most) = (ring.into_iter().fold(255, u8::min), ring.into_iter().fold(0, u8::max));
     let twice_middle = u16::from(least) + u16::from(most);
-    let above =
-        ring.iter().enumerate().fold(0u16, |mask, (k, &v)| mask | u16::from(2 * u16::from(v) > twice_middle) << k);
+    // Above half of an odd sum is above it rounded down.
+    let middle_grey = (twice_middle / 2) as u8;
+    let mut above = 0u16;
+    for (k, &grey) in ring.iter().enumerate() {
+        above |= u16::from(grey > middle_grey) << k;
+    }
     let mut changes = above ^ above.rotate_right(1);
     if changes.count_ones() != 4 {
         return None;
     }
+    let offset = |k: usize| {
+        let (dx, dy) = HALF_RING[k % 8];
+        if k % 16 < 8 { (dx, dy) } else { (-dx, -dy) }
+    };
     let place = |k: usize| Vec2::new(offset(k).0 as f32, offset(k).1 as f32);
     let middle = 0.5 * f32::from(twice_middle);
     let starts_rising = above >> ((changes.trailing_zeros() + 1) % 16) & 1 == 1;
@@ -224,6 +233,22 @@ fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
     Some(if starts_rising { [first, second] } else { [second, -first] })
 }
 
+/// The pixels of the ring about (`x`, `y`), in order of their angle; `None` too near to the border.
+fn ring_about(image: GrayView<'_>, x: usize, y: usize) -> Option<[u8; 16]> {
+    const SIDE: usize = 2 * REACH + 1;
+    let (left, top) = (x.checked_sub(REACH)?, y.checked_sub(REACH)?);
+    let mut rows = [&[0u8; SIDE]; SIDE];
+    for (k, row) in rows.iter_mut().enumerate() {
+        *row = image.bytes().get((top + k) * image.stride() + left..)?.first_chunk()?;
+    }
+    let mut ring = [0; 16];
+    for (k, (dx, dy)) in HALF_RING.into_iter().enumerate() {
+        let (x, y) = ((REACH as i32 + dx) as usize, (REACH as i32 + dy) as usize);
+        (ring[k], ring[k + 8]) = (rows[y][x], rows[SIDE - 1 - y][SIDE - 1 - x]);
+    }
+    Some(ring)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,7 +261,7 @@ mod tests {
         let mut response = Response::default();
         response.compute(image.view());
         let mut search = CandidateSearch::default();
-        search.search(image.view(), &response);
+        search.search(image.view(), &response, 54);
         assert_eq!(search.found.len(), 16);
         for candidate in &search.found {
             let nearest = candidate.pixel.map(|v| (v + 0.5) / 12.0);
@@ -257,7 +282,7 @@ mod tests {
             let mut response = Response::default();
             response.compute(image.view());
             let mut search = CandidateSearch::default();
-            search.search(image.view(), &response);
+            search.search(image.view(), &response, 54);
             assert_eq!(search.found.len(), 0);
         }
     }

@@ -133,7 +133,7 @@ impl Detector {
         for level in (0..=coarsest).rev() {
             let view = self.pyramid.level(image, level);
             self.response.compute(view);
-            self.candidates.search(view, &self.response);
+            self.candidates.search(view, &self.response, self.board.corner_count());
             seen.candidates = seen.candidates.max(self.candidates.found.len());
             // Larger squares than these were looked for on the level above.
             let widest = view.width().max(view.height()) as f32 / (shorter - 1) as f32;

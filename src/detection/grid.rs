@@ -109,9 +109,11 @@ impl Grid {
         self.bright = bright;
     }
 
+    #[inline]
     fn slot(&self, i: i32, j: i32) -> Option<usize> {
-        let r = self.radius;
-        (i.abs() <= r && j.abs() <= r && !self.places.is_empty()).then(|| ((j + r) * (2 * r + 1) + i + r) as usize)
+        // Below −radius wraps to far beyond the side.
+        let (x, y, side) = ((i + self.radius) as u32, (j + self.radius) as u32, (2 * self.radius + 1) as u32);
+        (x < side && y < side).then(|| (y * side + x) as usize).filter(|&slot| slot < self.places.len())
     }
 
     /// Whether the grid has room for (i, j).
@@ -120,13 +122,15 @@ impl Grid {
     }
 
     /// The corner at (i, j).
+    #[inline]
     pub(super) fn get(&self, i: i32, j: i32) -> Option<Node> {
         self.slot(i, j).and_then(|slot| self.places[slot].node)
     }
 
     /// Where the corner (i, j) is.
+    #[inline]
     pub(super) fn pixel(&self, i: i32, j: i32) -> Option<Vec2> {
-        self.get(i, j).map(|node| node.pixel)
+        self.slot(i, j).and_then(|slot| self.places[slot].node.as_ref()).map(|node| node.pixel)
     }
 
     /// Sets the corner (i, j).
