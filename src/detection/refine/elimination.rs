@@ -40,31 +40,22 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
     #[inline(always)]
     fn call(self) -> Option<Solved> {
         let Self { products, damping } = self;
+        let least: [f64; UNKNOWNS] = std::array::from_fn(|k| 1e-9 * products[k][k]);
         let mut rows = *products;
+        for k in 0..UNKNOWNS {
+            rows[k][k] += damping * products[k][k];
+        }
         // One over what is left on the diagonal.
         let mut inverse = [0.0; UNKNOWNS];
-        for k in 0..UNKNOWNS {
-            let own = products[k][k];
-            let rest = rows[k][k] + damping * own;
-            if !(rest > 1e-9 * own && rest.is_finite()) {
-                return None;
-            }
-            inverse[k] = 1.0 / rest;
-            let eliminated = rows[k];
-            let mut scaled = eliminated;
-            for value in &mut scaled {
-                *value *= inverse[k];
-            }
-            for row in k + 1..COLUMNS {
-                let times = eliminated[row];
-                for lanes in row / LANES..ROOM / LANES {
-                    for c in lanes * LANES..(lanes + 1) * LANES {
-                        rows[row][c] -= times * scaled[c];
-                    }
-                }
-            }
-            rows[k] = scaled;
-        }
+        eliminate::<0>(&mut rows, &mut inverse, &least)?;
+        eliminate::<1>(&mut rows, &mut inverse, &least)?;
+        eliminate::<2>(&mut rows, &mut inverse, &least)?;
+        eliminate::<3>(&mut rows, &mut inverse, &least)?;
+        eliminate::<4>(&mut rows, &mut inverse, &least)?;
+        eliminate::<5>(&mut rows, &mut inverse, &least)?;
+        eliminate::<6>(&mut rows, &mut inverse, &least)?;
+        eliminate::<7>(&mut rows, &mut inverse, &least)?;
+        eliminate::<8>(&mut rows, &mut inverse, &least)?;
         let mut step: [f64; UNKNOWNS] = std::array::from_fn(|k| rows[k][UNKNOWNS]);
         for k in (1..UNKNOWNS).rev() {
             for row in 0..k {
@@ -80,6 +71,31 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
             last_covariance: [inverse[before] + mixed * mixed * yy, -mixed * yy, yy],
         })
     }
+}
+
+/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of that is left. A constant, so
+/// that rows remain in registers from one to the next.
+#[inline(always)]
+fn eliminate<const K: usize>(
+    rows: &mut Products,
+    inverse: &mut [f64; UNKNOWNS],
+    least: &[f64; UNKNOWNS],
+) -> Option<()> {
+    let eliminated = rows[K];
+    if !(eliminated[K] > least[K] && eliminated[K].is_finite()) {
+        return None;
+    }
+    inverse[K] = 1.0 / eliminated[K];
+    for value in &mut rows[K] {
+        *value *= inverse[K];
+    }
+    let scaled = rows[K];
+    for row in K + 1..COLUMNS {
+        for lane in row / LANES * LANES..ROOM {
+            rows[row][lane] -= eliminated[row] * scaled[lane];
+        }
+    }
+    Some(())
 }
 
 #[cfg(test)]

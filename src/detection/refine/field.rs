@@ -11,7 +11,7 @@ const SAMPLES_PER_TERM: usize = 2;
 /// Of a term's square so much must be told apart from those before it.
 const APART: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = 2;
 /// A sample this many times the mean square off has lost three quarters of its weight (Geman & McClure).
 const TOLERANCE: f64 = 6.0;
 

@@ -57,12 +57,12 @@ pub(super) fn fit(
     let mut model = start;
     let mut damping = 1e-4;
     let mut best = start;
-    let mut equations = NormalEquations::default();
-    let mut next = NormalEquations::default();
+    let (mut first, mut second) = (NormalEquations::default(), NormalEquations::default());
+    let (mut equations, mut next) = (&mut first, &mut second);
     let [least, most] = options.iterations;
     let linearised = Linearised { samples, noise, with_flat: options.with_flat };
     for iteration in 1..=most {
-        linearised.at(&model, columns, &mut next);
+        linearised.at(&model, columns, next);
         if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square() {
             damping *= 10.0;
         } else {

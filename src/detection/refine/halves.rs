@@ -53,10 +53,9 @@ impl Halves<'_> {
     #[inline(always)]
     fn sums<S: Simd>(&self, simd: S, edge: usize) -> [f64; 4] {
         let Self { samples, model, reach, columns } = self;
-        let length = samples.length();
-        let (xs, ys) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
-        let residuals = S::as_simd_f32s(columns.column(RESIDUAL, length)).0;
-        let shifts = S::as_simd_f32s(columns.column(SHIFT + edge, length)).0;
+        let [xs, ys, ..] = samples.vectors::<S>();
+        let (residuals, shifts) =
+            (columns.column::<S>(RESIDUAL, xs.len()), columns.column::<S>(SHIFT + edge, xs.len()));
         let [ax, ay] = model.along[edge];
         let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
         let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));

@@ -81,6 +81,8 @@ pub struct Refiner {
     shapes: Vec<[f64; 3]>,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
+    /// Of the last window that a corner was fitted in alone.
+    quarter_means: [f64; 2],
 }
 
 /// A fit and where it was made.
@@ -220,7 +222,7 @@ impl Refiner {
     /// What the corner just fitted tells about the next.
     fn as_before(&self, fitted: &Fitted) -> Before {
         let model = &fitted.fit.model;
-        let [minus, plus] = self.samples.quarter_means(model.along);
+        let [minus, plus] = self.quarter_means;
         let half = ((plus - minus) / 2.0).abs().max(0.5);
         Before {
             blur_px: fitted.blur_px(),
@@ -290,10 +292,11 @@ impl Refiner {
 
     /// The model before the first fit: along the axes, with black and white as the four quarters have them, and what these
     /// make of it as at the corner before.
-    fn start(&self, window: &Window, before: &Before) -> Option<CornerModel> {
+    fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
-        let [minus, plus] = self.samples.quarter_means(along);
+        self.quarter_means = self.samples.quarter_means(along);
+        let [minus, plus] = self.quarter_means;
         let sigma = (before.blur_px * before.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
         let amplitude = (plus - minus) / 2.0;
         (amplitude.abs() > 0.5).then_some(CornerModel {

@@ -72,9 +72,11 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// One column of the last linearisation, of `length` samples.
-    pub fn column(&self, k: usize, length: usize) -> &[f32] {
-        &self.lanes[k * length..(k + 1) * length]
+    /// One column of the last linearisation, which was of `count` vectors.
+    #[inline(always)]
+    pub fn column<S: Simd>(&self, k: usize, count: usize) -> &[S::f32s] {
+        let length = count * S::F32_LANES;
+        S::as_simd_f32s(&self.lanes[k * length..(k + 1) * length]).0
     }
 }
 
@@ -109,7 +111,7 @@ impl WithSimd for Linearise<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { what, model, columns, equations } = self;
-        let length = what.samples.length();
+        let length = what.samples.count.next_multiple_of(S::F32_LANES);
         let size = length * COLUMNS;
         if columns.lanes.len() < size {
             columns.lanes.resize(size, 0.0);
@@ -137,24 +139,23 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     let mul = |a, b| simd.mul_f32s(a, b);
     let mul_add = |a, b, c| simd.mul_add_f32s(a, b, c);
     let one = of(1.0);
-    let length = samples.length();
-    let (xs, ys) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
-    let (values, weights) = (S::as_simd_f32s(samples.value()).0, S::as_simd_f32s(samples.weight()).0);
+    let [xs, ys, values, weights] = samples.vectors::<S>();
+    let count = xs.len();
+    let (ys, values, weights) = (&ys[..count], &values[..count], &weights[..count]);
     let mut rest = columns;
-    let out: [&mut [S::f32s]; COLUMNS] = std::array::from_fn(|_| {
-        let (column, tail) = std::mem::take(&mut rest).split_at_mut(length);
+    let mut out: [&mut [S::f32s]; COLUMNS] = std::array::from_fn(|_| {
+        let (column, tail) = std::mem::take(&mut rest).split_at_mut(count * S::F32_LANES);
         rest = tail;
-        S::as_mut_simd_f32s(column).0
+        &mut S::as_mut_simd_f32s(column).0[..count]
     });
-    let along = model.along.map(|d| d.map(of));
-    let normals = model.normals().map(|n| n.map(of));
+    for edge in 0..2 {
+        profiles(simd, [xs, ys], model, edge, &mut out);
+    }
     let sharpness = model.sharpness.map(of);
-    let half_curvature = model.curvature.map(|c| of(c / 2.0));
-    let pulled = model.pull_of_blur().map(of);
-    let center = model.center.map(of);
+    let less_sharpness = model.sharpness.map(|k| of(-k));
     let rho = model.correlation();
-    let (rho4, rho_half, rho2_sixth) = (of(4.0 * rho), of(rho / 2.0), of(rho * rho / 6.0));
-    let rho2_third = of(rho * rho / 3.0);
+    let (rho_half, rho2_sixth, rho2_third) = (of(rho / 2.0), of(rho * rho / 6.0), of(rho * rho / 3.0));
+    let rho = of(rho);
     let (level, amplitude, bend) = (of(model.level), of(model.amplitude), of(model.bend));
     let gradient = model.gradient.map(of);
     let sign = model.amplitude.signum();
@@ -164,36 +165,25 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     let flat_at = of(0.985);
     let mut flat = [[of(0.0); 3]; 2];
     let mut effective = of(0.0);
-    for i in 0..xs.len() {
+    for i in 0..count {
         let (x, y, value) = (xs[i], ys[i], values[i]);
-        let dx = simd.sub_f32s(x, center[0]);
-        let dy = simd.sub_f32s(y, center[1]);
-        let mut s = [one; 2];
-        let mut d = [one; 2];
-        let mut u = [one; 2];
-        let mut p = [one; 2];
-        let mut f = [one; 2];
-        for k in 0..2 {
-            s[k] = mul_add(along[k][0], dx, mul(along[k][1], dy));
-            let straight = mul_add(normals[k][0], dx, mul(normals[k][1], dy));
-            let bent = mul_add(mul(half_curvature[k], s[k]), s[k], pulled[k]);
-            d[k] = simd.sub_f32s(straight, bent);
-            u[k] = mul(d[k], sharpness[k]);
-            (p[k], f[k]) = edge_profile(simd, u[k]);
-        }
+        let (s, d) = ([out[0][i], out[1][i]], [out[2][i], out[3][i]]);
+        let (p, f) = ([out[4][i], out[5][i]], [out[6][i], out[7][i]]);
+        let u = [mul(d[0], sharpness[0]), mul(d[1], sharpness[1])];
         // t and its derivatives by u₁ and u₂.
         let squared = [mul(u[0], u[0]), mul(u[1], u[1])];
         let hermite = [simd.sub_f32s(squared[0], one), simd.sub_f32s(squared[1], one)];
-        let bells = mul(rho4, mul(f[0], f[1]));
+        let bells = mul(rho, mul(f[0], f[1]));
         let cross = mul(u[0], u[1]);
         let series = mul_add(rho_half, cross, mul_add(rho2_sixth, mul(hermite[0], hermite[1]), one));
         let t = mul_add(p[0], p[1], mul(bells, series));
         let mut slope = [one; 2];
         for k in 0..2 {
             let o = 1 - k;
-            let bracket = mul_add(rho_half, u[o], mul(mul(rho2_third, u[k]), hermite[o]));
-            let bracket = simd.negate_mul_add_f32s(u[k], series, bracket);
-            slope[k] = mul_add(simd.add_f32s(f[k], f[k]), p[o], mul(bells, bracket));
+            // The derivative of bells · series, in units of the bells.
+            let less_series = simd.negate_mul_add_f32s(rho2_third, hermite[o], series);
+            let bracket = simd.negate_mul_add_f32s(u[k], less_series, mul(rho_half, u[o]));
+            slope[k] = mul_add(f[k], p[o], mul(bells, bracket));
         }
         let light = mul_add(gradient[0], x, mul_add(gradient[1], y, one));
         let off = simd.negate_mul_add_f32s(t, t, one);
@@ -201,23 +191,22 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         let residual = simd.negate_mul_add_f32s(grey, light, value);
         // Noise grows from black to white; outliers lose weight (Geman & McClure).
         let sd = mul_add(noise_slope, t, noise_mean);
-        let sd_scale = simd.add_f32s(tolerance, mul(residual, residual));
+        let sd_scale = mul_add(residual, residual, tolerance);
         let trust = simd.div_f32s(mul(weights[i], tolerance), mul(sd_scale, sd));
         let doubt = mul(trust, sd);
         effective = mul_add(doubt, doubt, effective);
-        let by_t = mul(mul(simd.negate_mul_add_f32s(simd.add_f32s(bend, bend), t, amplitude), light), trust);
-        let by_u = [mul(by_t, slope[0]), mul(by_t, slope[1])];
-        let by_d = [mul(by_u[0], sharpness[0]), mul(by_u[1], sharpness[1])];
         let lit = mul(light, trust);
-        out[0][i] = simd.neg_f32s(mul(by_d[0], s[0]));
-        out[1][i] = simd.neg_f32s(mul(by_d[1], s[1]));
-        out[2][i] = mul(by_u[0], d[0]);
-        out[3][i] = mul(by_u[1], d[1]);
+        let by_t = mul(simd.negate_mul_add_f32s(simd.add_f32s(bend, bend), t, amplitude), lit);
+        for k in 0..2 {
+            let by_u = mul(by_t, slope[k]);
+            let by_shift = mul(by_u, less_sharpness[k]);
+            out[k][i] = mul(by_shift, s[k]);
+            out[2 + k][i] = mul(by_u, d[k]);
+            out[7 + k][i] = by_shift;
+        }
         out[4][i] = lit;
         out[5][i] = mul(lit, t);
         out[6][i] = mul(lit, off);
-        out[7][i] = simd.neg_f32s(by_d[0]);
-        out[8][i] = simd.neg_f32s(by_d[1]);
         out[9][i] = mul(residual, trust);
         if !WITH_FLAT {
             continue;
@@ -245,6 +234,38 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     }
 }
 
+/// Where samples lie along and across an edge, and its profile there: into the columns `edge`, 2 + `edge`, 4 + `edge` (the
+/// step) and 6 + `edge` (its slope). In a loop of its own, which is short enough for the processor to look ahead.
+#[inline(always)]
+fn profiles<S: Simd>(
+    simd: S,
+    [xs, ys]: [&[S::f32s]; 2],
+    model: &CornerModel,
+    edge: usize,
+    out: &mut [&mut [S::f32s]; COLUMNS],
+) {
+    let of = |value: f64| simd.splat_f32s(value as f32);
+    let ([ax, ay], [nx, ny]) = (model.along[edge], model.normals()[edge]);
+    let [x, y] = model.center;
+    let along_offset = of(-ax * x - ay * y);
+    let across_offset = of(-nx * x - ny * y - model.pull_of_blur()[edge]);
+    let half_curvature = of(model.curvature[edge] / 2.0);
+    let sharpness = of(model.sharpness[edge]);
+    let [ax, ay, nx, ny] = [ax, ay, nx, ny].map(of);
+    let [s_out, d_out, p_out, f_out] =
+        out.get_disjoint_mut([edge, 2 + edge, 4 + edge, 6 + edge]).expect("four columns").map(|column| &mut **column);
+    let count = xs.len();
+    let (ys, s_out, d_out) = (&ys[..count], &mut s_out[..count], &mut d_out[..count]);
+    let (p_out, f_out) = (&mut p_out[..count], &mut f_out[..count]);
+    for i in 0..count {
+        let s = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], along_offset));
+        let straight = simd.mul_add_f32s(nx, xs[i], simd.mul_add_f32s(ny, ys[i], across_offset));
+        let d = simd.negate_mul_add_f32s(simd.mul_f32s(half_curvature, s), s, straight);
+        let (p, f) = edge_profile(simd, simd.mul_f32s(d, sharpness));
+        (s_out[i], d_out[i], p_out[i], f_out[i]) = (s, d, p, f);
+    }
+}
+
 /// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the lanes busy.
 #[inline(always)]
 fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut NormalEquations) {
@@ -254,8 +275,7 @@ fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut No
     block::<S, 4, 2>(simd, columns, length, [0, 6], products);
     block::<S, 4, 2>(simd, columns, length, [0, 8], products);
     triangle::<S, 4>(simd, columns, length, 4, products);
-    block::<S, 4, 2>(simd, columns, length, [4, 8], products);
-    triangle::<S, 2>(simd, columns, length, 8, products);
+    block::<S, 6, 2>(simd, columns, length, [4, 8], products);
     equations.residuals.squares = products[RESIDUAL][RESIDUAL];
 }
 

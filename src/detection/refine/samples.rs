@@ -33,29 +33,11 @@ impl Samples {
         pulp::Arch::new().dispatch(Gather { samples: self, image, rows: Rows::new(window), window })
     }
 
-    /// How many samples there are with the padding, a multiple of any vector's length.
-    pub fn length(&self) -> usize {
-        self.count.next_multiple_of(PADDING)
-    }
-
-    /// Positions, x.
-    pub fn x(&self) -> &[f32] {
-        &self.x[..self.length()]
-    }
-
-    /// Positions, y.
-    pub fn y(&self) -> &[f32] {
-        &self.y[..self.length()]
-    }
-
-    /// Grey values, 0 … 255.
-    pub fn value(&self) -> &[f32] {
-        &self.value[..self.length()]
-    }
-
-    /// 1, and 0 for the padding, where positions are any and values 0.
-    pub fn weight(&self) -> &[f32] {
-        &self.weight[..self.length()]
+    /// Positions x and y, grey values 0 … 255, and weights, in whole vectors: beyond the last sample weights and values are 0.
+    #[inline(always)]
+    pub fn vectors<S: Simd>(&self) -> [&[S::f32s]; 4] {
+        let length = self.count.next_multiple_of(S::F32_LANES);
+        [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
     /// Mean grey value where the product of the distances to two lines through the origin is negative, and where it is
@@ -136,14 +118,14 @@ impl WithSimd for QuarterMeans<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
-        let samples = self.samples;
-        let (x, y) = (S::as_simd_f32s(samples.x()).0, S::as_simd_f32s(samples.y()).0);
-        let (value, weight) = (S::as_simd_f32s(samples.value()).0, S::as_simd_f32s(samples.weight()).0);
+        let [x, y, value, weight] = self.samples.vectors::<S>();
+        let count = x.len();
+        let (y, value, weight) = (&y[..count], &value[..count], &weight[..count]);
         let [[ax, ay], [bx, by]] = self.along;
         let (ax, ay, bx, by) = (simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(bx), simd.splat_f32s(by));
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
-        for i in 0..x.len() {
+        for i in 0..count {
             // No closure: one that is not inlined is not compiled for the processor.
             let a = simd.sub_f32s(simd.mul_f32s(ax, y[i]), simd.mul_f32s(ay, x[i]));
             let b = simd.sub_f32s(simd.mul_f32s(bx, y[i]), simd.mul_f32s(by, x[i]));
@@ -251,7 +233,7 @@ impl Rows {
             let slope = if a.abs() < 1e-6 { 1e-6 } else { a };
             [(-b / slope) as f32, (1.0 / slope.abs()) as f32]
         });
-        Self { bands, reach: reach.ceil() as i64 + 1 }
+        Self { bands, reach: (reach + 0.5) as i64 }
     }
 
     /// The runs of whole places, counted from `offset`, in the rows from `y` on, as far as they are `inside` the image. Eight
@@ -278,7 +260,7 @@ impl Rows {
             for run in 0..2 {
                 let [from, to] = ends[run];
                 wanted[k] += most(to - from + 1.0, 0.0);
-                let from = least(most(from, inside[0]), inside[1]);
+                let from = most(from, inside[0]);
                 runs.from[run][k] = whole(from);
                 runs.lengths[run][k] = whole(most(least(to, inside[1]) - from + 1.0, 0.0));
             }
@@ -288,7 +270,7 @@ impl Rows {
     }
 }
 
-/// A whole number of less than four million, as one: without the care that `as` takes of larger ones.
+/// A whole number of less than four million, as one; of a larger one any. Without the care that `as` takes of those.
 #[inline(always)]
 fn whole(value: f32) -> i32 {
     // To this, one is the last of a number's bits.
@@ -312,4 +294,76 @@ fn most(a: f32, b: f32) -> f32 {
 #[inline(always)]
 fn least(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::gray::GrayImage;
+
+    fn image() -> GrayImage {
+        let pixels = (0..90 * 70).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        GrayImage::from_pixels(90, 70, pixels).expect("as many pixels")
+    }
+
+    /// Position and mean of every bin of `window` that `image` holds, and how many there are with those beyond it.
+    fn all(image: &GrayImage, window: &Window) -> (Vec<[f32; 3]>, usize) {
+        let (bin, size) = (window.bin as f64, window.bin as i64);
+        let first = window.origin.map(|o| (o - (bin - 1.0) / 2.0).round());
+        let [a, b] = window.axes;
+        let cross = |[ax, ay]: [f64; 2], [bx, by]: [f64; 2]| ax * by - ay * bx;
+        let (mut seen, mut wanted) = (Vec::new(), 0);
+        for (j, i) in (-60..60_i64).flat_map(|j| (-60..60_i64).map(move |i| (j, i))) {
+            let corner = [first[0] as i64 + i * size, first[1] as i64 + j * size];
+            let p = [0, 1].map(|k| corner[k] as f64 + (bin - 1.0) / 2.0 - window.origin[k]);
+            let within = (cross(p, b) / cross(a, b)).abs() <= window.extent[0]
+                && (cross(a, p) / cross(a, b)).abs() <= window.extent[1];
+            if !within || [a, b].iter().all(|axis| cross(*axis, p).abs() > window.strip_px * length(*axis)) {
+                continue;
+            }
+            wanted += 1;
+            if corner[0] < 0 || corner[1] < 0 || corner[0] + size > 90 || corner[1] + size > 70 {
+                continue;
+            }
+            let pixels = (0..size).flat_map(|y| (0..size).map(move |x| [corner[0] + x, corner[1] + y]));
+            let sum: u32 = pixels.map(|[x, y]| u32::from(image.row(y as usize)[x as usize])).sum();
+            seen.push([(p[0] / bin) as f32, (p[1] / bin) as f32, sum as f32 / (bin * bin) as f32]);
+        }
+        (seen, wanted)
+    }
+
+    #[test]
+    fn a_window_s_pixels_are_gathered_and_no_others() {
+        let image = image();
+        let mut samples = Samples::default();
+        for (case, bin) in (0..240).zip([1, 2, 4].into_iter().cycle()) {
+            let turn = 0.0371 * f64::from(case);
+            let across = turn + 1.2 + 0.003 * f64::from(case);
+            let window = Window {
+                origin: [2.3 + 0.36 * f64::from(case), 67.8 - 0.27 * f64::from(case)],
+                axes: [[21.0 * turn.cos(), 21.0 * turn.sin()], [17.0 * across.cos(), 17.0 * across.sin()]],
+                extent: [0.713, 0.629],
+                strip_px: if case % 2 == 0 { f64::INFINITY } else { 3.17 },
+                bin,
+            };
+            let share = samples.gather(image.view(), &window);
+            let (expected, wanted) = all(&image, &window);
+            let [xs, ys, values, weights] = [&samples.x, &samples.y, &samples.value, &samples.weight];
+            assert_eq!(samples.count, expected.len(), "case {case}");
+            assert!((share - expected.len() as f64 / f64::from(wanted as u32)).abs() < 1e-9);
+            for (i, [x, y, value]) in expected.into_iter().enumerate() {
+                assert!((xs[i] - x).abs() < 1e-4 && (ys[i] - y).abs() < 1e-4 && (values[i] - value).abs() < 1e-4);
+                assert_eq!(weights[i], 1.0);
+            }
+            assert!(weights[samples.count..samples.count + PADDING].iter().all(|&weight| weight == 0.0));
+        }
+    }
+
+    #[test]
+    fn an_image_narrower_than_a_bin_holds_no_sample() {
+        let image = GrayImage::filled(3, 40, 100);
+        let axes = [[20.0, 1.0], [-1.0, 20.0]];
+        let window = Window { origin: [1.0, 20.0], axes, extent: [0.5; 2], strip_px: f64::INFINITY, bin: 4 };
+        assert_eq!(Samples::default().gather(image.view(), &window), 0.0);
+    }
 }
