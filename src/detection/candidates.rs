@@ -44,6 +44,8 @@ pub(super) struct Candidate {
 pub(super) struct CandidateSearch {
     /// The largest response of each tile, in raster order.
     tiles: Vec<u8>,
+    /// The largest of each group of tiles.
+    groups: Vec<u8>,
     /// The strongest tiles: the largest response and where it is.
     sorted: Vec<(u8, u32, u32)>,
     /// How many may be.
@@ -80,38 +82,51 @@ impl CandidateSearch {
             return;
         }
         self.tiles.resize(across * down, 0);
-        // Four counts in turn: equal values in a row would wait for each other.
-        let mut counts = [[0u32; 256]; 4];
         for (row, tiles) in self.tiles.chunks_exact_mut(across).enumerate() {
             let rows = std::array::from_fn(|i| &response.row(row * TILE + i)[..across * TILE]);
             pulp::Arch::new().dispatch(TileMaxima { rows, maxima: &mut self.maxima, tiles });
-            for (tile, &most) in tiles.iter().enumerate() {
-                counts[tile % 4][usize::from(most)] += 1;
-            }
         }
-        let [first, second, third, fourth] = &counts;
-        let mut counts: [usize; 256] = std::array::from_fn(|i| (first[i] + second[i] + third[i] + fourth[i]) as usize);
-        self.keep_strongest(response, &mut counts);
+        self.groups.clear();
+        self.groups.extend(self.tiles.chunks(GROUP).map(|tiles| tiles.iter().fold(0, |most, &tile| tile.max(most))));
+        // As many tiles as there are such groups are at least so strong: none that is weaker will be kept.
+        let mut counts = [0; 256];
+        self.groups.iter().for_each(|&group| counts[usize::from(group)] += 1);
+        let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
+        let weakest = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE);
+        let least = self.least_kept(&counts, weakest).0;
+        counts.fill(0);
+        for (tiles, _) in self.tiles.chunks(GROUP).zip(&self.groups).filter(|(_, group)| usize::from(**group) >= least)
+        {
+            tiles.iter().for_each(|&tile| counts[usize::from(tile)] += 1);
+        }
+        let (least, kept) = self.least_kept(&counts, least);
+        self.keep_strongest(response, &mut counts, least, kept);
     }
 
-    /// Leaves the strongest tiles, strongest first and equal ones in raster order, with the place of their maximum.
-    fn keep_strongest(&mut self, response: &Response, counts: &mut [usize; 256]) {
-        let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
-        let mut least = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE).min(255);
+    /// The strength down to which things are kept that are counted by strength, not below `weakest`, and how many there are.
+    fn least_kept(&self, counts: &[usize; 256], weakest: usize) -> (usize, usize) {
         let mut kept = 0;
-        for value in (least..256).rev() {
-            let count = counts[value];
-            counts[value] = kept;
-            kept += count;
+        for value in (weakest..256).rev() {
+            kept += counts[value];
             if kept >= self.most_tiles {
-                (kept, least) = (self.most_tiles, value);
-                break;
+                return (value, self.most_tiles);
             }
+        }
+        (weakest, kept)
+    }
+
+    /// Leaves the `kept` strongest tiles, all at least `least`, strongest first and equal ones in raster order, with the
+    /// place of their maximum.
+    fn keep_strongest(&mut self, response: &Response, counts: &mut [usize; 256], least: usize, kept: usize) {
+        // Where the first of each strength goes.
+        let mut stronger = 0;
+        for slot in counts[least..].iter_mut().rev() {
+            stronger += std::mem::replace(slot, stronger);
         }
         self.sorted.resize(kept, (0, 0, 0));
         let across = response.width() / TILE;
         for (group, tiles) in self.tiles.chunks(GROUP).enumerate() {
-            if tiles.iter().fold(0, |most, &tile| tile.max(most)) < least as u8 {
+            if usize::from(self.groups[group]) < least {
                 continue;
             }
             for (tile, &value) in tiles.iter().enumerate() {
@@ -259,7 +274,7 @@ mod tests {
         let pixels = (0..60 * 60).map(|i| if (i % 60 / 12 + i / 60 / 12) % 2 == 0 { 30 } else { 220 }).collect();
         let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
         let mut response = Response::default();
-        response.compute(image.view());
+        response.compute(image.view(), 1);
         let mut search = CandidateSearch::default();
         search.search(image.view(), &response, 54);
         assert_eq!(search.found.len(), 16);
@@ -280,7 +295,7 @@ mod tests {
         ] {
             let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
             let mut response = Response::default();
-            response.compute(image.view());
+            response.compute(image.view(), 1);
             let mut search = CandidateSearch::default();
             search.search(image.view(), &response, 54);
             assert_eq!(search.found.len(), 0);

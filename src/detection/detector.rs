@@ -30,6 +30,9 @@ const LEAST_GROWN: usize = 7;
 const SAME_PX: f32 = 2.5;
 /// A grid as small as this that grows to more than a whole board on a finer level is none: stripes look so.
 const SMALL: usize = LEAST_PART;
+/// On all but the coarsest level one of so many rows is searched for corners: a response is wider than that, and a board of
+/// which no square is seen so would have been seen on the level above.
+const ROW_STEP: usize = 2;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 
@@ -132,7 +135,7 @@ impl Detector {
         let mut best: Option<(usize, Placement)> = None;
         for level in (0..=coarsest).rev() {
             let view = self.pyramid.level(image, level);
-            self.response.compute(view);
+            self.response.compute(view, if level == coarsest { 1 } else { ROW_STEP });
             self.candidates.search(view, &self.response, self.board.corner_count());
             seen.candidates = seen.candidates.max(self.candidates.found.len());
             // Larger squares than these were looked for on the level above.
@@ -176,11 +179,12 @@ impl Detector {
                 if self.used[first] { None } else { self.neighbourhood.seed(&self.candidates.found, first, reach) };
             let Some(seed) = seed else { continue };
             starts += 1;
-            if !self.grow_from(image, level, &seed) {
+            let worth = self.grow_from(image, level, &seed);
+            self.spend(level, false);
+            if !worth {
                 continue;
             }
             grids += 1;
-            self.spend(level, false);
             match self.judge(image, level, seen) {
                 Found::Whole(placement) => {
                     std::mem::swap(&mut self.grid, &mut self.part);
@@ -211,7 +215,7 @@ impl Detector {
         self.grid.members.len() >= LEAST_GROWN
     }
 
-    /// The candidates of `level` that are corners of the grid, or of the best part (kept at level 0), seed no other.
+    /// The candidates of `level` that are corners of the grid, even of one too small, or of the best part (kept at level 0), seed no other.
     fn spend(&mut self, level: usize, of_part: bool) {
         let (grid, scale) = if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
         let (offset, used) = (Vec2::repeat(0.5), &mut self.used);

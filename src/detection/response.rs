@@ -27,8 +27,8 @@ pub(super) struct Response {
 }
 
 impl Response {
-    /// Computes the response of `image`; 0 within [`REACH`] of the border.
-    pub(super) fn compute(&mut self, image: GrayView<'_>) {
+    /// Computes the response of `image` in one of `every` rows; 0 in the others, and within [`REACH`] of the border.
+    pub(super) fn compute(&mut self, image: GrayView<'_>, every: usize) {
         (self.width, self.height) = (image.width(), image.height());
         let (width, height) = (self.width, self.height);
         // Never made smaller: what is added would be written twice.
@@ -42,7 +42,7 @@ impl Response {
         }
         values[..REACH * width].fill(0);
         values[(height - REACH) * width..].fill(0);
-        pulp::Arch::new().dispatch(Rows { image, values });
+        pulp::Arch::new().dispatch(Rows { image, values, every });
     }
 
     /// Columns.
@@ -65,6 +65,8 @@ impl Response {
 struct Rows<'a> {
     image: GrayView<'a>,
     values: &'a mut [u8],
+    /// One of so many rows is computed.
+    every: usize,
 }
 
 impl pulp::NullaryFnOnce for Rows<'_> {
@@ -74,8 +76,12 @@ impl pulp::NullaryFnOnce for Rows<'_> {
     fn call(self) {
         let (width, height) = (self.image.width(), self.image.height());
         for y in REACH..height - REACH {
-            let rows = std::array::from_fn(|i| self.image.row(y + i - REACH));
             let out = &mut self.values[y * width..(y + 1) * width];
+            if !y.is_multiple_of(self.every) {
+                out.fill(0);
+                continue;
+            }
+            let rows = std::array::from_fn(|i| self.image.row(y + i - REACH));
             out[..REACH].fill(0);
             out[width - REACH..].fill(0);
             respond_row(&rows, &mut out[REACH..width - REACH]);
