@@ -16,32 +16,32 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 /// What is photographed, and how exact its corners must be.
-struct Condition {
-    name: &'static str,
-    lens: Lens,
-    blur_px: f64,
-    full_well_e: f64,
-    gamma: f64,
-    vignetting: f64,
-    cell_px: f64,
-    tilt_deg: f64,
+pub(crate) struct Condition {
+    pub(crate) name: &'static str,
+    pub(crate) lens: Lens,
+    pub(crate) blur_px: f64,
+    pub(crate) full_well_e: f64,
+    pub(crate) gamma: f64,
+    pub(crate) vignetting: f64,
+    pub(crate) cell_px: f64,
+    pub(crate) tilt_deg: f64,
     /// 2-D rms error, in pixels, that may not be exceeded.
-    rms_px: f64,
+    pub(crate) rms_px: f64,
     /// What may be left of a corner's error in the mean over the noise, 2-D rms in pixels.
-    bias_px: f64,
+    pub(crate) bias_px: f64,
 }
 
-const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
+pub(crate) const SIZE: ImageSize = ImageSize { width: 640, height: 480 };
 const VIEWS: u64 = 2;
 const DEVELOPMENTS: u64 = 8;
 
-fn ordinary_lens() -> Lens {
+pub(crate) fn ordinary_lens() -> Lens {
     let parameters = [560.0, 559.0, 328.0, 235.0, 0.0, -0.12, 0.06, 0.0004, -0.0003, -0.01];
     Lens::from_parameters(LensModel::Brown, &parameters).unwrap()
 }
 
 /// The ordinary condition: an accurate machine-vision camera, held steady.
-fn ordinary(name: &'static str, rms_px: f64) -> Condition {
+pub(crate) fn ordinary(name: &'static str, rms_px: f64) -> Condition {
     Condition {
         name,
         lens: ordinary_lens(),
@@ -57,7 +57,7 @@ fn ordinary(name: &'static str, rms_px: f64) -> Condition {
 }
 
 impl Condition {
-    fn sensor(&self) -> PictureSensor {
+    pub(crate) fn sensor(&self) -> PictureSensor {
         PictureSensor {
             blur_px: self.blur_px,
             full_well_e: self.full_well_e,
@@ -68,7 +68,7 @@ impl Condition {
     }
 
     /// A board whose middle is near the image's, its cells about as large as the condition says.
-    fn pose(&self, board: &Chessboard, rng: &mut ChaCha8Rng) -> Pose {
+    pub(crate) fn pose(&self, board: &Chessboard, rng: &mut ChaCha8Rng) -> Pose {
         let mut random = |reach: f64| rng.random_range(-reach..reach);
         let azimuth = random(std::f64::consts::PI);
         let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * self.tilt_deg.to_radians();
@@ -129,7 +129,7 @@ impl Figures {
     }
 }
 
-fn board() -> Chessboard {
+pub(crate) fn board() -> Chessboard {
     Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()
 }
 

@@ -6,6 +6,7 @@
 mod allocations;
 mod bad_views;
 mod corner_accuracy;
+mod covers;
 mod detection;
 mod estimation;
 mod fisheye_boards;

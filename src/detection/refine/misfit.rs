@@ -11,7 +11,9 @@ const CHANCE: f64 = 3.0;
 /// And never less than this, where a corner has no noise at all.
 const LEAST_TIMES: f64 = 0.1;
 /// What the excess over that adds to the factor on the standard deviation, and its square.
-const PULL: [f64; 2] = [1.0, 0.4];
+const PULL: [f64; 2] = [1.2, 0.7];
+/// With this many times the usual mean square a corner tells nothing about the board.
+const WITNESS: f64 = 2.5;
 /// No corner any more: this many times the usual mean square, and less than this part of the usual share of samples agrees.
 const NO_CORNER: (f64, f64) = (6.0, 0.65);
 
@@ -49,6 +51,12 @@ impl Misfit {
     /// Takes the next corner's quality.
     pub fn take(&mut self, quality: Option<Quality>) {
         self.of_corners.push(quality);
+    }
+
+    /// For each corner whether it fits well enough to tell about others.
+    pub fn fits(&mut self) -> impl Iterator<Item = bool> + '_ {
+        let most = self.usual().map_or(f64::INFINITY, |usual| WITNESS * usual.mean_square);
+        self.of_corners.iter().map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
     }
 
     /// For each corner the factor on the standard deviation that its own residuals foretell; `None` where what is seen is no
@@ -97,7 +105,7 @@ mod tests {
         let factors = factors(&seen);
         assert!(factors[..12].iter().all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12)));
         // Three times the residuals foretell √3 times the deviation by themselves.
-        assert!(factors[12].is_some_and(|factor| (3.5..4.5).contains(&(factor * 3_f64.sqrt()))));
+        assert!(factors[12].is_some_and(|factor| (5.0..6.0).contains(&(factor * 3_f64.sqrt()))));
         assert_eq!((factors[13], factors[14]), (None, None));
         assert!(factors[15].is_some_and(|factor| factor > 4.0));
     }
@@ -110,6 +118,17 @@ mod tests {
         for (factor, (mean_square, _)) in factors.iter().flatten().zip(seen.iter().flatten()) {
             assert!((factor * f64::sqrt(*mean_square) - 1.0).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn what_fits_much_worse_tells_nothing_about_the_others() {
+        let mut misfit = Misfit::default();
+        for mean_square in [1.0, 1.1, 0.9, 1.0, 1.2, 1.0, 2.0, 1.0, 5.0] {
+            misfit.take(Some(Quality { mean_square, agreeing: 0.9, samples: 100.0 }));
+        }
+        misfit.take(None);
+        let told: Vec<bool> = misfit.fits().collect();
+        assert_eq!(told, [true, true, true, true, true, true, true, true, false, false]);
     }
 
     #[test]

@@ -123,8 +123,13 @@ impl Refiner {
     /// large needed before.
     pub fn refine(&mut self, image: GrayView<'_>, corners: &[GridCorner], refined: &mut Vec<Option<RefinedCorner>>) {
         self.fit_each(image, corners);
+        self.misfit.clear();
+        self.fitted.iter().for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
         self.known.clear();
-        self.known.extend(self.fitted.iter().map(|fitted| fitted.as_ref().map(Fitted::known)));
+        let fits = self.misfit.fits();
+        self.known.extend(
+            self.fitted.iter().zip(fits).map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
+        );
         self.lattice.fill(corners, &self.known);
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
