@@ -107,9 +107,9 @@ mod tests {
         let mut products = [[0.0; ROOM]; COLUMNS];
         for i in 0..100 {
             let at = |k: usize| (f64::from(i) * (0.7 + 0.31 * k as f64) + (k * k) as f64).sin();
-            for row in 0..COLUMNS {
-                for col in row..COLUMNS {
-                    products[row][col] += at(row) * at(col);
+            for (row, sums) in products.iter_mut().enumerate() {
+                for (col, sum) in sums[..COLUMNS].iter_mut().enumerate().skip(row) {
+                    *sum += at(row) * at(col);
                 }
             }
         }

@@ -5,8 +5,7 @@ use pulp::Simd;
 /// Beyond this many standard deviations the profile is flat to single precision's purposes.
 const U_MAX_SQUARED: f32 = 25.6;
 /// (2/π)^(1/16)·exp(−x/32) on 0 … 25.6, least relative error (1.8e-7).
-const BELL: [f32; 6] =
-    [0.985_986_97, -0.030_811_657, 4.812_504_8e-4, -4.984_702_7e-6, 3.691_658_5e-8, -1.632_075_6e-10];
+const BELL: [f32; 6] = [0.985_986_97, -0.030_811_657, 4.812_505e-4, -4.984_702_7e-6, 3.691_658_5e-8, -1.632_075_6e-10];
 /// 1 − erf(u/√2) as the bell times a polynomial of 1/(1 + p·u), the form of Abramowitz & Stegun, 7.1.25, by least error (1.7e-6).
 const TAIL_P: f32 = 0.271;
 const TAIL: [f32; 4] = [0.188_474_54, 0.735_056_9, -0.712_649_05, 1.042_437_4];

@@ -318,6 +318,7 @@ fn block<S: Simd, const R: usize, const C: usize>(
 fn triangle<S: Simd, const N: usize>(simd: S, columns: &[f32], length: usize, first: usize, products: &mut Products) {
     let a = vectors::<S, N>(columns, length, first);
     let mut sums = [[simd.splat_f32s(0.0); N]; N];
+    #[expect(clippy::needless_range_loop, reason = "all columns are read at the same place")]
     for i in 0..length / S::F32_LANES {
         for r in 0..N {
             for c in r..N {

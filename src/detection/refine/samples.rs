@@ -242,6 +242,7 @@ impl Rows {
     fn runs(&self, y: f32, offset: f32, inside: [f32; 2]) -> Runs {
         let mut runs = Runs { from: [[0; ROWS]; 2], lengths: [[0; ROWS]; 2], wanted: 0 };
         let mut wanted = [0.0; ROWS];
+        #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
         for k in 0..ROWS {
             let y = y + k as f32;
             let (a, b) = (band(self.bands[0], y), band(self.bands[1], y));
@@ -257,8 +258,7 @@ impl Rows {
             let ends = [[left[0], first_end], [right[0], second_end]].map(|[start, end]| {
                 [(most(within[0], start) - offset).ceil(), (least(within[1], end) - offset).floor()]
             });
-            for run in 0..2 {
-                let [from, to] = ends[run];
+            for (run, [from, to]) in ends.into_iter().enumerate() {
                 wanted[k] += most(to - from + 1.0, 0.0);
                 let from = most(from, inside[0]);
                 runs.from[run][k] = whole(from);

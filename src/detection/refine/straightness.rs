@@ -51,6 +51,10 @@ pub(super) struct Placed {
 #[derive(Debug, Default)]
 pub(super) struct Straightness {
     points: Vec<Point>,
+    /// Of each point the second integrals of the bend's terms, and n.
+    columns: Vec<[f64; LANES]>,
+    /// Of each line as it lies, no point doubted.
+    trends: Vec<Trend>,
     /// Ends of the lines within `points`.
     ends: Vec<usize>,
     /// Sum of squares left and of degrees of freedom, over both families of lines.
@@ -86,6 +90,7 @@ impl Straightness {
         lines.for_each(|(place, line)| self.add_line(place, line));
         let scale = self.points.iter().map(|point| point.t.abs()).fold(1.0, f64::max);
         self.points.iter_mut().for_each(|point| point.t /= scale);
+        pulp::Arch::new().dispatch(Preparation { lines: self });
         let free: usize = self.lines().map(|line| line.len() - 2).sum();
         let order = highest_order(free, BEND_ORDER);
         let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
@@ -146,7 +151,30 @@ impl Straightness {
     }
 }
 
-/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+/// What is the same in every round. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct Preparation<'a> {
+    lines: &'a mut Straightness,
+}
+
+impl pulp::NullaryFnOnce for Preparation<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Straightness { points, columns, trends, ends, .. } = self.lines;
+        columns.clear();
+        for point in points.iter() {
+            columns.push(of_bend(point));
+        }
+        trends.clear();
+        let mut start = 0;
+        for &end in ends.iter() {
+            trends.push(Trend::of(&points[start..end], &columns[start..end], None));
+            start = end;
+        }
+    }
+}
+
 struct Summation<'a> {
     lines: &'a Straightness,
     solution: &'a Solution,
@@ -155,6 +183,7 @@ struct Summation<'a> {
 }
 
 /// A line's weighted sums of 1, t, t², and of each column and of t times it; the last column is n.
+#[derive(Debug)]
 struct Trend {
     moments: [f64; 3],
     columns: [[f64; LANES]; 2],
@@ -168,23 +197,22 @@ impl pulp::NullaryFnOnce for Summation<'_> {
         let Self { lines, solution, terms, mean_square } = self;
         let mut sums = Sums::default();
         let mut start = 0;
-        for &end in &lines.ends {
-            let line = &lines.points[start..end];
+        for (&end, trend) in lines.ends.iter().zip(&lines.trends) {
+            let (line, columns) = (&lines.points[start..end], &lines.columns[start..end]);
             start = end;
             // First as it lies, then with less weight on what is far off.
-            let mut trend = Trend::of(line, solution, None);
-            if mean_square.is_finite() {
-                trend = Trend::of(line, solution, Some((&trend, mean_square)));
+            if !mean_square.is_finite() {
+                for (point, columns) in line.iter().zip(columns) {
+                    let (columns, n) = trend.removed(point, columns);
+                    sums.add(&columns, n, point.certainty, 1.0, terms);
+                }
+                continue;
             }
-            for point in line {
-                let columns = columns(point);
-                let trust = if mean_square.is_finite() {
-                    let off = trend.left(point, &columns, solution);
-                    trust(point.certainty * off * off, mean_square)
-                } else {
-                    1.0
-                };
-                let (columns, n) = trend.removed(point, &columns);
+            let trend = Trend::of(line, columns, Some((trend, solution, mean_square)));
+            for (point, columns) in line.iter().zip(columns) {
+                let (columns, n) = trend.removed(point, columns);
+                let off = left(&columns, n, solution);
+                let trust = trust(point.certainty * off * off, mean_square);
                 sums.add(&columns, n, trust * point.certainty, trust, terms);
             }
         }
@@ -194,7 +222,7 @@ impl pulp::NullaryFnOnce for Summation<'_> {
 
 /// The second integrals by t of all terms of the bend, and n beyond them.
 #[inline(always)]
-fn columns(point: &Point) -> [f64; LANES] {
+fn of_bend(point: &Point) -> [f64; LANES] {
     // By falling power of t within each order: t^p becomes t^(p+2) / ((p+1)(p+2)).
     const OVER: [f64; LANES] = [
         0.5,
@@ -225,13 +253,13 @@ fn columns(point: &Point) -> [f64; LANES] {
 
 impl Trend {
     #[inline(always)]
-    fn of(line: &[Point], solution: &Solution, before: Option<(&Trend, f64)>) -> Self {
+    fn of(line: &[Point], columns: &[[f64; LANES]], before: Option<(&Trend, &Solution, f64)>) -> Self {
         let mut trend = Self { moments: [0.0; 3], columns: [[0.0; LANES]; 2] };
-        for point in line {
-            let columns = columns(point);
+        for (point, columns) in line.iter().zip(columns) {
             let mut weight = point.certainty;
-            if let Some((before, mean_square)) = before {
-                let off = before.left(point, &columns, solution);
+            if let Some((before, solution, mean_square)) = before {
+                let (columns, n) = before.removed(point, columns);
+                let off = left(&columns, n, solution);
                 weight *= trust(weight * off * off, mean_square);
             }
             let tilted = weight * point.t;
@@ -239,7 +267,7 @@ impl Trend {
             trend.moments[1] += tilted;
             trend.moments[2] += tilted * point.t;
             let [sums, tilted_sums] = &mut trend.columns;
-            for ((sum, tilted_sum), column) in sums.iter_mut().zip(tilted_sums).zip(&columns) {
+            for ((sum, tilted_sum), column) in sums.iter_mut().zip(tilted_sums).zip(columns) {
                 *sum += weight * column;
                 *tilted_sum += tilted * column;
             }
@@ -267,16 +295,15 @@ impl Trend {
         let n = std::mem::take(&mut rest[LANES - 1]);
         (rest, n)
     }
+}
 
-    /// What `solution` leaves of n at a point.
-    #[inline(always)]
-    fn left(&self, point: &Point, columns: &[f64; LANES], solution: &Solution) -> f64 {
-        let (columns, mut n) = self.removed(point, columns);
-        for (column, coefficient) in columns.iter().zip(&solution.coefficients) {
-            n -= column * coefficient;
-        }
-        n
+/// What `solution` leaves of n.
+#[inline(always)]
+fn left(columns: &[f64; LANES], mut n: f64, solution: &Solution) -> f64 {
+    for (column, coefficient) in columns.iter().zip(&solution.coefficients) {
+        n -= column * coefficient;
     }
+    n
 }
 
 #[cfg(test)]
