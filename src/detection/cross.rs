@@ -259,17 +259,17 @@ fn edge_offset(k: &[f32; 6]) -> f32 {
 /// Brightness between pixels; (`x`, `y`) must lie in 0 … size − 1.
 #[inline]
 pub(super) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
-    let (column, row) = (x as usize, y as usize);
+    let (column, row) = (x as i32, y as i32);
     let (fx, fy) = (x - column as f32, y - row as f32);
-    let at = row * stride + column;
-    let get = |i: usize| f32::from(bytes.get(i).copied().unwrap_or(0));
-    let (p, q) = if fx > 0.0 { (get(at) + fx * (get(at + 1) - get(at)), at + stride) } else { (get(at), at + stride) };
-    if fy > 0.0 {
-        let lower = if fx > 0.0 { get(q) + fx * (get(q + 1) - get(q)) } else { get(q) };
-        p + fy * (lower - p)
-    } else {
-        p
-    }
+    let at = row as usize * stride + column as usize;
+    // In the image's last row and column nothing beyond is read with any weight.
+    let pair = |at: usize| match bytes.get(at..).and_then(|rest| rest.first_chunk()) {
+        Some(&[p, q]) => (f32::from(p), f32::from(q)),
+        None => bytes.get(at).map_or((0.0, 0.0), |&p| (f32::from(p), f32::from(p))),
+    };
+    let ((p, q), (r, s)) = (pair(at), pair(at + stride));
+    let (upper, lower) = (p + fx * (q - p), r + fx * (s - r));
+    upper + fy * (lower - upper)
 }
 
 #[cfg(test)]

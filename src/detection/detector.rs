@@ -26,6 +26,8 @@ const MOST_GRIDS: usize = 2;
 const MOST_STARTS: usize = 16;
 /// Fewer corners than this are no grid: things that lie about make them.
 const LEAST_GROWN: usize = 7;
+/// A grid is looked for across its covers if it has so many corners more than one that was no board.
+const WORTH_BRIDGING: usize = 4;
 /// A candidate this near to a corner is that corner, in pixels of the level.
 const SAME_PX: f32 = 2.5;
 /// A grid as small as this that grows to more than a whole board on a finer level is none: stripes look so.
@@ -244,7 +246,7 @@ impl Detector {
         }
         // What was no board on a coarser level is not looked for across its covers again.
         let verified = self.grid.members.len();
-        if verified > seen.bridged {
+        if verified >= seen.bridged + WORTH_BRIDGING {
             seen.bridged = verified;
             if self.bridge(image) && !verify(image, &mut self.grid) {
                 return Found::Nothing;
