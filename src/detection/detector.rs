@@ -56,6 +56,7 @@ pub struct Detector {
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) blurs: Vec<f64>,
+    pub(super) stds: Vec<f64>,
     pub(super) refiner: Refiner,
     /// Where the last board lies in `part`, if the whole of it was seen.
     pub(super) whole: Option<Placement>,
@@ -101,6 +102,7 @@ impl Detector {
             guesses: Vec::new(),
             refined: Vec::new(),
             blurs: Vec::new(),
+            stds: Vec::new(),
             refiner: Refiner::new(),
             whole: None,
             last: LastBoard::default(),

@@ -22,6 +22,8 @@ const TIGHT_STD_PX: f64 = 0.3;
 /// How far a corner of a part may lie from where its neighbours put it, in steps; one with something in front of it.
 const MOST_ASTRAY: f32 = 0.12;
 const MOST_ASTRAY_TIGHT: f32 = 0.08;
+/// A corner whose standard deviation is so many of the usual ones may be another thing's, and is held to the same.
+const DOUBTFUL_STDS: f64 = 5.0;
 /// Corners that tell where those must be that have no square of their own.
 const LEAST_FIRM: usize = 8;
 
@@ -129,9 +131,15 @@ impl Detector {
         let firm = |i: i32, j: i32| part.is_firm(i, j);
         let known = part.members.iter().filter(|&&(i, j)| firm(i, j)).count();
         let of_firm = Perspective::fit_to(part, firm).filter(|_| known >= LEAST_FIRM);
+        self.stds.clear();
+        self.stds.extend(corners.iter().map(|corner| corner.std_px));
+        self.stds.sort_unstable_by(f64::total_cmp);
+        let usual_px = self.stds.get(corners.len() / 2).copied().unwrap_or(0.0);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            let near = |off: f32| off < MOST_ASTRAY;
+            let doubtful = corner.std_px > DOUBTFUL_STDS * usual_px;
+            let most = if doubtful { MOST_ASTRAY_TIGHT } else { MOST_ASTRAY };
+            let near = |off: f32| off < most;
             if !firm(i, j)
                 && let Some(off) = of_firm.as_ref().and_then(|board| board.off(part, i, j, firm))
             {
@@ -141,7 +149,7 @@ impl Detector {
                 return if tight { off.min(bent) < MOST_ASTRAY_TIGHT } else { near(off) };
             }
             // At the end of a line few neighbours tell, and a slant or a bend misleads them; the whole board knows better.
-            astray(part, i, j, MOST_ASTRAY).is_none_or(near)
+            astray(part, i, j, most).is_none_or(near)
                 || perspective.as_ref().and_then(|board| board.off(part, i, j, |_, _| true)).is_some_and(near)
         });
     }
