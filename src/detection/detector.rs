@@ -335,9 +335,9 @@ impl Detector {
         (self.board.cols as usize + 2) * (self.board.rows as usize + 2) + 1
     }
 
-    /// Fewer corners are not believed to be part of the board.
+    /// Fewer corners are not believed to be part of the board: a small one that the picture's border cuts off looks the same.
     pub(super) fn least_part(&self) -> usize {
-        LEAST_PART.max((self.board.corner_count() * 3 / 10).min(2 * LEAST_PART))
+        LEAST_PART.max((self.board.corner_count() * 2 / 5).min(2 * LEAST_PART))
     }
 
     pub(super) fn is_whole(&self) -> bool {

@@ -412,6 +412,20 @@ fn a_board_of_another_size_is_not_the_one_looked_for() {
     in_parallel(60 * OTHERS.len(), || Detector::new("9x6".parse().unwrap()), look);
 }
 
+/// Cut off by the picture's border, a small board looks as a part of a larger one does.
+#[test]
+fn a_small_board_cut_off_is_no_part_of_the_one_looked_for() {
+    const OTHERS: [&str; 4] = ["4x4", "5x4", "6x3", "5x3"];
+    let look = |detector: &mut Detector, number: usize| {
+        let (other, index) = (OTHERS[number % OTHERS.len()], number / OTHERS.len());
+        let seed = 600_000 + (1000 * (number % OTHERS.len()) + index) as u64;
+        let scene = Scene::new(seed, other.parse().unwrap(), Nuisance { covered: false, cropped: true });
+        let found = detector.find_board(scene.image.view(), &DetectOptions { allow_partial: true });
+        assert!(found.is_err(), "a {other} board, picture {index}, is answered as part of 9x6");
+    };
+    in_parallel(60 * OTHERS.len(), || Detector::new("9x6".parse().unwrap()), look);
+}
+
 #[test]
 fn the_same_picture_gives_the_same_bits_whatever_was_seen_before() {
     let board: BoardSize = "7x5".parse().unwrap();
