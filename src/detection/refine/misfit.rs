@@ -15,7 +15,7 @@ const PULL: [f64; 2] = [1.2, 0.7];
 /// With this many times the usual mean square a corner tells nothing about the board.
 const WITNESS: f64 = 2.5;
 /// No corner any more: this many times the usual mean square, and less than this part of the usual share of samples agrees.
-const NO_CORNER: (f64, f64) = (3.5, 0.69);
+const NO_CORNER: (f64, f64) = (3.0, 0.66);
 
 /// How well a corner's model fits its samples.
 #[derive(Debug, Clone, Copy)]
