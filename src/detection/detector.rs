@@ -219,7 +219,8 @@ impl Detector {
         self.grid.members.len() >= LEAST_GROWN
     }
 
-    /// The candidates of `level` that are corners of the grid, even of one too small, or of the best part (kept at level 0), seed no other.
+    /// The candidates of `level` that are corners of the grid, even of one too small, or of the best part (kept at level 0),
+    /// seed no other.
     fn spend(&mut self, level: usize, of_part: bool) {
         let (grid, scale) = if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
         let (offset, used) = (Vec2::repeat(0.5), &mut self.used);

@@ -72,13 +72,12 @@ impl Detector {
 
     /// The detection of `corners`, with the middle one of the blurs that were seen.
     pub(super) fn detection(&mut self, placement: Placement, corners: Vec<DetectedCorner>) -> Detection {
-        self.blurs.sort_unstable_by(f64::total_cmp);
         Detection {
             board: self.board,
             partial: corners.len() < self.board.corner_count(),
             position_known: placement.known,
             orientation_ambiguous: self.board.orientation_ambiguous(),
-            blur_px: self.blurs.get(self.blurs.len() / 2).copied().unwrap_or(0.0),
+            blur_px: middle_one(&mut self.blurs),
             corners,
         }
     }
@@ -133,8 +132,7 @@ impl Detector {
         let of_firm = Perspective::fit_to(part, firm).filter(|_| known >= LEAST_FIRM);
         self.stds.clear();
         self.stds.extend(corners.iter().map(|corner| corner.std_px));
-        self.stds.sort_unstable_by(f64::total_cmp);
-        let usual_px = self.stds.get(corners.len() / 2).copied().unwrap_or(0.0);
+        let usual_px = middle_one(&mut self.stds);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
             let doubtful = corner.std_px > DOUBTFUL_STDS * usual_px;
@@ -195,6 +193,12 @@ impl Detector {
         let in_place = clear && off_neighbours(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
         complete && seen >= 2 && held == seen && in_place
     }
+}
+
+/// The middle one of `values`, which are sorted for it; 0 if there are none.
+fn middle_one(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of a square, at least 0.3.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use plumb::detection::board_detection::{DetectOptions, Detection};
+use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use plumb::detection::detector::Detector;
 use plumb::geometry::board::BoardSize;
 use plumb::geometry::pixel::Pixel;
@@ -13,15 +13,15 @@ use plumb::imaging::picture_file::frame_from_file;
 
 use crate::shared_data::shared_data;
 
-fn look(detector: &mut Detector, path: &Path) -> Detection {
+/// What `detector` answers of the picture at `path`.
+pub fn look(detector: &mut Detector, path: &Path, allow_partial: bool) -> Result<Detection, NoBoard> {
     let mut image = GrayImage::default();
     luma(&frame_from_file(SensorKind::Color, std::fs::read(path).unwrap()), &mut image).unwrap();
-    let found = detector.find_board(image.view(), &DetectOptions { allow_partial: true });
-    found.unwrap_or_else(|no_board| panic!("{}: {no_board}", path.display()))
+    detector.find_board(image.view(), &DetectOptions { allow_partial })
 }
 
 /// The pictures in the folder `name`, in the order of their names; there must be `count`.
-fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
+pub fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(shared_data(name)?).unwrap().map(|entry| entry.unwrap().path());
     let is_picture = |path: &PathBuf| path.extension().is_some_and(|kind| kind == "jpg" || kind == "png");
     let mut paths: Vec<PathBuf> = entries.filter(is_picture).collect();
@@ -62,7 +62,7 @@ fn assert_all_whole(folder: &str, count: usize, board: &str) {
     let board: BoardSize = board.parse().unwrap();
     let mut detector = Detector::new(board);
     for path in &paths {
-        let found = look(&mut detector, path);
+        let found = look(&mut detector, path, true).unwrap_or_else(|reason| panic!("{}: {reason}", path.display()));
         assert!(!found.partial && found.position_known, "{}: {} corners", path.display(), found.corners.len());
         assert_eq!(found.corners.len(), board.corner_count());
         assert_even_grid(&found, path);

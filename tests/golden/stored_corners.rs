@@ -6,22 +6,17 @@
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point2;
-use plumb::detection::board_detection::{DetectOptions, Detection};
+use plumb::detection::board_detection::{Detection, NoBoard};
 use plumb::detection::detector::Detector;
 use plumb::geometry::board::BoardSize;
 use plumb::geometry::homography::Homography;
 use plumb::geometry::pixel::Pixel;
-use plumb::imaging::decode::luma;
-use plumb::imaging::frame::SensorKind;
-use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
 
+use crate::real_boards::{look, pictures};
 use crate::shared_data::shared_data;
 
-fn find(path: &Path, board: &str, allow_partial: bool) -> Option<Detection> {
-    let mut image = GrayImage::default();
-    luma(&frame_from_file(SensorKind::Color, std::fs::read(path).unwrap()), &mut image).unwrap();
-    Detector::new(board.parse().unwrap()).find_board(image.view(), &DetectOptions { allow_partial }).ok()
+fn find(path: &Path, board: &str, allow_partial: bool) -> Result<Detection, NoBoard> {
+    look(&mut Detector::new(board.parse().unwrap()), path, allow_partial)
 }
 
 /// The matrix of points in OpenCV's YAML: its columns, its rows, and the points row by row.
@@ -132,20 +127,16 @@ fn boards_that_opencv_calls_absent_are_never_whole() {
     let Some(folder) = shared_data("opencv-extra-chess") else { return };
     for k in 1..=3 {
         let picture = folder.join(format!("negative_{k}.png"));
-        assert_eq!(find(&picture, "6x7", false), None, "negative_{k}");
-        assert!(find(&picture, "6x7", true).is_none_or(|found| found.partial), "negative_{k}");
+        assert!(find(&picture, "6x7", false).is_err(), "negative_{k}");
+        assert!(find(&picture, "6x7", true).is_ok_and(|found| found.partial), "negative_{k}");
     }
 }
 
 #[test]
 fn small_corners_lie_nearer_to_a_plane_than_those_stored() {
-    let Some(folder) = shared_data("opencv-extra-subpixel") else { return };
-    let mut pictures: Vec<PathBuf> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
-    pictures.retain(|path| path.extension().is_some_and(|kind| kind == "png"));
-    pictures.sort();
+    let Some(paths) = pictures("opencv-extra-subpixel", 33) else { return };
     let pairs: Vec<(PathBuf, PathBuf)> =
-        pictures.into_iter().map(|path| (path.clone(), path.with_extension("yml"))).collect();
-    assert_eq!(pairs.len(), 33);
+        paths.into_iter().map(|path| (path.clone(), path.with_extension("yml"))).collect();
     let compared = compare_all(&pairs);
     let (mut mean, mut off_plane) = ([0.0; 2], [0.0; 2]);
     for (name, Compared { mean_px, largest_px, off_plane_px: [ours, theirs], .. }) in &compared {

@@ -148,9 +148,10 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         rest = tail;
         &mut S::as_mut_simd_f32s(column).0[..count]
     });
-    for edge in 0..2 {
-        profiles(simd, [xs, ys], model, edge, &mut out);
-    }
+    // The place of what is overwritten in the end, for a start.
+    let [s0, s1, d0, d1, p0, p1, f0, f1, ..] = &mut out;
+    profiles(simd, [xs, ys], model, 0, [s0, d0, p0, f0]);
+    profiles(simd, [xs, ys], model, 1, [s1, d1, p1, f1]);
     let sharpness = model.sharpness.map(of);
     let less_sharpness = model.sharpness.map(|k| of(-k));
     let rho = model.correlation();
@@ -234,15 +235,15 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     }
 }
 
-/// Where samples lie along and across an edge, and its profile there: into the columns `edge`, 2 + `edge`, 4 + `edge` (the
-/// step) and 6 + `edge` (its slope). In a loop of its own, which is short enough for the processor to look ahead.
+/// Where samples lie along and across an edge, and its profile there: the step and its slope. In a loop of its own, which is
+/// short enough for the processor to look ahead.
 #[inline(always)]
 fn profiles<S: Simd>(
     simd: S,
     [xs, ys]: [&[S::f32s]; 2],
     model: &CornerModel,
     edge: usize,
-    out: &mut [&mut [S::f32s]; COLUMNS],
+    [s_out, d_out, p_out, f_out]: [&mut [S::f32s]; 4],
 ) {
     let of = |value: f64| simd.splat_f32s(value as f32);
     let ([ax, ay], [nx, ny]) = (model.along[edge], model.normals()[edge]);
@@ -252,8 +253,6 @@ fn profiles<S: Simd>(
     let half_curvature = of(model.curvature[edge] / 2.0);
     let sharpness = of(model.sharpness[edge]);
     let [ax, ay, nx, ny] = [ax, ay, nx, ny].map(of);
-    let [s_out, d_out, p_out, f_out] =
-        out.get_disjoint_mut([edge, 2 + edge, 4 + edge, 6 + edge]).expect("four columns").map(|column| &mut **column);
     let count = xs.len();
     let (ys, s_out, d_out) = (&ys[..count], &mut s_out[..count], &mut d_out[..count]);
     let (p_out, f_out) = (&mut p_out[..count], &mut f_out[..count]);
