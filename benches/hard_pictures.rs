@@ -1,10 +1,11 @@
-//! The hardest conditions a board is found under, and ordinary ones at every size, rendered with exact truth, and what is
-//! found in them.
+//! The hardest conditions a board is found under, and ordinary ones at every size, rendered with
+//! exact truth, and what is found in them.
 //!
 //!     cargo bench --bench hard_pictures -- FOLDER
 //!
-//! Writes FOLDER/NAME.png (the picture), FOLDER/NAME.jpg (what was found drawn over it), and FOLDER/truth.json, which
-//! `benches/detectors.py FOLDER` shows to other detectors. Prints how many corners were found and how far off they are.
+//! Writes FOLDER/NAME.png (the picture), FOLDER/NAME.jpg (what was found drawn over it), and
+//! FOLDER/truth.json, which `benches/detectors.py FOLDER` shows to other detectors. Prints how many
+//! corners were found and how far off they are.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
 
@@ -74,7 +75,13 @@ fn hard_cases() -> [Case; 8] {
         Case { bar: Some([260, 90, 360, 400]), ..case("covered") },
         Case { aside: [0.42, 0.2], ..case("cut") },
         Case { cell_px: 6.0, tilt_deg: 10.0, ..case("small") },
-        Case { distortion: -0.3, cell_px: 62.0, roll_deg: 0.0, tilt_deg: 15.0, ..case("distorted") },
+        Case {
+            distortion: -0.3,
+            cell_px: 62.0,
+            roll_deg: 0.0,
+            tilt_deg: 15.0,
+            ..case("distorted")
+        },
         Case { jpeg: Some(12), ..case("jpeg") },
     ]
 }
@@ -99,11 +106,17 @@ fn render(case: &Case, board: Chessboard) -> Result<(Luma, Vec<Pixel>), Box<dyn 
     let focal_px = width / 1.28;
     let middle_px = [width / 2.0 + 2.0, height / 2.0 - 2.0];
     let radial = [case.distortion, case.distortion * -0.25];
-    let parameters = [focal_px, focal_px, middle_px[0], middle_px[1], 0.0, radial[0], radial[1], 0.0, 0.0, 0.0];
+    let parameters =
+        [focal_px, focal_px, middle_px[0], middle_px[1], 0.0, radial[0], radial[1], 0.0, 0.0, 0.0];
     let lens = Lens::from_parameters(LensModel::Brown, &parameters).ok_or("lens")?;
-    let sensor =
-        PictureSensor { blur_px: case.blur_px, full_well_e: case.full_well_e, ..PictureSensor::new(case.size, lens) };
-    let tilt = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 1.0, 0.0).normalize() * case.tilt_deg.to_radians());
+    let sensor = PictureSensor {
+        blur_px: case.blur_px,
+        full_well_e: case.full_well_e,
+        ..PictureSensor::new(case.size, lens)
+    };
+    let tilt = UnitQuaternion::from_scaled_axis(
+        Vector3::new(0.3, 1.0, 0.0).normalize() * case.tilt_deg.to_radians(),
+    );
     let roll = UnitQuaternion::from_scaled_axis(Vector3::z() * case.roll_deg.to_radians());
     let distance_m = SQUARE_M * focal_px / case.cell_px;
     let aim = Vector3::new(case.aside[0], case.aside[1], 1.0) * distance_m;
@@ -123,25 +136,31 @@ fn render(case: &Case, board: Chessboard) -> Result<(Luma, Vec<Pixel>), Box<dyn 
     let mut picture = Luma::from_raw(case.size.width, case.size.height, pixels).ok_or("pixels")?;
     if let Some([left, top, right, bottom]) = case.bar {
         let inside = |x: u32, y: u32| (left..right).contains(&x) && (top..bottom).contains(&y);
-        picture.enumerate_pixels_mut().filter(|(x, y, _)| inside(*x, *y)).for_each(|(_, _, pixel)| pixel.0 = [140]);
+        picture
+            .enumerate_pixels_mut()
+            .filter(|(x, y, _)| inside(*x, *y))
+            .for_each(|(_, _, pixel)| pixel.0 = [140]);
     }
     if let Some(quality) = case.jpeg {
         let mut bytes = Vec::new();
         JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&picture)?;
-        picture = DynamicImage::from_decoder(JpegDecoder::new(std::io::Cursor::new(bytes))?)?.into_luma8();
+        picture = DynamicImage::from_decoder(JpegDecoder::new(std::io::Cursor::new(bytes))?)?
+            .into_luma8();
     }
     Ok((picture, corners))
 }
 
 /// Whether a corner is to be seen.
 fn is_seen(case: &Case, corner: Pixel) -> bool {
-    let inside =
-        |[left, top, right, bottom]: [f64; 4]| (left..right).contains(&corner.x) && (top..bottom).contains(&corner.y);
+    let inside = |[left, top, right, bottom]: [f64; 4]| {
+        (left..right).contains(&corner.x) && (top..bottom).contains(&corner.y)
+    };
     let covered = case.bar.is_some_and(|bar| {
         let [left, top, right, bottom] = bar.map(f64::from);
         inside([left - 4.0, top - 4.0, right + 3.0, bottom + 3.0])
     });
-    inside([2.0, 2.0, f64::from(case.size.width) - 3.0, f64::from(case.size.height) - 3.0]) && !covered
+    inside([2.0, 2.0, f64::from(case.size.width) - 3.0, f64::from(case.size.height) - 3.0])
+        && !covered
 }
 
 /// Looks into one picture, writes it with what was found; returns its line of the truth.
@@ -151,19 +170,30 @@ fn look(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error>>
     let (picture, corners) = render(case, board)?;
     let file = format!("{}.png", case.name);
     picture.save(folder.join(&file))?;
-    let image = GrayImage::from_pixels(case.size.width as usize, case.size.height as usize, picture.as_raw().clone())
-        .ok_or("size")?;
-    let found = Detector::new(board.size).find_board(image.view(), &DetectOptions { allow_partial: true });
+    let image = GrayImage::from_pixels(
+        case.size.width as usize,
+        case.size.height as usize,
+        picture.as_raw().clone(),
+    )
+    .ok_or("size")?;
+    let found =
+        Detector::new(board.size).find_board(image.view(), &DetectOptions { allow_partial: true });
     let mut drawn: RgbImage = DynamicImage::ImageLuma8(picture).into_rgb8();
     let seen: Vec<bool> = corners.iter().map(|corner| is_seen(case, *corner)).collect();
     let of_seen = seen.iter().filter(|seen| **seen).count();
     match found {
         Ok(detection) => {
             let pixels: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
-            let nearest = |pixel: &Pixel| corners.iter().map(|c| c.distance_px(*pixel)).fold(f64::MAX, f64::min);
+            let nearest = |pixel: &Pixel| {
+                corners.iter().map(|c| c.distance_px(*pixel)).fold(f64::MAX, f64::min)
+            };
             let squares: f64 = pixels.iter().map(|pixel| nearest(pixel).powi(2)).sum();
             let rms_px = (squares / pixels.len() as f64).sqrt();
-            println!("{:<20} {:>3} of {of_seen} corners, {rms_px:.4} px rms", case.name, pixels.len());
+            println!(
+                "{:<20} {:>3} of {of_seen} corners, {rms_px:.4} px rms",
+                case.name,
+                pixels.len()
+            );
             draw_corners(&mut drawn, &pixels);
         }
         Err(reason) => println!("{:<20} none of {of_seen} corners: {reason}", case.name),
@@ -171,7 +201,9 @@ fn look(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error>>
     let marked = std::fs::File::create(folder.join(format!("{}.jpg", case.name)))?;
     JpegEncoder::new_with_quality(marked, 82).encode_image(&drawn)?;
     let corners: Vec<[f64; 2]> = corners.iter().map(|corner| [corner.x, corner.y]).collect();
-    Ok(serde_json::json!({ "file": file, "cols": cols, "rows": rows, "corners": corners, "seen": seen }))
+    Ok(
+        serde_json::json!({ "file": file, "cols": cols, "rows": rows, "corners": corners, "seen": seen }),
+    )
 }
 
 fn main() -> Result<(), Box<dyn Error>> {

@@ -2,11 +2,16 @@
 //!
 //!     cargo bench --bench solving -- [VIEWS …]
 //!
-//! Seeded views of an 11×8 board, one thread, everything that `plumb solve` times: lens, poses, covariance, halves, verdict. The first
-//! solve of the process is what a command pays; the fastest of many what a daemon does. Then a session of 50 solved views
-//! to which one is added: its running estimate with uncertainty, warm and anew.
+//! Seeded views of an 11×8 board, one thread, everything that `plumb solve` times: lens, poses,
+//! covariance, halves, verdict. The first solve of the process is what a command pays; the fastest
+//! of many what a daemon does. Then a session of 50 solved views to which one is added: its running
+//! estimate with uncertainty, warm and anew.
 
-#![expect(clippy::print_stdout, clippy::unwrap_used, reason = "a benchmark prints what it measures")]
+#![expect(
+    clippy::print_stdout,
+    clippy::unwrap_used,
+    reason = "a benchmark prints what it measures"
+)]
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -31,9 +36,11 @@ fn problem(views: usize) -> CameraProblem {
 }
 
 fn main() {
-    let asked: Vec<usize> = std::env::args().skip(1).filter_map(|argument| argument.parse().ok()).collect();
+    let asked: Vec<usize> =
+        std::env::args().skip(1).filter_map(|argument| argument.parse().ok()).collect();
     let sizes = if asked.is_empty() { vec![10, 30, 100, 300, 1000] } else { asked };
-    let options = CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() };
+    let options =
+        CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() };
     println!("views  first ms  fastest ms  fastest ms/view");
     for views in sizes {
         let problem = problem(views);
@@ -47,7 +54,8 @@ fn main() {
     let (solved, _) = estimate_views(&earlier, &options).unwrap();
     let warm = CameraOptions { start: Some(solved.to_start()), ..options.clone() };
     let times = |options: &CameraOptions| {
-        let mut times: Vec<f64> = (0..100).map(|_| once_ms(|| estimate_views(&all, options).unwrap())).collect();
+        let mut times: Vec<f64> =
+            (0..100).map(|_| once_ms(|| estimate_views(&all, options).unwrap())).collect();
         times.sort_unstable_by(f64::total_cmp);
         (times[0], times[times.len() / 2])
     };

@@ -1,9 +1,11 @@
-//! A board followed from picture to picture, beside the same pictures each searched: what live use saves.
+//! A board followed from picture to picture, beside the same pictures each searched: what live use
+//! saves.
 //!
 //!     cargo bench --bench tracking -- [FRAMES [FPS]]
 //!
-//! Simulated walks of a 9×6 board, one thread. For each size: the median time of a search and of following, in milliseconds,
-//! their ratio, and how many pictures were followed; the others were searched in the same call, and count as well.
+//! Simulated walks of a 9×6 board, one thread. For each size: the median time of a search and of
+//! following, in milliseconds, their ratio, and how many pictures were followed; the others were
+//! searched in the same call, and count as well.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
 
@@ -23,9 +25,13 @@ fn main() {
     let (frames, fps) = (numbers.next().unwrap_or(24), numbers.next().unwrap_or(30));
     println!("size        search ms  follow ms  ratio  followed");
     for (width, height) in [(640, 480), (1280, 720), (1920, 1080), (3840, 2160)] {
-        let options = WorldOptions { fps: f64::from(fps), ..WorldOptions::new(5, ImageSize::new(width, height)) };
+        let options = WorldOptions {
+            fps: f64::from(fps),
+            ..WorldOptions::new(5, ImageSize::new(width, height))
+        };
         let mut world = World::new(&options);
-        let images: Vec<GrayImage> = (0..u64::from(frames)).map(|index| world.frame(index).image).collect();
+        let images: Vec<GrayImage> =
+            (0..u64::from(frames)).map(|index| world.frame(index).image).collect();
         let board = world.board().size;
         let (mut searcher, mut warm) = (Detector::new(board), Detector::new(board));
         let (mut searched, mut tracked, mut followed) = (Vec::new(), Vec::new(), 0);
@@ -41,15 +47,20 @@ fn main() {
                 // Each time anew from the picture before, which is not counted.
                 let _ = warm.track_board(before.view(), &DetectOptions::default());
                 let started = Instant::now();
-                was_followed =
-                    warm.track_board(now.view(), &DetectOptions::default()).is_ok_and(|sighting| sighting.followed);
+                was_followed = warm
+                    .track_board(now.view(), &DetectOptions::default())
+                    .is_ok_and(|sighting| sighting.followed);
                 started.elapsed().as_secs_f64()
             }));
             followed += u32::from(was_followed);
         }
         let (searched, tracked) = (median(&mut searched), median(&mut tracked));
         let size = format!("{width}x{height}");
-        println!("{size:<11} {searched:>9.3} {tracked:>10.3} {:>6.3}  {followed}/{}", tracked / searched, frames - 1);
+        println!(
+            "{size:<11} {searched:>9.3} {tracked:>10.3} {:>6.3}  {followed}/{}",
+            tracked / searched,
+            frames - 1
+        );
     }
 }
 

@@ -1,8 +1,8 @@
 //! The daemon's configuration: TOML text → [`Written`] (what it says) → [`Config`] (what it means).
 //!
-//! Reading is apart from checking: [`Written::parse`] needs no file system, [`Written::check`] looks whether what is
-//! named is there. Every refusal names the key, the file and the line. Relative paths are taken from the directory that
-//! the daemon runs in.
+//! Reading is apart from checking: [`Written::parse`] needs no file system, [`Written::check`]
+//! looks whether what is named is there. Every refusal names the key, the file and the line.
+//! Relative paths are taken from the directory that the daemon runs in.
 //!
 //! ```toml
 //! [server]
@@ -137,9 +137,13 @@ impl Config {
     /// # Errors
     /// [`ConfigError`].
     pub fn load(path: Option<&Path>, overrides: &Overrides) -> Result<Self, ConfigError> {
-        let Some(path) = path else { return Written::parse("", Path::new("(no file)"))?.check(overrides) };
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| ConfigError::Unreadable { file: path.to_owned(), detail: error.to_string() })?;
+        let Some(path) = path else {
+            return Written::parse("", Path::new("(no file)"))?.check(overrides);
+        };
+        let text = std::fs::read_to_string(path).map_err(|error| ConfigError::Unreadable {
+            file: path.to_owned(),
+            detail: error.to_string(),
+        })?;
         Written::parse(&text, path)?.check(overrides)
     }
 }
@@ -208,16 +212,28 @@ pub(crate) struct Place {
 
 impl Place {
     /// A refusal of what stands at `span` under `key`.
-    pub(crate) fn refuse(&self, span: &Range<usize>, key: &str, problem: impl Into<String>) -> ConfigError {
+    pub(crate) fn refuse(
+        &self,
+        span: &Range<usize>,
+        key: &str,
+        problem: impl Into<String>,
+    ) -> ConfigError {
         let before = &self.text.as_bytes()[..span.start.min(self.text.len())];
         let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
-        ConfigError::Refused { file: self.file.clone(), line, key: key.to_owned(), problem: problem.into() }
+        ConfigError::Refused {
+            file: self.file.clone(),
+            line,
+            key: key.to_owned(),
+            problem: problem.into(),
+        }
     }
 
     /// The key that the value at `span` is given to: what stands before the `=` before it.
     fn key_before(&self, span: &Range<usize>) -> Option<String> {
         let before = self.text.get(..span.start)?.trim_end().strip_suffix('=')?.trim_end();
-        let key = before.rsplit(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-' || c == '.')).next()?;
+        let key = before
+            .rsplit(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-' || c == '.'))
+            .next()?;
         (!key.is_empty()).then(|| key.to_owned())
     }
 }
@@ -226,16 +242,25 @@ impl Written {
     /// Reads `text`; `file` is what refusals call it. Looks at nothing else.
     ///
     /// # Errors
-    /// [`ConfigError::Refused`] for text that is not TOML, an unknown or missing key, a value of the wrong type.
+    /// [`ConfigError::Refused`] for text that is not TOML, an unknown or missing key, a value of
+    /// the wrong type.
     pub fn parse(text: &str, file: &Path) -> Result<Self, ConfigError> {
         let place = Place { file: file.to_owned(), text: text.to_owned() };
         match toml::from_str(text) {
             Ok(tables) => Ok(Self { tables, place }),
             Err(error) => {
                 let span = error.span().unwrap_or(0..0);
-                let named = error.message().split('`').nth(1).filter(|_| error.message().contains(" field `"));
+                let named = error
+                    .message()
+                    .split('`')
+                    .nth(1)
+                    .filter(|_| error.message().contains(" field `"));
                 let key = named.map(str::to_owned).or_else(|| place.key_before(&span));
-                Err(place.refuse(&span, key.as_deref().unwrap_or("syntax"), one_line(error.message())))
+                Err(place.refuse(
+                    &span,
+                    key.as_deref().unwrap_or("syntax"),
+                    one_line(error.message()),
+                ))
             }
         }
     }
@@ -243,12 +268,13 @@ impl Written {
     /// Whether it can be run as it stands, and what it then means.
     ///
     /// # Errors
-    /// [`ConfigError`] for the first thing that cannot be: a name used twice, a file that is not there, an impossible
-    /// size, an address that others can reach without a token.
+    /// [`ConfigError`] for the first thing that cannot be: a name used twice, a file that is not
+    /// there, an impossible size, an address that others can reach without a token.
     pub fn check(self, overrides: &Overrides) -> Result<Config, ConfigError> {
         let Self { tables, place } = self;
         let token = check_token(tables.server.token_file.as_ref(), &place)?;
-        let listen = check_listen(tables.server.listen.as_ref(), token.is_some(), overrides, &place)?;
+        let listen =
+            check_listen(tables.server.listen.as_ref(), token.is_some(), overrides, &place)?;
         let mut cameras: Vec<CameraConfig> = Vec::new();
         for table in &tables.camera {
             let taken: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -263,7 +289,10 @@ impl Written {
     }
 }
 
-fn check_token(file: Option<&Spanned<PathBuf>>, place: &Place) -> Result<Option<Token>, ConfigError> {
+fn check_token(
+    file: Option<&Spanned<PathBuf>>,
+    place: &Place,
+) -> Result<Option<Token>, ConfigError> {
     let Some(file) = file else { return Ok(None) };
     let path = file.get_ref();
     let refuse = |problem: String| place.refuse(&file.span(), "server.token_file", problem);
@@ -271,7 +300,9 @@ fn check_token(file: Option<&Spanned<PathBuf>>, place: &Place) -> Result<Option<
         .map_err(|error| refuse(format!("`{}` cannot be read: {error}", path.display())))?;
     match text.lines().next().map(str::trim) {
         Some(token) if !token.is_empty() => Ok(Some(Token(token.to_owned()))),
-        _ => Err(refuse(format!("`{}` is empty; its first line must be the token", path.display()))),
+        _ => {
+            Err(refuse(format!("`{}` is empty; its first line must be the token", path.display())))
+        }
     }
 }
 
@@ -286,8 +317,9 @@ fn check_listen(
         return parse_listen(text, has_token).map_err(refuse);
     }
     let Some(listen) = listen else { return Ok(DEFAULT_LISTEN) };
-    parse_listen(listen.get_ref(), has_token)
-        .map_err(|problem| place.refuse(&listen.span(), "server.listen", format!("`{}` {problem}", listen.get_ref())))
+    parse_listen(listen.get_ref(), has_token).map_err(|problem| {
+        place.refuse(&listen.span(), "server.listen", format!("`{}` {problem}", listen.get_ref()))
+    })
 }
 
 fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
@@ -300,20 +332,28 @@ fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
     }
 }
 
-fn check_rigs(tables: &[RigTable], cameras: &[CameraConfig], place: &Place) -> Result<Vec<RigConfig>, ConfigError> {
+fn check_rigs(
+    tables: &[RigTable],
+    cameras: &[CameraConfig],
+    place: &Place,
+) -> Result<Vec<RigConfig>, ConfigError> {
     let known: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
     let mut rigs: Vec<RigConfig> = Vec::new();
     for table in tables {
-        let taken: Vec<&str> = known.iter().copied().chain(rigs.iter().map(|rig| rig.name.as_str())).collect();
+        let taken: Vec<&str> =
+            known.iter().copied().chain(rigs.iter().map(|rig| rig.name.as_str())).collect();
         let name = check_name(("rig.name", &table.name), &taken, place)?;
         let members = table.cameras.get_ref();
-        let refuse = |problem: String| Err(place.refuse(&table.cameras.span(), "rig.cameras", problem));
+        let refuse =
+            |problem: String| Err(place.refuse(&table.cameras.span(), "rig.cameras", problem));
         if members.len() < 2 {
             return refuse("a rig has two cameras or more; name them".to_owned());
         }
         for (k, member) in members.iter().enumerate() {
             if !known.contains(&member.as_str()) {
-                return refuse(format!("there is no camera `{member}`; name those of the [[camera]] tables"));
+                return refuse(format!(
+                    "there is no camera `{member}`; name those of the [[camera]] tables"
+                ));
             }
             if members[..k].contains(member) {
                 return refuse(format!("`{member}` is named twice; name each camera once"));
@@ -324,9 +364,14 @@ fn check_rigs(tables: &[RigTable], cameras: &[CameraConfig], place: &Place) -> R
     Ok(rigs)
 }
 
-fn check_name((key, name): (&str, &Spanned<String>), taken: &[&str], place: &Place) -> Result<String, ConfigError> {
+fn check_name(
+    (key, name): (&str, &Spanned<String>),
+    taken: &[&str],
+    place: &Place,
+) -> Result<String, ConfigError> {
     let text = name.get_ref();
-    let refuse = |problem: &str| Err(place.refuse(&name.span(), key, format!("`{text}` {problem}")));
+    let refuse =
+        |problem: &str| Err(place.refuse(&name.span(), key, format!("`{text}` {problem}")));
     let allowed = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
     if text.is_empty() || text.len() > 64 || !text.chars().all(allowed) {
         return refuse("is no name; use 1 to 64 letters, digits, `-` and `_`");
@@ -347,13 +392,17 @@ mod tests {
 
     fn refusal(text: &str) -> String {
         let file = Path::new("plumb.toml");
-        let config = Written::parse(text, file).and_then(|written| written.check(&Overrides::default()));
+        let config =
+            Written::parse(text, file).and_then(|written| written.check(&Overrides::default()));
         config.unwrap_err().to_string()
     }
 
     #[test]
     fn an_empty_file_means_every_default() {
-        let config = Written::parse("", Path::new("plumb.toml")).unwrap().check(&Overrides::default()).unwrap();
+        let config = Written::parse("", Path::new("plumb.toml"))
+            .unwrap()
+            .check(&Overrides::default())
+            .unwrap();
         let expected = Config {
             listen: "127.0.0.1:8600".parse().unwrap(),
             token: None,
@@ -368,13 +417,25 @@ mod tests {
     #[test]
     fn a_refusal_names_file_line_and_key() {
         let cases = [
-            ("[server]\nlisten = \"127.0.0.1:1\"\nportt = 3\n", "plumb.toml:3: portt: unknown field `portt`"),
+            (
+                "[server]\nlisten = \"127.0.0.1:1\"\nportt = 3\n",
+                "plumb.toml:3: portt: unknown field `portt`",
+            ),
             ("[servers]\n", "plumb.toml:1: servers: unknown field `servers`"),
             ("\n[server]\nlisten = 8600\n", "plumb.toml:3: listen: invalid type: integer `8600`"),
             ("[server]\nlisten = \"here\"\n", "plumb.toml:2: server.listen: `here` is no address"),
-            ("[server]\nlisten = \"0.0.0.0:1\"\n", "plumb.toml:2: server.listen: `0.0.0.0:1` can be reached by others"),
-            ("[server]\ntoken_file = \"/not/there\"\n", "plumb.toml:2: server.token_file: `/not/there` cannot be read"),
-            ("[[camera]]\nsource = { kind = \"simulator\" }\n", "plumb.toml:1: name: missing field `name`"),
+            (
+                "[server]\nlisten = \"0.0.0.0:1\"\n",
+                "plumb.toml:2: server.listen: `0.0.0.0:1` can be reached by others",
+            ),
+            (
+                "[server]\ntoken_file = \"/not/there\"\n",
+                "plumb.toml:2: server.token_file: `/not/there` cannot be read",
+            ),
+            (
+                "[[camera]]\nsource = { kind = \"simulator\" }\n",
+                "plumb.toml:1: name: missing field `name`",
+            ),
             ("[[camera]]\nname = \"front\"\n", "plumb.toml:1: source: missing field `source`"),
             (
                 "[[camera]]\nname = \"a/b\"\nsource = { kind = \"simulator\" }\n",
@@ -393,7 +454,10 @@ mod tests {
     fn a_name_is_used_once() {
         let camera = "[[camera]]\nname = \"front\"\nsource = { kind = \"simulator\" }\n";
         let message = refusal(&camera.repeat(2));
-        assert!(message.starts_with("plumb.toml:5: camera.name: `front` is used twice"), "{message}");
+        assert!(
+            message.starts_with("plumb.toml:5: camera.name: `front` is used twice"),
+            "{message}"
+        );
     }
 
     #[test]

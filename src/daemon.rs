@@ -1,7 +1,7 @@
 //! The daemon: starts in order (address, store, cameras, HTTP), ends in reverse.
 //!
-//! Nothing is begun that a later step may refuse for a reason that could be known before: the address is taken first,
-//! so that a second daemon neither opens the store nor a camera.
+//! Nothing is begun that a later step may refuse for a reason that could be known before: the
+//! address is taken first, so that a second daemon neither opens the store nor a camera.
 
 mod reload;
 pub mod sources;
@@ -28,7 +28,9 @@ use crate::store::{Store, StoreError};
 #[derive(Debug, thiserror::Error)]
 pub enum DaemonError {
     /// The address is not to be had.
-    #[error("cannot listen on {address}: {source}; stop whoever has it (another plumb?), or give another --listen")]
+    #[error(
+        "cannot listen on {address}: {source}; stop whoever has it (another plumb?), or give another --listen"
+    )]
     Listen {
         /// What was asked for.
         address: SocketAddr,
@@ -56,8 +58,8 @@ const HTTP_THREADS: usize = 2;
 /// What a request may still be computing when everything else has ended.
 const LAST_WAIT: Duration = Duration::from_millis(100);
 
-/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from, and what SIGHUP reads
-/// again.
+/// Runs until the process is asked to end (Ctrl-C, SIGTERM); `file` is where `config` came from,
+/// and what SIGHUP reads again.
 ///
 /// # Errors
 /// [`DaemonError`] when it cannot start.
@@ -67,7 +69,10 @@ pub fn run(config: &Config, file: Option<PathBuf>) -> Result<(), DaemonError> {
         .thread_name("http")
         .enable_all()
         .build()
-        .map_err(|source| DaemonError::System { what: "the threads for HTTP could not be started", source })?;
+        .map_err(|source| DaemonError::System {
+            what: "the threads for HTTP could not be started",
+            source,
+        })?;
     let outcome = run_on(&runtime, config, file);
     runtime.shutdown_timeout(LAST_WAIT);
     outcome
@@ -77,8 +82,9 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     // Before anything is begun, so that a signal that comes early ends it as cleanly as a late one.
     let stop = runtime.block_on(async { asked_to_stop() })?;
     let address = config.listen;
-    let listener =
-        runtime.block_on(TcpListener::bind(address)).map_err(|source| DaemonError::Listen { address, source })?;
+    let listener = runtime
+        .block_on(TcpListener::bind(address))
+        .map_err(|source| DaemonError::Listen { address, source })?;
     let store = Arc::new(Store::open(&config.store_path)?);
     let plans = config.cameras.iter().map(plan_of).collect();
     let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
@@ -90,7 +96,10 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let reload = Reload { fleet: Arc::clone(&fleet), file: file.clone(), config: config.clone() };
     runtime.block_on(async { reload.with_each_hangup() })?;
     let listening = listener.local_addr().unwrap_or(address);
-    tracing::info!(file = file.map(|file| file.display().to_string()), "listening on http://{listening}");
+    tracing::info!(
+        file = file.map(|file| file.display().to_string()),
+        "listening on http://{listening}"
+    );
     let token = config.token.as_ref().map(|token| token.reveal().to_owned());
     let service = Service { fleet: Arc::clone(&fleet), store, token };
     #[cfg(target_os = "linux")]

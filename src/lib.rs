@@ -1,9 +1,10 @@
-//! Plumb: a daemon beside a robot's cameras that finds chessboards live, gathers views, calibrates, and says how far to
-//! trust the result.
+//! Plumb: a daemon beside a robot's cameras that finds chessboards live, gathers views, calibrates,
+//! and says how far to trust the result.
 //!
 //! # The map
 //!
-//! Layers from the ground up; each uses only what is named (`tests/system/layering.rs` enforces it):
+//! Layers from the ground up; each uses only what is named (`tests/system/layering.rs` enforces
+//! it):
 //!
 //! | layer | what it is | may use |
 //! | --- | --- | --- |
@@ -36,9 +37,10 @@
 //!
 //! # Words
 //!
-//! *device* (hardware), *source* (yields frames), *sensor* (colour, infrared, depth), *frame* (one image), *frame set*
-//! (taken together), *detection* (a board found), *view* (a detection kept), *session* (collecting towards one result),
-//! *solve* (the computation), *calibration* (the result), *recording* (frames on disk), *space* (where coordinates live).
+//! *device* (hardware), *source* (yields frames), *sensor* (colour, infrared, depth), *frame* (one
+//! image), *frame set* (taken together), *detection* (a board found), *view* (a detection kept),
+//! *session* (collecting towards one result), *solve* (the computation), *calibration* (the
+//! result), *recording* (frames on disk), *space* (where coordinates live).
 
 pub mod calibration;
 pub mod capture;

@@ -66,7 +66,8 @@ pub enum Rejection {
 }
 
 impl Rejection {
-    /// The stable names, as counted in [`Rejections`], in the order of documents: those of [`NoBoard::KINDS`] among them.
+    /// The stable names, as counted in [`Rejections`], in the order of documents: those of
+    /// [`NoBoard::KINDS`] among them.
     pub const KINDS: [&'static str; 14] = [
         "no_corners",
         "no_grid",
@@ -155,8 +156,8 @@ impl Rejections {
 /// What a detection must be to become a view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdmissionOptions {
-    /// The widest blur of the board's edges, as a part of the image's diagonal, but never less than 2 px. Default:
-    /// 0.0025 (2 px at 640×480, 5.5 px at 1920×1080).
+    /// The widest blur of the board's edges, as a part of the image's diagonal, but never less than
+    /// 2 px. Default: 0.0025 (2 px at 640×480, 5.5 px at 1920×1080).
     pub blur_limit: f64,
     /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
     pub speed_limit: f64,
@@ -173,8 +174,8 @@ impl Default for AdmissionOptions {
 }
 
 const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
-/// Two boards further apart than this part of the diagonal are not one motion: the recording has a cut, or is a pile of
-/// photographs.
+/// Two boards further apart than this part of the diagonal are not one motion: the recording has a
+/// cut, or is a pile of photographs.
 const CUT: f64 = 0.25;
 
 /// The frame before, with what was seen in it.
@@ -186,8 +187,9 @@ pub struct SeenBefore {
     pub detection: Detection,
 }
 
-/// Decides on a detection in an image of `size` seen at `time_ns`: its placement if it becomes a view. It depends on the
-/// frames alone, not on what was estimated meanwhile: a replay keeps the same views.
+/// Decides on a detection in an image of `size` seen at `time_ns`: its placement if it becomes a
+/// view. It depends on the frames alone, not on what was estimated meanwhile: a replay keeps the
+/// same views.
 ///
 /// # Errors
 /// The first reason against it, the most telling first.
@@ -212,10 +214,18 @@ pub fn admit(
     }
     let (seen, expected) = (detection.corners.len(), detection.board.corner_count());
     let placement = Placement::of(detection, size).ok_or(Rejection::Partial { seen, expected })?;
-    let alike = kept.iter().map(|other| placement.steps_to(other)).enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
+    let alike = kept
+        .iter()
+        .map(|other| placement.steps_to(other))
+        .enumerate()
+        .min_by(|a, b| a.1.total_cmp(&b.1));
     match alike {
-        Some((view, steps)) if steps < options.novelty_steps => Err(Rejection::TooSimilar { view: view as u32 }),
-        _ if kept.len() >= options.view_limit as usize => Err(Rejection::Full { limit: options.view_limit }),
+        Some((view, steps)) if steps < options.novelty_steps => {
+            Err(Rejection::TooSimilar { view: view as u32 })
+        }
+        _ if kept.len() >= options.view_limit as usize => {
+            Err(Rejection::Full { limit: options.view_limit })
+        }
         _ => Ok(placement),
     }
 }
@@ -230,7 +240,9 @@ fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore)
     let corners = detection.corners.iter();
     let shared = corners.filter_map(|corner| {
         let corners = &before.detection.corners;
-        let at = corners.binary_search_by_key(&(corner.index.row, corner.index.col), |c| (c.index.row, c.index.col));
+        let at = corners.binary_search_by_key(&(corner.index.row, corner.index.col), |c| {
+            (c.index.row, c.index.col)
+        });
         Some(corner.pixel.distance_px(corners[at.ok()?].pixel))
     });
     let moved_px = shared.max_by(f64::total_cmp)?;

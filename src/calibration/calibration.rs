@@ -6,7 +6,8 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-/// A finished calibration of one camera, or of a rig of cameras. Never changed once made: a new solve is a new calibration.
+/// A finished calibration of one camera, or of a rig of cameras. Never changed once made: a new
+/// solve is a new calibration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
     /// Sortable by time.
@@ -38,9 +39,11 @@ pub struct Calibration {
 }
 
 impl Calibration {
-    /// Its picture sensors with their names, in the order of documents: `color`, `infrared`, `infrared2`, or a rig's cameras.
+    /// Its picture sensors with their names, in the order of documents: `color`, `infrared`,
+    /// `infrared2`, or a rig's cameras.
     pub fn picture_sensors(&self) -> impl Iterator<Item = (&str, &SensorCalibration)> {
-        let own = [("color", &self.color), ("infrared", &self.infrared), ("infrared2", &self.infrared2)];
+        let own =
+            [("color", &self.color), ("infrared", &self.infrared), ("infrared2", &self.infrared2)];
         let own = own.into_iter().filter_map(|(name, sensor)| Some((name, sensor.as_ref()?)));
         own.chain(self.cameras.iter().map(|camera| (camera.name.as_str(), &camera.sensor)))
     }
@@ -62,9 +65,11 @@ pub struct SensorCalibration {
     pub image_size: ImageSize,
     /// The lens.
     pub lens: Lens,
-    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 for a fixed one.
+    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 for
+    /// a fixed one.
     pub lens_std: Vec<f64>,
-    /// Covariance of the lens parameters, row by row in the same order; empty where it is not known.
+    /// Covariance of the lens parameters, row by row in the same order; empty where it is not
+    /// known.
     pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square over the used corners of the 2-D reprojection error, in pixels.
     pub rms_px: f64,
@@ -74,7 +79,8 @@ pub struct SensorCalibration {
     pub views: Vec<CalibratedView>,
     /// Lens models that were compared, when the choice was left to the solve; empty otherwise.
     pub compared: Vec<ComparedLens>,
-    /// How far the board was bowed at its middle along its x and its y, in metres, where that was estimated.
+    /// How far the board was bowed at its middle along its x and its y, in metres, where that was
+    /// estimated.
     pub board_warp_m: Option<[f64; 2]>,
 }
 
@@ -126,11 +132,12 @@ pub struct ComparedLens {
     pub held_out_rms_px: f64,
 }
 
-/// How a calibration does beyond the views it was fitted to. A figure that could not be computed is `None`.
+/// How a calibration does beyond the views it was fitted to. A figure that could not be computed is
+/// `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Checks {
-    /// Projection difference between two disjoint halves, over what their uncertainties predict: about 1 when the model
-    /// is right.
+    /// Projection difference between two disjoint halves, over what their uncertainties predict:
+    /// about 1 when the model is right.
     pub split_half_ratio: Option<f64>,
     /// Error on views that were not fitted to.
     pub held_out_rms_px: Option<f64>,

@@ -23,12 +23,16 @@ impl Default for Coverage {
 impl Coverage {
     /// Nothing seen yet, in images of `size`.
     pub fn empty(size: ImageSize) -> Self {
-        let (cols, rows) =
-            if size.width >= size.height { (LONG_CELLS, SHORT_CELLS) } else { (SHORT_CELLS, LONG_CELLS) };
+        let (cols, rows) = if size.width >= size.height {
+            (LONG_CELLS, SHORT_CELLS)
+        } else {
+            (SHORT_CELLS, LONG_CELLS)
+        };
         Self { cells: vec![vec![0; cols]; rows] }
     }
 
-    /// From stored counts, row by row; `None` unless every row has the same number of cells, at least one.
+    /// From stored counts, row by row; `None` unless every row has the same number of cells, at
+    /// least one.
     pub fn from_cells(cells: Vec<Vec<u32>>) -> Option<Self> {
         let cols = cells.first()?.len();
         (cols > 0 && cells.iter().all(|row| row.len() == cols)).then_some(Self { cells })
@@ -81,7 +85,8 @@ mod tests {
         assert_eq!(coverage.cell_of(Pixel::new(639.4, 479.4), size), Some((5, 7)));
         assert_eq!(coverage.cell_of(Pixel::new(79.49, 0.0), size), Some((0, 0)));
         assert_eq!(coverage.cell_of(Pixel::new(79.51, 0.0), size), Some((0, 1)));
-        for outside in [Pixel::new(-0.6, 10.0), Pixel::new(639.5, 10.0), Pixel::new(f64::NAN, 10.0)] {
+        for outside in [Pixel::new(-0.6, 10.0), Pixel::new(639.5, 10.0), Pixel::new(f64::NAN, 10.0)]
+        {
             assert_eq!(coverage.cell_of(outside, size), None);
         }
     }

@@ -1,4 +1,5 @@
-//! The depth sensor's part of a calibration: lens, correction, and how much is left of error and noise, by distance.
+//! The depth sensor's part of a calibration: lens, correction, and how much is left of error and
+//! noise, by distance.
 
 use crate::calibration::calibration::{Grade, Verdict};
 use crate::estimation::depth_error::{JudgedTile, held_out_residuals};
@@ -66,17 +67,17 @@ impl DepthNoise {
     /// Least squares with neither part negative.
     fn of(views: &[Vec<JudgedTile>]) -> Self {
         let pairs = || {
-            views
-                .iter()
-                .flatten()
-                .map(|judged| (judged.plane.powi(-2), judged.tile.reading_std * judged.plane.powi(-2)))
+            views.iter().flatten().map(|judged| {
+                (judged.plane.powi(-2), judged.tile.reading_std * judged.plane.powi(-2))
+            })
         };
         let (mut n, mut q, mut qq, mut s, mut qs) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (z2, std) in pairs() {
             (n, q, qq, s, qs) = (n + 1.0, q + z2, qq + z2 * z2, s + std, qs + z2 * std);
         }
         let determinant = n * qq - q * q;
-        let (constant, quadratic) = ((qq * s - q * qs) / determinant, (n * qs - q * s) / determinant);
+        let (constant, quadratic) =
+            ((qq * s - q * qs) / determinant, (n * qs - q * s) / determinant);
         if !(determinant > 0.0) || quadratic < 0.0 {
             return Self { constant_m: s / f64::max(n, 1.0), quadratic_per_m: 0.0 };
         }
@@ -113,16 +114,19 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
         Some(correction) => held_out_residuals(&estimate.judged, correction, estimate.smoothness),
         None => None,
     };
-    let after =
-        after.unwrap_or_else(|| estimate.judged.iter().map(|view| view.iter().map(uncorrected).collect()).collect());
-    let mut bins: std::collections::BTreeMap<i32, (Vec<f64>, Vec<f64>)> = std::collections::BTreeMap::new();
+    let after = after.unwrap_or_else(|| {
+        estimate.judged.iter().map(|view| view.iter().map(uncorrected).collect()).collect()
+    });
+    let mut bins: std::collections::BTreeMap<i32, (Vec<f64>, Vec<f64>)> =
+        std::collections::BTreeMap::new();
     for (judged, after) in estimate.judged.iter().flatten().zip(after.iter().flatten()) {
         let bin = bins.entry((-judged.plane.ln() / RANGE.ln()).floor() as i32).or_default();
         bin.0.push(1.0 / judged.tile.inverse_depth - 1.0 / judged.plane);
         bin.1.push(1.0 / (judged.plane + after) - 1.0 / judged.plane);
     }
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-    let rms = |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
+    let rms =
+        |values: &[f64]| (values.iter().map(|v| v * v).sum::<f64>() / values.len() as f64).sqrt();
     bins.into_iter()
         .map(|(bin, (before, after))| DepthBias {
             from_m: RANGE.powi(bin),
@@ -139,7 +143,12 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
 const LEFT: f64 = 0.3;
 
 /// The verdict with what depth adds to it.
-pub fn judge_depth(verdict: Verdict, depth: &DepthCalibration, without_depth: usize, views: usize) -> Verdict {
+pub fn judge_depth(
+    verdict: Verdict,
+    depth: &DepthCalibration,
+    without_depth: usize,
+    views: usize,
+) -> Verdict {
     let Verdict { mut grade, mut reasons } = verdict;
     let mut add = |worse: Grade, reason: String| {
         grade = grade.min(worse);

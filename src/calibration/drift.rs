@@ -1,8 +1,9 @@
 //! Whether a calibration still explains the boards that are seen now.
 //!
-//! Each board's pose is fitted under the calibrated lens. What the boards of several views leave unexplained, beyond what
-//! the calibration's own views left, is how far the lens has moved; a calibration allows as much of that as it is
-//! uncertain. One session's fresh views are the measure: it costs a pose a kept view, and needs nothing of the session.
+//! Each board's pose is fitted under the calibrated lens. What the boards of several views leave
+//! unexplained, beyond what the calibration's own views left, is how far the lens has moved; a
+//! calibration allows as much of that as it is uncertain. One session's fresh views are the
+//! measure: it costs a pose a kept view, and needs nothing of the session.
 
 use crate::calibration::calibration::SensorCalibration;
 use crate::estimation::board_pose::board_poses;
@@ -37,8 +38,8 @@ pub struct Drift {
     pub calibration: String,
     /// What has changed and what to do, in words.
     pub reason: String,
-    /// The reprojection error of the boards seen, with only their poses fitted, in pixels; `None` where pictures of
-    /// another size cannot be compared.
+    /// The reprojection error of the boards seen, with only their poses fitted, in pixels; `None`
+    /// where pictures of another size cannot be compared.
     pub rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     pub expected_px: f64,
@@ -65,8 +66,10 @@ impl DriftWatch {
             return None;
         }
         if size != self.image_size {
-            let reason =
-                format!("pictures are {size} now, the calibration is for {}: calibrate again", self.image_size);
+            let reason = format!(
+                "pictures are {size} now, the calibration is for {}: calibrate again",
+                self.image_size
+            );
             return Some(self.tell(reason, None));
         }
         // A view that determines no pose says nothing about the lens.
@@ -91,7 +94,12 @@ impl DriftWatch {
 
     fn tell(&mut self, reason: String, rms_px: Option<f64>) -> Drift {
         self.told = true;
-        Drift { calibration: self.calibration.clone(), reason, rms_px, expected_px: self.expected_px }
+        Drift {
+            calibration: self.calibration.clone(),
+            reason,
+            rms_px,
+            expected_px: self.expected_px,
+        }
     }
 }
 
@@ -109,7 +117,8 @@ mod tests {
     const SIZE: ImageSize = ImageSize::new(640, 480);
 
     fn lens(f: f64, k1: f64) -> Lens {
-        Lens::from_parameters(LensModel::Brown, &[f, f, 320.0, 240.0, 0.0, k1, 0.0, 0.0, 0.0, 0.0]).unwrap()
+        Lens::from_parameters(LensModel::Brown, &[f, f, 320.0, 240.0, 0.0, k1, 0.0, 0.0, 0.0, 0.0])
+            .unwrap()
     }
 
     /// A tilted board as `lens` shows it, without noise.
@@ -154,7 +163,8 @@ mod tests {
     #[test]
     fn a_refocused_lens_is_told_once_after_some_views() {
         let mut watch = watch(lens(600.0, -0.1));
-        let told: Vec<Option<Drift>> = (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
+        let told: Vec<Option<Drift>> =
+            (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
         assert_eq!(told.iter().flatten().count(), 1);
         let drift = told[VIEWS - 1].as_ref().unwrap();
         assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");

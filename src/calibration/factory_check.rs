@@ -1,9 +1,10 @@
-//! What the factory says of a depth camera, beside what was found: which of the two is closer to the board on views that the
-//! latter was not fitted to.
+//! What the factory says of a depth camera, beside what was found: which of the two is closer to
+//! the board on views that the latter was not fitted to.
 //!
-//! The board's planes are colour's alone, so that they lean to neither. Every view is judged by what the other half of the
-//! views gives; the factory's is given by none. Colour's own lens, which may be off by what its corners leave open, scales all
-//! of its planes alike: what was found follows that, so that it must be better by more.
+//! The board's planes are colour's alone, so that they lean to neither. Every view is judged by
+//! what the other half of the views gives; the factory's is given by none. Colour's own lens, which
+//! may be off by what its corners leave open, scales all of its planes alike: what was found
+//! follows that, so that it must be better by more.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -16,24 +17,34 @@ use crate::geometry::pose::Pose;
 /// The comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FactoryCheck {
-    /// Root mean square of how far depth lies off the board by the factory's lens, pose and depth, as a part of the distance.
+    /// Root mean square of how far depth lies off the board by the factory's lens, pose and depth,
+    /// as a part of the distance.
     pub factory: f64,
-    /// The same on the same views by what was found in the other half of the views; infinite where those are too few.
+    /// The same on the same views by what was found in the other half of the views; infinite where
+    /// those are too few.
     pub own: f64,
     /// How many views tell.
     pub views: usize,
-    /// What colour's own lens leaves open of all distances, as a part of them: one standard deviation.
+    /// What colour's own lens leaves open of all distances, as a part of them: one standard
+    /// deviation.
     pub open: f64,
-    /// The estimate with depth's lens, pose and error as the factory has them, where that is no worse.
+    /// The estimate with depth's lens, pose and error as the factory has them, where that is no
+    /// worse.
     pub kept: Option<Box<RgbdEstimate>>,
 }
 
-/// What was found must be better by this many standard deviations of what colour's lens leaves open.
+/// What was found must be better by this many standard deviations of what colour's lens leaves
+/// open.
 const SURE: f64 = 2.0;
 
 impl FactoryCheck {
-    /// Compares `estimate` with the factory's lens and `depth_from_color`. `None` where no view tells.
-    pub fn of(problem: &RgbdProblem, estimate: &RgbdEstimate, (lens, depth_from_color): (Lens, Pose)) -> Option<Self> {
+    /// Compares `estimate` with the factory's lens and `depth_from_color`. `None` where no view
+    /// tells.
+    pub fn of(
+        problem: &RgbdProblem,
+        estimate: &RgbdEstimate,
+        (lens, depth_from_color): (Lens, Pose),
+    ) -> Option<Self> {
         let camera = DepthCamera { lens, correction: None, ..problem.depth.clone() };
         let color_from_depth = depth_from_color.inverse();
         let together = |index: &usize| !estimate.not_together.contains(index);
@@ -42,7 +53,8 @@ impl FactoryCheck {
             together(index) && !view.color.is_empty() && !view.tiles.is_empty()
         };
         let usable: Vec<usize> = (0..problem.views.len()).filter(usable).collect();
-        let halves = [0, 1].map(|half| usable.iter().copied().skip(half).step_by(2).collect::<Vec<usize>>());
+        let halves =
+            [0, 1].map(|half| usable.iter().copied().skip(half).step_by(2).collect::<Vec<usize>>());
         let (mut factory, mut own) = (Squares::default(), Squares::default());
         for (held_out, fitted) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
             let views = fitted.iter().map(|index| problem.views[*index].clone()).collect();
@@ -56,10 +68,14 @@ impl FactoryCheck {
             }
         }
         let (factory, own) = (factory.rms()?, own.rms().unwrap_or(f64::INFINITY));
-        let std = |k: usize| estimate.color_covariance[(k, k)].max(0.0).sqrt() / estimate.color.parameters()[k];
+        let std = |k: usize| {
+            estimate.color_covariance[(k, k)].max(0.0).sqrt() / estimate.color.parameters()[k]
+        };
         let open = std(0).max(std(1));
         let is_better = factory * factory > own * own + (SURE * open).powi(2);
-        let kept = (!is_better).then(|| Box::new(as_the_factory_has_it(problem, estimate, (camera, color_from_depth))));
+        let kept = (!is_better).then(|| {
+            Box::new(as_the_factory_has_it(problem, estimate, (camera, color_from_depth)))
+        });
         Some(Self { factory, own, views: usable.len(), open, kept })
     }
 
@@ -95,7 +111,10 @@ impl Squares {
     fn add(&mut self, view: &RgbdView, (camera, color_from_depth): (&DepthCamera, &Pose)) {
         for (tile, plane) in planes(view, &camera.lens, color_from_depth) {
             let measured = tile.inverse_depth;
-            let corrected = camera.correction.as_ref().map_or(Some(measured), |c| c.correct(tile.pixel, measured));
+            let corrected = camera
+                .correction
+                .as_ref()
+                .map_or(Some(measured), |c| c.correct(tile.pixel, measured));
             let off = corrected.map_or(1.0, |corrected| (corrected / plane - 1.0).abs().min(1.0));
             self.sum += off * off;
             self.count += 1;
@@ -129,11 +148,12 @@ fn as_the_factory_has_it(
     (camera, color_from_depth): (DepthCamera, Pose),
 ) -> RgbdEstimate {
     let judged = |view: &RgbdView| {
-        let judged = planes(view, &camera.lens, &color_from_depth).map(|(tile, plane)| JudgedTile {
-            tile: *tile,
-            plane,
-            inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
-        });
+        let judged =
+            planes(view, &camera.lens, &color_from_depth).map(|(tile, plane)| JudgedTile {
+                tile: *tile,
+                plane,
+                inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
+            });
         judged.collect()
     };
     let judged = problem.views.iter().map(judged).collect();

@@ -1,8 +1,8 @@
 //! What the operator should do next, in words and as an outline in the image.
 //!
-//! A fixed list of placements that together determine a lens well: five tilts in the middle, every corner and edge of the
-//! image, near and far. Advice asks for the first of them that no kept view comes close to. What is wrong with the
-//! picture right now is said first.
+//! A fixed list of placements that together determine a lens well: five tilts in the middle, every
+//! corner and edge of the image, near and far. Advice asks for the first of them that no kept view
+//! comes close to. What is wrong with the picture right now is said first.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -18,8 +18,8 @@ use crate::geometry::pose::Pose;
 pub struct Guidance {
     /// A sentence for the operator.
     pub message: String,
-    /// The board's four outer corners as they should be seen next, in pixels, clockwise from the board's first corner;
-    /// empty when no place is better than another.
+    /// The board's four outer corners as they should be seen next, in pixels, clockwise from the
+    /// board's first corner; empty when no place is better than another.
     pub outline_px: Vec<Pixel>,
 }
 
@@ -41,28 +41,73 @@ const USUAL_SIZE: f64 = 0.42;
 
 const WISHES: [Wish; 15] = [
     wish("in the middle of the picture, facing the camera", [0.5, 0.5], USUAL_SIZE, [0.0, 0.0]),
-    wish("in the middle, its right side nearer to the camera", [0.5, 0.5], USUAL_SIZE, [TILT_RAD, 0.0]),
-    wish("in the middle, its left side nearer to the camera", [0.5, 0.5], USUAL_SIZE, [-TILT_RAD, 0.0]),
-    wish("in the middle, its upper side nearer to the camera", [0.5, 0.5], USUAL_SIZE, [0.0, -TILT_RAD]),
-    wish("in the middle, its lower side nearer to the camera", [0.5, 0.5], USUAL_SIZE, [0.0, TILT_RAD]),
+    wish(
+        "in the middle, its right side nearer to the camera",
+        [0.5, 0.5],
+        USUAL_SIZE,
+        [TILT_RAD, 0.0],
+    ),
+    wish(
+        "in the middle, its left side nearer to the camera",
+        [0.5, 0.5],
+        USUAL_SIZE,
+        [-TILT_RAD, 0.0],
+    ),
+    wish(
+        "in the middle, its upper side nearer to the camera",
+        [0.5, 0.5],
+        USUAL_SIZE,
+        [0.0, -TILT_RAD],
+    ),
+    wish(
+        "in the middle, its lower side nearer to the camera",
+        [0.5, 0.5],
+        USUAL_SIZE,
+        [0.0, TILT_RAD],
+    ),
     wish("into the upper left corner of the picture", [0.25, 0.25], USUAL_SIZE, [0.0, 0.0]),
     wish("into the upper right corner of the picture", [0.75, 0.25], USUAL_SIZE, [0.0, 0.0]),
     wish("into the lower right corner of the picture", [0.75, 0.75], USUAL_SIZE, [0.0, 0.0]),
     wish("into the lower left corner of the picture", [0.25, 0.75], USUAL_SIZE, [0.0, 0.0]),
     wish("nearer to the camera, so that it nearly fills the picture", [0.5, 0.5], 0.8, [0.0, 0.0]),
-    wish("to the left edge, its left side nearer to the camera", [0.25, 0.5], USUAL_SIZE, [-TILT_RAD, 0.0]),
-    wish("to the right edge, its right side nearer to the camera", [0.75, 0.5], USUAL_SIZE, [TILT_RAD, 0.0]),
-    wish("to the upper edge, its upper side nearer to the camera", [0.5, 0.25], USUAL_SIZE, [0.0, -TILT_RAD]),
-    wish("to the lower edge, its lower side nearer to the camera", [0.5, 0.75], USUAL_SIZE, [0.0, TILT_RAD]),
+    wish(
+        "to the left edge, its left side nearer to the camera",
+        [0.25, 0.5],
+        USUAL_SIZE,
+        [-TILT_RAD, 0.0],
+    ),
+    wish(
+        "to the right edge, its right side nearer to the camera",
+        [0.75, 0.5],
+        USUAL_SIZE,
+        [TILT_RAD, 0.0],
+    ),
+    wish(
+        "to the upper edge, its upper side nearer to the camera",
+        [0.5, 0.25],
+        USUAL_SIZE,
+        [0.0, -TILT_RAD],
+    ),
+    wish(
+        "to the lower edge, its lower side nearer to the camera",
+        [0.5, 0.75],
+        USUAL_SIZE,
+        [0.0, TILT_RAD],
+    ),
     wish("farther away, at half its size", [0.5, 0.5], 0.22, [0.35, 0.35]),
 ];
 
 /// A view within so many steps of a wish fulfils it.
 const FULFILLED_STEPS: f64 = 1.7;
 
-/// What to do next with the board `target` in images of `size`, given the placements kept so far and what was wrong with
-/// the newest frame.
-pub fn advise(target: &Chessboard, size: ImageSize, kept: &[Placement], newest: Option<&Rejection>) -> Guidance {
+/// What to do next with the board `target` in images of `size`, given the placements kept so far
+/// and what was wrong with the newest frame.
+pub fn advise(
+    target: &Chessboard,
+    size: ImageSize,
+    kept: &[Placement],
+    newest: Option<&Rejection>,
+) -> Guidance {
     let mut guidance = next_wish(target, size, kept);
     if let Some(obstacle) = newest.and_then(obstacle) {
         guidance.message = obstacle;
@@ -74,38 +119,41 @@ fn next_wish(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidan
     for wish in &WISHES {
         let Some((placement, outline_px)) = place(wish, target, size) else { continue };
         // How the board is turned in the image is left to the operator.
-        let fulfilled =
-            |view: &Placement| placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS;
+        let fulfilled = |view: &Placement| {
+            placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS
+        };
         if !kept.iter().any(fulfilled) {
             return Guidance { message: format!("hold the board {}", wish.words), outline_px };
         }
     }
-    let message = "every part of the picture is covered; stop the session, or go on to make the result surer";
+    let message =
+        "every part of the picture is covered; stop the session, or go on to make the result surer";
     Guidance { message: message.to_owned(), outline_px: Vec::new() }
 }
 
-/// What is wrong with the newest frame, as something to do; `None` if nothing has to be done about it.
+/// What is wrong with the newest frame, as something to do; `None` if nothing has to be done about
+/// it.
 fn obstacle(rejection: &Rejection) -> Option<String> {
     match rejection {
         Rejection::NoBoard(reason @ (NoBoard::OtherSize { .. } | NoBoard::LowContrast { .. })) => {
             Some(reason.to_string())
         }
-        Rejection::NoBoard(NoBoard::Blurred { .. }) | Rejection::Blurred { .. } => {
-            Some("the picture is blurred: hold the board still, add light, or focus the lens".to_owned())
-        }
-        Rejection::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. }) | Rejection::Partial { .. } => {
-            Some("bring the whole board into the picture".to_owned())
-        }
+        Rejection::NoBoard(NoBoard::Blurred { .. }) | Rejection::Blurred { .. } => Some(
+            "the picture is blurred: hold the board still, add light, or focus the lens".to_owned(),
+        ),
+        Rejection::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. })
+        | Rejection::Partial { .. } => Some("bring the whole board into the picture".to_owned()),
         Rejection::NoBoard(_) => Some("show the board to the camera".to_owned()),
         Rejection::Moving { .. } => Some("hold the board still".to_owned()),
-        Rejection::Unreadable { .. } | Rejection::OtherImageSize { .. } | Rejection::Full { .. } => {
-            Some(rejection.to_string())
-        }
+        Rejection::Unreadable { .. }
+        | Rejection::OtherImageSize { .. }
+        | Rejection::Full { .. } => Some(rejection.to_string()),
         Rejection::TooSimilar { .. } => None,
     }
 }
 
-/// The placement of a wish with its outline, shrunk until it lies in the image; `None` for an image of no size.
+/// The placement of a wish with its outline, shrunk until it lies in the image; `None` for an image
+/// of no size.
 fn place(wish: &Wish, target: &Chessboard, size: ImageSize) -> Option<(Placement, Vec<Pixel>)> {
     (0..12).find_map(|shrinks| {
         let outline = outline(wish, wish.size * 0.9_f64.powi(shrinks), target, size)?;
@@ -119,17 +167,24 @@ fn place(wish: &Wish, target: &Chessboard, size: ImageSize) -> Option<(Placement
 fn outline(wish: &Wish, scale: f64, target: &Chessboard, size: ImageSize) -> Option<[Pixel; 4]> {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let focal_px = NOMINAL_FOCAL * width.max(height);
-    let half = Vector2::new(f64::from(target.size.cols) - 1.0, f64::from(target.size.rows) - 1.0) / 2.0;
+    let half =
+        Vector2::new(f64::from(target.size.cols) - 1.0, f64::from(target.size.rows) - 1.0) / 2.0;
     let square_px = scale * (width * height / (4.0 * half.x * half.y)).sqrt();
     let distance = focal_px / square_px;
-    let middle = Vector2::new((wish.center[0] - 0.5) * width, (wish.center[1] - 0.5) * height) / square_px;
+    let middle =
+        Vector2::new((wish.center[0] - 0.5) * width, (wish.center[1] - 0.5) * height) / square_px;
     let turn = Vector3::new(-wish.tilt[1], wish.tilt[0], 0.0);
-    let camera_from_middle = Pose::from_axis_angle(turn, Vector3::new(middle.x, middle.y, distance));
+    let camera_from_middle =
+        Pose::from_axis_angle(turn, Vector3::new(middle.x, middle.y, distance));
     let corner = |x: f64, y: f64| {
         let point = camera_from_middle * nalgebra::Point3::new(x * half.x, y * half.y, 0.0);
         let center = size.center();
-        (point.z > 0.0)
-            .then(|| Pixel::new(center.x + focal_px * point.x / point.z, center.y + focal_px * point.y / point.z))
+        (point.z > 0.0).then(|| {
+            Pixel::new(
+                center.x + focal_px * point.x / point.z,
+                center.y + focal_px * point.y / point.z,
+            )
+        })
     };
     Some([corner(-1.0, -1.0)?, corner(1.0, -1.0)?, corner(1.0, 1.0)?, corner(-1.0, 1.0)?])
 }
@@ -159,7 +214,11 @@ mod tests {
                 let Ok(outline) = <[Pixel; 4]>::try_from(guidance.outline_px) else { break };
                 assert!(outline.iter().all(|corner| size.contains(*corner)), "{outline:?}");
                 kept.push(Placement::of_outline(outline, target.size, size).unwrap());
-                assert!(kept.len() <= WISHES.len(), "asked twice for the same: {}", guidance.message);
+                assert!(
+                    kept.len() <= WISHES.len(),
+                    "asked twice for the same: {}",
+                    guidance.message
+                );
             }
             assert!(kept.len() >= 8, "only {} views for {} in {size}", kept.len(), target.size);
         }
@@ -172,7 +231,10 @@ mod tests {
         assert_eq!(guidance.message, "hold the board still");
         assert_eq!(guidance.outline_px.len(), 4);
         let similar = advise(&target(9, 6), SIZE, &[], Some(&Rejection::TooSimilar { view: 0 }));
-        assert_eq!(similar.message, "hold the board in the middle of the picture, facing the camera");
+        assert_eq!(
+            similar.message,
+            "hold the board in the middle of the picture, facing the camera"
+        );
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! What the product decides: which views to keep, when it is enough, how far to trust the result. Pure; uses geometry,
-//! estimation and detection.
+//! What the product decides: which views to keep, when it is enough, how far to trust the result.
+//! Pure; uses geometry, estimation and detection.
 
 pub mod admission;
 #[expect(clippy::module_inception, reason = "the layer's main noun, named as the house names it")]

@@ -1,9 +1,10 @@
-//! How a board is held before the camera, described from one detection alone: where in the image, how large, tilted and
-//! turned which way. What makes a view new, and what guidance asks for, are differences between placements.
+//! How a board is held before the camera, described from one detection alone: where in the image,
+//! how large, tilted and turned which way. What makes a view new, and what guidance asks for, are
+//! differences between placements.
 //!
-//! The description needs a focal length before any is known; it takes a nominal one. Tilts are therefore only about
-//! right, but the same for the same picture, whatever was estimated meanwhile: which views are kept does not depend on
-//! how fast a solve was.
+//! The description needs a focal length before any is known; it takes a nominal one. Tilts are
+//! therefore only about right, but the same for the same picture, whatever was estimated meanwhile:
+//! which views are kept does not depend on how fast a solve was.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
@@ -11,7 +12,8 @@ use crate::detection::board_detection::Detection;
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Focal length over the image's longer side: a horizontal field of view of 58°, between a telephone and a webcam.
+/// Focal length over the image's longer side: a horizontal field of view of 58°, between a
+/// telephone and a webcam.
 pub(crate) const NOMINAL_FOCAL: f64 = 0.9;
 
 /// How a board is held before the camera.
@@ -21,8 +23,8 @@ pub struct Placement {
     pub center: Vector2<f64>,
     /// Square root of the part of the image's area that its inner corners span, 0 to 1.
     pub size: f64,
-    /// Its normal's slopes to the line of sight, as angles in radians: x > 0 when its right side is nearer, y > 0 when
-    /// its lower side is nearer.
+    /// Its normal's slopes to the line of sight, as angles in radians: x > 0 when its right side is
+    /// nearer, y > 0 when its lower side is nearer.
     pub tilt: Vector2<f64>,
     /// The direction of its rows in the image, in radians from the image's x axis, −π to π.
     pub roll: f64,
@@ -37,26 +39,28 @@ const TILT_STEP_RAD: f64 = 0.20;
 const ROLL_STEP_RAD: f64 = 0.50;
 
 impl Placement {
-    /// The placement of a detected board in an image of `size`; `None` if one of its outer corners was not seen, or they
-    /// span nothing.
+    /// The placement of a detected board in an image of `size`; `None` if one of its outer corners
+    /// was not seen, or they span nothing.
     pub fn of(detection: &Detection, size: ImageSize) -> Option<Self> {
         let placement = Self::of_outline(outer_corners(detection)?, detection.board, size)?;
         Some(Self { half_turn_alike: detection.orientation_ambiguous, ..placement })
     }
 
-    /// The placement of a board whose outer inner-corners are seen at `outline`: first, end of the first row, last, start
-    /// of the last row.
+    /// The placement of a board whose outer inner-corners are seen at `outline`: first, end of the
+    /// first row, last, start of the last row.
     pub fn of_outline(outline: [Pixel; 4], board: BoardSize, size: ImageSize) -> Option<Self> {
         let (width, height) = (f64::from(size.width), f64::from(size.height));
         let focal_px = NOMINAL_FOCAL * width.max(height);
         let image_center = size.center().to_vector();
-        let square_to_image = homography_of_square(outline.map(|p| (p.to_vector() - image_center) / focal_px))?;
+        let square_to_image =
+            homography_of_square(outline.map(|p| (p.to_vector() - image_center) / focal_px))?;
         let along_row = square_to_image.column(0) / (f64::from(board.cols) - 1.0);
         let along_column = square_to_image.column(1) / (f64::from(board.rows) - 1.0);
         let normal = along_row.cross(&along_column).try_normalize(1e-12)?;
         let middle = square_to_image * Vector3::new(0.5, 0.5, 1.0);
         let center = middle.xy() / middle.z * focal_px + image_center + Vector2::new(0.5, 0.5);
-        let row = outline[1].to_vector() - outline[0].to_vector() + outline[2].to_vector() - outline[3].to_vector();
+        let row = outline[1].to_vector() - outline[0].to_vector() + outline[2].to_vector()
+            - outline[3].to_vector();
         let placement = Self {
             center: center.component_div(&Vector2::new(width, height)),
             size: (polygon_area(&outline) / (width * height)).sqrt(),
@@ -78,7 +82,8 @@ impl Placement {
     }
 
     fn roll_to(&self, other: &Self) -> f64 {
-        let period = if self.half_turn_alike { std::f64::consts::PI } else { std::f64::consts::TAU };
+        let period =
+            if self.half_turn_alike { std::f64::consts::PI } else { std::f64::consts::TAU };
         let turned = (self.roll - other.roll).rem_euclid(period);
         turned.min(period - turned)
     }
@@ -88,7 +93,10 @@ impl Placement {
 pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     let (last_col, last_row) = (detection.board.cols as i32 - 1, detection.board.rows as i32 - 1);
     let at = |col: i32, row: i32| {
-        let corner = detection.corners.iter().find(|corner| corner.index.col == col && corner.index.row == row)?;
+        let corner = detection
+            .corners
+            .iter()
+            .find(|corner| corner.index.col == col && corner.index.row == row)?;
         Some(corner.pixel)
     };
     let known = detection.position_known || !detection.partial;
@@ -96,8 +104,9 @@ pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     Some([at(0, 0)?, at(last_col, 0)?, at(last_col, last_row)?, at(0, last_row)?])
 }
 
-/// The homography that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points (Heckbert, "Fundamentals of
-/// Texture Mapping and Image Warping", 1989, section 2.2.3); `None` if three of them lie on a line.
+/// The homography that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points (Heckbert,
+/// "Fundamentals of Texture Mapping and Image Warping", 1989, section 2.2.3); `None` if three of
+/// them lie on a line.
 fn homography_of_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
     let [p0, p1, p2, p3] = points;
     let (d1, d2, sum) = (p1 - p2, p3 - p2, p0 - p1 + p2 - p3);
@@ -112,7 +121,8 @@ fn homography_of_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
 
 fn polygon_area(points: &[Pixel]) -> f64 {
     let next = points.iter().cycle().skip(1);
-    let doubled: f64 = points.iter().zip(next).map(|(p, q)| p.to_vector().perp(&q.to_vector())).sum();
+    let doubled: f64 =
+        points.iter().zip(next).map(|(p, q)| p.to_vector().perp(&q.to_vector())).sum();
     doubled.abs() / 2.0
 }
 
@@ -129,8 +139,8 @@ pub(crate) mod tests {
 
     pub(crate) const SIZE: ImageSize = ImageSize::new(640, 480);
 
-    /// What a perfect detector sees of a 9×6 board of 25 mm squares, its middle at `position` (metres in the camera
-    /// frame), turned by `axis_angle` about its middle.
+    /// What a perfect detector sees of a 9×6 board of 25 mm squares, its middle at `position`
+    /// (metres in the camera frame), turned by `axis_angle` about its middle.
     pub(crate) fn detection_at(position: Vector3<f64>, axis_angle: Vector3<f64>) -> Detection {
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
         let matrix = CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 };
@@ -138,12 +148,16 @@ pub(crate) mod tests {
         let camera_from_middle = Pose::from_axis_angle(axis_angle, position);
         let pixel = |col: i32, row: i32| {
             let middle = Vector3::new(0.1, 0.0625, 0.0);
-            lens.pixel_from_point(&(camera_from_middle * Point3::from(board.corner_in_board(col, row) - middle)))
+            lens.pixel_from_point(
+                &(camera_from_middle * Point3::from(board.corner_in_board(col, row) - middle)),
+            )
         };
-        let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row))).map(|(col, row)| DetectedCorner {
-            index: GridIndex { col, row },
-            pixel: pixel(col, row).unwrap(),
-            std_px: 0.05,
+        let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row))).map(|(col, row)| {
+            DetectedCorner {
+                index: GridIndex { col, row },
+                pixel: pixel(col, row).unwrap(),
+                std_px: 0.05,
+            }
         });
         Detection {
             board: board.size,
@@ -157,7 +171,9 @@ pub(crate) mod tests {
 
     #[test]
     fn a_frontal_board_has_no_tilt_and_lies_where_it_is() {
-        let placement = Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros()), SIZE).unwrap();
+        let placement =
+            Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros()), SIZE)
+                .unwrap();
         assert!((placement.center - Vector2::new(0.5, 0.5)).norm() < 1e-9, "{placement:?}");
         assert!(placement.tilt.norm() < 1e-9 && placement.roll.abs() < 1e-9, "{placement:?}");
         let span: f64 = (0.2 * 576.0 / 0.5) * (0.125 * 576.0 / 0.5);
@@ -166,8 +182,11 @@ pub(crate) mod tests {
 
     #[test]
     fn tilts_are_told_apart_by_direction() {
-        let tilt =
-            |axis_angle| Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), axis_angle), SIZE).unwrap().tilt;
+        let tilt = |axis_angle| {
+            Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), axis_angle), SIZE)
+                .unwrap()
+                .tilt
+        };
         let right_side_nearer = tilt(Vector3::new(0.0, 0.5, 0.0));
         let lower_side_nearer = tilt(Vector3::new(-0.5, 0.0, 0.0));
         assert!((right_side_nearer - Vector2::new(0.5, 0.0)).norm() < 1e-6, "{right_side_nearer}");
@@ -176,7 +195,9 @@ pub(crate) mod tests {
 
     #[test]
     fn one_step_in_any_respect_is_new() {
-        let at = |position, axis_angle| Placement::of(&detection_at(position, axis_angle), SIZE).unwrap();
+        let at = |position, axis_angle| {
+            Placement::of(&detection_at(position, axis_angle), SIZE).unwrap()
+        };
         let here = at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
         let moved = at(Vector3::new(0.1, 0.0, 0.5), Vector3::zeros());
         let nearer = at(Vector3::new(0.0, 0.0, 0.38), Vector3::zeros());
@@ -191,7 +212,9 @@ pub(crate) mod tests {
 
     #[test]
     fn a_half_turn_counts_only_where_it_can_be_seen() {
-        let upright = Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros()), SIZE).unwrap();
+        let upright =
+            Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros()), SIZE)
+                .unwrap();
         let turned = Placement { roll: std::f64::consts::PI, ..upright };
         assert!(upright.steps_to(&turned) > 1.0);
         let alike = Placement { half_turn_alike: true, ..upright };

@@ -8,8 +8,8 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
 
-/// Measured less true depth at each pixel of a depth picture, in metres, row by row; NaN beside the board, and where nothing was
-/// measured.
+/// Measured less true depth at each pixel of a depth picture, in metres, row by row; NaN beside the
+/// board, and where nothing was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneError {
     /// The picture's size.
@@ -23,7 +23,8 @@ pub struct PlaneError {
 /// The board's surface reaches this many squares past its outer inner corners.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// The error of `picture` (whose reading `invalid` means none) on a board that colour sees at `color_from_board`.
+/// The error of `picture` (whose reading `invalid` means none) on a board that colour sees at
+/// `color_from_board`.
 pub fn plane_error(
     (camera, color_from_depth): (&DepthCamera, &Pose),
     (board, color_from_board): (&Chessboard, &Pose),
@@ -35,20 +36,27 @@ pub fn plane_error(
     let distance_m = normal.dot(&depth_from_board.translation());
     let far = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1);
     let margin_m = MARGIN_SQUARES * board.square_m;
-    let on_board = |at: &Point3<f64>| (0..2).all(|axis| at[axis] > -margin_m && at[axis] < far[axis] + margin_m);
+    let on_board = |at: &Point3<f64>| {
+        (0..2).all(|axis| at[axis] > -margin_m && at[axis] < far[axis] + margin_m)
+    };
     let of = |(k, reading): (usize, &u16)| {
         let width = camera.image_size.width.max(1) as usize;
         let pixel = Pixel::new((k % width) as f64, (k / width) as f64);
         let ray = camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0)?;
         let ray = ray.into_inner() / ray.z;
         let plane_m = distance_m / normal.dot(&ray);
-        let seen =
-            plane_m > 0.0 && Some(*reading) != invalid && on_board(&(board_from_depth * Point3::from(ray * plane_m)));
+        let seen = plane_m > 0.0
+            && Some(*reading) != invalid
+            && on_board(&(board_from_depth * Point3::from(ray * plane_m)));
         let reading = seen.then_some(f64::from(*reading))?;
         let error = |inverse_depth: f64| (1.0 / inverse_depth - plane_m) as f32;
-        Some((error(camera.reading.inverse_depth(reading)?), error(camera.inverse_depth(pixel, reading)?)))
+        Some((
+            error(camera.reading.inverse_depth(reading)?),
+            error(camera.inverse_depth(pixel, reading)?),
+        ))
     };
-    let errors = picture.readings().iter().enumerate().map(|one| of(one).unwrap_or((f32::NAN, f32::NAN)));
+    let errors =
+        picture.readings().iter().enumerate().map(|one| of(one).unwrap_or((f32::NAN, f32::NAN)));
     let (before_m, after_m) = errors.unzip();
     PlaneError { size: picture.size(), before_m, after_m }
 }
@@ -58,7 +66,8 @@ pub fn mean_and_rms_m(errors_m: &[f32]) -> Option<[f64; 2]> {
     let known = || errors_m.iter().filter(|error| error.is_finite()).map(|error| f64::from(*error));
     let count = known().count();
     let mean = |sum: f64| sum / count as f64;
-    (count > 0).then(|| [mean(known().sum()), mean(known().map(|error| error * error).sum()).sqrt()])
+    (count > 0)
+        .then(|| [mean(known().sum()), mean(known().map(|error| error * error).sum()).sqrt()])
 }
 
 #[cfg(test)]
@@ -73,33 +82,58 @@ mod tests {
     #[test]
     fn a_wrong_offset_is_the_error_before_and_gone_after() {
         let size = ImageSize::new(160, 120);
-        let mut correction = DepthCorrection::none(CorrectedQuantity::Depth, 1, SplineGrid::constant(size), [0.1, 9.0]);
+        let mut correction = DepthCorrection::none(
+            CorrectedQuantity::Depth,
+            1,
+            SplineGrid::constant(size),
+            [0.1, 9.0],
+        );
         correction.coefficients = vec![-0.01];
         let camera = DepthCamera {
             image_size: size,
-            lens: Lens::pinhole(CameraMatrix { fx: 150.0, fy: 150.0, cx: 79.5, cy: 59.5, skew: 0.0 }),
+            lens: Lens::pinhole(CameraMatrix {
+                fx: 150.0,
+                fy: 150.0,
+                cx: 79.5,
+                cy: 59.5,
+                skew: 0.0,
+            }),
             reading: DepthReading::Metric { unit_m: 0.000_1 },
             correction: Some(correction),
         };
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
-        let color_from_depth = Pose::from_axis_angle(Vector3::new(0.01, 0.0, 0.02), Vector3::new(0.03, 0.0, 0.0));
-        let depth_from_board = Pose::from_axis_angle(Vector3::new(0.3, -0.2, 0.1), Vector3::new(-0.1, -0.1, 0.6));
+        let color_from_depth =
+            Pose::from_axis_angle(Vector3::new(0.01, 0.0, 0.02), Vector3::new(0.03, 0.0, 0.0));
+        let depth_from_board =
+            Pose::from_axis_angle(Vector3::new(0.3, -0.2, 0.1), Vector3::new(-0.1, -0.1, 0.6));
         let normal = depth_from_board * Vector3::z();
         let readings = (0..160 * 120).map(|k| {
             let pixel = Pixel::new(f64::from(k % 160), f64::from(k / 160));
             let ray = camera.lens.bearing_from_pixel(pixel).unwrap();
-            let z = normal.dot(&depth_from_board.translation()) / normal.dot(&(ray.into_inner() / ray.z));
+            let z = normal.dot(&depth_from_board.translation())
+                / normal.dot(&(ray.into_inner() / ray.z));
             if k % 7 == 0 { 0 } else { ((z + 0.01) * 1e4).round() as u16 }
         });
         let picture = DepthImage::new(size, readings.collect()).unwrap();
         let color_from_board = color_from_depth * depth_from_board;
-        let error = plane_error((&camera, &color_from_depth), (&board, &color_from_board), (&picture, None));
-        let [[before, _], [after, rms]] = [&error.before_m, &error.after_m].map(|all| mean_and_rms_m(all).unwrap());
-        assert!((before - 0.01).abs() < 1e-5 && after.abs() < 1e-5 && rms < 1e-4, "{before} {after} {rms}");
+        let error = plane_error(
+            (&camera, &color_from_depth),
+            (&board, &color_from_board),
+            (&picture, None),
+        );
+        let [[before, _], [after, rms]] =
+            [&error.before_m, &error.after_m].map(|all| mean_and_rms_m(all).unwrap());
+        assert!(
+            (before - 0.01).abs() < 1e-5 && after.abs() < 1e-5 && rms < 1e-4,
+            "{before} {after} {rms}"
+        );
         // The board, 0.288 by 0.198 m, its middle at 0.646 m, tilted by 0.36 rad.
         let seen = error.before_m.iter().filter(|one| one.is_finite()).count();
         let expected = 0.288 * 0.198 * (150.0_f64 / 0.646).powi(2) * 0.36_f64.cos() * 6.0 / 7.0;
-        assert!((0.95..1.05).contains(&(seen as f64 / expected)), "{seen}, expected about {expected}");
+        assert!(
+            (0.95..1.05).contains(&(seen as f64 / expected)),
+            "{seen}, expected about {expected}"
+        );
         assert_eq!(mean_and_rms_m(&[f32::NAN]), None);
     }
 }

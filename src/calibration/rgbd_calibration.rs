@@ -9,8 +9,13 @@ use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
 
-/// `calibration`, which holds what colour gave by itself, with everything that the joint solve adds or makes surer.
-pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &SolvedRgbd) -> Calibration {
+/// `calibration`, which holds what colour gave by itself, with everything that the joint solve adds
+/// or makes surer.
+pub fn with_depth(
+    mut calibration: Calibration,
+    input: &RgbdInput,
+    solved: &SolvedRgbd,
+) -> Calibration {
     let joint = &solved.joint;
     let of_depth = solved.factory.as_ref().and_then(|check| check.kept.as_deref()).unwrap_or(joint);
     let depth = DepthCalibration::of(of_depth, input.depth.invalid);
@@ -24,10 +29,12 @@ pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &Solv
             translation_std_m: translation_std.into(),
         }
     };
-    calibration.color = calibration.color.map(|sensor| with_lens(sensor, joint.color, &joint.color_covariance));
+    calibration.color =
+        calibration.color.map(|sensor| with_lens(sensor, joint.color, &joint.color_covariance));
     calibration.extrinsics = vec![extrinsics("color_from_depth", of_depth)];
     if let Some(infrared) = solved.infrared.clone() {
-        calibration.infrared = Some(with_lens(infrared.sensor, joint.depth.lens, &joint.depth_covariance));
+        calibration.infrared =
+            Some(with_lens(infrared.sensor, joint.depth.lens, &joint.depth_covariance));
         calibration.extrinsics.push(extrinsics("color_from_infrared", joint));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
@@ -40,24 +47,29 @@ pub fn with_depth(mut calibration: Calibration, input: &RgbdInput, solved: &Solv
         calibration.verdict.reasons.push(not_together(joint));
     }
     calibration.verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
-    calibration.verdict = judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
+    calibration.verdict =
+        judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
     calibration.depth = Some(depth);
     calibration
 }
 
 /// Views that colour tells nothing of, where they are many.
 pub fn without_color(input: &RgbdInput) -> Option<String> {
-    let views = || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
-    let (all, without) = (views().count(), views().filter(|capture| capture.color.is_empty()).count());
+    let views =
+        || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
+    let (all, without) =
+        (views().count(), views().filter(|capture| capture.color.is_empty()).count());
     (3 * without > all).then(|| {
         format!("the board was not seen in colour in {without} of {all} views with depth: keep it within both pictures")
     })
 }
 
-/// Sensors whose distance along colour's axis is less sure than this, in metres, are worth telling of.
+/// Sensors whose distance along colour's axis is less sure than this, in metres, are worth telling
+/// of.
 const WEAK_M: f64 = 0.005;
 
-/// Planes alone hardly tell how far one sensor is behind the other from its focal length and the curve of its error.
+/// Planes alone hardly tell how far one sensor is behind the other from its focal length and the
+/// curve of its error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let std_mm = 1e3 * pose_std(&estimate.color_from_depth_covariance).1.z;
     (std_mm > 1e3 * WEAK_M).then(|| {
@@ -74,16 +86,26 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
-fn with_lens(mut sensor: SensorCalibration, lens: Lens, covariance: &DMatrix<f64>) -> SensorCalibration {
+fn with_lens(
+    mut sensor: SensorCalibration,
+    lens: Lens,
+    covariance: &DMatrix<f64>,
+) -> SensorCalibration {
     sensor.lens = lens;
-    sensor.lens_covariance = covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
-    sensor.lens_std = covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
+    sensor.lens_covariance =
+        covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
+    sensor.lens_std =
+        covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
     sensor
 }
 
 fn both(color: Verdict, infrared: Verdict) -> Verdict {
-    let named =
-        |sensor: &str, reasons: Vec<String>| reasons.into_iter().map(|r| format!("{sensor}: {r}")).collect::<Vec<_>>();
+    let named = |sensor: &str, reasons: Vec<String>| {
+        reasons.into_iter().map(|r| format!("{sensor}: {r}")).collect::<Vec<_>>()
+    };
     let grade: Grade = color.grade.min(infrared.grade);
-    Verdict { grade, reasons: [named("color", color.reasons), named("infrared", infrared.reasons)].concat() }
+    Verdict {
+        grade,
+        reasons: [named("color", color.reasons), named("infrared", infrared.reasons)].concat(),
+    }
 }

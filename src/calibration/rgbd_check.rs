@@ -1,4 +1,5 @@
-//! Answers of the joint solve of colour and depth that fit, but cannot be: another unit, another device, a mirrored picture.
+//! Answers of the joint solve of colour and depth that fit, but cannot be: another unit, another
+//! device, a mirrored picture.
 
 use crate::calibration::solve_rgbd::RgbdError;
 use crate::estimation::depth_error::JudgedTile;
@@ -15,14 +16,16 @@ const UNIT_SPREAD: f64 = 0.1;
 /// At least this part of the patches follows a board.
 const LEAST_FOLLOWING: f64 = 0.6;
 
-/// The most that is left of 1/z between a patch and the board, as a part of it, in the middle of all patches.
+/// The most that is left of 1/z between a patch and the board, as a part of it, in the middle of
+/// all patches.
 const MOST_LEFT: f64 = 0.02;
 
 /// Sensors of one device are not this far apart, in metres, and not turned this much, in degrees.
 const FURTHEST: (f64, f64) = (0.5, 45.0);
 
 /// # Errors
-/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far apart for one device.
+/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far apart for
+/// one device.
 pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
     let tiles = || joint.judged.iter().flatten();
     let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);
@@ -38,13 +41,17 @@ pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
     }
     let left = |judged: &JudgedTile| {
         let inverse = judged.tile.inverse_depth;
-        let corrected =
-            joint.depth.correction.as_ref().map_or(Some(inverse), |c| c.correct(judged.tile.pixel, inverse));
+        let corrected = joint
+            .depth
+            .correction
+            .as_ref()
+            .map_or(Some(inverse), |c| c.correct(judged.tile.pixel, inverse));
         corrected.map_or(f64::INFINITY, |corrected| (corrected / judged.plane - 1.0).abs())
     };
     let middle = median(tiles().map(left).collect()).unwrap_or(0.0);
     if joint.following < LEAST_FOLLOWING || middle > MOST_LEFT {
-        let off = tiles().filter(|judged| left(judged) > MOST_LEFT).count() as f64 / tiles().count().max(1) as f64;
+        let off = tiles().filter(|judged| left(judged) > MOST_LEFT).count() as f64
+            / tiles().count().max(1) as f64;
         return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
     }
     let pose = &joint.color_from_depth;

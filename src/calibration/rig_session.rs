@@ -1,16 +1,19 @@
-//! A session of several cameras that are fixed to each other: moments go in (what each camera saw at about the same time),
-//! actions come out, as for one camera.
+//! A session of several cameras that are fixed to each other: moments go in (what each camera saw
+//! at about the same time), actions come out, as for one camera.
 //!
-//! Each camera keeps the views that teach something of its own lens, by the rules of [`Session`]. With each of them, the
-//! other cameras that see the board at that moment keep theirs too, new to them or not: it tells where they are.
-//! A view is shared only if the board hardly moved between the two pictures.
+//! Each camera keeps the views that teach something of its own lens, by the rules of [`Session`].
+//! With each of them, the other cameras that see the board at that moment keep theirs too, new to
+//! them or not: it tells where they are. A view is shared only if the board hardly moved between
+//! the two pictures.
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
 use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::session::{LEAST_VIEWS, Session, SessionOver};
 use crate::calibration::session_end::Ending;
-use crate::calibration::session_record::{RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState};
+use crate::calibration::session_record::{
+    RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
+};
 use crate::calibration::solve_rig::{RigCameraInput, RigInput};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
@@ -66,8 +69,8 @@ impl From<Ending> for RigAction {
 /// What became of a moment.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ObservedMoment {
-    /// Camera by camera: the number of the camera's view that it became, or why it became none; `None` for one that gave no
-    /// frame.
+    /// Camera by camera: the number of the camera's view that it became, or why it became none;
+    /// `None` for one that gave no frame.
     pub admissions: Vec<Option<Result<u32, Rejection>>>,
     /// What to do now.
     pub actions: Vec<RigAction>,
@@ -117,8 +120,9 @@ impl RigSession {
         session
     }
 
-    /// A session as it was stored, with its views in order; those of a camera that is not in the rig any more have a place
-    /// that it does not have, and are left out. One that was solving solves again.
+    /// A session as it was stored, with its views in order; those of a camera that is not in the
+    /// rig any more have a place that it does not have, and are left out. One that was solving
+    /// solves again.
     pub fn resume(
         record: SessionRecord,
         cameras: &[String],
@@ -139,7 +143,9 @@ impl RigSession {
         let mut actions = vec![RigAction::Announce];
         match session.record.state {
             SessionState::Solving => actions.push(RigAction::Solve),
-            SessionState::Collecting => actions.extend((0..session.members.len()).map(RigAction::Estimate)),
+            SessionState::Collecting => {
+                actions.extend((0..session.members.len()).map(RigAction::Estimate))
+            }
             _ => {}
         }
         (session, actions)
@@ -178,7 +184,8 @@ impl RigSession {
         RigInput { board, cameras: self.members.iter().enumerate().filter_map(camera).collect() }
     }
 
-    /// Looks at one moment: what each camera saw, in the rig's order. `None` once the session takes no more.
+    /// Looks at one moment: what each camera saw, in the rig's order. `None` once the session takes
+    /// no more.
     pub fn observe(&mut self, sightings: &[Option<Sighting>]) -> Option<ObservedMoment> {
         if self.record.state != SessionState::Collecting {
             return None;
@@ -198,7 +205,10 @@ impl RigSession {
     }
 
     /// What each camera makes of its own picture.
-    fn admissions(&mut self, sightings: &[Option<Sighting>]) -> Vec<Option<Result<u32, Rejection>>> {
+    fn admissions(
+        &mut self,
+        sightings: &[Option<Sighting>],
+    ) -> Vec<Option<Result<u32, Rejection>>> {
         let each = self.members.iter_mut().zip(sightings);
         each.map(|(member, sighting)| {
             let Sighting { frame, seen } = sighting.as_ref()?;
@@ -215,7 +225,8 @@ impl RigSession {
         motion_px_per_s: &[Option<f64>],
     ) -> Vec<RigAction> {
         let mut actions = Vec::new();
-        let is_new: Vec<bool> = admissions.iter().map(|admission| matches!(admission, Some(Ok(_)))).collect();
+        let is_new: Vec<bool> =
+            admissions.iter().map(|admission| matches!(admission, Some(Ok(_)))).collect();
         let mut moment_of: Vec<Option<u32>> = vec![None; is_new.len()];
         for first in (0..is_new.len()).filter(|member| is_new[*member]) {
             if moment_of[first].is_some() {
@@ -224,7 +235,8 @@ impl RigSession {
             let moment = self.moments;
             self.moments += 1;
             for other in 0..is_new.len() {
-                let seen_together = other == first || together(sightings, motion_px_per_s, first, other);
+                let seen_together =
+                    other == first || together(sightings, motion_px_per_s, first, other);
                 if moment_of[other].is_some() || !seen_together {
                     continue;
                 }
@@ -249,7 +261,8 @@ impl RigSession {
         actions
     }
 
-    /// Takes the estimate that [`RigAction::Estimate`] asked for; one that could not be made leaves the one before.
+    /// Takes the estimate that [`RigAction::Estimate`] asked for; one that could not be made leaves
+    /// the one before.
     pub fn estimated(&mut self, member: usize, estimate: Option<EstimateSoFar>) -> Vec<RigAction> {
         if self.record.state.is_over() {
             return Vec::new();
@@ -265,7 +278,8 @@ impl RigSession {
         actions
     }
 
-    /// Solves what has been gathered; with too few views it fails at once. `now_ns` is UTC since the Unix epoch.
+    /// Solves what has been gathered; with too few views it fails at once. `now_ns` is UTC since
+    /// the Unix epoch.
     ///
     /// # Errors
     /// [`SessionOver`].
@@ -287,8 +301,8 @@ impl RigSession {
         self.record.solved(outcome, now_ns)
     }
 
-    /// No frame will ever come again from any camera: a session that was to end by itself ends now, another one waits to
-    /// be stopped.
+    /// No frame will ever come again from any camera: a session that was to end by itself ends now,
+    /// another one waits to be stopped.
     pub fn sources_ended(&mut self, reason: &str, now_ns: i64) -> Vec<RigAction> {
         let enough = self.enough();
         self.record.source_ended(reason, enough, now_ns)
@@ -300,8 +314,11 @@ impl RigSession {
         if self.members.iter().filter(enough).count() >= 2 {
             return Ok(());
         }
-        let kept: Vec<String> =
-            self.members.iter().map(|member| format!("{} {}", member.camera, member.session.views().len())).collect();
+        let kept: Vec<String> = self
+            .members
+            .iter()
+            .map(|member| format!("{} {}", member.camera, member.session.views().len()))
+            .collect();
         Err(format!(
             "views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
             kept.join(", ")
@@ -324,7 +341,8 @@ impl RigSession {
         self.members.iter().map(|member| member.session.record().collecting_s).fold(0.0, f64::max)
     }
 
-    /// How fast the board's fastest corner moves in each picture, in pixels a second; `None` where that cannot be told.
+    /// How fast the board's fastest corner moves in each picture, in pixels a second; `None` where
+    /// that cannot be told.
     fn motion_px_per_s(&mut self, sightings: &[Option<Sighting>]) -> Vec<Option<f64>> {
         let each = self.members.iter_mut().zip(sightings).map(|(member, sighting)| {
             let Sighting { frame, seen } = sighting.as_ref()?;
@@ -339,8 +357,9 @@ impl RigSession {
     fn renew(&mut self) {
         let shared = |place: usize| {
             let of_member = self.views.iter().filter(|view| view.member == place);
-            let other =
-                |view: &&RigView| self.views.iter().any(|other| other.moment == view.moment && other.member != place);
+            let other = |view: &&RigView| {
+                self.views.iter().any(|other| other.moment == view.moment && other.member != place)
+            };
             of_member.filter(other).count() as u32
         };
         let member = |(place, member): (usize, &Member)| {
@@ -363,11 +382,13 @@ impl RigSession {
         record.boards_seen = members.iter().map(|member| member.boards_seen).sum();
         record.views_kept = self.moments;
         record.rejected.set_sum(members.iter().map(|member| &member.rejected));
-        let worst = members.iter().min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
+        let worst =
+            members.iter().min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
         record.coverage = worst.map(|member| member.coverage.clone()).unwrap_or_default();
         let all_estimated = members.iter().all(|member| member.estimate.is_some());
         let median = |estimate: &RunningEstimate| estimate.uncertainty_px.median;
-        let estimates = members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate);
+        let estimates =
+            members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate);
         record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b)));
         if record.state == SessionState::Collecting {
             record.guidance = Guidance { message: next_step(&members), outline_px: Vec::new() };
@@ -381,20 +402,34 @@ const WANTED_SHARED: u32 = 6;
 
 /// What to do next for the camera that lacks most.
 fn next_step(members: &[SessionMember]) -> String {
-    if let Some(lonely) = members.iter().find(|member| member.views_kept > 2 && member.views_shared < WANTED_SHARED) {
-        return format!("hold the board still where {} and another camera see all of it", lonely.camera);
+    if let Some(lonely) =
+        members.iter().find(|member| member.views_kept > 2 && member.views_shared < WANTED_SHARED)
+    {
+        return format!(
+            "hold the board still where {} and another camera see all of it",
+            lonely.camera
+        );
     }
     let open = members.iter().filter(|member| !member.guidance.message.is_empty());
     let least = open.min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
-    least.map(|member| format!("{}: {}", member.camera, member.guidance.message)).unwrap_or_default()
+    least
+        .map(|member| format!("{}: {}", member.camera, member.guidance.message))
+        .unwrap_or_default()
 }
 
-/// Whether two cameras saw the board in the same place: at the same time, or with a board that hardly moved meanwhile.
-fn together(sightings: &[Option<Sighting>], motion_px_per_s: &[Option<f64>], one: usize, other: usize) -> bool {
+/// Whether two cameras saw the board in the same place: at the same time, or with a board that
+/// hardly moved meanwhile.
+fn together(
+    sightings: &[Option<Sighting>],
+    motion_px_per_s: &[Option<f64>],
+    one: usize,
+    other: usize,
+) -> bool {
     let (Some(first), Some(second)) = (&sightings[one], &sightings[other]) else { return false };
     let apart_s = (first.frame.host_time_ns - second.frame.host_time_ns) as f64 * 1e-9;
     let fastest = motion_px_per_s[one].zip(motion_px_per_s[other]).map(|(a, b)| a.max(b));
-    apart_s.abs() <= SAME_TIME_S || fastest.is_some_and(|speed| speed * apart_s.abs() <= SHARED_MOTION_PX)
+    apart_s.abs() <= SAME_TIME_S
+        || fastest.is_some_and(|speed| speed * apart_s.abs() <= SHARED_MOTION_PX)
 }
 
 fn speed((time_ns, before): &(i64, Detection), now_ns: i64, now: &Detection) -> Option<f64> {

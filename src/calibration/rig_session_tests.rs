@@ -47,19 +47,32 @@ fn places(session: &RigSession) -> Vec<(usize, u32, u32)> {
 #[test]
 fn what_is_new_to_one_camera_is_kept_of_all_that_see_it() {
     let mut session = session(&["left", "right", "far"], None);
-    let none = Some(Sighting { frame: frame(0), seen: Err(Rejection::Partial { seen: 40, expected: 54 }) });
+    let none = Some(Sighting {
+        frame: frame(0),
+        seen: Err(Rejection::Partial { seen: 40, expected: 54 }),
+    });
     let first = [sees(0, board(0.0, 0.5, 0.0)), sees(0, board(-0.1, 0.5, 0.0)), none];
     let observed = session.observe(&first).unwrap();
     assert_eq!(places(&session), [(0, 0, 0), (1, 0, 0)]);
-    assert_eq!(observed.actions.iter().filter(|action| matches!(action, RigAction::Keep(_))).count(), 2);
+    assert_eq!(
+        observed.actions.iter().filter(|action| matches!(action, RigAction::Keep(_))).count(),
+        2
+    );
     // New to the left camera alone.
-    session.observe(&[sees(1000, board(0.1, 0.5, 0.5)), sees(1000, board(-0.1, 0.5, 0.0)), None]).unwrap();
+    session
+        .observe(&[sees(1000, board(0.1, 0.5, 0.5)), sees(1000, board(-0.1, 0.5, 0.0)), None])
+        .unwrap();
     // New to none.
-    session.observe(&[sees(2000, board(0.1, 0.5, 0.5)), sees(2000, board(-0.1, 0.5, 0.0)), None]).unwrap();
+    session
+        .observe(&[sees(2000, board(0.1, 0.5, 0.5)), sees(2000, board(-0.1, 0.5, 0.0)), None])
+        .unwrap();
     assert_eq!(places(&session), [(0, 0, 0), (1, 0, 0), (0, 1, 1), (1, 1, 1)]);
     let record = session.record();
     assert_eq!((record.views_kept, record.frames_seen, record.boards_seen), (2, 7, 6));
-    assert_eq!(record.members.iter().map(|member| member.views_shared).collect::<Vec<_>>(), [2, 2, 0]);
+    assert_eq!(
+        record.members.iter().map(|member| member.views_shared).collect::<Vec<_>>(),
+        [2, 2, 0]
+    );
 }
 
 #[test]
@@ -75,7 +88,9 @@ fn a_board_that_moved_between_the_pictures_is_not_shared() {
     session.observe(&at(200, 0.02)).unwrap();
     assert_eq!(places(&session).len(), 2, "nothing new");
     session.observe(&[sees(5000, board(0.1, 0.5, 0.5)), sees(5015, board(0.0, 0.5, 0.5))]).unwrap();
-    session.observe(&[sees(5100, board(0.1, 0.5, -0.5)), sees(5115, board(0.0, 0.5, -0.5))]).unwrap();
+    session
+        .observe(&[sees(5100, board(0.1, 0.5, -0.5)), sees(5115, board(0.0, 0.5, -0.5))])
+        .unwrap();
     assert_eq!(session.record().members[0].views_shared, 0);
 }
 
@@ -99,17 +114,29 @@ fn a_session_goes_on_with_its_stored_views() {
         let across = -0.12 + 0.08 * f64::from(k);
         let time_ms = i64::from(k) * 1000;
         session
-            .observe(&[sees(time_ms, board(across, 0.5, 0.3)), sees(time_ms, board(across - 0.1, 0.5, 0.3))])
+            .observe(&[
+                sees(time_ms, board(across, 0.5, 0.3)),
+                sees(time_ms, board(across - 0.1, 0.5, 0.3)),
+            ])
             .unwrap();
     }
     let stored: Vec<(RigView, View)> = session
         .views()
         .iter()
-        .map(|place| (place.clone(), session.session(place.member).unwrap().views()[place.view as usize].clone()))
+        .map(|place| {
+            (
+                place.clone(),
+                session.session(place.member).unwrap().views()[place.view as usize].clone(),
+            )
+        })
         .collect();
     let cameras = ["left".to_owned(), "right".to_owned()];
-    let (resumed, actions) =
-        RigSession::resume(session.record().clone(), &cameras, stored, &AdmissionOptions::default());
+    let (resumed, actions) = RigSession::resume(
+        session.record().clone(),
+        &cameras,
+        stored,
+        &AdmissionOptions::default(),
+    );
     assert_eq!(resumed.views(), session.views());
     assert_eq!(resumed.input(), session.input());
     assert!(actions.contains(&RigAction::Estimate(1)));

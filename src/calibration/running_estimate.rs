@@ -1,5 +1,6 @@
-//! The estimate that a session shows while it collects: gone on from view to view, which costs a fraction of a solve, and made
-//! anew where going on is doubtful. The calibration itself never comes this way: it is solved from nothing at the end.
+//! The estimate that a session shows while it collects: gone on from view to view, which costs a
+//! fraction of a solve, and made anew where going on is doubtful. The calibration itself never
+//! comes this way: it is solved from nothing at the end.
 
 use crate::calibration::calibration::ProjectionUncertainty;
 use crate::calibration::session_record::RunningEstimate;
@@ -11,11 +12,13 @@ use crate::estimation::problem::{CameraProblem, LensChoice};
 /// With fewer views an estimate costs little anew, and each new one still changes much.
 const LEAST_VIEWS: usize = 8;
 
-/// Residuals may be this many times those of the estimate before: one view more among [`LEAST_VIEWS`] and above changes them less,
-/// unless something is wrong with it or with the estimate.
+/// Residuals may be this many times those of the estimate before: one view more among
+/// [`LEAST_VIEWS`] and above changes them less, unless something is wrong with it or with the
+/// estimate.
 const RESIDUALS: f64 = 1.25;
 
-/// No parameter may move by more than this many of its standard deviations before: one view more moves them by less than one.
+/// No parameter may move by more than this many of its standard deviations before: one view more
+/// moves them by less than one.
 const MOVED: f64 = 4.0;
 
 /// An estimate of the views so far.
@@ -51,20 +54,23 @@ impl GoingOn {
         views >= 2 * self.looked_for_among
     }
 
-    /// The estimate of `problem` from here, its first views being those of this one; `None` where it cannot be made or is doubtful.
+    /// The estimate of `problem` from here, its first views being those of this one; `None` where
+    /// it cannot be made or is doubtful.
     fn go_on(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
-        let options = CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
+        let options =
+            CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
         let (estimate, uncertainty_px) = estimate_views(problem, &options).ok()?;
         let made = Made { anew: false, looked_for_among: self.looked_for_among };
         self.is_continued_by(&estimate).then(|| EstimateSoFar::of(&estimate, uncertainty_px, made))
     }
 
-    /// Whether `next` is what a few more views make of this estimate. A view that is rejected, greater residuals or a jump of the
-    /// lens may each be the fault of where it came from.
+    /// Whether `next` is what a few more views make of this estimate. A view that is rejected,
+    /// greater residuals or a jump of the lens may each be the fault of where it came from.
     fn is_continued_by(&self, next: &CameraEstimate) -> bool {
         let known = self.rejected.iter().copied().chain(std::iter::repeat(false));
-        let newly_rejected = next.views.iter().zip(known).any(|(view, known)| view.fault.is_some() && !known);
+        let newly_rejected =
+            next.views.iter().zip(known).any(|(view, known)| view.fault.is_some() && !known);
         let (before, after) = (self.start.lens.parameters(), next.lens.parameters());
         let mut moved = before.iter().zip(&after).zip(&self.lens_std);
         !newly_rejected
@@ -85,7 +91,12 @@ impl EstimateSoFar {
         let rejected: Vec<bool> = estimate.views.iter().map(|view| view.fault.is_some()).collect();
         let views = rejected.iter().filter(|rejected| !**rejected).count() as u32;
         Self {
-            running: RunningEstimate { lens: estimate.lens, rms_px: estimate.rms_px, uncertainty_px, views },
+            running: RunningEstimate {
+                lens: estimate.lens,
+                rms_px: estimate.rms_px,
+                uncertainty_px,
+                views,
+            },
             going_on: Some(GoingOn {
                 start: estimate.to_start(),
                 lens_std: estimate.lens_std(),
@@ -98,9 +109,10 @@ impl EstimateSoFar {
     }
 }
 
-/// Estimates a camera from a session's views so far. `earlier` is what the newest estimate of the same session left, made of
-/// the first of these views in the same order. A lens model that is to be chosen is chosen anew each time the views have doubled:
-/// comparing all of them costs ten times a fit.
+/// Estimates a camera from a session's views so far. `earlier` is what the newest estimate of the
+/// same session left, made of the first of these views in the same order. A lens model that is to
+/// be chosen is chosen anew each time the views have doubled: comparing all of them costs ten times
+/// a fit.
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`].
@@ -111,16 +123,19 @@ pub fn estimate_so_far(
 ) -> Result<EstimateSoFar, EstimationError> {
     let views = problem.views.len();
     let earlier = earlier.filter(|earlier| !earlier.is_outgrown_by(views));
-    let gone_on = earlier.filter(|_| views > LEAST_VIEWS).and_then(|earlier| earlier.go_on(problem));
+    let gone_on =
+        earlier.filter(|_| views > LEAST_VIEWS).and_then(|earlier| earlier.go_on(problem));
     if let Some(gone_on) = gone_on {
         return Ok(gone_on);
     }
     let anew = |lens: LensChoice, looked_for_among: usize| {
-        let (estimate, uncertainty_px) = estimate_views(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
+        let (estimate, uncertainty_px) =
+            estimate_views(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
         Ok(EstimateSoFar::of(&estimate, uncertainty_px, Made { anew: true, looked_for_among }))
     };
     // Where only the fit is made anew, the lens model stays the one of the earlier choice.
-    let of_chosen =
-        earlier.and_then(|kept| anew(LensChoice::Model(kept.start.lens.model()), kept.looked_for_among).ok());
+    let of_chosen = earlier.and_then(|kept| {
+        anew(LensChoice::Model(kept.start.lens.model()), kept.looked_for_among).ok()
+    });
     of_chosen.map_or_else(|| anew(lens, views), Ok)
 }

@@ -1,7 +1,7 @@
 //! The right infrared sensor of a stereo depth camera: its lens, and where it is beside colour.
 //!
-//! Depth is measured in the left one's view, so that the right one adds nothing to depth: it is solved with colour alone, as
-//! a rig of two cameras.
+//! Depth is measured in the left one's view, so that the right one adds nothing to depth: it is
+//! solved with colour alone, as a rig of two cameras.
 
 use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::solve_rig::{RigCameraInput, RigError, RigInput, SolvedRig, solve_rig};
@@ -38,14 +38,21 @@ pub struct StereoInput {
 ///
 /// # Errors
 /// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
-pub fn solve_second_infrared(input: &StereoInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
+pub fn solve_second_infrared(
+    input: &StereoInput,
+    options: &CameraOptions,
+) -> Result<SolvedRig, RigError> {
     let views = |seen: fn(&StereoCapture) -> &Vec<Correspondence>| {
-        let with_board = input.captures.iter().enumerate().filter(|(_, capture)| !seen(capture).is_empty());
-        let view =
-            |capture: &StereoCapture| BoardView { name: capture.name.clone(), correspondences: seen(capture).clone() };
+        let with_board =
+            input.captures.iter().enumerate().filter(|(_, capture)| !seen(capture).is_empty());
+        let view = |capture: &StereoCapture| BoardView {
+            name: capture.name.clone(),
+            correspondences: seen(capture).clone(),
+        };
         with_board.map(|(moment, capture)| (moment, view(capture))).collect()
     };
-    let camera = |name: &str, image_size, views| RigCameraInput { name: name.to_owned(), image_size, views };
+    let camera =
+        |name: &str, image_size, views| RigCameraInput { name: name.to_owned(), image_size, views };
     let cameras = vec![
         camera("color", input.color_size, views(|capture| &capture.color)),
         camera("infrared2", input.infrared2_size, views(|capture| &capture.infrared2)),
@@ -53,14 +60,19 @@ pub fn solve_second_infrared(input: &StereoInput, options: &CameraOptions) -> Re
     solve_rig(&RigInput { board: input.board, cameras }, options)
 }
 
-/// `calibration`, which has colour, with its right infrared sensor and where that is; where it cannot be had, colour stays
-/// as it is and the verdict says why.
-pub fn with_second_infrared(mut calibration: Calibration, input: &StereoInput, options: &CameraOptions) -> Calibration {
+/// `calibration`, which has colour, with its right infrared sensor and where that is; where it
+/// cannot be had, colour stays as it is and the verdict says why.
+pub fn with_second_infrared(
+    mut calibration: Calibration,
+    input: &StereoInput,
+    options: &CameraOptions,
+) -> Calibration {
     let lens = calibration.color.as_ref().map(|color| LensChoice::Model(color.lens.model()));
     let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
     match solve_second_infrared(input, &options) {
         Ok(SolvedRig { cameras, extrinsics, .. }) => {
-            calibration.infrared2 = cameras.into_iter().find(|camera| camera.name == "infrared2").map(|c| c.sensor);
+            calibration.infrared2 =
+                cameras.into_iter().find(|camera| camera.name == "infrared2").map(|c| c.sensor);
             calibration.extrinsics.extend(extrinsics);
         }
         Err(reason) => {
@@ -94,14 +106,22 @@ mod tests {
             let corner = |point_in_board| {
                 let pixel = lens.pixel_from_point(&(camera_from_board * point_in_board)).unwrap();
                 let mut noisy = |at: f64| at + NOISE_PX * noise.random_range(-1.7..1.7);
-                Correspondence { point_in_board, pixel: Pixel::new(noisy(pixel.x), noisy(pixel.y)), std_px: NOISE_PX }
+                Correspondence {
+                    point_in_board,
+                    pixel: Pixel::new(noisy(pixel.x), noisy(pixel.y)),
+                    std_px: NOISE_PX,
+                }
             };
             board.corners_in_board().into_iter().map(corner).collect()
         };
         let capture = |k: usize| {
             let across = |factor: f64| (k as f64 * factor).sin();
             let turn = Vector3::new(0.5 * across(1.3), 0.5 * across(2.1), 0.3 * across(0.7));
-            let shift = Vector3::new(-0.1 + 0.12 * across(3.1), -0.06 + 0.08 * across(1.9), 0.7 + 0.1 * across(0.9));
+            let shift = Vector3::new(
+                -0.1 + 0.12 * across(3.1),
+                -0.06 + 0.08 * across(1.9),
+                0.7 + 0.1 * across(0.9),
+            );
             let color_from_board = Pose::from_axis_angle(turn, shift);
             StereoCapture {
                 name: k.to_string(),
@@ -109,15 +129,27 @@ mod tests {
                 infrared2: seen(infrared2, color_from_infrared2.inverse() * color_from_board),
             }
         };
-        StereoInput { board, color_size: SIZE, infrared2_size: SIZE, captures: (0..15).map(capture).collect() }
+        StereoInput {
+            board,
+            color_size: SIZE,
+            infrared2_size: SIZE,
+            captures: (0..15).map(capture).collect(),
+        }
     }
 
     #[test]
     fn the_right_sensor_is_placed_beside_colour() {
-        let lens = |fx: f64| Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 322.0, cy: 238.0, skew: 0.0 });
-        let truth = Pose::from_axis_angle(Vector3::new(0.01, -0.02, 0.005), Vector3::new(0.075, 0.001, -0.002));
+        let lens =
+            |fx: f64| Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 322.0, cy: 238.0, skew: 0.0 });
+        let truth = Pose::from_axis_angle(
+            Vector3::new(0.01, -0.02, 0.005),
+            Vector3::new(0.075, 0.001, -0.002),
+        );
         let mut input = input(&lens(600.0), &lens(575.0), truth);
-        let options = CameraOptions { lens: LensChoice::Model(LensModel::Pinhole), ..CameraOptions::default() };
+        let options = CameraOptions {
+            lens: LensChoice::Model(LensModel::Pinhole),
+            ..CameraOptions::default()
+        };
         let solved = solve_second_infrared(&input, &options).unwrap();
         assert_eq!(solved.extrinsics[0].name, "color_from_infrared2");
         let found = &solved.extrinsics[0];
@@ -128,10 +160,16 @@ mod tests {
         assert!(found.target_from_source.angle_to(&truth) < 1e-3, "{found:?}");
         let infrared2 = &solved.cameras[1];
         let off_px = infrared2.sensor.lens.matrix.fx - 575.0;
-        assert!(infrared2.name == "infrared2" && off_px.abs() < 4.0 * infrared2.sensor.lens_std[0], "{off_px}");
+        assert!(
+            infrared2.name == "infrared2" && off_px.abs() < 4.0 * infrared2.sensor.lens_std[0],
+            "{off_px}"
+        );
 
         input.captures.iter_mut().for_each(|capture| capture.infrared2.clear());
         let error = solve_second_infrared(&input, &options).unwrap_err().to_string();
-        assert!(error.starts_with("only 1 of 2 cameras can be calibrated; camera `infrared2`: "), "{error}");
+        assert!(
+            error.starts_with("only 1 of 2 cameras can be calibrated; camera `infrared2`: "),
+            "{error}"
+        );
     }
 }

@@ -1,9 +1,10 @@
-//! What the product decides: a calibration session as a state machine. Events go in (a frame was looked at, an estimate is
-//! ready, someone asks to stop), [`Action`]s come out; whoever owns the session performs them. How it ends is in
-//! [`super::session_end`].
+//! What the product decides: a calibration session as a state machine. Events go in (a frame was
+//! looked at, an estimate is ready, someone asks to stop), [`Action`]s come out; whoever owns the
+//! session performs them. How it ends is in [`super::session_end`].
 //!
-//! It reads no clock and starts no thread: time comes inside frames and requests. Which views are kept depends on the
-//! frames alone; only reaching an uncertainty goal depends on when estimates are ready.
+//! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
+//! kept depends on the frames alone; only reaching an uncertainty goal depends on when estimates
+//! are ready.
 
 use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
 use crate::calibration::coverage::Coverage;
@@ -17,7 +18,8 @@ use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
 
-/// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera calibration", 2000, section 3.3).
+/// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera
+/// calibration", 2000, section 3.3).
 pub const LEAST_VIEWS: usize = 3;
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
@@ -27,7 +29,8 @@ const OBSTACLE_FRAMES: u32 = 4;
 /// What whoever owns the session has to do, in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
-    /// Store the view with this number, with the picture that was just observed, before taking the next frame.
+    /// Store the view with this number, with the picture that was just observed, before taking the
+    /// next frame.
     Keep(u32),
     /// Estimate from [`Session::views`] beside the frames, and answer with [`Session::estimated`].
     Estimate,
@@ -91,14 +94,19 @@ impl Session {
         }
     }
 
-    /// A session as it was stored, with its views in order. One that was collecting goes on collecting, one that was
-    /// solving solves again.
-    pub fn resume(record: SessionRecord, views: Vec<View>, options: &AdmissionOptions) -> (Self, Vec<Action>) {
+    /// A session as it was stored, with its views in order. One that was collecting goes on
+    /// collecting, one that was solving solves again.
+    pub fn resume(
+        record: SessionRecord,
+        views: Vec<View>,
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
         let mut session = Self::begin(record, options);
         session.record.coverage = Coverage::default();
         session.record.reason = None;
         for view in views {
-            // What was admitted once has a placement; a view without one would shift the numbers that rejections name.
+            // What was admitted once has a placement; a view without one would shift the numbers
+            // that rejections name.
             if let Some(placement) = Placement::of(&view.detection, view.frame.image_size) {
                 session.add(view, placement);
             }
@@ -127,8 +135,13 @@ impl Session {
         self.views.first().map(|view| view.frame.image_size)
     }
 
-    /// Looks at one frame: what was detected in it, or why nothing was. `None` once the session takes no more frames.
-    pub fn observe(&mut self, frame: &FrameFacts, seen: Result<&Detection, Rejection>) -> Option<Observed> {
+    /// Looks at one frame: what was detected in it, or why nothing was. `None` once the session
+    /// takes no more frames.
+    pub fn observe(
+        &mut self,
+        frame: &FrameFacts,
+        seen: Result<&Detection, Rejection>,
+    ) -> Option<Observed> {
         if self.record.state != SessionState::Collecting {
             return None;
         }
@@ -159,11 +172,13 @@ impl Session {
     pub fn would_keep(&self, frame: &FrameFacts, detection: &Detection) -> bool {
         self.record.state == SessionState::Collecting
             && self.image_size().is_none_or(|expected| expected == frame.image_size)
-            && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options).is_ok()
+            && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
+                .is_ok()
     }
 
-    /// Keeps a detection that teaches this camera nothing new, for what it teaches of a rig: another camera of it saw the
-    /// board at the same moment. The number of the view; `None` where it cannot be a view at all.
+    /// Keeps a detection that teaches this camera nothing new, for what it teaches of a rig:
+    /// another camera of it saw the board at the same moment. The number of the view; `None` where
+    /// it cannot be a view at all.
     pub fn keep_shared(&mut self, frame: &FrameFacts, detection: &Detection) -> Option<u32> {
         let room = self.views.len() < self.options.view_limit as usize;
         let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
@@ -178,7 +193,8 @@ impl Session {
         self.goals_reached(finish)
     }
 
-    /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves the one before.
+    /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves
+    /// the one before.
     pub fn estimated(&mut self, estimate: Option<EstimateSoFar>) -> Vec<Action> {
         self.estimating = false;
         if self.record.state.is_over() {
@@ -209,8 +225,8 @@ impl Session {
         self.estimating
     }
 
-    /// Solves what has been gathered; with too few views it fails at once. Nothing new for one that solves already.
-    /// `now_ns` is UTC since the Unix epoch.
+    /// Solves what has been gathered; with too few views it fails at once. Nothing new for one that
+    /// solves already. `now_ns` is UTC since the Unix epoch.
     ///
     /// # Errors
     /// [`SessionOver`].
@@ -261,7 +277,8 @@ impl Session {
         self.end_if_reached()
     }
 
-    /// No frame will ever come again: a session that was to end by itself ends now, another one waits to be stopped.
+    /// No frame will ever come again: a session that was to end by itself ends now, another one
+    /// waits to be stopped.
     pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
         let enough = self.enough();
         self.record.source_ended(reason, enough, now_ns)
@@ -278,7 +295,11 @@ impl Session {
         ))
     }
 
-    fn admit(&mut self, frame: &FrameFacts, seen: Result<&Detection, Rejection>) -> Result<u32, Rejection> {
+    fn admit(
+        &mut self,
+        frame: &FrameFacts,
+        seen: Result<&Detection, Rejection>,
+    ) -> Result<u32, Rejection> {
         let detection = seen.inspect_err(|_| self.before = None)?;
         self.record.boards_seen += 1;
         let now = SeenBefore { time_ns: frame.time_ns(), detection: detection.clone() };
@@ -309,7 +330,8 @@ impl Session {
     /// Frame time goes on counting as long as it rises in plausible steps.
     fn count_time(&mut self, time_ns: i64) {
         let last_ns = self.last_time_ns.replace(time_ns);
-        let elapsed_s = last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
+        let elapsed_s =
+            last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
         if (0.0..60.0).contains(&elapsed_s) {
             self.record.collecting_s += elapsed_s;
         }
@@ -325,8 +347,13 @@ impl Session {
 
     /// Renews the guidance; whether it changed.
     fn advise(&mut self, size: ImageSize) -> bool {
-        let lasting = self.obstacle.as_ref().filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what);
-        let guidance: Guidance = advise(&self.record.request.target, size, &self.placements, lasting);
+        let lasting = self
+            .obstacle
+            .as_ref()
+            .filter(|(_, frames)| *frames >= OBSTACLE_FRAMES)
+            .map(|(what, _)| what);
+        let guidance: Guidance =
+            advise(&self.record.request.target, size, &self.placements, lasting);
         let changed = guidance != self.record.guidance;
         self.record.guidance = guidance;
         changed
@@ -355,7 +382,8 @@ impl Session {
             (None, None) => false,
             (None, Some(least)) => kept >= least.max(LEAST_VIEWS as u32),
             (Some(goal_px), least) => self.record.estimate.is_some_and(|estimate| {
-                estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL) && estimate.uncertainty_px.median <= goal_px
+                estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL)
+                    && estimate.uncertainty_px.median <= goal_px
             }),
         }
     }

@@ -1,5 +1,5 @@
-//! How a session comes to its end: the rules that one camera's session and a rig's share. What differs, whether what was
-//! gathered can be solved, they tell themselves: `Ok`, or why not.
+//! How a session comes to its end: the rules that one camera's session and a rig's share. What
+//! differs, whether what was gathered can be solved, they tell themselves: `Ok`, or why not.
 //!
 //! ```text
 //! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
@@ -31,7 +31,8 @@ pub(super) enum Ending {
 }
 
 impl SessionRecord {
-    /// By request: solves, or fails where `enough` says why it cannot. Nothing new for one that solves already.
+    /// By request: solves, or fails where `enough` says why it cannot. Nothing new for one that
+    /// solves already.
     pub(super) fn stop<A: From<Ending>>(
         &mut self,
         enough: Result<(), String>,
@@ -47,13 +48,18 @@ impl SessionRecord {
     /// By request: gives it up.
     pub(super) fn abort<A: From<Ending>>(&mut self, now_ns: i64) -> Result<Vec<A>, SessionOver> {
         match self.state {
-            SessionState::Collecting | SessionState::Solving => Ok(self.close(SessionState::Aborted, None, now_ns)),
+            SessionState::Collecting | SessionState::Solving => {
+                Ok(self.close(SessionState::Aborted, None, now_ns))
+            }
             state => Err(SessionOver { state }),
         }
     }
 
     /// By itself, where `finish` is reached: its frames tell the time.
-    pub(super) fn solve_or_fail_by_itself<A: From<Ending>>(&mut self, enough: Result<(), String>) -> Vec<A> {
+    pub(super) fn solve_or_fail_by_itself<A: From<Ending>>(
+        &mut self,
+        enough: Result<(), String>,
+    ) -> Vec<A> {
         let now_ns = self.started_at_ns.saturating_add((self.collecting_s * 1e9) as i64);
         self.solve_or_fail(enough, now_ns)
     }
@@ -64,7 +70,8 @@ impl SessionRecord {
         limit_s.is_some_and(|limit_s| self.collecting_s >= limit_s)
     }
 
-    /// No frame will ever come again: a session that was to end by itself ends now, another one waits to be stopped.
+    /// No frame will ever come again: a session that was to end by itself ends now, another one
+    /// waits to be stopped.
     pub(super) fn source_ended<A: From<Ending>>(
         &mut self,
         reason: &str,
@@ -82,7 +89,11 @@ impl SessionRecord {
     }
 
     /// Takes the outcome of the solve: the id of the calibration, or why there is none.
-    pub(super) fn solved<A: From<Ending>>(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<A> {
+    pub(super) fn solved<A: From<Ending>>(
+        &mut self,
+        outcome: Result<String, String>,
+        now_ns: i64,
+    ) -> Vec<A> {
         if self.state != SessionState::Solving {
             return Vec::new();
         }
@@ -95,7 +106,11 @@ impl SessionRecord {
         }
     }
 
-    fn solve_or_fail<A: From<Ending>>(&mut self, enough: Result<(), String>, now_ns: i64) -> Vec<A> {
+    fn solve_or_fail<A: From<Ending>>(
+        &mut self,
+        enough: Result<(), String>,
+        now_ns: i64,
+    ) -> Vec<A> {
         if let Err(reason) = enough {
             return self.close(SessionState::Failed, Some(reason), now_ns);
         }
@@ -105,7 +120,12 @@ impl SessionRecord {
         vec![Ending::Announce.into(), Ending::Solve.into()]
     }
 
-    fn close<A: From<Ending>>(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<A> {
+    fn close<A: From<Ending>>(
+        &mut self,
+        state: SessionState,
+        reason: Option<String>,
+        now_ns: i64,
+    ) -> Vec<A> {
         self.state = state;
         self.reason = reason;
         self.guidance = Guidance::default();

@@ -19,14 +19,17 @@ pub struct SessionRequest {
     pub finish: Option<Finish>,
 }
 
-/// When a session has enough and solves by itself: as soon as every goal that is given is reached, or the time is up.
+/// When a session has enough and solves by itself: as soon as every goal that is given is reached,
+/// or the time is up.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Finish {
-    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough, in pixels.
+    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough,
+    /// in pixels.
     pub uncertainty_px: Option<f64>,
     /// The least number of views.
     pub min_views: Option<u32>,
-    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then is solved.
+    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then
+    /// is solved.
     pub max_seconds: Option<f64>,
 }
 
@@ -47,7 +50,8 @@ pub enum SessionState {
 
 impl SessionState {
     /// Every state.
-    pub const ALL: [Self; 5] = [Self::Collecting, Self::Solving, Self::Finished, Self::Failed, Self::Aborted];
+    pub const ALL: [Self; 5] =
+        [Self::Collecting, Self::Solving, Self::Finished, Self::Failed, Self::Aborted];
 
     /// Its name in documents.
     pub fn name(self) -> &'static str {
@@ -114,8 +118,9 @@ pub struct SessionRecord {
     pub id: String,
     /// The camera's name, or the rig's.
     pub camera: String,
-    /// What each camera of a rig contributes, in the rig's order; empty for one camera. What the record itself says of
-    /// frames and boards is then the sum, of coverage and estimate the worst camera's, and of views the moments kept.
+    /// What each camera of a rig contributes, in the rig's order; empty for one camera. What the
+    /// record itself says of frames and boards is then the sum, of coverage and estimate the worst
+    /// camera's, and of views the moments kept.
     pub members: Vec<SessionMember>,
     /// What was asked for.
     pub request: SessionRequest,

@@ -17,7 +17,10 @@ const NOW_NS: i64 = 9_000_000_000;
 fn session(finish: Option<Finish>) -> Session {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
     let request = SessionRequest { target, lens: LensChoice::Auto, finish };
-    Session::begin(SessionRecord::begin("01", "front", request, 1_000_000_000), &AdmissionOptions::default())
+    Session::begin(
+        SessionRecord::begin("01", "front", request, 1_000_000_000),
+        &AdmissionOptions::default(),
+    )
 }
 
 /// The `n`-th frame of a camera that takes two a second.
@@ -34,20 +37,25 @@ fn frame(n: u64) -> FrameFacts {
 /// Twelve placements that differ by more than a step.
 fn placements() -> Vec<Detection> {
     let tilts = [[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5]];
-    let at = |x: f64, tilt: [f64; 2]| detection_at(Vector3::new(x, 0.02, 0.5), Vector3::new(tilt[0], tilt[1], 0.0));
+    let at = |x: f64, tilt: [f64; 2]| {
+        detection_at(Vector3::new(x, 0.02, 0.5), Vector3::new(tilt[0], tilt[1], 0.0))
+    };
     [-0.12, 0.0, 0.12].iter().flat_map(|x| tilts.map(|tilt| at(*x, tilt))).collect()
 }
 
 fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
-    let lens = Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 });
-    let uncertainty_px = ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
+    let lens =
+        Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 });
+    let uncertainty_px =
+        ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
     let running = RunningEstimate { lens, rms_px: 0.1, uncertainty_px, views };
     Some(EstimateSoFar { running, going_on: None })
 }
 
 /// Feeds `detections` as frames from `first` on; the actions of all.
 fn feed(session: &mut Session, first: u64, detections: &[Detection]) -> Vec<Action> {
-    let observed = |(k, detection)| session.observe(&frame(first + k as u64), Ok(detection)).unwrap();
+    let observed =
+        |(k, detection)| session.observe(&frame(first + k as u64), Ok(detection)).unwrap();
     detections.iter().enumerate().map(observed).flat_map(|observed| observed.actions).collect()
 }
 
@@ -112,14 +120,23 @@ fn a_pile_of_photographs_has_no_motion() {
 fn one_estimate_at_a_time_and_the_newest_views_at_the_end() {
     let mut session = session(None);
     let detections = placements();
-    let wished = |actions: &[Action]| actions.iter().filter(|action| **action == Action::Estimate).count();
-    assert_eq!(wished(&feed(&mut session, 0, &detections[..6])), 1, "the third view asks, the others wait");
+    let wished =
+        |actions: &[Action]| actions.iter().filter(|action| **action == Action::Estimate).count();
+    assert_eq!(
+        wished(&feed(&mut session, 0, &detections[..6])),
+        1,
+        "the third view asks, the others wait"
+    );
     assert_eq!(session.estimated(estimate_of(3, 0.5)), [Action::Announce, Action::Estimate]);
     assert_eq!(session.estimated(estimate_of(6, 0.4)), [Action::Announce]);
     assert!(!session.is_estimating());
     assert_eq!(wished(&feed(&mut session, 6, &detections[6..7])), 1);
     session.estimated(None);
-    assert_eq!(session.record().estimate.unwrap().views, 6, "a failed estimate leaves the one before");
+    assert_eq!(
+        session.record().estimate.unwrap().views,
+        6,
+        "a failed estimate leaves the one before"
+    );
 }
 
 #[test]
@@ -127,10 +144,17 @@ fn goals_end_it() {
     let goal = Finish { uncertainty_px: Some(0.2), min_views: Some(5), max_seconds: None };
     let mut session = session(Some(goal));
     feed(&mut session, 0, &placements()[..5]);
-    assert_eq!(session.estimated(estimate_of(3, 0.1)), [Action::Announce, Action::Estimate], "of too few views");
+    assert_eq!(
+        session.estimated(estimate_of(3, 0.1)),
+        [Action::Announce, Action::Estimate],
+        "of too few views"
+    );
     assert_eq!(session.estimated(estimate_of(5, 0.3)), [Action::Announce], "not sure enough");
     feed(&mut session, 5, &placements()[5..6]);
-    assert_eq!(session.estimated(estimate_of(6, 0.2)), [Action::Announce, Action::Announce, Action::Solve]);
+    assert_eq!(
+        session.estimated(estimate_of(6, 0.2)),
+        [Action::Announce, Action::Announce, Action::Solve]
+    );
     assert_eq!(session.observe(&frame(9), Ok(&placements()[9])), None, "takes no more frames");
     assert_eq!(session.stop(NOW_NS), Ok(Vec::new()), "it solves already");
     assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), [Action::Close]);
@@ -158,7 +182,14 @@ fn time_is_that_of_the_frames_and_ends_it() {
     assert_eq!(starved.waited(4.9), []);
     assert_eq!(starved.waited(0.2), [Action::Close]);
     assert_eq!(starved.record().state, SessionState::Failed);
-    assert!(starved.record().reason.as_ref().unwrap().starts_with("the time is up: 0 views were kept and at least 3"));
+    assert!(
+        starved
+            .record()
+            .reason
+            .as_ref()
+            .unwrap()
+            .starts_with("the time is up: 0 views were kept and at least 3")
+    );
 }
 
 #[test]
@@ -167,7 +198,14 @@ fn too_few_views_fail_and_stay() {
     feed(&mut session, 0, &placements()[..2]);
     assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Close]));
     assert_eq!((session.record().state, session.views().len()), (SessionState::Failed, 2));
-    assert!(session.record().reason.as_ref().unwrap().contains("2 views were kept and at least 3 are needed"));
+    assert!(
+        session
+            .record()
+            .reason
+            .as_ref()
+            .unwrap()
+            .contains("2 views were kept and at least 3 are needed")
+    );
 }
 
 #[test]
@@ -177,7 +215,10 @@ fn an_aborted_solve_changes_nothing_any_more() {
     assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Announce, Action::Solve]));
     assert_eq!(session.abort(NOW_NS), Ok(vec![Action::Close]));
     assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), []);
-    assert_eq!((session.record().state, &session.record().calibration), (SessionState::Aborted, &None));
+    assert_eq!(
+        (session.record().state, &session.record().calibration),
+        (SessionState::Aborted, &None)
+    );
     assert_eq!(session.abort(NOW_NS), Err(SessionOver { state: SessionState::Aborted }));
 }
 
@@ -191,7 +232,11 @@ fn a_loss_is_waited_through_and_said() {
     assert_eq!(session.camera_back(), [Action::Announce]);
     assert_eq!(session.record().reason, None);
     feed(&mut session, 100, &placements()[4..5]);
-    assert_eq!((session.record().views_kept, session.record().collecting_s), (5, 1.5), "the gap is not counted");
+    assert_eq!(
+        (session.record().views_kept, session.record().collecting_s),
+        (5, 1.5),
+        "the gap is not counted"
+    );
 }
 
 #[test]
@@ -209,8 +254,11 @@ fn the_end_of_a_recording_ends_only_what_ends_by_itself() {
 fn a_resumed_session_is_the_one_that_was() {
     let mut before = session(None);
     feed(&mut before, 0, &placements()[..7]);
-    let (mut after, actions) =
-        Session::resume(before.record().clone(), before.views().to_vec(), &AdmissionOptions::default());
+    let (mut after, actions) = Session::resume(
+        before.record().clone(),
+        before.views().to_vec(),
+        &AdmissionOptions::default(),
+    );
     assert_eq!(actions, [Action::Announce, Action::Estimate]);
     assert_eq!((after.record(), after.views()), (before.record(), before.views()));
     let again = after.observe(&frame(7), Ok(&placements()[3])).unwrap();
@@ -218,7 +266,11 @@ fn a_resumed_session_is_the_one_that_was() {
     assert_eq!(after.observe(&frame(8), Ok(&placements()[7])).unwrap().admission, Ok(7));
 
     after.stop(NOW_NS).unwrap();
-    let (_, actions) = Session::resume(after.record().clone(), after.views().to_vec(), &AdmissionOptions::default());
+    let (_, actions) = Session::resume(
+        after.record().clone(),
+        after.views().to_vec(),
+        &AdmissionOptions::default(),
+    );
     assert_eq!(actions, [Action::Announce, Action::Solve]);
 }
 
@@ -234,6 +286,9 @@ fn the_operator_is_told_what_lasts_and_not_what_flickers() {
     });
     assert_eq!(message(&session), wish);
     let actions = session.observe(&frame(4), no_board()).unwrap().actions;
-    assert_eq!((message(&session).as_str(), actions), ("show the board to the camera", vec![Action::Announce]));
+    assert_eq!(
+        (message(&session).as_str(), actions),
+        ("show the board to the camera", vec![Action::Announce])
+    );
     assert_eq!(session.observe(&frame(5), no_board()).unwrap().actions, [], "nothing new");
 }

@@ -7,7 +7,9 @@ use crate::calibration::calibration::{
 };
 use crate::calibration::coverage::Coverage;
 use crate::calibration::verdict;
-use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera};
+use crate::estimation::camera::{
+    CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera,
+};
 use crate::estimation::dlt::calibrate_dlt;
 use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
@@ -36,7 +38,10 @@ const UNCERTAINTY_COLUMNS: u32 = 12;
 ///
 /// # Errors
 /// As [`calibrate_camera`].
-pub fn solve_views(problem: &CameraProblem, options: &CameraOptions) -> Result<SolvedCamera, EstimationError> {
+pub fn solve_views(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<SolvedCamera, EstimationError> {
     let (estimate, model_check) = calibrate_and_check(problem, options)?;
     let coverage = corner_coverage(problem, &estimate);
     let checks = Checks {
@@ -51,7 +56,8 @@ pub fn solve_views(problem: &CameraProblem, options: &CameraOptions) -> Result<S
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 
-/// Calibrates a camera without distortion from one view of points in space, by the direct linear transform.
+/// Calibrates a camera without distortion from one view of points in space, by the direct linear
+/// transform.
 ///
 /// # Errors
 /// As [`calibrate_dlt`].
@@ -61,7 +67,8 @@ pub fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationErro
     let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
     let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
-    let verdict = verdict::judge(&estimate, uncertainty.as_ref(), &ModelCheck::default(), &coverage);
+    let verdict =
+        verdict::judge(&estimate, uncertainty.as_ref(), &ModelCheck::default(), &coverage);
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 
@@ -78,42 +85,66 @@ pub fn estimate_views(
     Ok((estimate, uncertainty))
 }
 
-/// The predicted 1-σ projection uncertainty over the image at `distance`, on a grid with `columns` along its longer side.
-pub fn uncertainty_map(estimate: &CameraEstimate, columns: u32, distance: Distance) -> Option<UncertaintyMap> {
+/// The predicted 1-σ projection uncertainty over the image at `distance`, on a grid with `columns`
+/// along its longer side.
+pub fn uncertainty_map(
+    estimate: &CameraEstimate,
+    columns: u32,
+    distance: Distance,
+) -> Option<UncertaintyMap> {
     let grid = PixelGrid::over(estimate.image_size, columns);
     projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, distance)
 }
 
 /// As [`uncertainty_map`], of a finished calibration; `None` where it tells no covariance.
-pub fn sensor_uncertainty(sensor: &SensorCalibration, columns: u32, distance: Distance) -> Option<UncertaintyMap> {
+pub fn sensor_uncertainty(
+    sensor: &SensorCalibration,
+    columns: u32,
+    distance: Distance,
+) -> Option<UncertaintyMap> {
     let rows = &sensor.lens_covariance;
     let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j]);
     let grid = PixelGrid::over(sensor.image_size, columns);
-    if rows.is_empty() { None } else { projection_uncertainty(&sensor.lens, &covariance, grid, distance) }
+    if rows.is_empty() {
+        None
+    } else {
+        projection_uncertainty(&sensor.lens, &covariance, grid, distance)
+    }
 }
 
 fn summary(estimate: &CameraEstimate) -> ProjectionUncertainty {
     uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size)
 }
 
-/// The predicted 1-σ projection uncertainty at infinity, summed up over images of `size`, of a lens with the covariance of its
-/// parameters; without bound where the lens sees nothing of them.
-pub fn uncertainty_over(lens: &Lens, covariance: &DMatrix<f64>, size: ImageSize) -> ProjectionUncertainty {
+/// The predicted 1-σ projection uncertainty at infinity, summed up over images of `size`, of a lens
+/// with the covariance of its parameters; without bound where the lens sees nothing of them.
+pub fn uncertainty_over(
+    lens: &Lens,
+    covariance: &DMatrix<f64>,
+    size: ImageSize,
+) -> ProjectionUncertainty {
     let grid = PixelGrid::over(size, UNCERTAINTY_COLUMNS);
     summed_up(projection_uncertainty(lens, covariance, grid, Distance::Infinity).as_ref())
 }
 
 fn summed_up(map: Option<&UncertaintyMap>) -> ProjectionUncertainty {
     let figures = map.and_then(|map| Some((map.center()?, map.median_and_worst()?)));
-    let (center, (median, worst)) = figures.unwrap_or((f64::INFINITY, (f64::INFINITY, f64::INFINITY)));
+    let (center, (median, worst)) =
+        figures.unwrap_or((f64::INFINITY, (f64::INFINITY, f64::INFINITY)));
     ProjectionUncertainty { center, median, worst }
 }
 
 pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
-    with_uncertainty(estimate, uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity).as_ref())
+    with_uncertainty(
+        estimate,
+        uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity).as_ref(),
+    )
 }
 
-fn with_uncertainty(estimate: &CameraEstimate, uncertainty: Option<&UncertaintyMap>) -> SensorCalibration {
+fn with_uncertainty(
+    estimate: &CameraEstimate,
+    uncertainty: Option<&UncertaintyMap>,
+) -> SensorCalibration {
     let view = |view: &crate::estimation::camera::ViewEstimate| CalibratedView {
         name: view.name.clone(),
         used: view.fault.is_none(),
@@ -129,7 +160,11 @@ fn with_uncertainty(estimate: &CameraEstimate, uncertainty: Option<&UncertaintyM
         image_size: estimate.image_size,
         lens: estimate.lens,
         lens_std: estimate.lens_std(),
-        lens_covariance: estimate.lens_covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+        lens_covariance: estimate
+            .lens_covariance
+            .row_iter()
+            .map(|row| row.iter().copied().collect())
+            .collect(),
         rms_px: estimate.rms_px,
         uncertainty_px: summed_up(uncertainty),
         views: estimate.views.iter().map(view).collect(),
@@ -144,7 +179,9 @@ fn corner_coverage(problem: &CameraProblem, estimate: &CameraEstimate) -> Covera
     let grid = Coverage::empty(problem.image_size);
     for (view, estimated) in problem.views.iter().zip(&estimate.views) {
         for (corner, used) in view.correspondences.iter().zip(&estimated.used) {
-            if let Some((row, col)) = grid.cell_of(corner.pixel, problem.image_size).filter(|_| *used) {
+            if let Some((row, col)) =
+                grid.cell_of(corner.pixel, problem.image_size).filter(|_| *used)
+            {
                 cells[row][col] += 1;
             }
         }

@@ -1,5 +1,5 @@
-//! The solve of a camera with colour and depth: from corners and depth pictures to lenses, the sensors' pose, the depth
-//! camera's correction, and how far to trust them.
+//! The solve of a camera with colour and depth: from corners and depth pictures to lenses, the
+//! sensors' pose, the depth camera's correction, and how far to trust them.
 
 use nalgebra::{Matrix6, Point3, Vector3};
 
@@ -14,7 +14,9 @@ use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
-use crate::estimation::rgbd::motion::{BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset};
+use crate::estimation::rgbd::motion::{
+    BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
+};
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::robust::median;
 use crate::geometry::board::Chessboard;
@@ -29,13 +31,15 @@ use crate::imaging::depth_image::DepthImage;
 /// What is known of a depth camera beforehand.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthSensor {
-    /// What its numbers mean; `None` for disparity that nobody has told the meaning of: it is found from the board.
+    /// What its numbers mean; `None` for disparity that nobody has told the meaning of: it is found
+    /// from the board.
     pub reading: Option<DepthReading>,
     /// The reading that means none, besides 0 for metric depth.
     pub invalid: Option<u16>,
     /// The device's own lens and pose, where it tells them.
     pub factory: Option<(Lens, Pose)>,
-    /// The infrared picture is the depth picture's: same size, same lens. Default for every device that has one.
+    /// The infrared picture is the depth picture's: same size, same lens. Default for every device
+    /// that has one.
     pub with_infrared: bool,
 }
 
@@ -44,9 +48,11 @@ pub struct DepthSensor {
 pub struct RgbdCapture {
     /// Its path or sequence number.
     pub name: String,
-    /// When the colour picture was taken, in seconds since any moment; `None` where times mean nothing.
+    /// When the colour picture was taken, in seconds since any moment; `None` where times mean
+    /// nothing.
     pub time_s: Option<f64>,
-    /// Whether it is a view. Others tell how the board moved, and by how much the sensors are apart in time.
+    /// Whether it is a view. Others tell how the board moved, and by how much the sensors are apart
+    /// in time.
     pub is_view: bool,
     /// The board in the colour picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
@@ -147,7 +153,8 @@ pub enum RgbdError {
     Joint(EstimationError),
 }
 
-/// The board's surface reaches this many squares past its outer inner corners, and is measured this far.
+/// The board's surface reaches this many squares past its outer inner corners, and is measured this
+/// far.
 const MARGIN_SQUARES: f64 = 0.8;
 
 /// Calibrates colour, infrared where it is seen, and depth jointly.
@@ -156,15 +163,23 @@ const MARGIN_SQUARES: f64 = 0.8;
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
 pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRgbd, RgbdError> {
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
-    let color = solve_views(&problem(input, input.color_size, |c| &c.color), options).map_err(of_sensor("color"))?;
+    let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
+        .map_err(of_sensor("color"))?;
     let depth_size = input.captures.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);
-    let depth_size =
-        depth_size.ok_or(RgbdError::TooLittleDepth { usable: 0, all: input.captures.len(), first: String::new() })?;
+    let depth_size = depth_size.ok_or(RgbdError::TooLittleDepth {
+        usable: 0,
+        all: input.captures.len(),
+        first: String::new(),
+    })?;
     let infrared_seen = views(input).filter(|capture| !capture.infrared.is_empty()).count();
     let infrared = (input.depth.with_infrared && infrared_seen >= 3)
-        .then(|| solve_views(&problem(input, depth_size, |c| &c.infrared), options).map_err(of_sensor("infrared")))
+        .then(|| {
+            solve_views(&problem(input, depth_size, |c| &c.infrared), options)
+                .map_err(of_sensor("infrared"))
+        })
         .transpose()?;
-    let turned = infrared.as_ref().and_then(|infrared| labelled_as_in_color(input, &color, infrared));
+    let turned =
+        infrared.as_ref().and_then(|infrared| labelled_as_in_color(input, &color, infrared));
     let (input, infrared) = match &turned {
         Some(turned) => {
             let again = solve_views(&problem(turned, depth_size, |c| &c.infrared), options);
@@ -189,13 +204,18 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let (joint, measured) = solved.ok_or(RgbdError::Joint(EstimationError::NoFit))?;
     check_joint(&joint)?;
     let Measured { problem, captures, without_depth } = measured;
-    let factory = input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
+    let factory =
+        input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
     Ok(SolvedRgbd { color, infrared, joint, factory, captures, without_depth })
 }
 
-/// The same with infrared's corners counted from where colour's are, for a board that looks the same after a turn; `None` where
-/// the board has no such turn.
-fn labelled_as_in_color(input: &RgbdInput, color: &SolvedCamera, infrared: &SolvedCamera) -> Option<RgbdInput> {
+/// The same with infrared's corners counted from where colour's are, for a board that looks the
+/// same after a turn; `None` where the board has no such turn.
+fn labelled_as_in_color(
+    input: &RgbdInput,
+    color: &SolvedCamera,
+    infrared: &SolvedCamera,
+) -> Option<RgbdInput> {
     let turns = turns(&input.board);
     if turns.len() == 1 {
         return None;
@@ -203,16 +223,23 @@ fn labelled_as_in_color(input: &RgbdInput, color: &SolvedCamera, infrared: &Solv
     let seen = |poses: Vec<Option<Pose>>| -> SensorPoses {
         poses.into_iter().enumerate().filter_map(|(index, pose)| Some((index, pose?))).collect()
     };
-    let sensors = [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
+    let sensors =
+        [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
     let chosen = consistent_turns(&sensors, &turns);
     let mut labelled = input.clone();
     // Between views the board's motion is followed by labels that nothing has made consistent.
-    labelled.captures.iter_mut().filter(|capture| !capture.is_view).for_each(|capture| capture.infrared.clear());
+    labelled
+        .captures
+        .iter_mut()
+        .filter(|capture| !capture.is_view)
+        .for_each(|capture| capture.infrared.clear());
     // Colour comes first, and keeps its labels.
     for ((index, _), turn) in sensors[1].iter().zip(&chosen[1]) {
         let board_from_labels = turns[*turn].inverse();
         let corners = &mut labelled.captures[*index].infrared;
-        corners.iter_mut().for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);
+        corners
+            .iter_mut()
+            .for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);
     }
     Some(labelled)
 }
@@ -234,7 +261,9 @@ fn problem(
     seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
 ) -> CameraProblem {
     let with_board = views(input).filter(|capture| !seen(capture).is_empty());
-    let views = with_board.map(|c| BoardView { name: c.name.clone(), correspondences: seen(c).clone() }).collect();
+    let views = with_board
+        .map(|c| BoardView { name: c.name.clone(), correspondences: seen(c).clone() })
+        .collect();
     CameraProblem { image_size, views }
 }
 
@@ -256,7 +285,12 @@ struct Guess {
 }
 
 impl Guess {
-    fn of(input: &RgbdInput, size: ImageSize, color: &SolvedCamera, infrared: Option<&SolvedCamera>) -> Self {
+    fn of(
+        input: &RgbdInput,
+        size: ImageSize,
+        color: &SolvedCamera,
+        infrared: Option<&SolvedCamera>,
+    ) -> Self {
         let color_poses = poses(input, color, |c| &c.color);
         let none = vec![None; input.captures.len()];
         let infrared_poses = infrared.map_or(none, |solved| poses(input, solved, |c| &c.infrared));
@@ -264,25 +298,32 @@ impl Guess {
         let (lens, depth_from_color) = match infrared {
             Some(solved) => {
                 let both = color_poses.iter().zip(&infrared_poses);
-                let depth_from_color: Vec<Pose> =
-                    both.filter_map(|(color, infrared)| Some((*infrared)? * (*color)?.inverse())).collect();
+                let depth_from_color: Vec<Pose> = both
+                    .filter_map(|(color, infrared)| Some((*infrared)? * (*color)?.inverse()))
+                    .collect();
                 (solved.estimate.lens, middle_pose(&depth_from_color).unwrap_or(Pose::identity()))
             }
-            None => {
-                factory.unwrap_or_else(|| (same_view(&color.estimate.lens, input.color_size, size), Pose::identity()))
-            }
+            None => factory.unwrap_or_else(|| {
+                (same_view(&color.estimate.lens, input.color_size, size), Pose::identity())
+            }),
         };
         let color_from_board = color_poses
             .iter()
             .zip(&infrared_poses)
-            .map(|(color, infrared)| color.or_else(|| Some(depth_from_color.inverse() * (*infrared)?)))
+            .map(|(color, infrared)| {
+                color.or_else(|| Some(depth_from_color.inverse() * (*infrared)?))
+            })
             .collect();
         let mut guess = Self {
             color: color.estimate.lens,
             color_noise: noise(input, color, |c| &c.color),
             lens,
             infrared_noise: infrared.map_or(1.0, |solved| noise(input, solved, |c| &c.infrared)),
-            depth_lens: if infrared.is_some() { DepthLens::Infrared } else { DepthLens::FromPlanes },
+            depth_lens: if infrared.is_some() {
+                DepthLens::Infrared
+            } else {
+                DepthLens::FromPlanes
+            },
             depth_from_color,
             reading: input.depth.reading.unwrap_or(DepthReading::Metric { unit_m: 0.001 }),
             size,
@@ -298,14 +339,21 @@ impl Guess {
         guess
     }
 
-    /// The board's motion at each capture, and the time between the sensors, by every capture that both see the board in.
-    fn find_motion(&mut self, input: &RgbdInput, color: &[Option<Pose>], infrared: &[Option<Pose>]) {
+    /// The board's motion at each capture, and the time between the sensors, by every capture that
+    /// both see the board in.
+    fn find_motion(
+        &mut self,
+        input: &RgbdInput,
+        color: &[Option<Pose>],
+        infrared: &[Option<Pose>],
+    ) {
         let moments: Vec<(usize, (f64, Pose))> = input
             .captures
             .iter()
             .enumerate()
             .filter_map(|(index, capture)| {
-                let pose = color[index].or_else(|| moving_pose(&self.color, capture, &capture.color))?;
+                let pose =
+                    color[index].or_else(|| moving_pose(&self.color, capture, &capture.color))?;
                 Some((index, (capture.time_s?, pose)))
             })
             .collect();
@@ -315,17 +363,24 @@ impl Guess {
         for ((index, (_, first_from_board)), motion) in moments.iter().zip(board_motions(&poses)) {
             self.motions[*index] = motion;
             let capture = &input.captures[*index];
-            let second = infrared[*index].or_else(|| moving_pose(&self.lens, capture, &capture.infrared));
-            if let (Some(motion), Some(second_from_board), DepthLens::Infrared) = (motion, second, self.depth_lens) {
-                both.push(SeenByBoth { first_from_board: *first_from_board, motion, second_from_board });
+            let second =
+                infrared[*index].or_else(|| moving_pose(&self.lens, capture, &capture.infrared));
+            if let (Some(motion), Some(second_from_board), DepthLens::Infrared) =
+                (motion, second, self.depth_lens)
+            {
+                both.push(SeenByBoth {
+                    first_from_board: *first_from_board,
+                    motion,
+                    second_from_board,
+                });
             }
         }
         self.time_offset = time_offset(&self.depth_from_color, &both, (middle, middle.norm()))
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
-    /// What disparity means, from what is read in the board's middle and how far away colour says it is: the line through
-    /// the pairs by the median of the slopes between them (H. Theil, 1950).
+    /// What disparity means, from what is read in the board's middle and how far away colour says
+    /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
         let middle = Point3::from(far_corner(&input.board).coords * 0.5);
         let pair = |(capture, pose): (&RgbdCapture, &Option<Pose>)| {
@@ -333,12 +388,19 @@ impl Guess {
             let pixel = self.lens.pixel_from_point(&point)?;
             let picture = capture.depth.as_ref()?;
             let (x, y) = (pixel.x.round(), pixel.y.round());
-            let inside = picture.size().contains(Pixel::new(x, y)).then(|| picture.row(y as usize)[x as usize])?;
+            let inside = picture
+                .size()
+                .contains(Pixel::new(x, y))
+                .then(|| picture.row(y as usize)[x as usize])?;
             (Some(inside) != input.depth.invalid).then(|| (f64::from(inside), 1.0 / point.z))
         };
-        let pairs: Vec<(f64, f64)> = input.captures.iter().zip(&self.color_from_board).filter_map(pair).collect();
+        let pairs: Vec<(f64, f64)> =
+            input.captures.iter().zip(&self.color_from_board).filter_map(pair).collect();
         let slopes = pairs.iter().enumerate().flat_map(|(k, a)| {
-            pairs[k + 1..].iter().filter(|b| (a.0 - b.0).abs() > 1.0).map(|b| (a.1 - b.1) / (a.0 - b.0))
+            pairs[k + 1..]
+                .iter()
+                .filter(|b| (a.0 - b.0).abs() > 1.0)
+                .map(|b| (a.1 - b.1) / (a.0 - b.0))
         });
         let slope = median(slopes.collect())?;
         let offset = median(pairs.iter().map(|(raw, inverse)| inverse - slope * raw).collect())?;
@@ -348,9 +410,12 @@ impl Guess {
     /// The board's surface in every depth picture, up to `margin` squares past its outer corners.
     fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
         let (mut views, mut captures, mut without_depth) = (Vec::new(), Vec::new(), Vec::new());
-        let plane_options = PlaneOptions { invalid: input.depth.invalid, ..PlaneOptions::default() };
+        let plane_options =
+            PlaneOptions { invalid: input.depth.invalid, ..PlaneOptions::default() };
         let mut with_depth = 0;
-        for (index, (capture, pose)) in input.captures.iter().zip(&self.color_from_board).enumerate() {
+        for (index, (capture, pose)) in
+            input.captures.iter().zip(&self.color_from_board).enumerate()
+        {
             let (Some(color_from_board), true) = (*pose, capture.is_view) else { continue };
             let seen = capture.depth.as_ref().map(|picture| {
                 let outline = self.outline(&input.board, &color_from_board, margin);
@@ -368,7 +433,8 @@ impl Guess {
                 None => (Vec::new(), Vec::new()),
             };
             with_depth += usize::from(!tiles.is_empty());
-            let infrared = if self.infrared_used[index] { capture.infrared.clone() } else { Vec::new() };
+            let infrared =
+                if self.infrared_used[index] { capture.infrared.clone() } else { Vec::new() };
             views.push(RgbdView {
                 name: capture.name.clone(),
                 color: capture.color.clone(),
@@ -381,8 +447,10 @@ impl Guess {
             captures.push(index);
         }
         if with_depth < 3 {
-            let first =
-                without_depth.first().map(|(name, reason)| format!("; view `{name}`: {reason}")).unwrap_or_default();
+            let first = without_depth
+                .first()
+                .map(|(name, reason)| format!("; view `{name}`: {reason}"))
+                .unwrap_or_default();
             return Err(RgbdError::TooLittleDepth { usable: with_depth, all: views.len(), first });
         }
         Ok(Measured { problem: self.problem(views), captures, without_depth })
@@ -392,25 +460,33 @@ impl Guess {
         RgbdProblem {
             color: self.color,
             color_noise: self.color_noise,
-            depth: DepthCamera { image_size: self.size, lens: self.lens, reading: self.reading, correction: None },
+            depth: DepthCamera {
+                image_size: self.size,
+                lens: self.lens,
+                reading: self.reading,
+                correction: None,
+            },
             depth_lens: self.depth_lens,
             infrared_noise: self.infrared_noise,
             depth_from_color: self.depth_from_color,
             time_offset: self.time_offset,
             corrected: match self.reading {
                 DepthReading::Disparity { .. } => vec![CorrectedQuantity::InverseDepth],
-                DepthReading::Metric { .. } => vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth],
+                DepthReading::Metric { .. } => {
+                    vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth]
+                }
             },
             views,
         }
     }
 
-    /// The board's edge in the depth picture, `margin` squares past its outer inner corners; what the lens does not see is
-    /// left out.
+    /// The board's edge in the depth picture, `margin` squares past its outer inner corners; what
+    /// the lens does not see is left out.
     fn outline(&self, board: &Chessboard, color_from_board: &Pose, margin: f64) -> Vec<Pixel> {
         let far = far_corner(board);
         let (low, high) = (-margin * board.square_m, margin * board.square_m);
-        let corners = [(low, low), (far.x + high, low), (far.x + high, far.y + high), (low, far.y + high)];
+        let corners =
+            [(low, low), (far.x + high, low), (far.x + high, far.y + high), (low, far.y + high)];
         let depth_from_board = self.depth_from_color * *color_from_board;
         let sides = corners.iter().zip(corners.iter().cycle().skip(1));
         let points = sides.flat_map(|(a, b)| {
@@ -447,13 +523,19 @@ fn poses(
 }
 
 /// By how much a sensor's corners scatter more than their own deviations say; above 0.
-fn noise(input: &RgbdInput, solved: &SolvedCamera, seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>) -> f64 {
+fn noise(
+    input: &RgbdInput,
+    solved: &SolvedCamera,
+    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+) -> f64 {
     let captures = views(input).map(seen).filter(|corners| !corners.is_empty());
     let views = captures.zip(&solved.estimate.views).filter(|(_, view)| view.fault.is_none());
-    let corners = views.flat_map(|(corners, view)| corners.iter().zip(&view.residuals_px).zip(&view.used));
-    let (sum, count) = corners.filter(|(_, used)| **used).fold((0.0, 0), |(sum, count), ((corner, [x, y]), _)| {
-        (sum + 0.5 * (x * x + y * y) / corner.std_px.powi(2), count + 1)
-    });
+    let corners =
+        views.flat_map(|(corners, view)| corners.iter().zip(&view.residuals_px).zip(&view.used));
+    let (sum, count) =
+        corners.filter(|(_, used)| **used).fold((0.0, 0), |(sum, count), ((corner, [x, y]), _)| {
+            (sum + 0.5 * (x * x + y * y) / corner.std_px.powi(2), count + 1)
+        });
     (sum / f64::from(count.max(1))).sqrt().max(f64::MIN_POSITIVE)
 }
 
@@ -471,10 +553,12 @@ fn moving_pose(lens: &Lens, capture: &RgbdCapture, corners: &[Correspondence]) -
 
 /// The pose that is nearest to most others.
 fn middle_pose(a_from_b: &[Pose]) -> Option<Pose> {
-    let apart =
-        |(first, second): (&Pose, &Pose)| first.angle_to(second) + (first.translation() - second.translation()).norm();
-    let spread =
-        |other_from_here: &Pose| median(a_from_b.iter().map(|other| apart((other_from_here, other))).collect());
+    let apart = |(first, second): (&Pose, &Pose)| {
+        first.angle_to(second) + (first.translation() - second.translation()).norm()
+    };
+    let spread = |other_from_here: &Pose| {
+        median(a_from_b.iter().map(|other| apart((other_from_here, other))).collect())
+    };
     let least = a_from_b.iter().min_by(|first, second| {
         let [first, second] = [first, second].map(|one| spread(one).unwrap_or(f64::INFINITY));
         first.total_cmp(&second)

@@ -1,8 +1,11 @@
-//! The solve of several cameras that are fixed to each other: each by itself, then all that share views jointly.
+//! The solve of several cameras that are fixed to each other: each by itself, then all that share
+//! views jointly.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use crate::calibration::calibration::{Checks, Extrinsics, Grade, RigCamera, SensorCalibration, Verdict};
+use crate::calibration::calibration::{
+    Checks, Extrinsics, Grade, RigCamera, SensorCalibration, Verdict,
+};
 use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
 use crate::calibration::solve_rgbd::pose_std;
 use crate::estimation::board_turns::{SensorPoses, consistent_turns};
@@ -39,8 +42,8 @@ pub struct RigCameraInput {
 pub struct SolvedRig {
     /// The cameras that could be calibrated, in the rig's order.
     pub cameras: Vec<RigCamera>,
-    /// `a_from_b` of each camera b that shares views, directly or through others, with an earlier camera a; a is the first
-    /// of those that it is connected with.
+    /// `a_from_b` of each camera b that shares views, directly or through others, with an earlier
+    /// camera a; a is the first of those that it is connected with.
     pub extrinsics: Vec<Extrinsics>,
     /// The worst of each figure over the cameras.
     pub checks: Checks,
@@ -64,7 +67,9 @@ pub enum RigError {
         source: EstimationError,
     },
     /// No two cameras saw the board at one moment.
-    #[error("no two cameras saw the whole board at the same moment: hold it still where two of them see all of it")]
+    #[error(
+        "no two cameras saw the whole board at the same moment: hold it still where two of them see all of it"
+    )]
     NothingShared,
     /// All together could not be.
     #[error("the cameras together: {0}")]
@@ -80,8 +85,8 @@ struct Alone<'a> {
 /// Calibrates each camera by itself, then those that share views jointly, lenses and poses.
 ///
 /// # Errors
-/// [`RigError`]. A camera that cannot be calibrated, or shares no view with any other, costs the others nothing: the
-/// verdict names it.
+/// [`RigError`]. A camera that cannot be calibrated, or shares no view with any other, costs the
+/// others nothing: the verdict names it.
 pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for camera in &input.cameras {
@@ -92,8 +97,14 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         }
     }
     if alone.len() < 2 {
-        let (camera, source) = failed.into_iter().next().unwrap_or((String::new(), EstimationError::NoFit));
-        return Err(RigError::TooFewCameras { solved: alone.len(), all: input.cameras.len(), camera, source });
+        let (camera, source) =
+            failed.into_iter().next().unwrap_or((String::new(), EstimationError::NoFit));
+        return Err(RigError::TooFewCameras {
+            solved: alone.len(),
+            all: input.cameras.len(),
+            camera,
+            source,
+        });
     }
     let groups = connected(&alone);
     if groups.iter().all(|group| group.len() < 2) {
@@ -103,13 +114,15 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     for (camera, source) in &failed {
         findings.push((Grade::Usable, format!("camera `{camera}` is left out: {source}")));
     }
-    let mut sensors: Vec<SensorCalibration> = alone.iter().map(|one| one.solved.sensor.clone()).collect();
+    let mut sensors: Vec<SensorCalibration> =
+        alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     for group in &groups {
         if let [lonely] = group.as_slice() {
             let name = &alone[*lonely].input.name;
             let reason = "saw the whole board at no moment at which another camera did: show it to both at once";
-            findings.push((Grade::Usable, format!("where camera `{name}` is stays open: it {reason}")));
+            findings
+                .push((Grade::Usable, format!("where camera `{name}` is stays open: it {reason}")));
             continue;
         }
         let cameras: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
@@ -120,13 +133,23 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         findings.extend(joint.findings());
         extrinsics.extend(joint.extrinsics);
     }
-    let cameras = alone.iter().zip(sensors).map(|(one, sensor)| RigCamera { name: one.input.name.clone(), sensor });
-    Ok(SolvedRig { cameras: cameras.collect(), extrinsics, checks: checks(&alone), verdict: verdict(&alone, findings) })
+    let cameras = alone
+        .iter()
+        .zip(sensors)
+        .map(|(one, sensor)| RigCamera { name: one.input.name.clone(), sensor });
+    Ok(SolvedRig {
+        cameras: cameras.collect(),
+        extrinsics,
+        checks: checks(&alone),
+        verdict: verdict(&alone, findings),
+    })
 }
 
-/// Which cameras share moments, directly or through others; each group in order, and the groups by their first camera.
+/// Which cameras share moments, directly or through others; each group in order, and the groups by
+/// their first camera.
 fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
-    let moments = |one: &Alone<'_>| one.poses().into_iter().map(|(moment, _)| moment).collect::<Vec<_>>();
+    let moments =
+        |one: &Alone<'_>| one.poses().into_iter().map(|(moment, _)| moment).collect::<Vec<_>>();
     let moments: Vec<Vec<usize>> = alone.iter().map(moments).collect();
     let share = |a: usize, b: usize| moments[a].iter().any(|moment| moments[b].contains(moment));
     let mut groups: Vec<Vec<usize>> = Vec::new();
@@ -147,7 +170,10 @@ impl Alone<'_> {
     /// The pose of every view that took part, with its moment.
     fn poses(&self) -> SensorPoses {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
-        let pose = |((moment, _), view): (&(usize, BoardView), &crate::estimation::camera::ViewEstimate)| {
+        let pose = |((moment, _), view): (
+            &(usize, BoardView),
+            &crate::estimation::camera::ViewEstimate,
+        )| {
             Some((*moment, view.camera_from_board.filter(|_| view.fault.is_none())?))
         };
         views.filter_map(pose).collect()
@@ -155,8 +181,12 @@ impl Alone<'_> {
 
     /// What it saw, with the points of each view where `turns` say that they are.
     fn turned(&self, board_from_labels: &[Pose], chosen: &[usize]) -> Vec<(usize, BoardView)> {
-        let good =
-            self.solved.estimate.views.iter().map(|view| view.fault.is_none() && view.camera_from_board.is_some());
+        let good = self
+            .solved
+            .estimate
+            .views
+            .iter()
+            .map(|view| view.fault.is_none() && view.camera_from_board.is_some());
         let mut chosen = chosen.iter();
         let views = self.input.views.iter().zip(good);
         let turned = |((moment, view), good): (&(usize, BoardView), bool)| {
@@ -183,7 +213,8 @@ impl Joint {
     fn solve(input: &RigInput, group: &[&Alone<'_>]) -> Result<Self, RigError> {
         let turns = turns(&input.board);
         let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
-        let chosen = consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);
+        let chosen =
+            consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);
         let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
@@ -194,7 +225,8 @@ impl Joint {
             },
         };
         let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();
-        let instants = sensors.iter().flat_map(|sensor| &sensor.views).map(|(moment, _)| moment + 1).max();
+        let instants =
+            sensors.iter().flat_map(|sensor| &sensor.views).map(|(moment, _)| moment + 1).max();
         let problem = RigProblem { sensors, instants: instants.unwrap_or(0) };
         let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
         let reference = &group[0].input.name;
@@ -203,13 +235,14 @@ impl Joint {
             compared: one.solved.sensor.compared.clone(),
             ..sensor_calibration(camera)
         };
-        let strain = group
-            .iter()
-            .zip(&estimate.cameras)
-            .map(|(one, camera)| (one.input.name.clone(), camera.rms_px / one.solved.estimate.rms_px.max(1e-3)));
+        let strain = group.iter().zip(&estimate.cameras).map(|(one, camera)| {
+            (one.input.name.clone(), camera.rms_px / one.solved.estimate.rms_px.max(1e-3))
+        });
         Ok(Self {
             sensors: group.iter().zip(&estimate.cameras).map(with_comparison).collect(),
-            extrinsics: placed.map(|(one, place)| reference_from(reference, &one.input.name, place)).collect(),
+            extrinsics: placed
+                .map(|(one, place)| reference_from(reference, &one.input.name, place))
+                .collect(),
             strain: strain.collect(),
         })
     }
@@ -224,13 +257,17 @@ impl Joint {
             )
         });
         let open = self.extrinsics.iter().filter_map(|known| {
-            let (turn_deg, shift_m) = (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
-            let loose =
-                turn_deg > LOOSE_DEG || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
+            let (turn_deg, shift_m) =
+                (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
+            let loose = turn_deg > LOOSE_DEG
+                || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
             let advice = "show the board to both in more places, near and tilted";
             let name = &known.name;
             loose.then(|| {
-                let reason = format!("{name} is known to {turn_deg:.2}° and {:.1} mm only: {advice}", 1e3 * shift_m);
+                let reason = format!(
+                    "{name} is known to {turn_deg:.2}° and {:.1} mm only: {advice}",
+                    1e3 * shift_m
+                );
                 (Grade::Usable, reason)
             })
         });
@@ -238,9 +275,11 @@ impl Joint {
     }
 }
 
-/// A camera whose residuals grow by more than this when it is solved with the others was not where they say.
+/// A camera whose residuals grow by more than this when it is solved with the others was not where
+/// they say.
 const STRAINED: f64 = 1.5;
-/// A turn that is less known than this, in degrees, or a shift by this part of its length, is worth telling.
+/// A turn that is less known than this, in degrees, or a shift by this part of its length, is worth
+/// telling.
 const LOOSE_DEG: f64 = 0.1;
 const LOOSE_PART: f64 = 0.01;
 
@@ -248,16 +287,19 @@ fn largest(values: [f64; 3]) -> f64 {
     values.into_iter().fold(0.0, f64::max)
 }
 
-/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`, a turn ω and a shift τ
-/// of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
+/// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
+/// a turn ω and a shift τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
 fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> Extrinsics {
     let rig_from_sensor = place.sensor_from_rig.inverse();
     let back = rig_from_sensor.rotation_matrix();
     let mut by_place = Matrix6::zeros();
     by_place.fixed_view_mut::<3, 3>(0, 0).copy_from(&-back);
     by_place.fixed_view_mut::<3, 3>(3, 3).copy_from(&-back);
-    by_place.fixed_view_mut::<3, 3>(3, 0).copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
-    let (rotation_std, translation_std) = pose_std(&(by_place * place.covariance * by_place.transpose()));
+    by_place
+        .fixed_view_mut::<3, 3>(3, 0)
+        .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
+    let (rotation_std, translation_std) =
+        pose_std(&(by_place * place.covariance * by_place.transpose()));
     Extrinsics {
         name: format!("{reference}_from_{name}"),
         target_from_source: rig_from_sensor,
@@ -277,7 +319,10 @@ pub(super) fn turns(board: &Chessboard) -> Vec<Pose> {
     }
     let far = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1);
     let quarter = |quarters: i32, shift: Vector3<f64>| {
-        Pose::from_axis_angle(Vector3::z() * (f64::from(quarters) * std::f64::consts::FRAC_PI_2), shift)
+        Pose::from_axis_angle(
+            Vector3::z() * (f64::from(quarters) * std::f64::consts::FRAC_PI_2),
+            shift,
+        )
     };
     let mut turns = vec![Pose::identity(), quarter(2, far.coords)];
     if board.size.cols == board.size.rows {
@@ -302,9 +347,13 @@ fn checks(alone: &[Alone<'_>]) -> Checks {
 fn verdict(alone: &[Alone<'_>], mut findings: Vec<(Grade, String)>) -> Verdict {
     for one in alone {
         let Verdict { grade, reasons } = &one.solved.verdict;
-        findings.extend(reasons.iter().map(|reason| (*grade, format!("{}: {reason}", one.input.name))));
+        findings
+            .extend(reasons.iter().map(|reason| (*grade, format!("{}: {reason}", one.input.name))));
     }
-    let grades = alone.iter().map(|one| one.solved.verdict.grade).chain(findings.iter().map(|(grade, _)| *grade));
+    let grades = alone
+        .iter()
+        .map(|one| one.solved.verdict.grade)
+        .chain(findings.iter().map(|(grade, _)| *grade));
     let grade = grades.min().unwrap_or(Grade::Good);
     findings.sort_by_key(|(grade, _)| *grade);
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }

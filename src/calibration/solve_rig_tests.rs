@@ -1,4 +1,5 @@
-//! Rigs against seeded truth: cameras placed through others, boards labelled from either end, cameras that share nothing.
+//! Rigs against seeded truth: cameras placed through others, boards labelled from either end,
+//! cameras that share nothing.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,13 +19,19 @@ fn lens(fx: f64) -> Lens {
 
 fn camera_from_first() -> [Pose; 3] {
     let place = |turn: [f64; 3], shift: [f64; 3]| Pose::from_axis_angle(turn.into(), shift.into());
-    [Pose::identity(), place([0.01, 0.1, 0.0], [-0.12, 0.0, 0.01]), place([-0.02, 0.22, 0.01], [-0.25, 0.0, 0.03])]
+    [
+        Pose::identity(),
+        place([0.01, 0.1, 0.0], [-0.12, 0.0, 0.01]),
+        place([-0.02, 0.22, 0.01], [-0.25, 0.0, 0.03]),
+    ]
 }
 
-/// What three cameras see of a board that each may take for turned; `sees` tells which camera looks at which moment.
+/// What three cameras see of a board that each may take for turned; `sees` tells which camera looks
+/// at which moment.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
-    let middle = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1).coords * 0.5;
+    let middle =
+        board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1).coords * 0.5;
     let mut random = |from: f64, to: f64| rng.random_range(from..to);
     let first_from_board: Vec<Pose> = (0..30)
         .map(|_| {
@@ -40,8 +47,8 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
         for (moment, first_from_board) in first_from_board.iter().enumerate() {
             let labelled = turns[(random(0.0, 1.0) * turns.len() as f64) as usize % turns.len()];
             let pixels = board.corners_in_board().into_iter().map(|point| {
-                let pixel =
-                    lens(520.0 + 20.0 * camera as f64).pixel_from_point(&(from_first * *first_from_board * point))?;
+                let pixel = lens(520.0 + 20.0 * camera as f64)
+                    .pixel_from_point(&(from_first * *first_from_board * point))?;
                 let noisy = crate::geometry::pixel::Pixel::new(
                     pixel.x + NOISE_PX * random(-1.7, 1.7),
                     pixel.y + NOISE_PX * random(-1.7, 1.7),
@@ -52,12 +59,20 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
             if let Some(seen) = seen.filter(|_| sees(camera, moment)) {
                 let correspondences = seen
                     .into_iter()
-                    .map(|(point_in_board, pixel)| Correspondence { point_in_board, pixel, std_px: NOISE_PX })
+                    .map(|(point_in_board, pixel)| Correspondence {
+                        point_in_board,
+                        pixel,
+                        std_px: NOISE_PX,
+                    })
                     .collect();
                 views.push((moment, BoardView { name: moment.to_string(), correspondences }));
             }
         }
-        RigCameraInput { name: ["left", "right", "far"][camera].to_owned(), image_size: SIZE, views }
+        RigCameraInput {
+            name: ["left", "right", "far"][camera].to_owned(),
+            image_size: SIZE,
+            views,
+        }
     };
     RigInput { board, cameras: camera_from_first().into_iter().enumerate().map(camera).collect() }
 }
@@ -68,12 +83,23 @@ fn options() -> CameraOptions {
 
 #[track_caller]
 fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
-    let turn = (known.target_from_source.rotation() * target_from_source.rotation().inverse()).scaled_axis();
+    let turn = (known.target_from_source.rotation() * target_from_source.rotation().inverse())
+        .scaled_axis();
     let shift = known.target_from_source.translation() - target_from_source.translation();
     for axis in 0..3 {
-        assert!(turn[axis].abs() < 4.0 * known.rotation_std[axis], "{}: {turn} ± {:?}", known.name, known.rotation_std);
+        assert!(
+            turn[axis].abs() < 4.0 * known.rotation_std[axis],
+            "{}: {turn} ± {:?}",
+            known.name,
+            known.rotation_std
+        );
         let std = known.translation_std_m[axis];
-        assert!(shift[axis].abs() < 4.0 * std && std < 2e-3, "{}: {shift} ± {:?}", known.name, known.translation_std_m);
+        assert!(
+            shift[axis].abs() < 4.0 * std && std < 2e-3,
+            "{}: {shift} ± {:?}",
+            known.name,
+            known.translation_std_m
+        );
     }
 }
 
@@ -82,7 +108,9 @@ fn boards_that_look_the_same_turned_place_cameras_through_others() {
     for size in [BoardSize::new(8, 6).unwrap(), BoardSize::new(6, 6).unwrap()] {
         let board = Chessboard::new(size, 0.03).unwrap();
         // The far camera shares moments with the right one only.
-        let solved = solve_rig(&input(board, |camera, moment| camera != [2, 9, 0][moment % 3]), &options()).unwrap();
+        let solved =
+            solve_rig(&input(board, |camera, moment| camera != [2, 9, 0][moment % 3]), &options())
+                .unwrap();
         let names: Vec<&str> = solved.extrinsics.iter().map(|known| known.name.as_str()).collect();
         assert_eq!(names, ["left_from_right", "left_from_far"]);
         for (known, truth) in solved.extrinsics.iter().zip(&camera_from_first()[1..]) {
@@ -95,11 +123,15 @@ fn boards_that_look_the_same_turned_place_cameras_through_others() {
 #[test]
 fn a_camera_that_shares_nothing_costs_the_others_nothing() {
     let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
-    let solved = solve_rig(&input(board, |camera, moment| (camera == 2) == (moment < 12)), &options()).unwrap();
+    let solved =
+        solve_rig(&input(board, |camera, moment| (camera == 2) == (moment < 12)), &options())
+            .unwrap();
     assert_eq!(solved.extrinsics.len(), 1);
     assert_eq!(solved.cameras.len(), 3);
-    let told = solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
+    let told =
+        solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
     assert!(told && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);
-    let nothing = solve_rig(&input(board, |camera, moment| moment % 3 == camera), &options()).unwrap_err();
+    let nothing =
+        solve_rig(&input(board, |camera, moment| moment % 3 == camera), &options()).unwrap_err();
     assert_eq!(nothing, RigError::NothingShared);
 }

@@ -1,4 +1,5 @@
-//! What a device states of its own sensors, as a calibration: so that it can be written in every format, as it is stated.
+//! What a device states of its own sensors, as a calibration: so that it can be written in every
+//! format, as it is stated.
 
 use crate::calibration::calibration::{
     Calibration, Checks, Extrinsics, Grade, ProjectionUncertainty, SensorCalibration, Verdict,
@@ -9,13 +10,20 @@ use crate::geometry::lens::Lens;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
 use crate::imaging::frame::SensorKind;
 
-/// Every number as `factory` has it; `None` where it states no lens. Deviations are 0 and uncertainties infinite: nothing was
-/// measured. `created_at_ns` is when it was asked for.
-pub fn stated_calibration(factory: &FactoryCalibration, camera: &str, created_at_ns: i64) -> Option<Calibration> {
-    let of = |sensor: SensorKind| factory.sensor(sensor).and_then(|stated| Some((stated, stated.lens?)));
-    let picture = |sensor: SensorKind| of(sensor).map(|(stated, lens)| picture_sensor(stated, lens));
+/// Every number as `factory` has it; `None` where it states no lens. Deviations are 0 and
+/// uncertainties infinite: nothing was measured. `created_at_ns` is when it was asked for.
+pub fn stated_calibration(
+    factory: &FactoryCalibration,
+    camera: &str,
+    created_at_ns: i64,
+) -> Option<Calibration> {
+    let of =
+        |sensor: SensorKind| factory.sensor(sensor).and_then(|stated| Some((stated, stated.lens?)));
+    let picture =
+        |sensor: SensorKind| of(sensor).map(|(stated, lens)| picture_sensor(stated, lens));
     let depth = of(SensorKind::Depth).and_then(|(stated, lens)| depth_sensor(stated, lens));
-    let [color, infrared, infrared2] = [SensorKind::Color, SensorKind::Infrared, SensorKind::Infrared2].map(picture);
+    let [color, infrared, infrared2] =
+        [SensorKind::Color, SensorKind::Infrared, SensorKind::Infrared2].map(picture);
     if color.is_none() && infrared.is_none() && infrared2.is_none() && depth.is_none() {
         return None;
     }
@@ -27,8 +35,10 @@ pub fn stated_calibration(factory: &FactoryCalibration, camera: &str, created_at
             translation_std_m: [0.0; 3],
         })
     };
-    let mut reasons =
-        vec!["as the device states it, not measured: a session with a board says how far it holds".to_owned()];
+    let mut reasons = vec![
+        "as the device states it, not measured: a session with a board says how far it holds"
+            .to_owned(),
+    ];
     reasons.extend(factory.sensors.iter().filter(|stated| stated.lens.is_none()).map(left_out));
     Some(Calibration {
         id: "factory".to_owned(),
@@ -103,20 +113,27 @@ mod tests {
                 coefficients: vec![0.1; 5],
             },
             lens: lens.then(|| Lens::pinhole(matrix)),
-            color_from_sensor: Some(Pose::from_axis_angle([0.0, 0.01, 0.0].into(), [0.015, 0.0, 0.001].into())),
+            color_from_sensor: Some(Pose::from_axis_angle(
+                [0.0, 0.01, 0.0].into(),
+                [0.015, 0.0, 0.001].into(),
+            )),
             depth_unit_m: (sensor == SensorKind::Depth).then_some(0.001),
         }
     }
 
     #[test]
     fn every_number_is_as_stated() {
-        let [color, depth] = [stated(SensorKind::Color, 612.5, true), stated(SensorKind::Depth, 385.25, true)];
+        let [color, depth] =
+            [stated(SensorKind::Color, 612.5, true), stated(SensorKind::Depth, 385.25, true)];
         let infrared = stated(SensorKind::Infrared, 385.25, false);
         let factory = FactoryCalibration { sensors: vec![color.clone(), infrared, depth.clone()] };
         let calibration = stated_calibration(&factory, "front", 7).unwrap();
         assert_eq!(calibration.color.map(|sensor| sensor.lens), color.lens);
         let camera = calibration.depth.unwrap().camera;
-        assert_eq!((Some(camera.lens), camera.reading), (depth.lens, DepthReading::Metric { unit_m: 0.001 }));
+        assert_eq!(
+            (Some(camera.lens), camera.reading),
+            (depth.lens, DepthReading::Metric { unit_m: 0.001 })
+        );
         assert_eq!(calibration.infrared, None);
         let names: Vec<&str> = calibration.extrinsics.iter().map(|one| one.name.as_str()).collect();
         assert_eq!(names, ["color_from_infrared", "color_from_depth"]);
@@ -129,6 +146,9 @@ mod tests {
     fn nothing_is_made_of_nothing() {
         let only = |one| FactoryCalibration { sensors: vec![one] };
         assert_eq!(stated_calibration(&FactoryCalibration::default(), "front", 7), None);
-        assert_eq!(stated_calibration(&only(stated(SensorKind::Color, 600.0, false)), "front", 7), None);
+        assert_eq!(
+            stated_calibration(&only(stated(SensorKind::Color, 600.0, false)), "front", 7),
+            None
+        );
     }
 }

@@ -8,10 +8,11 @@ use crate::estimation::uncertainty::UncertaintyMap;
 
 /// What a good calibration knows, and what a usable one does: this part of the image …
 const KNOWN_PART: [f64; 2] = [0.95, 0.67];
-/// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a lens 60 degrees wide are 0.7 and 1.8 mm
-/// at a metre.
+/// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a
+/// lens 60 degrees wide are 0.7 and 1.8 mm at a metre.
 const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
-/// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred such sets.
+/// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred
+/// such sets.
 const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 /// The correlation of neighbouring corners' residuals; blur and pixels alone make some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
@@ -32,7 +33,8 @@ pub(crate) fn judge(
     coverage: &Coverage,
 ) -> Verdict {
     let mut findings: Vec<(Grade, String)> = Vec::new();
-    // Causes before what follows from them: of findings of one grade the first is to be mended first.
+    // Causes before what follows from them: of findings of one grade the first is to be mended
+    // first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(self::uncertainty(uncertainty, estimate.shared_error.sqrt()));
@@ -45,7 +47,8 @@ pub(crate) fn judge(
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
 }
 
-/// The grade of a figure that should be low: `Good` up to the first limit, `Usable` up to the second.
+/// The grade of a figure that should be low: `Good` up to the first limit, `Usable` up to the
+/// second.
 fn graded(value: f64, [good, usable]: [f64; 2]) -> Grade {
     if value <= good {
         Grade::Good
@@ -60,15 +63,21 @@ fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
     (grade != Grade::Good).then_some((grade, reason))
 }
 
-/// How much of the image is known well enough, where views that are off as a whole make it `factor` times as uncertain.
+/// How much of the image is known well enough, where views that are off as a whole make it `factor`
+/// times as uncertain.
 fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, String)> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
-        return Some((Grade::Poor, "nothing tells where in the image projections can be trusted".to_owned()));
+        return Some((
+            Grade::Poor,
+            "nothing tells where in the image projections can be trusted".to_owned(),
+        ));
     };
     let limits_px = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
-    let part = |limit_px: f64| seen.iter().filter(|std_px| **std_px <= limit_px).count() as f64 / seen.len() as f64;
+    let part = |limit_px: f64| {
+        seen.iter().filter(|std_px| **std_px <= limit_px).count() as f64 / seen.len() as f64
+    };
     let graded = |[good_px, usable_px]: [f64; 2]| match KNOWN_PART {
         [good, _] if part(good_px) >= good => Grade::Good,
         [_, usable] if part(usable_px) >= usable => Grade::Usable,
@@ -79,7 +88,8 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
         let std_px = map.std_px[row * map.grid.cols as usize + col];
         f64::from(u8::from(std_px.is_some_and(|std_px| std_px > good_px)))
     };
-    let place = region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
+    let place =
+        region_with_most([map.grid.cols, map.grid.rows].map(|count| count as usize), unknown);
     let percent = (1.0 - part(good_px)) * 100.0;
     let remedy = if graded(limits_px.map(|limit_px| limit_px * factor)) > grade {
         "most of it because the model does not fit: mend that first, then add views there"
@@ -95,10 +105,16 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
 /// That the model does not fit: first why, as far as it can be told, then what shows it.
 fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
     let signs: Vec<(Grade, String)> =
-        [halves(estimate, check), shared_error(estimate), smooth_residuals(check)].into_iter().flatten().collect();
+        [halves(estimate, check), shared_error(estimate), smooth_residuals(check)]
+            .into_iter()
+            .flatten()
+            .collect();
     let Some(worst) = signs.iter().map(|(grade, _)| *grade).min() else { return Vec::new() };
     let signs: Vec<String> = signs.into_iter().map(|(_, sign)| sign).collect();
-    vec![(worst, cause(estimate, check)), (worst, format!("the model does not fit: {}", signs.join("; ")))]
+    vec![
+        (worst, cause(estimate, check)),
+        (worst, format!("the model does not fit: {}", signs.join("; "))),
+    ]
 }
 
 fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
@@ -118,17 +134,23 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     if !known.is_empty() {
         return known.join("; ");
     }
-    let others = "check that the board is flat and held still, and that focus and zoom stay as they are";
+    let others =
+        "check that the board is flat and held still, and that focus and zoom stay as they are";
     if estimate.compared.is_empty() {
-        return format!("nothing tells why the model does not fit: let the lens model be chosen (auto); else {others}");
+        return format!(
+            "nothing tells why the model does not fit: let the lens model be chosen (auto); else {others}"
+        );
     }
     format!("nothing tells why no lens model fits: {others}")
 }
 
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
-    let enough = estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
+    let enough =
+        estimate.views.iter().filter(|view| view.fault.is_none()).count() >= ModelCheck::MIN_VIEWS;
     let Some(ratio) = check.split_half_ratio else {
-        return enough.then(|| (Grade::Poor, "two halves of the views differ too much to be compared".to_owned()));
+        return enough.then(|| {
+            (Grade::Poor, "two halves of the views differ too much to be compared".to_owned())
+        });
     };
     let change = check.focal_change.unwrap_or(0.0) * 100.0;
     let sign = format!(
@@ -147,8 +169,9 @@ fn shared_error(estimate: &CameraEstimate) -> Option<(Grade, String)> {
 
 fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
     let correlation = check.residual_correlation?;
-    let sign =
-        format!("neighbouring corners are off the same way (correlation {correlation:.2}, where noise alone has none)");
+    let sign = format!(
+        "neighbouring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
+    );
     worse_than_good(graded(correlation, CORRELATION), sign)
 }
 
@@ -161,7 +184,8 @@ fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
 }
 
 fn rejected_views(estimate: &CameraEstimate) -> Option<(Grade, String)> {
-    let rejected: Vec<_> = estimate.views.iter().filter_map(|view| Some((&view.name, view.fault?))).collect();
+    let rejected: Vec<_> =
+        estimate.views.iter().filter_map(|view| Some((&view.name, view.fault?))).collect();
     let (name, fault) = rejected.first()?;
     let (count, all) = (rejected.len(), estimate.views.len());
     let grade = if 2 * count > all { Grade::Poor } else { Grade::Usable };
@@ -189,7 +213,9 @@ fn missing_area(coverage: &Coverage) -> Option<(Grade, String)> {
     let seen = fraction * 100.0;
     worse_than_good(
         grade,
-        format!("corners were seen in {seen:.0} % of the image, fewest in the {emptiest}: hold the board there"),
+        format!(
+            "corners were seen in {seen:.0} % of the image, fewest in the {emptiest}: hold the board there"
+        ),
     )
 }
 
@@ -200,7 +226,8 @@ fn emptiest_region(coverage: &Coverage) -> String {
     region_with_most([cells[0].len(), cells.len()], empty)
 }
 
-/// Which third of the image, across and down, has the most of what is counted on a grid of columns and rows over it.
+/// Which third of the image, across and down, has the most of what is counted on a grid of columns
+/// and rows over it.
 fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f64) -> String {
     let third = |at: usize, count: usize| at * 3 / count;
     let mut sums = [[0.0_f64; 3]; 3];
@@ -208,7 +235,8 @@ fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f6
         sums[third(row, rows)][third(col, cols)] += count(col, row);
     }
     let regions = (0..9).map(|k| (k / 3, k % 3));
-    let (row, col) = regions.max_by(|a, b| sums[a.0][a.1].total_cmp(&sums[b.0][b.1])).unwrap_or((1, 1));
+    let (row, col) =
+        regions.max_by(|a, b| sums[a.0][a.1].total_cmp(&sums[b.0][b.1])).unwrap_or((1, 1));
     match (["upper", "", "lower"][row], ["left", "", "right"][col]) {
         ("", "") => "middle".to_owned(),
         ("", side) => format!("{side} middle"),
@@ -219,9 +247,11 @@ fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f6
 
 fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let used = estimate.views.iter().filter(|view| view.fault.is_none());
-    let normals: Vec<_> = used.filter_map(|view| Some(view.camera_from_board? * nalgebra::Vector3::z())).collect();
+    let normals: Vec<_> =
+        used.filter_map(|view| Some(view.camera_from_board? * nalgebra::Vector3::z())).collect();
     let mean: nalgebra::Vector3<f64> = normals.iter().sum();
-    let widest = normals.iter().map(|normal| 2.0 * normal.angle(&mean)).fold(0.0, f64::max).to_degrees();
+    let widest =
+        normals.iter().map(|normal| 2.0 * normal.angle(&mean)).fold(0.0, f64::max).to_degrees();
     let reason = format!(
         "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
     );

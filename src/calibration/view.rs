@@ -7,8 +7,8 @@ use crate::estimation::problem::{BoardView, Correspondence};
 use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
 
-/// What a session has to know about a frame besides what was seen in it. Time arrives here, from the frame, and nowhere
-/// else.
+/// What a session has to know about a frame besides what was seen in it. Time arrives here, from
+/// the frame, and nowhere else.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameFacts {
     /// Counts the source's frames; a gap is a lost one.
@@ -49,15 +49,21 @@ pub struct View {
 impl View {
     /// The view as the solve takes it: each corner of `board` with the pixel it was seen at.
     pub fn to_board_view(&self, board: &Chessboard) -> BoardView {
-        let correspondence = |point_in_board: Point3<f64>,
-                              corner: &crate::detection::board_detection::DetectedCorner| {
-            Correspondence { point_in_board, pixel: corner.pixel, std_px: corner.std_px }
-        };
+        let correspondence =
+            |point_in_board: Point3<f64>,
+             corner: &crate::detection::board_detection::DetectedCorner| {
+                Correspondence { point_in_board, pixel: corner.pixel, std_px: corner.std_px }
+            };
         let corners = self.detection.corners.iter();
         BoardView {
             name: self.frame.display_name(),
             correspondences: corners
-                .map(|corner| correspondence(board.corner_in_board(corner.index.col, corner.index.row), corner))
+                .map(|corner| {
+                    correspondence(
+                        board.corner_in_board(corner.index.col, corner.index.row),
+                        corner,
+                    )
+                })
                 .collect(),
         }
     }

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-/// What [`FrameSource::next_frame`](crate::capture::FrameSource::next_frame) answers instead of frames.
+/// What [`FrameSource::next_frame`](crate::capture::FrameSource::next_frame) answers instead of
+/// frames.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CaptureError {
     /// No frame came within the time given; the source may still be well.

@@ -43,7 +43,8 @@ mod tests {
     #[test]
     fn gaps_are_counted_and_numbers_only_rise() {
         let mut counter = FrameCounter::new(100);
-        let steps = [(7, 0, 101), (8, 0, 102), (11, 2, 105), (11, 0, 106), (3, 0, 107), (4, 0, 108)];
+        let steps =
+            [(7, 0, 101), (8, 0, 102), (11, 2, 105), (11, 0, 106), (3, 0, 107), (4, 0, 108)];
         for (sequence, missed, next) in steps {
             assert_eq!((counter.count(sequence), counter.next()), (missed, next));
         }

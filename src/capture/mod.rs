@@ -1,7 +1,9 @@
-//! Where frames come from: one trait, one file a kind of source. Uses geometry, imaging, recording and simulation.
+//! Where frames come from: one trait, one file a kind of source. Uses geometry, imaging, recording
+//! and simulation.
 //!
-//! [`FrameSource::next_frame`] is the whole of it: a blocking call with a timeout, made from one thread that owns the
-//! source. Supervision (states, opening again, back-off) is above it, in the pipeline.
+//! [`FrameSource::next_frame`] is the whole of it: a blocking call with a timeout, made from one
+//! thread that owns the source. Supervision (states, opening again, back-off) is above it, in the
+//! pipeline.
 
 pub mod device_list;
 mod error;
@@ -29,9 +31,10 @@ pub trait FrameSource: Send {
     /// The next frames taken together, waiting at most `timeout` for them.
     ///
     /// # Errors
-    /// [`CaptureError::TimedOut`] when none came in time (asking again is right), [`CaptureError::Ended`] after the last
-    /// frame of a recording, [`CaptureError::Lost`] when the device went away (opening it again may help), and
-    /// [`CaptureError::Failed`] when a person has to act.
+    /// [`CaptureError::TimedOut`] when none came in time (asking again is right),
+    /// [`CaptureError::Ended`] after the last frame of a recording, [`CaptureError::Lost`] when the
+    /// device went away (opening it again may help), and [`CaptureError::Failed`] when a person has
+    /// to act.
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError>;
 
     /// What it is.
@@ -42,8 +45,8 @@ pub trait FrameSource: Send {
         Losses::default()
     }
 
-    /// A session begins or ends: a device holds still what would move under a calibration (focus, exposure), or shows
-    /// the board to its infrared sensors, and gives back what it changed.
+    /// A session begins or ends: a device holds still what would move under a calibration (focus,
+    /// exposure), or shows the board to its infrared sensors, and gives back what it changed.
     ///
     /// # Errors
     /// [`CaptureError`] when the device refuses; it goes on as before.
@@ -51,7 +54,8 @@ pub trait FrameSource: Send {
         Ok(())
     }
 
-    /// What of focus, zoom or exposure is no longer as a session held it, in words: the calibration may no longer hold.
+    /// What of focus, zoom or exposure is no longer as a session held it, in words: the calibration
+    /// may no longer hold.
     fn moved_since_calibrating(&self) -> Option<String> {
         None
     }
@@ -62,8 +66,8 @@ pub trait SourceOpener: Send {
     /// Opens it; the same device every time, wherever it is plugged in by then.
     ///
     /// # Errors
-    /// [`CaptureError::Lost`] when it is not there now and may come by itself, [`CaptureError::Failed`] when a person has
-    /// to act.
+    /// [`CaptureError::Lost`] when it is not there now and may come by itself,
+    /// [`CaptureError::Failed`] when a person has to act.
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError>;
 }
 

@@ -2,7 +2,8 @@
 
 use crate::geometry::pixel::ImageSize;
 
-/// Size, format and rate; what is `None` stays as the device has it, or is chosen so that the rest can be had.
+/// Size, format and rate; what is `None` stays as the device has it, or is chosen so that the rest
+/// can be had.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ModeRequest {
     /// The size of its images.

@@ -11,7 +11,8 @@ use crate::recording::{Recording, RecordingError};
 /// How fast a recording is replayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Pace {
-    /// As it was recorded: no frame comes before its time. One that is asked for late comes at once.
+    /// As it was recorded: no frame comes before its time. One that is asked for late comes at
+    /// once.
     #[default]
     Recorded,
     /// As fast as frames are taken; none is ever skipped.
@@ -23,7 +24,8 @@ pub enum Pace {
 pub struct ReplayOptions {
     /// How fast; as recorded unless said.
     pub pace: Pace,
-    /// Whether to start again after the last frame; not, unless said. Sequence numbers and times go on rising.
+    /// Whether to start again after the last frame; not, unless said. Sequence numbers and times go
+    /// on rising.
     pub repeat: bool,
     /// Frame sets a second for a folder, which tells no times; 10 unless said.
     pub fps: f64,

@@ -11,8 +11,9 @@ use crate::simulation::{World, WorldOptions};
 
 /// A camera that needs no hardware: a board carried about without end.
 ///
-/// At the recorded pace a frame comes when it is due; frames that were due while nobody asked are dropped, as a camera
-/// drops them. At the fastest, every frame comes, with the times it would have had.
+/// At the recorded pace a frame comes when it is due; frames that were due while nobody asked are
+/// dropped, as a camera drops them. At the fastest, every frame comes, with the times it would have
+/// had.
 #[derive(Debug)]
 pub struct Simulated {
     world: World,
@@ -26,7 +27,14 @@ pub struct Simulated {
 impl Simulated {
     /// Starts the world that `options` describe.
     pub fn new(options: &WorldOptions, pace: Pace, clock: SimulatedClock) -> Self {
-        Self { world: World::new(options), options: options.clone(), pace, clock, started: None, next: 0 }
+        Self {
+            world: World::new(options),
+            options: options.clone(),
+            pace,
+            clock,
+            started: None,
+            next: 0,
+        }
     }
 
     /// The world's clock: when frame 0 was due, on this machine's clock and in UTC.
@@ -43,14 +51,16 @@ impl Simulated {
 pub enum SimulatedClock {
     /// With the source's first frame.
     Own,
-    /// With the first frame of all that share the clock: cameras of one rig see the board at the same places.
+    /// With the first frame of all that share the clock: cameras of one rig see the board at the
+    /// same places.
     Shared,
 }
 
 static SHARED_START: OnceLock<(Instant, i64)> = OnceLock::new();
 
 fn now() -> (Instant, i64) {
-    let utc_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
+    let utc_ns =
+        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as i64);
     (Instant::now(), utc_ns)
 }
 
@@ -100,9 +110,11 @@ mod tests {
     #[test]
     fn every_frame_comes_at_the_fastest_and_the_same_again() {
         let options = WorldOptions::new(3, ImageSize::new(160, 120));
-        let mut sources = [(); 2].map(|()| Simulated::new(&options, Pace::Fastest, SimulatedClock::Own));
+        let mut sources =
+            [(); 2].map(|()| Simulated::new(&options, Pace::Fastest, SimulatedClock::Own));
         for index in 0..5 {
-            let [a, b] = sources.each_mut().map(|source| source.next_frame(Duration::ZERO).unwrap());
+            let [a, b] =
+                sources.each_mut().map(|source| source.next_frame(Duration::ZERO).unwrap());
             assert_eq!((a.sequence, a.device_time), (index, b.device_time));
             assert_eq!(a.frames[0].bytes, b.frames[0].bytes);
         }
@@ -110,7 +122,8 @@ mod tests {
 
     #[test]
     fn no_frame_comes_before_it_is_due() {
-        let options = WorldOptions { fps: 1.0 / 3600.0, ..WorldOptions::new(3, ImageSize::new(64, 48)) };
+        let options =
+            WorldOptions { fps: 1.0 / 3600.0, ..WorldOptions::new(3, ImageSize::new(64, 48)) };
         let mut source = Simulated::new(&options, Pace::Recorded, SimulatedClock::Own);
         assert_eq!(source.next_frame(Duration::ZERO).unwrap().sequence, 0);
         let early = source.next_frame(Duration::ZERO).unwrap_err();

@@ -37,7 +37,8 @@ pub struct Args {
 /// Which pictures to search, and for what.
 #[derive(Debug, clap::Args)]
 pub struct SearchArgs {
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and along a column.
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
     #[arg(long)]
     pub board: BoardSize,
     /// Also use pictures in which only part of the board is seen.
@@ -78,14 +79,16 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         && calibrate_rgbd::has_depth(source)
     {
         let detect = args.search.detect_options();
-        let (calibration, elapsed_ms) = calibrate_rgbd::calibrate(source, target, &options, detect)?;
+        let (calibration, elapsed_ms) =
+            calibrate_rgbd::calibrate(source, target, &options, detect)?;
         return args.output.give(&calibration, Some(elapsed_ms));
     }
     let (problem, others) = gather(&args.search, target)?.finish()?;
     let spinner = progress::spinner("solving");
     let solved = solve_views(&problem, &options);
     spinner.finish_and_clear();
-    let mut solved = solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
+    let mut solved =
+        solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
     for (place, view) in others {
         solved.sensor.views.insert(place.min(solved.sensor.views.len()), view);
     }

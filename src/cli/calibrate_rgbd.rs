@@ -44,8 +44,8 @@ pub fn has_depth(source: &str) -> bool {
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
 
-/// Calibrates the colour, infrared (left and right) and depth sensors of one recording; answers what their solve took, in
-/// milliseconds, too.
+/// Calibrates the colour, infrared (left and right) and depth sensors of one recording; answers
+/// what their solve took, in milliseconds, too.
 ///
 /// # Errors
 /// When it cannot be read, what its depth means is not said, or too little is seen.
@@ -81,7 +81,8 @@ pub fn calibrate(
     Ok((calibration, elapsed_ms))
 }
 
-/// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP 118).
+/// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP
+/// 118).
 fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
     let path = Path::new(source);
     if !path.is_dir() {
@@ -147,7 +148,8 @@ impl<'a> Gathered<'a> {
         }
         let is_view = frames.recording.is_none() || self.keep(&frames.set, color.as_ref());
         let infrared = self.look(&frames.set, SensorKind::Infrared, &path)?;
-        let infrared2 = if is_view { self.look(&frames.set, SensorKind::Infrared2, &path)? } else { None };
+        let infrared2 =
+            if is_view { self.look(&frames.set, SensorKind::Infrared2, &path)? } else { None };
         if let Some((size, _)) = &infrared2 {
             self.same_size(*size, "infrared2", &path)?;
         }
@@ -162,7 +164,8 @@ impl<'a> Gathered<'a> {
             }
             None => None,
         };
-        let time = frames.set.device_time.map_or(frames.set.host_time.utc_ns, |time| time.monotonic_ns);
+        let time =
+            frames.set.device_time.map_or(frames.set.host_time.utc_ns, |time| time.monotonic_ns);
         let time_s = frames.recording.is_some().then_some(time as f64 * 1e-9);
         let color = self.corners(color);
         let infrared = self.corners(infrared);
@@ -183,7 +186,8 @@ impl<'a> Gathered<'a> {
         path: &str,
     ) -> Result<Option<(ImageSize, Result<Detection, NoBoard>)>, Failure> {
         let Some(frame) = set.frame(sensor) else { return Ok(None) };
-        luma(frame, &mut self.image).map_err(|error| Failure::failed(format!("{path}: {}: {error}", sensor.name())))?;
+        luma(frame, &mut self.image)
+            .map_err(|error| Failure::failed(format!("{path}: {}: {error}", sensor.name())))?;
         let seen = self.detector.find_board(self.image.view(), &self.detect);
         if let (Err(no_board), None) = (&seen, &self.first_reason) {
             self.first_reason = Some(format!("{path}: {}: {no_board}", sensor.name()));
@@ -191,7 +195,12 @@ impl<'a> Gathered<'a> {
         Ok(Some((self.image.size(), seen)))
     }
 
-    fn same_size(&mut self, size: ImageSize, sensor: &'static str, path: &str) -> Result<(), Failure> {
+    fn same_size(
+        &mut self,
+        size: ImageSize,
+        sensor: &'static str,
+        path: &str,
+    ) -> Result<(), Failure> {
         let first = match sensor {
             "depth" => &mut self.depth_size,
             "infrared2" => &mut self.infrared2_size,
@@ -207,12 +216,19 @@ impl<'a> Gathered<'a> {
     }
 
     /// Whether the session of a recording keeps this frame set.
-    fn keep(&mut self, set: &FrameSet, color: Option<&(ImageSize, Result<Detection, NoBoard>)>) -> bool {
+    fn keep(
+        &mut self,
+        set: &FrameSet,
+        color: Option<&(ImageSize, Result<Detection, NoBoard>)>,
+    ) -> bool {
         let Some((image_size, seen)) = color else { return false };
         let target = self.target;
         let session = self.session.get_or_insert_with(|| {
             let request = SessionRequest { target, lens: LensChoice::Auto, finish: None };
-            Session::begin(SessionRecord::begin("", "", request, set.host_time.utc_ns), &AdmissionOptions::default())
+            Session::begin(
+                SessionRecord::begin("", "", request, set.host_time.utc_ns),
+                &AdmissionOptions::default(),
+            )
         });
         let frame = FrameFacts {
             sequence: set.sequence,
@@ -222,26 +238,44 @@ impl<'a> Gathered<'a> {
             image_size: *image_size,
         };
         let before = session.views().len();
-        session.observe(&frame, seen.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())));
+        session.observe(
+            &frame,
+            seen.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())),
+        );
         session.views().len() > before
     }
 
-    fn corners(&self, seen: Option<(ImageSize, Result<Detection, NoBoard>)>) -> Vec<Correspondence> {
+    fn corners(
+        &self,
+        seen: Option<(ImageSize, Result<Detection, NoBoard>)>,
+    ) -> Vec<Correspondence> {
         let Some((image_size, Ok(detection))) = seen else { return Vec::new() };
-        let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
+        let frame = FrameFacts {
+            sequence: 0,
+            name: None,
+            host_time_ns: 0,
+            device_time_ns: None,
+            image_size,
+        };
         View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
     }
 
     /// Colour and right infrared, where there is the latter.
     fn stereo(&self) -> Option<StereoInput> {
         let (color_size, infrared2_size) = (self.color_size?, self.infrared2_size?);
-        let views = self.captures.iter().zip(&self.infrared2).filter(|(capture, _)| capture.is_view);
+        let views =
+            self.captures.iter().zip(&self.infrared2).filter(|(capture, _)| capture.is_view);
         let captures = views.map(|(capture, infrared2)| StereoCapture {
             name: capture.name.clone(),
             color: capture.color.clone(),
             infrared2: infrared2.clone(),
         });
-        Some(StereoInput { board: self.target, color_size, infrared2_size, captures: captures.collect() })
+        Some(StereoInput {
+            board: self.target,
+            color_size,
+            infrared2_size,
+            captures: captures.collect(),
+        })
     }
 
     fn finish(self, depth: DepthSensor) -> Result<RgbdInput, Failure> {

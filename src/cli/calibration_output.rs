@@ -42,27 +42,30 @@ impl OutputArgs {
         Ok(())
     }
 
-    /// Writes and prints `calibration`; `elapsed_ms` is what the solve took, where the command tells it.
+    /// Writes and prints `calibration`; `elapsed_ms` is what the solve took, where the command
+    /// tells it.
     ///
     /// # Errors
     /// When the format cannot hold it, or it cannot be written.
     pub fn give(&self, calibration: &Calibration, elapsed_ms: Option<f64>) -> Result<(), Failure> {
         let (format, options) = (self.format.map(Format::from), ExportOptions::default());
         if let Some(path) = &self.out {
-            let exported = export(calibration, format.unwrap_or(Format::Json), &options).map_err(Failure::failed)?;
+            let exported = export(calibration, format.unwrap_or(Format::Json), &options)
+                .map_err(Failure::failed)?;
             if let Some(note) = &exported.note {
                 tracing::warn!("{}: {note}", path.display());
             }
             write_file(path, &exported.bytes)?;
         }
         if self.json {
-            let document = CalibrationDocument { elapsed_ms, ..CalibrationDocument::from(calibration) };
+            let document =
+                CalibrationDocument { elapsed_ms, ..CalibrationDocument::from(calibration) };
             return output::print_json(&document);
         }
         match (format, &self.out) {
-            (Some(format), None) => {
-                output::print_bytes(&export(calibration, format, &options).map_err(Failure::failed)?.bytes)
-            }
+            (Some(format), None) => output::print_bytes(
+                &export(calibration, format, &options).map_err(Failure::failed)?.bytes,
+            ),
             _ => output::print_text(&summary(calibration)),
         }
     }
@@ -117,7 +120,9 @@ fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
         }
     }
     if let Some([x, y]) = sensor.board_warp_m.map(|warp_m| warp_m.map(|m| m * 1000.0)) {
-        lines.push(format!("  the board is bowed by {x:.3} mm along its rows and {y:.3} mm along its columns"));
+        lines.push(format!(
+            "  the board is bowed by {x:.3} mm along its rows and {y:.3} mm along its columns"
+        ));
     }
     for compared in &sensor.compared {
         lines.push(format!(
@@ -126,7 +131,11 @@ fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
         ));
     }
     for view in sensor.views.iter().filter(|view| !view.used) {
-        lines.push(format!("  not used: {}: {}", view.name, view.reason.as_deref().unwrap_or("no reason given")));
+        lines.push(format!(
+            "  not used: {}: {}",
+            view.name,
+            view.reason.as_deref().unwrap_or("no reason given")
+        ));
     }
     lines
 }

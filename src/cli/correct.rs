@@ -1,4 +1,5 @@
-//! `plumb correct`: depth pictures without their systematic error, on request as the colour camera would see them.
+//! `plumb correct`: depth pictures without their systematic error, on request as the colour camera
+//! would see them.
 
 use std::cell::LazyCell;
 use std::fs;
@@ -27,14 +28,16 @@ pub struct Args {
     /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Bring depth into the colour picture (color), or colour into the depth picture, as NAME-color.png beside it (depth)
+    /// Bring depth into the colour picture (color), or colour into the depth picture, as
+    /// NAME-color.png beside it (depth)
     #[arg(long, value_name = "SENSOR", value_parser = ["color", "depth"])]
     register: Option<String>,
-    /// Write the points as NAME.ply too, in the colour camera's frame; with their colours where the colour picture is there
+    /// Write the points as NAME.ply too, in the colour camera's frame; with their colours where the
+    /// colour picture is there
     #[arg(long)]
     cloud: bool,
-    /// Where the colour picture shows the calibration's board (held still), say how far depth is off it before and after
-    /// correction, and draw it as NAME-error.png
+    /// Where the colour picture shows the calibration's board (held still), say how far depth is
+    /// off it before and after correction, and draw it as NAME-error.png
     #[arg(long)]
     errors: bool,
     /// Correct and register each picture N times; elapsed_ms is the fastest
@@ -46,7 +49,8 @@ pub struct Args {
     /// The folder to write to; made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Print one JSON document: what was written, and how much of it lies beyond the distances that were calibrated
+    /// Print one JSON document: what was written, and how much of it lies beyond the distances that
+    /// were calibrated
     #[arg(long)]
     json: bool,
     /// Depth pictures (16-bit PNG or PGM), folders of them, or recordings with depth
@@ -88,22 +92,30 @@ struct Colored {
 /// A failure for a calibration without depth, and when any picture could not be corrected.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(args.unit > 0.0 && args.unit < 1.0) {
-        return Err(Failure::usage(format!("--unit {}: give metres per unit, as in 0.001", args.unit)));
+        return Err(Failure::usage(format!(
+            "--unit {}: give metres per unit, as in 0.001",
+            args.unit
+        )));
     }
     let calibration = read_calibration(&args.calibration)?;
     let mut plane_errors = args.errors.then(|| PlaneErrors::new(&calibration)).transpose()?;
     let file = args.calibration.display();
     let missing = |what: &str| {
-        Failure::failed(format!("{file}: calibrates no {what}; calibrate from a recording with colour and depth"))
+        Failure::failed(format!(
+            "{file}: calibrates no {what}; calibrate from a recording with colour and depth"
+        ))
     };
     let depth = calibration.depth.ok_or_else(|| missing("depth sensor"))?;
     let color = calibration.color.ok_or_else(|| missing("colour sensor"))?;
-    let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+    let stated =
+        calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
     let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
-    let registration =
-        LazyCell::new(|| DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth));
-    fs::create_dir_all(&args.out)
-        .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
+    let registration = LazyCell::new(|| {
+        DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth)
+    });
+    fs::create_dir_all(&args.out).map_err(|error| {
+        Failure::failed(format!("{}: cannot be made ({error})", args.out.display()))
+    })?;
     let spinner = progress::spinner("correcting");
     let (mut written, mut failures) = (Vec::new(), Vec::new());
     let mut give = |path: String, name: String, picture: Result<(DepthImage, Colored), String>| {
@@ -111,7 +123,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let outcome = picture.and_then(|(picture, color)| {
             fits(&picture, depth.camera.image_size)?;
             let picture_of_color = (&picture, color.picture.as_ref());
-            let mut one = correct(args, (&registration, depth.invalid), (&path, &name), picture_of_color)?;
+            let mut one =
+                correct(args, (&registration, depth.invalid), (&path, &name), picture_of_color)?;
             if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
                 one.off_board = off_board(args, errors, &name, (frame, &picture))?;
             }
@@ -126,13 +139,21 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let place = Path::new(source);
         if place.is_dir() && !place.join("depth").is_dir() {
             for path in pictures_in(place)? {
-                give(path.display().to_string(), stem(&path), read(&path).map(|depth| (depth, Colored::default())));
+                give(
+                    path.display().to_string(),
+                    stem(&path),
+                    read(&path).map(|depth| (depth, Colored::default())),
+                );
             }
         } else if place.is_dir() || is_recording(place) {
             for frames in FrameSets::new(std::iter::once(source.clone())) {
                 let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
                 let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
-                let name = frames.set.name.clone().unwrap_or_else(|| format!("{:06}", frames.set.sequence));
+                let name = frames
+                    .set
+                    .name
+                    .clone()
+                    .unwrap_or_else(|| format!("{:06}", frames.set.sequence));
                 let color = frames.set.frame(SensorKind::Color);
                 let picture = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
                 let picture = picture.map_err(|error| format!("its colour picture: {error}"));
@@ -164,8 +185,13 @@ fn correct(
             write(format!("{name}.ply"), &to_ply(&registration.points(&depths, color), "color"))?;
         }
         if args.register.as_deref() == Some("depth") {
-            let color = color.ok_or("there is no colour picture with it; give a recording with colour and depth")?;
-            write(format!("{name}-color.png"), &encode_png(&registration.color_in_depth(&depths, color))?)?;
+            let color = color.ok_or(
+                "there is no colour picture with it; give a recording with colour and depth",
+            )?;
+            write(
+                format!("{name}-color.png"),
+                &encode_png(&registration.color_in_depth(&depths, color))?,
+            )?;
         }
     }
     if args.register.as_deref() == Some("color") {
@@ -182,7 +208,8 @@ fn correct(
     })
 }
 
-/// How far `picture` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it shows none.
+/// How far `picture` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it
+/// shows none.
 fn off_board(
     args: &Args,
     errors: &mut PlaneErrors,
@@ -226,10 +253,16 @@ fn encode_png(picture: &RgbImage) -> Result<Vec<u8>, String> {
 }
 
 fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), Failure> {
-    let (count, beyond) = (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
-    let off: Vec<[f64; 2]> = written.iter().filter_map(|one| Some(one.off_board?.rms_m())).collect();
+    let (count, beyond) =
+        (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
+    let off: Vec<[f64; 2]> =
+        written.iter().filter_map(|one| Some(one.off_board?.rms_m())).collect();
     if args.json {
-        output::print_json(&Report { unit_m: args.unit, registered: args.register.clone(), written })?;
+        output::print_json(&Report {
+            unit_m: args.unit,
+            registered: args.register.clone(),
+            written,
+        })?;
     } else if count > 0 {
         output::print_line(&format!("{}: {count} corrected depth pictures", args.out.display()))?;
         if beyond > 0 {
@@ -252,8 +285,8 @@ fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), F
     }
 }
 
-/// The middle of all pictures' root mean squares before and after correction, in metres: a moving board, which colour and depth
-/// see at different moments, is off in depth however right it is.
+/// The middle of all pictures' root mean squares before and after correction, in metres: a moving
+/// board, which colour and depth see at different moments, is off in depth however right it is.
 fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
     match (middle_mm(0), middle_mm(1)) {
@@ -261,7 +294,8 @@ fn off_line(off: &[[f64; 2]]) -> String {
             "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} pictures",
             off.len()
         ),
-        _ => "no colour picture with depth shows the calibration's board: give a recording of it".to_owned(),
+        _ => "no colour picture with depth shows the calibration's board: give a recording of it"
+            .to_owned(),
     }
 }
 
@@ -270,11 +304,14 @@ fn fits(picture: &DepthImage, expected: ImageSize) -> Result<(), String> {
     if size == expected {
         return Ok(());
     }
-    Err(format!("{size} pixels, but the calibration is for {expected}; give depth of the calibrated camera"))
+    Err(format!(
+        "{size} pixels, but the calibration is for {expected}; give depth of the calibrated camera"
+    ))
 }
 
 fn read(path: &Path) -> Result<DepthImage, String> {
-    let bytes = fs::read(path).map_err(|error| format!("cannot be read ({error}); check the path"))?;
+    let bytes =
+        fs::read(path).map_err(|error| format!("cannot be read ({error}); check the path"))?;
     decoded(&frame_from_file(SensorKind::Depth, bytes))
 }
 
@@ -287,8 +324,10 @@ fn stem(path: &Path) -> String {
 }
 
 fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
-    let refused = |error| Failure::failed(format!("{}: cannot be read ({error})", folder.display()));
-    let entries = fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;
+    let refused =
+        |error| Failure::failed(format!("{}: cannot be read ({error})", folder.display()));
+    let entries =
+        fs::read_dir(folder).map_err(refused)?.collect::<Result<Vec<_>, _>>().map_err(refused)?;
     let mut paths: Vec<_> = entries
         .into_iter()
         .map(|entry| entry.path())

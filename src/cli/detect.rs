@@ -14,7 +14,8 @@ use crate::geometry::board::BoardSize;
 /// Finds a chessboard in each image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and along a column.
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
     #[arg(long)]
     board: BoardSize,
     /// Print a line of JSON for each image, in the order given.
@@ -29,7 +30,8 @@ pub struct Args {
     /// How many images to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input, a line each.
+    /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input,
+    /// a line each.
     #[arg(required = true, value_name = "PATH")]
     paths: Vec<String>,
 }
@@ -47,7 +49,8 @@ struct ImageLine {
     corners: Vec<[f64; 2]>,
     indices: Vec<[i32; 2]>,
     orientation_ambiguous: bool,
-    /// Of part of a board: whether its indices count from the board's first corner, or only among themselves.
+    /// Of part of a board: whether its indices count from the board's first corner, or only among
+    /// themselves.
     position_known: bool,
     reason: Option<String>,
     elapsed_ms: f64,
@@ -69,7 +72,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                 Ok(looked) => ImageLine::of(args.board, looked),
                 Err(unreadable) => {
                     unread.count(&unreadable.reason);
-                    ImageLine { reason: Some(unreadable.reason), ..ImageLine::nothing(args.board, unreadable.path) }
+                    ImageLine {
+                        reason: Some(unreadable.reason),
+                        ..ImageLine::nothing(args.board, unreadable.path)
+                    }
                 }
             };
             print(args, &line)
@@ -104,8 +110,16 @@ impl ImageLine {
             Ok(detection) => Self {
                 found: true,
                 partial: detection.partial,
-                corners: detection.corners.iter().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
-                indices: detection.corners.iter().map(|corner| [corner.index.col, corner.index.row]).collect(),
+                corners: detection
+                    .corners
+                    .iter()
+                    .map(|corner| [corner.pixel.x, corner.pixel.y])
+                    .collect(),
+                indices: detection
+                    .corners
+                    .iter()
+                    .map(|corner| [corner.index.col, corner.index.row])
+                    .collect(),
                 orientation_ambiguous: detection.orientation_ambiguous,
                 position_known: detection.position_known,
                 ..nothing
@@ -142,7 +156,11 @@ fn print(args: &Args, line: &ImageLine) -> Result<(), Failure> {
         // A reason that is about the file names it.
         Some(reason) if line.width.is_none() => reason.clone(),
         Some(reason) => format!("{path}: no board: {reason}"),
-        None => format!("{path}: {part} {} board, {} corners, {elapsed_ms:.2} ms", args.board, corners.len()),
+        None => format!(
+            "{path}: {part} {} board, {} corners, {elapsed_ms:.2} ms",
+            args.board,
+            corners.len()
+        ),
     })
 }
 
@@ -163,9 +181,9 @@ impl Unread {
         match (self.first, self.count) {
             (None, _) => Ok(()),
             (Some(reason), 1) => Err(Failure::failed(reason)),
-            (Some(reason), count) => {
-                Err(Failure::failed(format!("{count} images could not be read; the first: {reason}")))
-            }
+            (Some(reason), count) => Err(Failure::failed(format!(
+                "{count} images could not be read; the first: {reason}"
+            ))),
         }
     }
 }

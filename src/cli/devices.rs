@@ -2,7 +2,9 @@
 
 use serde::Serialize;
 
-use crate::capture::device_list::{DeviceListing, ListedControl, ListedDevice, ListedFormat, ListedSize};
+use crate::capture::device_list::{
+    DeviceListing, ListedControl, ListedDevice, ListedFormat, ListedSize,
+};
 use crate::cli::{Failure, output};
 use crate::geometry::pixel::ImageSize;
 
@@ -21,7 +23,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let listings = crate::capture::list_devices();
     if args.json {
-        return output::print_json(&DevicesDocument { backends: listings.iter().map(BackendDocument::from).collect() });
+        return output::print_json(&DevicesDocument {
+            backends: listings.iter().map(BackendDocument::from).collect(),
+        });
     }
     listings.iter().try_for_each(print_listing)
 }
@@ -39,7 +43,15 @@ fn print_device(device: &ListedDevice) -> Result<(), Failure> {
     let facts = [
         (
             "also",
-            Some(device.paths.iter().filter(|path| **path != device.identity).cloned().collect::<Vec<_>>().join(" ")),
+            Some(
+                device
+                    .paths
+                    .iter()
+                    .filter(|path| **path != device.identity)
+                    .cloned()
+                    .collect::<Vec<_>>()
+                    .join(" "),
+            ),
         ),
         ("serial", device.serial.clone()),
         ("at", device.bus.clone()),
@@ -57,16 +69,22 @@ fn print_device(device: &ListedDevice) -> Result<(), Failure> {
         let sizes: Vec<String> = format.sizes.iter().map(size_in_words).collect();
         output::print_line(&format!("    {}: {}", format.name, sizes.join(", ")))?;
     }
-    let unread: Vec<&str> = device.formats.iter().filter(|format| !format.read).map(|f| f.name.as_str()).collect();
+    let unread: Vec<&str> =
+        device.formats.iter().filter(|format| !format.read).map(|f| f.name.as_str()).collect();
     if !unread.is_empty() {
         output::print_line(&format!("    formats that Plumb does not read: {}", unread.join(" ")))?;
     }
     let controls: Vec<String> = device.controls.iter().map(control_in_words).collect();
-    if controls.is_empty() { Ok(()) } else { output::print_line(&format!("    controls: {}", controls.join(", "))) }
+    if controls.is_empty() {
+        Ok(())
+    } else {
+        output::print_line(&format!("    controls: {}", controls.join(", ")))
+    }
 }
 
 fn size_in_words(size: &ListedSize) -> String {
-    let rates: Vec<String> = size.fps.iter().map(|fps| format!("{}", (fps * 100.0).round() / 100.0)).collect();
+    let rates: Vec<String> =
+        size.fps.iter().map(|fps| format!("{}", (fps * 100.0).round() / 100.0)).collect();
     let rates = if rates.is_empty() { String::new() } else { format!(" @ {}", rates.join("/")) };
     match size.range {
         Some(range) => format!("{} to {}{rates}", range.smallest, size.size),

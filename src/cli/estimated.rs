@@ -1,4 +1,5 @@
-//! What a solve estimates beyond the lens model, and what it takes as given: the same for every command that solves.
+//! What a solve estimates beyond the lens model, and what it takes as given: the same for every
+//! command that solves.
 
 use crate::estimation::camera::CameraOptions;
 
@@ -14,7 +15,8 @@ pub struct EstimatedArgs {
     /// A lens parameter that is known, as fx=600; may be given several times.
     #[arg(long, value_name = "NAME=VALUE", value_parser = parameter)]
     given: Vec<(String, f64)>,
-    /// Estimate how far the board is bowed at its middle along its rows and columns, too; else it is flat.
+    /// Estimate how far the board is bowed at its middle along its rows and columns, too; else it
+    /// is flat.
     #[arg(long)]
     warp: bool,
 }
@@ -32,6 +34,8 @@ impl EstimatedArgs {
 /// Reads `NAME=VALUE`.
 fn parameter(text: &str) -> Result<(String, f64), String> {
     let (name, value) = text.split_once('=').ok_or("write NAME=VALUE, as fx=600")?;
-    let value = value.parse().map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
+    let value = value
+        .parse()
+        .map_err(|_| format!("`{value}` is not a number; write NAME=VALUE, as fx=600"))?;
     Ok((name.to_owned(), value))
 }

@@ -22,12 +22,12 @@ pub struct Args {
     /// The format to write.
     #[arg(long)]
     format: FormatName,
-    /// Which sensor, where the calibration has several and the format holds one: color, infrared, infrared2, depth, or a rig's camera
-    /// [default: color].
+    /// Which sensor, where the calibration has several and the format holds one: color, infrared,
+    /// infrared2, depth, or a rig's camera [default: color].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// The part of the pictures it was made with that those show that it is wanted for, in pixels from the top left, as in
-    /// 160,120,320,240.
+    /// The part of the pictures it was made with that those show that it is wanted for, in pixels
+    /// from the top left, as in 160,120,320,240.
     #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
     crop: Option<ImageRegion>,
     /// Width of the pictures to write it for, where they (or that part of them) are scaled.
@@ -98,7 +98,8 @@ struct ExportedDocument<'a> {
 /// When the calibration cannot be read, or the format cannot hold it.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
-    let in_file = |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
+    let in_file =
+        |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
     let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
     let other = OtherPictures { crop: args.crop, size, sensor: args.sensor.clone() };
     let calibration = for_other_pictures(&calibration, &other).map_err(|error| in_file(&error))?;

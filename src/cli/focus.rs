@@ -60,7 +60,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         "sharp to {} px from {:.3} m to {far}; hyperfocal distance {:.3} m",
         args.blur, depth.near_m, focus.hyperfocal_m
     ))?;
-    output::print_line(&format!("a calibration should find a focal length near {:.1} px", focus.focal_px))?;
+    output::print_line(&format!(
+        "a calibration should find a focal length near {:.1} px",
+        focus.focal_px
+    ))?;
     focus.board.map_or(Ok(()), |board| {
         output::print_line(&format!(
             "use a board of {} inner corners with squares of {:.1} mm, at about {:.2} m",

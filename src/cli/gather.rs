@@ -12,14 +12,16 @@ use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
 
-/// What the pictures amount to. A picture that was chosen by hand (a file, one of a folder) is a view if the board is seen
-/// in it; frames of a recording go through a session, which keeps the sharp, still and different ones, as it would live.
+/// What the pictures amount to. A picture that was chosen by hand (a file, one of a folder) is a
+/// view if the board is seen in it; frames of a recording go through a session, which keeps the
+/// sharp, still and different ones, as it would live.
 #[derive(Debug)]
 pub struct Gathered {
     target: Chessboard,
     /// The first picture's name and size.
     size: Option<(String, ImageSize)>,
-    /// Every picture in order: a view, or why it is none. Frames of a recording that its session did not keep are left out.
+    /// Every picture in order: a view, or why it is none. Frames of a recording that its session
+    /// did not keep are left out.
     pictures: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
     looked: usize,
@@ -29,7 +31,14 @@ pub struct Gathered {
 impl Gathered {
     /// Nothing yet.
     pub fn new(target: Chessboard) -> Self {
-        Self { target, size: None, pictures: Vec::new(), session: None, looked: 0, first_reason: None }
+        Self {
+            target,
+            size: None,
+            pictures: Vec::new(),
+            session: None,
+            looked: 0,
+            first_reason: None,
+        }
     }
 
     /// Takes the next picture.
@@ -41,7 +50,13 @@ impl Gathered {
         match looked {
             Ok(looked) => {
                 self.check_size(&looked)?;
-                self.note_reason(looked.answer.as_ref().err().map(|no_board| format!("{}: {no_board}", looked.path)));
+                self.note_reason(
+                    looked
+                        .answer
+                        .as_ref()
+                        .err()
+                        .map(|no_board| format!("{}: {no_board}", looked.path)),
+                );
                 if looked.recording.is_some() { self.observe(&looked) } else { self.take(looked) }
             }
             Err(Unreadable { path, reason }) => {
@@ -53,7 +68,8 @@ impl Gathered {
         Ok(())
     }
 
-    /// The problem that the views pose, and the pictures that are no views, each with its place among all.
+    /// The problem that the views pose, and the pictures that are no views, each with its place
+    /// among all.
     ///
     /// # Errors
     /// When the board was seen in none.
@@ -68,7 +84,9 @@ impl Gathered {
         }
         let first = self.first_reason.unwrap_or_default();
         match self.size {
-            Some((_, image_size)) if !views.is_empty() => Ok((CameraProblem { image_size, views }, others)),
+            Some((_, image_size)) if !views.is_empty() => {
+                Ok((CameraProblem { image_size, views }, others))
+            }
             _ if self.looked == 1 => Err(Failure::failed(first)),
             _ => Err(Failure::failed(format!(
                 "no {} board was seen in any of {} pictures; the first: {first}",
@@ -113,11 +131,15 @@ impl Gathered {
             self.end_recording();
         }
         let (_, session) = self.session.get_or_insert_with(|| {
-            let request = SessionRequest { target: self.target, lens: LensChoice::Auto, finish: None };
+            let request =
+                SessionRequest { target: self.target, lens: LensChoice::Auto, finish: None };
             let record = SessionRecord::begin("", "", request, looked.frame.host_time_ns);
             (path.to_owned(), Session::begin(record, &AdmissionOptions::default()))
         });
-        session.observe(&looked.frame, looked.answer.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())));
+        session.observe(
+            &looked.frame,
+            looked.answer.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())),
+        );
     }
 
     fn end_recording(&mut self) {
@@ -130,5 +152,11 @@ impl Gathered {
 }
 
 fn unused(name: String, reason: String) -> CalibratedView {
-    CalibratedView { name, used: false, reason: Some(reason), rms_px: None, camera_from_board: None }
+    CalibratedView {
+        name,
+        used: false,
+        reason: Some(reason),
+        rms_px: None,
+        camera_from_board: None,
+    }
 }

@@ -5,8 +5,9 @@ use std::sync::Mutex;
 use std::sync::mpsc::sync_channel;
 use std::thread;
 
-/// Calls a worker on each of `items` and `take` on each result, in the order of the items, as soon as it is there. Each of
-/// the `threads` has a worker of its own from `new_worker`. Stops at the first error of `take`.
+/// Calls a worker on each of `items` and `take` on each result, in the order of the items, as soon
+/// as it is there. Each of the `threads` has a worker of its own from `new_worker`. Stops at the
+/// first error of `take`.
 ///
 /// # Errors
 /// The error of `take`.
@@ -29,8 +30,12 @@ where
             scope.spawn(move || {
                 let mut worker = new_worker();
                 loop {
-                    // A poisoned lock means that another thread panicked, which the scope passes on.
-                    let Some((index, item)) = items.lock().ok().and_then(|mut items| items.next()) else { return };
+                    // A poisoned lock means that another thread panicked, which the scope passes
+                    // on.
+                    let Some((index, item)) = items.lock().ok().and_then(|mut items| items.next())
+                    else {
+                        return;
+                    };
                     if send.send((index, worker(item))).is_err() {
                         return;
                     }
@@ -63,7 +68,9 @@ mod tests {
     fn results_come_in_order_whatever_each_takes() {
         for threads in [1, 2, 7] {
             let mut seen = Vec::new();
-            let new_worker = || |item: u64| (0..(item * 7919) % 5000).fold(item, |item, k| item ^ (k & 1) ^ (k & 1));
+            let new_worker = || {
+                |item: u64| (0..(item * 7919) % 5000).fold(item, |item, k| item ^ (k & 1) ^ (k & 1))
+            };
             let done: Result<(), ()> = in_order(0..500_u64, threads, new_worker, |result| {
                 seen.push(result);
                 Ok(())

@@ -27,7 +27,8 @@ impl FromStr for Length {
             .find_map(|(unit, per_metre)| Some((text.trim().strip_suffix(unit)?, per_metre)))
             .ok_or_else(not_a_length)?;
         let number: f64 = number.trim().parse().map_err(|_| not_a_length())?;
-        // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, 25 · 0.001 is not always.
+        // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, 25 · 0.001 is not
+        // always.
         let metres = number / per_metre;
         if metres.is_finite() && metres > 0.0 { Ok(Self { metres }) } else { Err(not_a_length()) }
     }
@@ -39,9 +40,13 @@ mod tests {
 
     #[test]
     fn units_and_refusals() {
-        for (text, metres) in
-            [("25mm", 0.025), ("2.5 cm", 0.025), ("0.025m", 0.025), ("1in", 0.0254), ("3.45um", 3.45e-6)]
-        {
+        for (text, metres) in [
+            ("25mm", 0.025),
+            ("2.5 cm", 0.025),
+            ("0.025m", 0.025),
+            ("1in", 0.0254),
+            ("3.45um", 3.45e-6),
+        ] {
             let length: Length = text.parse().unwrap();
             assert!((length.metres - metres).abs() < 1e-15, "{text}: {}", length.metres);
         }

@@ -1,8 +1,9 @@
 //! The command line: one file a command, each with its `Args` and its `run`.
 //!
-//! A command writes its result to stdout through [`output`], and nothing else goes there: logs and progress go to stderr. With
-//! `--json` the result is exactly one JSON document, or a line of JSON for each item where the command says so. What goes
-//! wrong is a [`Failure`]: one line and an exit code, told to the user here and nowhere else.
+//! A command writes its result to stdout through [`output`], and nothing else goes there: logs and
+//! progress go to stderr. With `--json` the result is exactly one JSON document, or a line of JSON
+//! for each item where the command says so. What goes wrong is a [`Failure`]: one line and an exit
+//! code, told to the user here and nowhere else.
 //!
 //! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
 
@@ -85,14 +86,17 @@ fn dispatch(command: Command) -> Result<(), Failure> {
     }
 }
 
-/// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong in one line on stderr.
+/// Runs the command that `arguments` (the program's name first) asks for, and says what went wrong
+/// in one line on stderr.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let outcome = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => {
             log_to_stderr();
             dispatch(arguments.command)
         }
-        Err(asked) if matches!(asked.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) => {
+        Err(asked)
+            if matches!(asked.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion) =>
+        {
             output::print_text(&asked.render().to_string())
         }
         Err(error) => Err(Failure::usage(one_line(&error))),
@@ -121,12 +125,14 @@ fn one_line(error: &clap::Error) -> String {
     format!("{}; see --help", words.join(" "))
 }
 
-/// Log events of the libraries and the daemon, as the environment variable `RUST_LOG` asks; warnings unless it does.
+/// Log events of the libraries and the daemon, as the environment variable `RUST_LOG` asks;
+/// warnings unless it does.
 fn log_to_stderr() {
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,plumb=info"));
     // Only the first of several runs in one process sets the logs up.
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+    let _ =
+        tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
 }
 
 #[cfg(test)]

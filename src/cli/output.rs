@@ -11,8 +11,9 @@ use crate::cli::Failure;
 /// # Errors
 /// When stdout cannot be written to.
 pub fn print_json(document: &impl Serialize) -> Result<(), Failure> {
-    let json = serde_json::to_string(document)
-        .map_err(|error| Failure::failed(format!("the result cannot be written as JSON: {error}")))?;
+    let json = serde_json::to_string(document).map_err(|error| {
+        Failure::failed(format!("the result cannot be written as JSON: {error}"))
+    })?;
     print_line(&json)
 }
 
@@ -22,7 +23,10 @@ pub fn print_json(document: &impl Serialize) -> Result<(), Failure> {
 /// When stdout cannot be written to.
 pub fn print_line(line: &str) -> Result<(), Failure> {
     let mut stdout = io::stdout().lock();
-    stdout.write_all(line.as_bytes()).and_then(|()| stdout.write_all(b"\n")).map_err(|error| closed(&error))
+    stdout
+        .write_all(line.as_bytes())
+        .and_then(|()| stdout.write_all(b"\n"))
+        .map_err(|error| closed(&error))
 }
 
 /// Writes `text` as it is.

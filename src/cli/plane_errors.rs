@@ -1,4 +1,5 @@
-//! How far depth is off a board that colour sees, before and after correction, as numbers and as a picture.
+//! How far depth is off a board that colour sees, before and after correction, as numbers and as a
+//! picture.
 
 use serde::Serialize;
 
@@ -59,8 +60,13 @@ impl PlaneErrors {
     /// # Errors
     /// For a calibration without a board, colour, depth or the pose between them.
     pub fn new(calibration: &Calibration) -> Result<Self, Failure> {
-        let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
-        let parts = calibration.target.zip(calibration.color.as_ref()).zip(calibration.depth.as_ref()).zip(stated);
+        let stated =
+            calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+        let parts = calibration
+            .target
+            .zip(calibration.color.as_ref())
+            .zip(calibration.depth.as_ref())
+            .zip(stated);
         let (((board, color), depth), color_from_depth) = parts.ok_or_else(|| {
             Failure::failed(
                 "--errors needs a calibration by a board, of colour and depth; calibrate with plumb calibrate",
@@ -78,7 +84,8 @@ impl PlaneErrors {
         })
     }
 
-    /// What is off in `picture`, and how it looks; `None` where the board is not in `color`, or nothing of it in depth.
+    /// What is off in `picture`, and how it looks; `None` where the board is not in `color`, or
+    /// nothing of it in depth.
     ///
     /// # Errors
     /// For a colour picture that cannot be read, or is of another size than the calibration's.
@@ -95,16 +102,25 @@ impl PlaneErrors {
                 "its colour picture is {image_size}, the calibration is of {expected}; record at that size"
             ));
         }
-        let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default()) else {
+        let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default())
+        else {
             return Ok(None);
         };
-        let frame = FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size };
+        let frame = FrameFacts {
+            sequence: 0,
+            name: None,
+            host_time_ns: 0,
+            device_time_ns: None,
+            image_size,
+        };
         let view = View { number: 0, frame, detection }.to_board_view(&self.board);
         let poses = board_poses(&self.color, &view).unwrap_or_default();
         let Some(pose) = poses.first() else { return Ok(None) };
         let on_board = (&self.board, &pose.camera_from_board);
-        let errors = plane_error((&self.depth, &self.color_from_depth), on_board, (picture, self.invalid));
-        let [before, after] = [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
+        let errors =
+            plane_error((&self.depth, &self.color_from_depth), on_board, (picture, self.invalid));
+        let [before, after] =
+            [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
         Ok(before.zip(after).and_then(|(before, after)| {
             let [first, second] = [("before", before), ("after", after)]
                 .map(|(when, [_, rms_m])| format!("{when} {:.2} mm rms", 1e3 * rms_m));

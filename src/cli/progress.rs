@@ -4,8 +4,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 /// A bar over `steps` steps called `what`.
 pub fn bar(what: &'static str, steps: usize) -> ProgressBar {
-    let style =
-        ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}").unwrap_or_else(|_| ProgressStyle::default_bar());
+    let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::new(steps as u64).with_style(style).with_message(what)
 }
 

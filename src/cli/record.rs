@@ -49,12 +49,13 @@ struct Recorded<'a> {
 /// Runs the command.
 ///
 /// # Errors
-/// When there is no such camera, it cannot be opened or is lost, or the file cannot be written. What was recorded until
-/// then stays.
+/// When there is no such camera, it cannot be opened or is lost, or the file cannot be written.
+/// What was recorded until then stays.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let config = Config::load(Some(&args.config), &Overrides::default()).map_err(Failure::usage)?;
     let camera = find_camera(&config, args)?;
-    let of_camera = |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera));
+    let of_camera =
+        |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera));
     let mut source = opener_of(&camera.source).open().map_err(|error| of_camera(&error))?;
     let mut writer = McapWriter::create(&args.out, &args.camera).map_err(Failure::failed)?;
     let stop = stopped_by_signal()?;
@@ -74,7 +75,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         return output::print_json(&recorded);
     }
     let Recorded { frame_sets, lost, .. } = recorded;
-    output::print_line(&format!("{}: {frame_sets} frame sets of {}, {lost} lost", args.out.display(), args.camera))
+    output::print_line(&format!(
+        "{}: {frame_sets} frame sets of {}, {lost} lost",
+        args.out.display(),
+        args.camera
+    ))
 }
 
 fn record(
@@ -110,10 +115,16 @@ fn record(
     Ok(())
 }
 
-fn write_factory_lenses(source: &dyn FrameSource, writer: &mut McapWriter, utc_ns: i64) -> Result<(), Failure> {
+fn write_factory_lenses(
+    source: &dyn FrameSource,
+    writer: &mut McapWriter,
+    utc_ns: i64,
+) -> Result<(), Failure> {
     for stated in source.description().factory.sensors {
         if let Some(lens) = &stated.lens {
-            writer.write_lens(stated.sensor, stated.image_size, lens, utc_ns).map_err(Failure::failed)?;
+            writer
+                .write_lens(stated.sensor, stated.image_size, lens, utc_ns)
+                .map_err(Failure::failed)?;
         }
     }
     Ok(())
@@ -123,7 +134,11 @@ fn find_camera<'a>(config: &'a Config, args: &Args) -> Result<&'a CameraConfig, 
     let known: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();
     config.cameras.iter().find(|camera| camera.name == args.camera).ok_or_else(|| {
         let file = args.config.display();
-        Failure::usage(format!("{file} has no camera `{}`; it has {}", args.camera, known.join(", ")))
+        Failure::usage(format!(
+            "{file} has no camera `{}`; it has {}",
+            args.camera,
+            known.join(", ")
+        ))
     })
 }
 

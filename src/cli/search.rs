@@ -26,7 +26,8 @@ pub struct Looked {
     pub elapsed_ms: f64,
 }
 
-/// A function that looks for `board` in the picture of a frame set, `repeat` times over. It keeps its buffers.
+/// A function that looks for `board` in the picture of a frame set, `repeat` times over. It keeps
+/// its buffers.
 pub fn searcher(
     board: BoardSize,
     options: DetectOptions,
@@ -36,8 +37,10 @@ pub fn searcher(
     move |frames| {
         let frames = frames?;
         let path = frames.path();
-        read_luma(&frames, &mut image)
-            .map_err(|reason| Unreadable { reason: format!("{path}: {reason}"), path: path.clone() })?;
+        read_luma(&frames, &mut image).map_err(|reason| Unreadable {
+            reason: format!("{path}: {reason}"),
+            path: path.clone(),
+        })?;
         let frame = FrameFacts {
             sequence: frames.set.sequence,
             name: frames.set.name,
@@ -60,7 +63,10 @@ pub fn searcher(
 
 /// The luma of the colour picture, else of the infrared one.
 fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
-    let picture = [SensorKind::Color, SensorKind::Infrared].into_iter().find_map(|sensor| frames.set.frame(sensor));
-    let picture = picture.ok_or("it holds depth alone, in which no board can be seen; give pictures")?;
+    let picture = [SensorKind::Color, SensorKind::Infrared]
+        .into_iter()
+        .find_map(|sensor| frames.set.frame(sensor));
+    let picture =
+        picture.ok_or("it holds depth alone, in which no board can be seen; give pictures")?;
     luma(picture, image).map_err(|error| error.to_string())
 }

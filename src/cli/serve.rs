@@ -23,7 +23,8 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that cannot be is a usage error; an address or a store that is not to be had a failure.
+/// A configuration that cannot be is a usage error; an address or a store that is not to be had a
+/// failure.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let usual = Path::new(USUAL_FILE);
     let file = args.config.clone().or_else(|| usual.exists().then(|| usual.to_owned()));

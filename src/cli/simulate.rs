@@ -11,7 +11,9 @@ use crate::cli::{Failure, output, progress};
 use crate::document::calibration::ExtrinsicsDocument;
 use crate::document::pose::PoseDocument;
 use crate::document::reading::{to_json, to_json_pretty};
-use crate::document::truth::{self, TrueDepthDocument, TrueFrameDocument, TrueSensorDocument, TruthDocument};
+use crate::document::truth::{
+    self, TrueDepthDocument, TrueFrameDocument, TrueSensorDocument, TruthDocument,
+};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::encode_jpeg;
@@ -79,7 +81,9 @@ fn render(scene: &Scene, out: &Path) -> Result<TruthDocument, Failure> {
     }
     bar.finish_and_clear();
     let truth = truth_of(scene, frames);
-    writer.write_metadata(truth::RECORD, truth.to_record().map_err(Failure::failed)?).map_err(Failure::failed)?;
+    writer
+        .write_metadata(truth::RECORD, truth.to_record().map_err(Failure::failed)?)
+        .map_err(Failure::failed)?;
     writer.finish().map_err(Failure::failed)?;
     Ok(truth)
 }
@@ -106,7 +110,12 @@ impl Rendering {
 
     fn frame(&mut self, index: u64) -> (FrameTruth, Vec<Frame>) {
         let jpeg = |image: &GrayImage, sensor| {
-            file_frame(sensor, PixelFormat::Jpeg, image.size(), encode_jpeg(image.view(), self.jpeg_quality))
+            file_frame(
+                sensor,
+                PixelFormat::Jpeg,
+                image.size(),
+                encode_jpeg(image.view(), self.jpeg_quality),
+            )
         };
         match &mut self.kind {
             Kind::Color(world) => {
@@ -115,8 +124,16 @@ impl Rendering {
             }
             Kind::Rgbd(world) => {
                 let RgbdFrame { color, infrared, depth, truth, .. } = world.frame(index);
-                let depth = file_frame(SensorKind::Depth, PixelFormat::Png, depth.size(), depth.to_png());
-                (truth, vec![jpeg(&color, SensorKind::Color), jpeg(&infrared, SensorKind::Infrared), depth])
+                let depth =
+                    file_frame(SensorKind::Depth, PixelFormat::Png, depth.size(), depth.to_png());
+                (
+                    truth,
+                    vec![
+                        jpeg(&color, SensorKind::Color),
+                        jpeg(&infrared, SensorKind::Infrared),
+                        depth,
+                    ],
+                )
             }
         }
     }
@@ -151,7 +168,8 @@ fn truth_of(scene: &Scene, frames: Vec<TrueFrameDocument>) -> TruthDocument {
         frames,
         depth: None,
     };
-    if let Some(RgbdOptions { infrared, depth, color_from_depth, time_offset_s, .. }) = &scene.rgbd {
+    if let Some(RgbdOptions { infrared, depth, color_from_depth, time_offset_s, .. }) = &scene.rgbd
+    {
         truth.sensors.extend([
             sensor(SensorKind::Infrared, infrared.size, &infrared.lens),
             sensor(SensorKind::Depth, depth.size, &depth.lens),
@@ -160,7 +178,12 @@ fn truth_of(scene: &Scene, frames: Vec<TrueFrameDocument>) -> TruthDocument {
             .map(|name| {
                 let (target_from_source, none) = (*color_from_depth, [0.0; 3]);
                 let name = name.to_owned();
-                let exact = Extrinsics { name, target_from_source, rotation_std: none, translation_std_m: none };
+                let exact = Extrinsics {
+                    name,
+                    target_from_source,
+                    rotation_std: none,
+                    translation_std_m: none,
+                };
                 ExtrinsicsDocument::from(&exact)
             })
             .to_vec();

@@ -22,11 +22,12 @@ pub struct Args {
     output: OutputArgs,
     #[command(flatten)]
     estimated: EstimatedArgs,
-    /// The most threads to use. A solve takes one: it is done in milliseconds, and the result could not depend on it.
+    /// The most threads to use. A solve takes one: it is done in milliseconds, and the result could
+    /// not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// The problem: {"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]}, metres and pixels;
-    /// with "method":"dlt" one view of points that do not lie on a plane.
+    /// The problem: {"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]},
+    /// metres and pixels; with "method":"dlt" one view of points that do not lie on a plane.
     #[arg(value_name = "PROBLEM.json")]
     problem: PathBuf,
 }
@@ -38,7 +39,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let document: ProblemDocument = read_document(&args.problem)?;
-    let in_file = |error: &dyn std::fmt::Display| Failure::failed(format!("{}: {error}", args.problem.display()));
+    let in_file = |error: &dyn std::fmt::Display| {
+        Failure::failed(format!("{}: {error}", args.problem.display()))
+    };
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
     let mut options = document.options();
     options.lens = args.lens.map_or(options.lens, LensChoice::from);

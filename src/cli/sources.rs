@@ -1,4 +1,5 @@
-//! What a command is given to look at: pictures, folders, quoted globs and recordings, as frame sets in the order given.
+//! What a command is given to look at: pictures, folders, quoted globs and recordings, as frame
+//! sets in the order given.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -9,7 +10,8 @@ use crate::imaging::picture_file::frame_from_file;
 use crate::imaging::timestamp::HostTime;
 use crate::recording::{Recording, natural_order};
 
-/// Frame sets a second of a folder, which tells no times: what a `kind = "recording"` camera takes unless told otherwise.
+/// Frame sets a second of a folder, which tells no times: what a `kind = "recording"` camera takes
+/// unless told otherwise.
 const FOLDER_FPS: f64 = 10.0;
 
 /// A source that could not be read, or one frame set of it.
@@ -26,20 +28,23 @@ pub struct Unreadable {
 pub struct SourcedFrames {
     /// The frames.
     pub set: FrameSet,
-    /// The recording they are part of; `None` for a picture that was chosen by itself or as one of a folder.
+    /// The recording they are part of; `None` for a picture that was chosen by itself or as one of
+    /// a folder.
     pub recording: Option<String>,
 }
 
 impl SourcedFrames {
     /// The picture's path; for a frame of a recording its path and sequence number.
     pub fn path(&self) -> String {
-        let numbered = || format!("{}#{}", self.recording.as_deref().unwrap_or_default(), self.set.sequence);
+        let numbered =
+            || format!("{}#{}", self.recording.as_deref().unwrap_or_default(), self.set.sequence);
         self.set.name.clone().unwrap_or_else(numbered)
     }
 }
 
-/// The frame sets of everything that was asked for, one after the other. Opens a source when its turn comes, so that
-/// paths may arrive one by one. A source that cannot be read is one error, and the next one follows.
+/// The frame sets of everything that was asked for, one after the other. Opens a source when its
+/// turn comes, so that paths may arrive one by one. A source that cannot be read is one error, and
+/// the next one follows.
 pub struct FrameSets<'a> {
     paths: Box<dyn Iterator<Item = String> + Send + 'a>,
     open: Option<Opened>,
@@ -91,7 +96,8 @@ impl Iterator for FrameSets<'_> {
                     Ok(None) => self.open = None,
                     // A recording that was cut off ends here: all before it has been given.
                     Err(error) => {
-                        let unreadable = Unreadable { path: opened.path.clone(), reason: error.to_string() };
+                        let unreadable =
+                            Unreadable { path: opened.path.clone(), reason: error.to_string() };
                         self.open = self.open.take().filter(|opened| opened.is_folder);
                         return Some(Err(unreadable));
                     }
@@ -118,15 +124,25 @@ fn picture(path: &Path) -> Result<FrameSet, Unreadable> {
         path: name.clone(),
     })?;
     let frames = vec![frame_from_file(SensorKind::Color, bytes)];
-    Ok(FrameSet { sequence: 0, host_time: HostTime { utc_ns: 0 }, device_time: None, name: Some(name), frames })
+    Ok(FrameSet {
+        sequence: 0,
+        host_time: HostTime { utc_ns: 0 },
+        device_time: None,
+        name: Some(name),
+        frames,
+    })
 }
 
 fn files_of_glob(pattern: &str) -> Result<Vec<PathBuf>, Unreadable> {
     let unreadable = |reason| Unreadable { path: pattern.to_owned(), reason };
-    let found = glob::glob(pattern).map_err(|error| unreadable(format!("{pattern}: not a glob pattern ({error})")))?;
-    let mut files: Vec<PathBuf> = found.filter_map(Result::ok).filter(|path| path.is_file()).collect();
+    let found = glob::glob(pattern)
+        .map_err(|error| unreadable(format!("{pattern}: not a glob pattern ({error})")))?;
+    let mut files: Vec<PathBuf> =
+        found.filter_map(Result::ok).filter(|path| path.is_file()).collect();
     if files.is_empty() {
-        return Err(unreadable(format!("{pattern}: no file has such a name; check the pattern and the folder")));
+        return Err(unreadable(format!(
+            "{pattern}: no file has such a name; check the pattern and the folder"
+        )));
     }
     files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
     Ok(files)

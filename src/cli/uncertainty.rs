@@ -16,7 +16,8 @@ pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first there is unless given.
+    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first there is unless
+    /// given.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
     /// How far away things are, with its unit, as in 2m; at infinity unless given.
@@ -42,16 +43,23 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let file = args.calibration.display();
     let mut sensors = calibration.picture_sensors();
     let found = sensors.find(|(name, _)| args.sensor.as_ref().is_none_or(|asked| asked == name));
-    let known = || calibration.picture_sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
-    let unknown = || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
+    let known =
+        || calibration.picture_sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let unknown =
+        || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
     let (name, sensor) = found.ok_or_else(unknown)?;
-    let distance = args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.metres));
-    let none = || Failure::failed(format!("{file}: it tells no covariance of {name}; calibrate again"));
+    let distance =
+        args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.metres));
+    let none =
+        || Failure::failed(format!("{file}: it tells no covariance of {name}; calibrate again"));
     let map = |columns| sensor_uncertainty(sensor, columns, distance).ok_or_else(none);
     if let Some(path) = &args.out {
         let map = map(COLUMNS[1])?;
         let png = heat_map_png(&drawable(&map), "1 sigma px");
-        write_file(path, &png.ok_or_else(|| Failure::failed("the heat map cannot be written as PNG"))?)?;
+        write_file(
+            path,
+            &png.ok_or_else(|| Failure::failed("the heat map cannot be written as PNG"))?,
+        )?;
     }
     let map = map(COLUMNS[0])?;
     if args.json {
@@ -65,5 +73,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 }
 
 fn drawable(map: &UncertaintyMap) -> GridValues<'_> {
-    GridValues { size: map.grid.size, cols: map.grid.cols as usize, rows: map.grid.rows as usize, values: &map.std_px }
+    GridValues {
+        size: map.grid.size,
+        cols: map.grid.cols as usize,
+        rows: map.grid.rows as usize,
+        values: &map.std_px,
+    }
 }

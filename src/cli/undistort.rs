@@ -24,13 +24,15 @@ pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// The folder to write to; made if it is not there. Results are PNG files with the pictures' names
+    /// The folder to write to; made if it is not there. Results are PNG files with the pictures'
+    /// names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// 0: every pixel of a result is seen; 1: everything that was seen is in the result
     #[arg(long, default_value_t = 0.0)]
     balance: f64,
-    /// Print one JSON document: the lens that the results look as if taken with, and each picture's result
+    /// Print one JSON document: the lens that the results look as if taken with, and each picture's
+    /// result
     #[arg(long)]
     json: bool,
     /// Pictures, folders, quoted globs or recordings
@@ -58,15 +60,21 @@ struct Written {
 /// A failure for a calibration that cannot be read, and when any picture could not be undistorted.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.balance) {
-        return Err(Failure::usage(format!("--balance {}: give a number from 0 to 1", args.balance)));
+        return Err(Failure::usage(format!(
+            "--balance {}: give a number from 0 to 1",
+            args.balance
+        )));
     }
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
-    let color = calibration.color.ok_or_else(|| Failure::failed(format!("{file}: calibrates no picture sensor")))?;
+    let color = calibration
+        .color
+        .ok_or_else(|| Failure::failed(format!("{file}: calibrates no picture sensor")))?;
     let options = UndistortOptions { balance: args.balance, size: None };
     let undistortion = Undistortion::new(&color.lens, color.image_size, &options);
-    std::fs::create_dir_all(&args.out)
-        .map_err(|error| Failure::failed(format!("{}: cannot be made ({error})", args.out.display())))?;
+    std::fs::create_dir_all(&args.out).map_err(|error| {
+        Failure::failed(format!("{}: cannot be made ({error})", args.out.display()))
+    })?;
     let mut written = Vec::new();
     let mut failures = Vec::new();
     let mut taken = BTreeSet::new();
@@ -83,7 +91,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         spinner.inc(1);
     }
     spinner.finish_and_clear();
-    tell(args, &undistortion.lens, color.image_size, undistortion.map.seen_fraction(), written, &failures)
+    tell(
+        args,
+        &undistortion.lens,
+        color.image_size,
+        undistortion.map.seen_fraction(),
+        written,
+        &failures,
+    )
 }
 
 fn tell(
@@ -122,7 +137,10 @@ fn undistorted(
     taken: &mut BTreeSet<PathBuf>,
 ) -> Result<Written, String> {
     let path = frames.path();
-    let frame = frames.set.frame(SensorKind::Color).ok_or_else(|| format!("{path}: no picture in this frame set"))?;
+    let frame = frames
+        .set
+        .frame(SensorKind::Color)
+        .ok_or_else(|| format!("{path}: no picture in this frame set"))?;
     let picture = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
     let size = ImageSize::new(picture.width(), picture.height());
     let flat = undistortion.map.rgb(&picture, Interpolation::Bicubic).ok_or_else(|| {
@@ -131,20 +149,29 @@ fn undistorted(
     })?;
     let out = folder.join(file_name(frames));
     if !taken.insert(out.clone()) {
-        return Err(format!("{path}: {} was written from another picture of that name; rename one", out.display()));
+        return Err(format!(
+            "{path}: {} was written from another picture of that name; rename one",
+            out.display()
+        ));
     }
     let png = png(flat).map_err(|error| format!("{path}: {error}"))?;
     write_file(&out, &png).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
     Ok(Written { path, out: out.display().to_string() })
 }
 
-/// The picture's name with the ending .png; for a frame of a recording the recording's name and the sequence number.
+/// The picture's name with the ending .png; for a frame of a recording the recording's name and the
+/// sequence number.
 fn file_name(frames: &SourcedFrames) -> String {
-    let stem = |path: &str| Path::new(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let stem =
+        |path: &str| Path::new(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
     match (&frames.set.name, &frames.recording) {
         (Some(name), _) => format!("{}.png", stem(name)),
         (None, recording) => {
-            format!("{}-{:06}.png", stem(recording.as_deref().unwrap_or("frame")), frames.set.sequence)
+            format!(
+                "{}-{:06}.png",
+                stem(recording.as_deref().unwrap_or("frame")),
+                frames.set.sequence
+            )
         }
     }
 }

@@ -1,7 +1,8 @@
 //! `plumb verify`: does a calibration still hold for what the camera sees now?
 //!
-//! The corners are fitted twice: with the lens as it was calibrated, and with the lens that fits them best. What the second
-//! explains and the first does not is how far the lens has moved where the corners are.
+//! The corners are fitted twice: with the lens as it was calibrated, and with the lens that fits
+//! them best. What the second explains and the first does not is how far the lens has moved where
+//! the corners are.
 
 use std::path::PathBuf;
 
@@ -20,7 +21,8 @@ use crate::geometry::lens::Lens;
 const LIMIT_SIGMAS: f64 = 3.0;
 /// No change below this is told from the pictures' own imperfections, in pixels.
 const LEAST_LIMIT_PX: f64 = 0.1;
-/// The board's square where the calibration does not tell it: its size has no influence on the answer.
+/// The board's square where the calibration does not tell it: its size has no influence on the
+/// answer.
 const ANY_SQUARE_M: f64 = 0.025;
 
 /// Say whether a calibration still holds for what the camera sees now
@@ -60,7 +62,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
     let sensor = calibration.color.as_ref().or(calibration.infrared.as_ref());
-    let sensor = sensor.ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
+    let sensor = sensor
+        .ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
     let square_m = calibration.target.map_or(ANY_SQUARE_M, |target| target.square_m);
     let target = Chessboard::new(args.search.board, square_m).map_err(Failure::usage)?;
     let (problem, _) = gather(&args.search, target)?.finish()?;
@@ -89,15 +92,19 @@ fn verify(sensor: &SensorCalibration, problem: &CameraProblem) -> Result<Verifie
     let as_calibrated = CameraOptions { lens: model, given, ..CameraOptions::default() };
     let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;
     let start = CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), common_px: 0.0 };
-    let best =
-        calibrate_camera(problem, &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() });
+    let best = calibrate_camera(
+        problem,
+        &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() },
+    );
     let best = best.ok();
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
     let moved_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
     let mut reasons = Vec::new();
     if moved_px > limit_px {
-        reasons.push("the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned());
+        reasons.push(
+            "the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned(),
+        );
     }
     let (kept, all) = (used_corners(&fixed), best.as_ref().map_or(corners(problem), used_corners));
     if 10 * kept < 9 * all {

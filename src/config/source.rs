@@ -59,7 +59,8 @@ pub enum SourceConfig {
     Recording {
         /// An MCAP file or a folder of images.
         path: PathBuf,
-        /// Whether frames come as they were taken, or as fast as they are looked at, without skipping any.
+        /// Whether frames come as they were taken, or as fast as they are looked at, without
+        /// skipping any.
         fastest: bool,
         /// Begin again at the end.
         repeat: bool,
@@ -80,7 +81,8 @@ pub enum SourceConfig {
 }
 
 impl SourceConfig {
-    /// Whether its silence means that the device is lost; frames on disk and rendered ones come when they come.
+    /// Whether its silence means that the device is lost; frames on disk and rendered ones come
+    /// when they come.
     pub fn may_stall(&self) -> bool {
         matches!(self, Self::V4l2 { .. } | Self::Uvc { .. } | Self::Realsense { .. })
     }
@@ -133,7 +135,8 @@ pub(crate) struct WrittenSource {
 const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
 /// No camera sees more; a larger size is a slip of the keyboard.
 const LARGEST_SIDE: u32 = 16_384;
-/// A picture every 17 minutes: seldomer ones make a session hopeless, and times between them impossible to count.
+/// A picture every 17 minutes: seldomer ones make a session hopeless, and times between them
+/// impossible to count.
 const LOWEST_FPS: f64 = 0.001;
 const HIGHEST_FPS: f64 = 1000.0;
 const FOLDER_FPS: f64 = 10.0;
@@ -144,18 +147,29 @@ const SIMULATOR_SIZE: ImageSize = ImageSize::new(640, 480);
 
 impl WrittenSource {
     /// What it means; `span` is where the table stands.
-    pub(crate) fn check(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
+    pub(crate) fn check(
+        &self,
+        span: &Range<usize>,
+        place: &Place,
+    ) -> Result<SourceConfig, ConfigError> {
         match self.kind.get_ref().as_str() {
             "v4l2" => {
-                self.takes_only(&["device", "width", "height", "format", "fps", "controls", "lock"], place)?;
+                self.takes_only(
+                    &["device", "width", "height", "format", "fps", "controls", "lock"],
+                    place,
+                )?;
                 let device = self.needed("device", self.device.as_ref(), span, place)?;
-                let controls = self.controls.as_ref().map(|c| c.get_ref().clone()).unwrap_or_default();
+                let controls =
+                    self.controls.as_ref().map(|c| c.get_ref().clone()).unwrap_or_default();
                 let lock = self.lock.as_ref().is_some_and(|lock| *lock.get_ref());
                 Ok(SourceConfig::V4l2 { device, mode: self.mode(place)?, controls, lock })
             }
             "uvc" => {
                 self.takes_only(&["index", "name", "width", "height", "format", "fps"], place)?;
-                Ok(SourceConfig::Uvc { camera: self.uvc_selector(span, place)?, mode: self.mode(place)? })
+                Ok(SourceConfig::Uvc {
+                    camera: self.uvc_selector(span, place)?,
+                    mode: self.mode(place)?,
+                })
             }
             "realsense" => self.realsense(place),
             "recording" => self.recording(span, place),
@@ -163,7 +177,8 @@ impl WrittenSource {
                 self.takes_only(&["seed", "seat", "width", "height", "fps"], place)?;
                 let mode = self.mode(place)?;
                 let seed = self.seed.as_ref().map_or(1, |seed| *seed.get_ref());
-                let (size, fps) = (mode.size.unwrap_or(SIMULATOR_SIZE), mode.fps.unwrap_or(SIMULATOR_FPS));
+                let (size, fps) =
+                    (mode.size.unwrap_or(SIMULATOR_SIZE), mode.fps.unwrap_or(SIMULATOR_FPS));
                 let seat = self.seat.as_ref().map(|seat| (*seat.get_ref(), seat.span()));
                 if let Some((seat, span)) = seat.clone().filter(|(seat, _)| *seat > LAST_SEAT) {
                     let problem = format!("{seat} is no seat; write 0 to {LAST_SEAT}");
@@ -171,9 +186,11 @@ impl WrittenSource {
                 }
                 Ok(SourceConfig::Simulator { seed, size, fps, seat: seat.map(|(seat, _)| seat) })
             }
-            other => {
-                Err(place.refuse(&self.kind.span(), "camera.source.kind", format!("`{other}` is no kind; {KINDS}")))
-            }
+            other => Err(place.refuse(
+                &self.kind.span(),
+                "camera.source.kind",
+                format!("`{other}` is no kind; {KINDS}"),
+            )),
         }
     }
 
@@ -189,12 +206,19 @@ impl WrittenSource {
             }
         };
         let repeat = self.repeat.as_ref().is_some_and(|repeat| *repeat.get_ref());
-        Ok(SourceConfig::Recording { path, fastest, repeat, fps: self.fps(place)?.unwrap_or(FOLDER_FPS) })
+        Ok(SourceConfig::Recording {
+            path,
+            fastest,
+            repeat,
+            fps: self.fps(place)?.unwrap_or(FOLDER_FPS),
+        })
     }
 
     fn realsense(&self, place: &Place) -> Result<SourceConfig, ConfigError> {
         match self.path {
-            None => self.takes_only(&["serial", "width", "height", "fps", "preset", "emitter"], place)?,
+            None => {
+                self.takes_only(&["serial", "width", "height", "fps", "preset", "emitter"], place)?
+            }
             Some(_) => self.takes_only(&["serial", "path"], place)?,
         }
         match (&self.serial, &self.path) {
@@ -202,10 +226,16 @@ impl WrittenSource {
                 let problem = "a serial number and a file exclude each other; leave one out";
                 Err(place.refuse(&serial.span(), "camera.source.serial", problem))
             }
-            (None, Some(path)) => Ok(SourceConfig::RealsenseBag { path: self.existing_path(&path.span(), place)? }),
+            (None, Some(path)) => {
+                Ok(SourceConfig::RealsenseBag { path: self.existing_path(&path.span(), place)? })
+            }
             (serial, None) => {
                 let serial = serial.as_ref().map(|serial| serial.get_ref().clone());
-                Ok(SourceConfig::Realsense { serial, mode: self.mode(place)?, settings: self.settings(place)? })
+                Ok(SourceConfig::Realsense {
+                    serial,
+                    mode: self.mode(place)?,
+                    settings: self.settings(place)?,
+                })
             }
         }
     }
@@ -216,9 +246,14 @@ impl WrittenSource {
             let problem = format!("`{}` is no preset; write one of {names}", preset.get_ref());
             place.refuse(&preset.span(), "camera.source.preset", problem)
         };
-        let preset =
-            self.preset.as_ref().map(|preset| Preset::from_name(preset.get_ref()).ok_or_else(|| unknown(preset)));
-        Ok(Settings { preset: preset.transpose()?, emitter: self.emitter.as_ref().map(|emitter| *emitter.get_ref()) })
+        let preset = self
+            .preset
+            .as_ref()
+            .map(|preset| Preset::from_name(preset.get_ref()).ok_or_else(|| unknown(preset)));
+        Ok(Settings {
+            preset: preset.transpose()?,
+            emitter: self.emitter.as_ref().map(|emitter| *emitter.get_ref()),
+        })
     }
 
     fn existing_path(&self, span: &Range<usize>, place: &Place) -> Result<PathBuf, ConfigError> {
@@ -227,8 +262,10 @@ impl WrittenSource {
         match std::fs::metadata(&path) {
             Ok(_) => Ok(path),
             Err(error) => {
-                let problem =
-                    format!("`{}` cannot be opened: {error}; give an existing file or folder", path.display());
+                let problem = format!(
+                    "`{}` cannot be opened: {error}; give an existing file or folder",
+                    path.display()
+                );
                 Err(place.refuse(&span, "camera.source.path", problem))
             }
         }
@@ -251,7 +288,11 @@ impl WrittenSource {
         match (&self.index, &self.name) {
             (Some(index), None) => Ok(UvcSelector::Index(*index.get_ref())),
             (None, Some(name)) => Ok(UvcSelector::Name(name.get_ref().clone())),
-            _ => Err(place.refuse(span, "camera.source.index", "give the camera's index or its name, and not both")),
+            _ => Err(place.refuse(
+                span,
+                "camera.source.index",
+                "give the camera's index or its name, and not both",
+            )),
         }
     }
 
@@ -261,20 +302,39 @@ impl WrittenSource {
             (Some(width), Some(height)) => {
                 for (key, side) in [("width", width), ("height", height)] {
                     if !(1..=LARGEST_SIDE).contains(side.get_ref()) {
-                        let problem = format!("{} px is impossible; write 1 to {LARGEST_SIDE}", side.get_ref());
-                        return Err(place.refuse(&side.span(), &format!("camera.source.{key}"), problem));
+                        let problem = format!(
+                            "{} px is impossible; write 1 to {LARGEST_SIDE}",
+                            side.get_ref()
+                        );
+                        return Err(place.refuse(
+                            &side.span(),
+                            &format!("camera.source.{key}"),
+                            problem,
+                        ));
                     }
                 }
                 Some(ImageSize::new(*width.get_ref(), *height.get_ref()))
             }
             (Some(side), None) => {
-                return Err(place.refuse(&side.span(), "camera.source.height", "missing: width is given"));
+                return Err(place.refuse(
+                    &side.span(),
+                    "camera.source.height",
+                    "missing: width is given",
+                ));
             }
             (None, Some(side)) => {
-                return Err(place.refuse(&side.span(), "camera.source.width", "missing: height is given"));
+                return Err(place.refuse(
+                    &side.span(),
+                    "camera.source.width",
+                    "missing: height is given",
+                ));
             }
         };
-        Ok(ModeRequest { size, format: self.format.as_ref().map(|f| f.get_ref().clone()), fps: self.fps(place)? })
+        Ok(ModeRequest {
+            size,
+            format: self.format.as_ref().map(|f| f.get_ref().clone()),
+            fps: self.fps(place)?,
+        })
     }
 
     fn fps(&self, place: &Place) -> Result<Option<f64>, ConfigError> {
@@ -311,7 +371,8 @@ impl WrittenSource {
         for (key, span) in given {
             if let (Some(span), false) = (span, allowed.contains(&key)) {
                 let kind = self.kind.get_ref();
-                let problem = format!("unknown for kind \"{kind}\", which takes {}", allowed.join(", "));
+                let problem =
+                    format!("unknown for kind \"{kind}\", which takes {}", allowed.join(", "));
                 return Err(place.refuse(&span, &format!("camera.source.{key}"), problem));
             }
         }
@@ -336,14 +397,25 @@ mod tests {
 
     #[test]
     fn each_kind_with_its_defaults() {
-        let simulator = SourceConfig::Simulator { seed: 1, size: ImageSize::new(640, 480), fps: 30.0, seat: None };
+        let simulator = SourceConfig::Simulator {
+            seed: 1,
+            size: ImageSize::new(640, 480),
+            fps: 30.0,
+            seat: None,
+        };
         assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
-        let recording = SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
+        let recording =
+            SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
         assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));
-        let realsense = |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
-        assert_eq!(source("{ kind = \"realsense\" }"), realsense(ModeRequest::default(), Settings::default()));
+        let realsense =
+            |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
+        assert_eq!(
+            source("{ kind = \"realsense\" }"),
+            realsense(ModeRequest::default(), Settings::default())
+        );
         let set = "{ kind = \"realsense\", width = 848, height = 480, fps = 30, preset = \"high_accuracy\", emitter = false }";
-        let mode = ModeRequest { size: Some(ImageSize::new(848, 480)), format: None, fps: Some(30.0) };
+        let mode =
+            ModeRequest { size: Some(ImageSize::new(848, 480)), format: None, fps: Some(30.0) };
         let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(false) };
         assert_eq!(source(set), realsense(mode, settings));
         let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: ModeRequest::default() };
@@ -354,12 +426,20 @@ mod tests {
     fn the_contracts_v4l2_camera_reads_as_written() {
         let text = "{ kind = \"v4l2\", device = \"/dev/v4l/by-id/x\", width = 1280, height = 720, format = \"MJPG\", \
                     fps = 30, controls = { focus_auto = 0 } }";
-        let mode =
-            ModeRequest { size: Some(ImageSize::new(1280, 720)), format: Some("MJPG".to_owned()), fps: Some(30.0) };
+        let mode = ModeRequest {
+            size: Some(ImageSize::new(1280, 720)),
+            format: Some("MJPG".to_owned()),
+            fps: Some(30.0),
+        };
         let controls = BTreeMap::from([("focus_auto".to_owned(), 0)]);
         assert_eq!(
             source(text),
-            Ok(SourceConfig::V4l2 { device: "/dev/v4l/by-id/x".into(), mode, controls, lock: false })
+            Ok(SourceConfig::V4l2 {
+                device: "/dev/v4l/by-id/x".into(),
+                mode,
+                controls,
+                lock: false
+            })
         );
     }
 
@@ -368,25 +448,61 @@ mod tests {
         let cases = [
             ("{ kind = \"webcam\" }", "camera.source.kind: `webcam` is no kind"),
             ("{ kind = \"recording\" }", "camera.source.path: missing"),
-            ("{ kind = \"recording\", path = \"/not/there.mcap\" }", "camera.source.path: `/not/there.mcap` cannot be"),
-            ("{ kind = \"recording\", path = \"/\", pace = \"slow\" }", "camera.source.pace: `slow` is no pace"),
-            ("{ kind = \"recording\", path = \"/\", fps = 0 }", "camera.source.fps: impossible; write 0.001 to 1000"),
-            ("{ kind = \"recording\", path = \"/\", fps = nan }", "camera.source.fps: impossible; write 0.001 to 1000"),
-            ("{ kind = \"simulator\", fps = 1e-300 }", "camera.source.fps: impossible; write 0.001 to 1000"),
-            ("{ kind = \"recording\", path = \"/\", device = \"x\" }", "camera.source.device: unknown for kind"),
-            ("{ kind = \"simulator\", width = 0, height = 480 }", "camera.source.width: 0 px is impossible"),
+            (
+                "{ kind = \"recording\", path = \"/not/there.mcap\" }",
+                "camera.source.path: `/not/there.mcap` cannot be",
+            ),
+            (
+                "{ kind = \"recording\", path = \"/\", pace = \"slow\" }",
+                "camera.source.pace: `slow` is no pace",
+            ),
+            (
+                "{ kind = \"recording\", path = \"/\", fps = 0 }",
+                "camera.source.fps: impossible; write 0.001 to 1000",
+            ),
+            (
+                "{ kind = \"recording\", path = \"/\", fps = nan }",
+                "camera.source.fps: impossible; write 0.001 to 1000",
+            ),
+            (
+                "{ kind = \"simulator\", fps = 1e-300 }",
+                "camera.source.fps: impossible; write 0.001 to 1000",
+            ),
+            (
+                "{ kind = \"recording\", path = \"/\", device = \"x\" }",
+                "camera.source.device: unknown for kind",
+            ),
+            (
+                "{ kind = \"simulator\", width = 0, height = 480 }",
+                "camera.source.width: 0 px is impossible",
+            ),
             ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),
             ("{ kind = \"simulator\", colour = 1 }", "colour: unknown field `colour`"),
             ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
-            ("{ kind = \"uvc\", index = 0, name = \"x\" }", "camera.source.index: give the camera's index or its name"),
-            ("{ kind = \"realsense\", serial = \"1\", path = \"/\" }", "camera.source.serial: a serial number and a"),
-            ("{ kind = \"realsense\", preset = \"best\" }", "camera.source.preset: `best` is no preset; write one of"),
-            ("{ kind = \"realsense\", path = \"/\", emitter = true }", "camera.source.emitter: unknown for kind"),
+            (
+                "{ kind = \"uvc\", index = 0, name = \"x\" }",
+                "camera.source.index: give the camera's index or its name",
+            ),
+            (
+                "{ kind = \"realsense\", serial = \"1\", path = \"/\" }",
+                "camera.source.serial: a serial number and a",
+            ),
+            (
+                "{ kind = \"realsense\", preset = \"best\" }",
+                "camera.source.preset: `best` is no preset; write one of",
+            ),
+            (
+                "{ kind = \"realsense\", path = \"/\", emitter = true }",
+                "camera.source.emitter: unknown for kind",
+            ),
             ("\"simulator\"", "source: invalid type: string"),
         ];
         for (text, expected) in cases {
             let message = source(text).unwrap_err();
-            assert!(message.starts_with(&format!("plumb.toml:3: {expected}")), "{message}\nis not\n{expected}");
+            assert!(
+                message.starts_with(&format!("plumb.toml:3: {expected}")),
+                "{message}\nis not\n{expected}"
+            );
         }
     }
 }

@@ -1,5 +1,5 @@
-//! SIGHUP: the configuration is read again, and the cameras and rigs that changed are exchanged; the others go on
-//! undisturbed.
+//! SIGHUP: the configuration is read again, and the cameras and rigs that changed are exchanged;
+//! the others go on undisturbed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,8 +21,10 @@ impl Reload {
     #[cfg(unix)]
     pub(super) fn with_each_hangup(mut self) -> Result<(), DaemonError> {
         use tokio::signal::unix::{SignalKind, signal};
-        let mut hangups = signal(SignalKind::hangup())
-            .map_err(|source| DaemonError::System { what: "signals could not be listened to", source })?;
+        let mut hangups = signal(SignalKind::hangup()).map_err(|source| DaemonError::System {
+            what: "signals could not be listened to",
+            source,
+        })?;
         tokio::spawn(async move {
             while hangups.recv().await.is_some() {
                 let Some(file) = self.file.clone() else { continue };
@@ -52,7 +54,9 @@ impl Reload {
         let config = match Config::load(Some(file), &overrides) {
             Ok(config) => config,
             Err(error) => {
-                tracing::error!("the configuration is not taken, everything goes on as it was: {error}");
+                tracing::error!(
+                    "the configuration is not taken, everything goes on as it was: {error}"
+                );
                 return;
             }
         };
@@ -60,12 +64,17 @@ impl Reload {
         self.fleet.stop_rigs(&changes.stopped_rigs);
         let plans = changes.started.iter().map(plan_of).collect();
         let exchanged = self.fleet.replace_cameras(&changes.stopped, plans);
-        let exchanged =
-            exchanged.and_then(|()| self.fleet.start_rigs(changes.started_rigs.iter().map(rig_of).collect()));
+        let exchanged = exchanged.and_then(|()| {
+            self.fleet.start_rigs(changes.started_rigs.iter().map(rig_of).collect())
+        });
         if let Err(error) = exchanged {
             tracing::error!("not everything could be exchanged: {error}");
         }
-        let kept = Config { cameras: config.cameras.clone(), rigs: config.rigs.clone(), ..self.config.clone() };
+        let kept = Config {
+            cameras: config.cameras.clone(),
+            rigs: config.rigs.clone(),
+            ..self.config.clone()
+        };
         if kept != config {
             tracing::warn!(
                 "only cameras and rigs change while plumb runs; what else changed holds from the next start"
@@ -92,13 +101,22 @@ impl Changes {
     /// A rig of which a camera is exchanged is exchanged too: it borrows the new one then.
     fn between(before: &Config, after: &Config) -> Self {
         let goes = |camera: &&CameraConfig| !after.cameras.contains(camera);
-        let stopped: Vec<String> = before.cameras.iter().filter(goes).map(|camera| camera.name.clone()).collect();
+        let stopped: Vec<String> =
+            before.cameras.iter().filter(goes).map(|camera| camera.name.clone()).collect();
         let stays = |rig: &&RigConfig| {
-            before.rigs.contains(rig) && after.rigs.contains(rig) && !rig.cameras.iter().any(|c| stopped.contains(c))
+            before.rigs.contains(rig)
+                && after.rigs.contains(rig)
+                && !rig.cameras.iter().any(|c| stopped.contains(c))
         };
-        let stopped_rigs = before.rigs.iter().filter(|rig| !stays(rig)).map(|rig| rig.name.clone()).collect();
+        let stopped_rigs =
+            before.rigs.iter().filter(|rig| !stays(rig)).map(|rig| rig.name.clone()).collect();
         let started_rigs = after.rigs.iter().filter(|rig| !stays(rig)).cloned().collect();
-        let started = after.cameras.iter().filter(|camera| !before.cameras.contains(camera)).cloned().collect();
+        let started = after
+            .cameras
+            .iter()
+            .filter(|camera| !before.cameras.contains(camera))
+            .cloned()
+            .collect();
         Self { stopped, started, stopped_rigs, started_rigs }
     }
 }
@@ -109,7 +127,10 @@ mod tests {
     use crate::config::Written;
 
     fn config(text: &[String]) -> Config {
-        Written::parse(&text.concat(), Path::new("plumb.toml")).unwrap().check(&Overrides::default()).unwrap()
+        Written::parse(&text.concat(), Path::new("plumb.toml"))
+            .unwrap()
+            .check(&Overrides::default())
+            .unwrap()
     }
 
     fn camera(name: &str, seed: u32) -> String {
@@ -126,20 +147,42 @@ mod tests {
         let after = config(&[camera("a", 1), camera("b", 2), camera("d", 1)]);
         let Changes { stopped, started, .. } = Changes::between(&before, &after);
         assert_eq!(stopped, ["b", "c"]);
-        assert_eq!(started.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(), ["b", "d"]);
+        assert_eq!(
+            started.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>(),
+            ["b", "d"]
+        );
         assert_eq!(Changes::between(&after, &after), Changes::default());
     }
 
     #[test]
     fn a_rig_is_exchanged_with_its_cameras() {
         let cameras = |of_c: u32| [camera("a", 1), camera("b", 1), camera("c", of_c)].concat();
-        let before = config(&[cameras(1), rig("ab", &["a", "b"]), rig("bc", &["b", "c"]), rig("ca", &["c", "a"])]);
-        let after = config(&[cameras(2), rig("ab", &["a", "b"]), rig("bc", &["b", "c"]), rig("ac", &["a", "c"])]);
+        let before = config(&[
+            cameras(1),
+            rig("ab", &["a", "b"]),
+            rig("bc", &["b", "c"]),
+            rig("ca", &["c", "a"]),
+        ]);
+        let after = config(&[
+            cameras(2),
+            rig("ab", &["a", "b"]),
+            rig("bc", &["b", "c"]),
+            rig("ac", &["a", "c"]),
+        ]);
         let Changes { stopped_rigs, started_rigs, .. } = Changes::between(&before, &after);
         assert_eq!(stopped_rigs, ["bc", "ca"]);
-        assert_eq!(started_rigs.iter().map(|rig| rig.name.as_str()).collect::<Vec<_>>(), ["bc", "ac"]);
-        let turned = config(&[cameras(1), rig("ab", &["b", "a"]), rig("bc", &["b", "c"]), rig("ca", &["c", "a"])]);
-        let Changes { stopped, stopped_rigs, started_rigs, .. } = Changes::between(&before, &turned);
+        assert_eq!(
+            started_rigs.iter().map(|rig| rig.name.as_str()).collect::<Vec<_>>(),
+            ["bc", "ac"]
+        );
+        let turned = config(&[
+            cameras(1),
+            rig("ab", &["b", "a"]),
+            rig("bc", &["b", "c"]),
+            rig("ca", &["c", "a"]),
+        ]);
+        let Changes { stopped, stopped_rigs, started_rigs, .. } =
+            Changes::between(&before, &turned);
         assert_eq!((stopped.len(), stopped_rigs), (0, vec!["ab".to_owned()]));
         assert_eq!(started_rigs[0].cameras, ["b", "a"]);
     }

@@ -6,7 +6,9 @@ use crate::capture::realsense::{self, Origin};
 use crate::capture::uvc;
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
-use crate::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SimulatedClock, SourceOpener};
+use crate::capture::{
+    CaptureError, FrameSource, Pace, Replay, ReplayOptions, Simulated, SimulatedClock, SourceOpener,
+};
 use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, RigConfig, SourceConfig};
 use crate::pipeline::{CameraPlan, RigPlan};
@@ -36,9 +38,12 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             Box::new(move || open_recording(&path, &options))
         }
         SourceConfig::Simulator { seed, size, fps, seat } => {
-            let options = WorldOptions { fps, ..WorldOptions::on_rig(seed, size, seat.unwrap_or(0)) };
+            let options =
+                WorldOptions { fps, ..WorldOptions::on_rig(seed, size, seat.unwrap_or(0)) };
             let clock = if seat.is_some() { SimulatedClock::Shared } else { SimulatedClock::Own };
-            let open = move || Box::new(Simulated::new(&options, Pace::Recorded, clock)) as Box<dyn FrameSource>;
+            let open = move || {
+                Box::new(Simulated::new(&options, Pace::Recorded, clock)) as Box<dyn FrameSource>
+            };
             Box::new(move || Ok(open()))
         }
         #[cfg(target_os = "linux")]
@@ -60,18 +65,25 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             Box::new(realsense::Camera::new(realsense::CameraOptions { origin, mode, settings }))
         }
         SourceConfig::RealsenseBag { path } => {
-            let options = realsense::CameraOptions { origin: Origin::Bag(path), ..Default::default() };
+            let options =
+                realsense::CameraOptions { origin: Origin::Bag(path), ..Default::default() };
             Box::new(realsense::Camera::new(options))
         }
     }
 }
 
-fn open_recording(path: &Path, options: &ReplayOptions) -> Result<Box<dyn FrameSource>, CaptureError> {
-    let replay = Replay::open(path, options).map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
+fn open_recording(
+    path: &Path,
+    options: &ReplayOptions,
+) -> Result<Box<dyn FrameSource>, CaptureError> {
+    let replay = Replay::open(path, options)
+        .map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
     Ok(Box::new(replay))
 }
 
 #[cfg(not(target_os = "linux"))]
 fn not_built(kind: &'static str) -> Box<dyn SourceOpener> {
-    Box::new(move || Err(CaptureError::Failed { reason: format!("this plumb was built without {kind}") }))
+    Box::new(move || {
+        Err(CaptureError::Failed { reason: format!("this plumb was built without {kind}") })
+    })
 }

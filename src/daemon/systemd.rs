@@ -1,4 +1,5 @@
-//! What systemd is told: that the daemon is ready, that it is alive, that it ends. Without systemd, nothing happens.
+//! What systemd is told: that the daemon is ready, that it is alive, that it ends. Without systemd,
+//! nothing happens.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,8 +8,8 @@ use sd_notify::NotifyState;
 
 use crate::pipeline::fleet::Fleet;
 
-/// Says that cameras and HTTP are up, and from then on, on `runtime`, that they still are: a daemon whose requests or
-/// cameras hang falls silent, and is started again.
+/// Says that cameras and HTTP are up, and from then on, on `runtime`, that they still are: a daemon
+/// whose requests or cameras hang falls silent, and is started again.
 pub(super) fn ready_and_alive(runtime: &tokio::runtime::Runtime, fleet: &Arc<Fleet>) {
     tell(&[NotifyState::Ready]);
     let Some(limit) = sd_notify::watchdog_enabled() else { return };
@@ -18,7 +19,8 @@ pub(super) fn ready_and_alive(runtime: &tokio::runtime::Runtime, fleet: &Arc<Fle
         loop {
             ticks.tick().await;
             let cameras = fleet.cameras();
-            let streaming = cameras.iter().filter(|camera| camera.state.name() == "streaming").count();
+            let streaming =
+                cameras.iter().filter(|camera| camera.state.name() == "streaming").count();
             let status = format!("{streaming} of {} cameras streaming", cameras.len());
             tell(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
         }

@@ -1,8 +1,10 @@
-//! Where a corner must be on a board that a lens bends: a surface of second order through the corners around it.
+//! Where a corner must be on a board that a lens bends: a surface of second order through the
+//! corners around it.
 //!
-//! It takes three lines each way, so nothing is told of the first corner beyond the last line, but of those beside it.
-//! Across a few squares even a full fisheye bends and squeezes a board no more than that, where steps that only go on as they
-//! were, or as perspective alone has them, are off by a quarter of a square.
+//! It takes three lines each way, so nothing is told of the first corner beyond the last line, but
+//! of those beside it. Across a few squares even a full fisheye bends and squeezes a board no more
+//! than that, where steps that only go on as they were, or as perspective alone has them, are off
+//! by a quarter of a square.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -16,7 +18,8 @@ const TERMS: usize = 6;
 /// Fewer corners than this tell nothing.
 const FEWEST: usize = TERMS + 2;
 
-/// Where the corner (i, j) of `grid` must be, itself not asked; `None` if too few corners are around it.
+/// Where the corner (i, j) of `grid` must be, itself not asked; `None` if too few corners are
+/// around it.
 pub(super) fn predict_bent(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
     let mut right = SMatrix::<f32, TERMS, 2>::zeros();
@@ -34,7 +37,10 @@ pub(super) fn predict_bent(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     }
     let origin = origin.filter(|_| count >= FEWEST)?;
     let least = 1e-3 * normal.diagonal().min();
-    let surface = normal.cholesky().filter(|factor| factor.l_dirty().diagonal().min().powi(2) > least)?.solve(&right);
+    let surface = normal
+        .cholesky()
+        .filter(|factor| factor.l_dirty().diagonal().min().powi(2) > least)?
+        .solve(&right);
     Some(origin + Vec2::new(surface[(0, 0)], surface[(0, 1)]))
 }
 
@@ -47,12 +53,23 @@ mod tests {
         let mut grid = Grid::default();
         grid.clear(10, true);
         for (i, j) in members {
-            grid.set(i, j, Node { pixel: at(i, j), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
+            grid.set(
+                i,
+                j,
+                Node {
+                    pixel: at(i, j),
+                    contrast: 100.0,
+                    near_contrast: 90.0,
+                    score: 1.0,
+                    tight: false,
+                },
+            );
         }
         grid
     }
 
-    /// As an equidistant fisheye sees a board from close by: steps shrink by a third from one to the next at its rim.
+    /// As an equidistant fisheye sees a board from close by: steps shrink by a third from one to
+    /// the next at its rim.
     fn fisheye(i: i32, j: i32) -> Vec2 {
         let (x, y) = (f64::from(i) * 0.45 - 0.2, f64::from(j) * 0.4 - 0.5);
         let radius = x.hypot(y);
@@ -66,14 +83,21 @@ mod tests {
         for (i, j) in [(4, 1), (4, 3), (3, 4), (2, 0), (2, 2)] {
             let put = predict_bent(&grid, i, j).expect("enough corners");
             let step = (fisheye(i, j) - fisheye(i - 1, j)).norm();
-            assert!((put - fisheye(i, j)).norm() < 0.15 * step, "({i}, {j}) is off by {}", put - fisheye(i, j));
+            assert!(
+                (put - fisheye(i, j)).norm() < 0.15 * step,
+                "({i}, {j}) is off by {}",
+                put - fisheye(i, j)
+            );
         }
     }
 
     #[test]
     fn corners_that_determine_no_surface_tell_nothing() {
         let straight = |i: i32, j: i32| Vec2::new(20.0 * i as f32, 20.0 * j as f32);
-        assert_eq!(predict_bent(&grid((0..3).flat_map(|j| (0..2).map(move |i| (i, j))), straight), 2, 1), None);
+        assert_eq!(
+            predict_bent(&grid((0..3).flat_map(|j| (0..2).map(move |i| (i, j))), straight), 2, 1),
+            None
+        );
         assert_eq!(predict_bent(&grid((0..10).map(|k| (k % 5, k / 5)), straight), 2, 2), None);
     }
 }

@@ -3,7 +3,8 @@
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
 
-/// A corner's place in the board's grid: `col` along a row, `row` down the columns, the first inner corner at (0, 0).
+/// A corner's place in the board's grid: `col` along a row, `row` down the columns, the first inner
+/// corner at (0, 0).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct GridIndex {
     /// Along a row of `cols` corners.
@@ -19,7 +20,8 @@ pub struct DetectedCorner {
     pub index: GridIndex,
     /// Where it is seen.
     pub pixel: Pixel,
-    /// Predicted standard deviation of `pixel`, per axis, in pixels: the weight of this corner is its inverse square.
+    /// Predicted standard deviation of `pixel`, per axis, in pixels: the weight of this corner is
+    /// its inverse square.
     pub std_px: f64,
 }
 
@@ -32,11 +34,12 @@ pub struct Detection {
     pub corners: Vec<DetectedCorner>,
     /// Some of the board's corners were not seen.
     pub partial: bool,
-    /// The indices count from the board's first corner. False for a partial board of which too little is seen to know
-    /// where in the board it lies: indices are then consistent among themselves only, counted from some corner.
+    /// The indices count from the board's first corner. False for a partial board of which too
+    /// little is seen to know where in the board it lies: indices are then consistent among
+    /// themselves only, counted from some corner.
     pub position_known: bool,
-    /// No picture of this board can tell which way round it is (`cols` + `rows` even): the first corner is the one
-    /// nearest the image's top-left.
+    /// No picture of this board can tell which way round it is (`cols` + `rows` even): the first
+    /// corner is the one nearest the image's top-left.
     pub orientation_ambiguous: bool,
     /// Width of the blur at the board's edges, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
@@ -72,7 +75,9 @@ pub enum NoBoard {
         blur_px: f64,
     },
     /// No corner of any chessboard.
-    #[error("no chessboard corners seen; is the board in view, and not too small (a square needs about 6 px)?")]
+    #[error(
+        "no chessboard corners seen; is the board in view, and not too small (a square needs about 6 px)?"
+    )]
     NoCorners,
     /// Corners, but no grid.
     #[error("{corners} chessboard-like corners seen, but {}", largest_grid(*cols, *rows))]
@@ -85,7 +90,9 @@ pub enum NoBoard {
         rows: u32,
     },
     /// A board, but not this one.
-    #[error("a {cols}x{rows} board is seen, not {board}; count the inner corners, or give the size that is seen")]
+    #[error(
+        "a {cols}x{rows} board is seen, not {board}; count the inner corners, or give the size that is seen"
+    )]
     OtherSize {
         /// Corners along the seen board's longer side.
         cols: u32,
@@ -114,8 +121,16 @@ pub enum NoBoard {
 
 impl NoBoard {
     /// Every name that [`Self::kind`] gives.
-    pub const KINDS: [&'static str; 8] =
-        ["image_too_small", "low_contrast", "blurred", "no_corners", "no_grid", "other_size", "cut_off", "incomplete"];
+    pub const KINDS: [&'static str; 8] = [
+        "image_too_small",
+        "low_contrast",
+        "blurred",
+        "no_corners",
+        "no_grid",
+        "other_size",
+        "cut_off",
+        "incomplete",
+    ];
 
     /// A short stable name for counters and events.
     pub fn kind(&self) -> &'static str {
@@ -134,9 +149,13 @@ impl NoBoard {
 
 fn largest_grid(cols: u32, rows: u32) -> String {
     match (cols, rows) {
-        (0, _) | (_, 0) => "no grid of them: is a chessboard in view, flat and not too small?".to_owned(),
+        (0, _) | (_, 0) => {
+            "no grid of them: is a chessboard in view, flat and not too small?".to_owned()
+        }
         _ => {
-            format!("no more than {cols}x{rows} of them form a grid; show more of the board, nearer and in even light")
+            format!(
+                "no more than {cols}x{rows} of them form a grid; show more of the board, nearer and in even light"
+            )
         }
     }
 }
@@ -155,7 +174,11 @@ mod tests {
     #[test]
     fn corners_without_a_grid_are_told_from_a_small_grid() {
         let told = |cols, rows| NoBoard::NoGrid { corners: 57, cols, rows }.to_string();
-        assert!(told(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"), "{}", told(0, 0));
+        assert!(
+            told(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"),
+            "{}",
+            told(0, 0)
+        );
         assert!(told(4, 3).contains("no more than 4x3 of them form a grid"), "{}", told(4, 3));
     }
 }

@@ -1,8 +1,8 @@
-//! The board's surface in a depth picture: small patches inside its outline, each with its own noise, and nothing that
-//! isn't on the plane.
+//! The board's surface in a depth picture: small patches inside its outline, each with its own
+//! noise, and nothing that isn't on the plane.
 //!
-//! A plane's 1/z is linear over a pinhole's picture, so each patch is a straight-line fit; what a lens bends over one
-//! patch is far below its noise.
+//! A plane's 1/z is linear over a pinhole's picture, so each patch is a straight-line fit; what a
+//! lens bends over one patch is far below its noise.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,7 +18,8 @@ pub struct PlaneOptions {
     pub invalid: Option<u16>,
     /// About how many patches. Default: 150.
     pub tiles: u32,
-    /// Patches further than this part of the depth from the common plane are something else. Default: 0.05.
+    /// Patches further than this part of the depth from the common plane are something else.
+    /// Default: 0.05.
     pub tolerance: f64,
 }
 
@@ -35,13 +36,17 @@ pub enum NoPlane {
     #[error("the board is outside the depth picture")]
     Outside,
     /// Too few readings inside the outline.
-    #[error("only {percent} % of the depth picture inside the board's outline has readings, 40 % are needed")]
+    #[error(
+        "only {percent} % of the depth picture inside the board's outline has readings, 40 % are needed"
+    )]
     Holes {
         /// How many.
         percent: u32,
     },
     /// What is inside the outline is not one plane.
-    #[error("what the depth picture shows inside the board's outline is not flat: {percent} % of it lies on one plane")]
+    #[error(
+        "what the depth picture shows inside the board's outline is not flat: {percent} % of it lies on one plane"
+    )]
     NotFlat {
         /// How much.
         percent: u32,
@@ -51,7 +56,8 @@ pub enum NoPlane {
 /// Readings of all patches are trimmed at this many standard deviations.
 const TRIM: f64 = 3.5;
 
-/// Measures the surface inside `outline` (a closed polygon in pixels of the depth picture), seen through `lens`.
+/// Measures the surface inside `outline` (a closed polygon in pixels of the depth picture), seen
+/// through `lens`.
 ///
 /// # Errors
 /// [`NoPlane`]: outside the picture, holes, not flat.
@@ -75,7 +81,8 @@ pub fn find_board_plane(
     for y in (top..bottom).step_by(side) {
         let rows = &spans[y - top..(y - top + side).min(spans.len())];
         for x in (left..right).step_by(side) {
-            let inside = gather(picture, (reading, options.invalid), rows, x..x + side, &mut samples);
+            let inside =
+                gather(picture, (reading, options.invalid), rows, x..x + side, &mut samples);
             seen += samples.len();
             if 2 * samples.len() >= inside.max(side * side / 2) {
                 tiles.extend(fit_tile(&mut samples));
@@ -101,13 +108,17 @@ struct Span {
     end: usize,
 }
 
-/// One span per row from the outline's top to its bottom, as far as they lie in the picture. A board's outline is convex
-/// but for the lens's bend: its outermost crossings bound each row.
+/// One span per row from the outline's top to its bottom, as far as they lie in the picture. A
+/// board's outline is convex but for the lens's bend: its outermost crossings bound each row.
 fn spans_inside(outline: &[Pixel], picture: &DepthImage) -> Vec<Span> {
     let size = picture.size();
     let finite = outline.len() >= 3 && outline.iter().all(|pixel| pixel.is_finite());
     let lowest = outline.iter().map(|p| p.y).fold(f64::INFINITY, f64::min).max(0.0);
-    let highest = outline.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max).min(f64::from(size.height) - 1.0);
+    let highest = outline
+        .iter()
+        .map(|p| p.y)
+        .fold(f64::NEG_INFINITY, f64::max)
+        .min(f64::from(size.height) - 1.0);
     if !finite || lowest > highest {
         return Vec::new();
     }
@@ -122,13 +133,15 @@ fn spans_inside(outline: &[Pixel], picture: &DepthImage) -> Vec<Span> {
                 }
             }
             let start = low.max(0.0).ceil().min(f64::from(size.width)) as usize;
-            let end = (high.min(f64::from(size.width) - 1.0).floor() + 1.0).max(start as f64) as usize;
+            let end =
+                (high.min(f64::from(size.width) - 1.0).floor() + 1.0).max(start as f64) as usize;
             Span { y, start, end: if low <= high { end } else { start } }
         })
         .collect()
 }
 
-/// Collects (x, y, 1/z) of the readings in a patch; answers how many pixels of it lie inside the outline.
+/// Collects (x, y, 1/z) of the readings in a patch; answers how many pixels of it lie inside the
+/// outline.
 fn gather(
     picture: &DepthImage,
     (reading, invalid): (DepthReading, Option<u16>),
@@ -154,7 +167,8 @@ fn gather(
     inside
 }
 
-/// A plane through the samples of a patch, trimmed twice; `None` where they are too few or on a line.
+/// A plane through the samples of a patch, trimmed twice; `None` where they are too few or on a
+/// line.
 pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
     let mut last = None;
     for _ in 0..3 {
@@ -170,7 +184,9 @@ pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
             right += row * (s[2] - mean[2]);
         }
         let slope = square.cholesky()?.solve(&right);
-        let rest = |s: &[f64; 3]| s[2] - mean[2] - slope[0] * (s[0] - mean[0]) - slope[1] * (s[1] - mean[1]);
+        let rest = |s: &[f64; 3]| {
+            s[2] - mean[2] - slope[0] * (s[0] - mean[0]) - slope[1] * (s[1] - mean[1])
+        };
         let std = (samples.iter().map(|s| rest(s).powi(2)).sum::<f64>() / (count - 3.0)).sqrt();
         last = Some(DepthTile {
             pixel: Pixel::new(mean[0], mean[1]),
@@ -187,8 +203,8 @@ pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
     last
 }
 
-/// Leaves the tiles that lie on one plane: of planes through three tiles the one with the least median deviation, then
-/// least squares over what lies near it.
+/// Leaves the tiles that lie on one plane: of planes through three tiles the one with the least
+/// median deviation, then least squares over what lies near it.
 fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     let ray = |tile: &DepthTile| {
         let bearing = lens.bearing_from_pixel(tile.pixel)?;
@@ -198,7 +214,8 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     let rays: Vec<Vector3<f64>> = tiles.iter().filter_map(ray).collect();
     let deviations = |plane: &Vector3<f64>| -> Vec<f64> {
         let each = tiles.iter().zip(&rays);
-        each.map(|(tile, ray)| ((tile.inverse_depth - plane.dot(ray)) / tile.inverse_depth).abs()).collect()
+        each.map(|(tile, ray)| ((tile.inverse_depth - plane.dot(ray)) / tile.inverse_depth).abs())
+            .collect()
     };
     let median = |mut values: Vec<f64>| {
         values.sort_by(f64::total_cmp);
@@ -213,9 +230,11 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
         Some(square.cholesky()?.solve(&right))
     };
     let count = tiles.len();
-    let triples = (0..TRIPLES).map(|k| [k * 7919, k * 104_729 + count / 3, k * 1_299_709 + 2 * count / 3]);
+    let triples =
+        (0..TRIPLES).map(|k| [k * 7919, k * 104_729 + count / 3, k * 1_299_709 + 2 * count / 3]);
     let planes = triples.filter_map(|triple| through(&triple.map(|k| k % count.max(1))));
-    let best = planes.map(|plane| (median(deviations(&plane)), plane)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let best =
+        planes.map(|plane| (median(deviations(&plane)), plane)).min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((scale, mut plane)) = best else { return tiles.clear() };
     let limit = (4.0 * scale).max(0.002).min(tolerance);
     for _ in 0..3 {
@@ -227,7 +246,8 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     tiles.retain(|_| deviations.next().is_some_and(|deviation| deviation <= tolerance));
 }
 
-/// How many triples are tried: with a third of the tiles elsewhere, all but one in 10⁷ pictures meet a good one.
+/// How many triples are tried: with a third of the tiles elsewhere, all but one in 10⁷ pictures
+/// meet a good one.
 const TRIPLES: usize = 50;
 
 #[cfg(test)]
@@ -244,20 +264,33 @@ mod tests {
 
     fn picture(z_m: impl Fn(f64, f64) -> f64) -> DepthImage {
         let at = |k: usize| z_m((k % 320) as f64, (k / 320) as f64);
-        DepthImage::new(ImageSize::new(320, 240), (0..320 * 240).map(|k| (at(k) * 1000.0).round() as u16).collect())
-            .unwrap()
+        DepthImage::new(
+            ImageSize::new(320, 240),
+            (0..320 * 240).map(|k| (at(k) * 1000.0).round() as u16).collect(),
+        )
+        .unwrap()
     }
 
     fn square(low: f64, high: f64) -> Vec<Pixel> {
-        vec![Pixel::new(low, low), Pixel::new(high, low), Pixel::new(high, high), Pixel::new(low, high)]
+        vec![
+            Pixel::new(low, low),
+            Pixel::new(high, low),
+            Pixel::new(high, high),
+            Pixel::new(low, high),
+        ]
     }
 
     #[test]
     fn a_tilted_plane_is_measured_and_a_hand_before_it_is_left_out() {
         let plane = |x: f64, y: f64| 1.0 / (0.7 + 0.0004 * (x - 160.0) - 0.0002 * (y - 120.0));
         let with_hand = picture(|x, y| if x > 150.0 && y > 150.0 { 0.6 } else { plane(x, y) });
-        let tiles =
-            find_board_plane(&with_hand, (METRIC, &lens()), &square(40.0, 200.0), &PlaneOptions::default()).unwrap();
+        let tiles = find_board_plane(
+            &with_hand,
+            (METRIC, &lens()),
+            &square(40.0, 200.0),
+            &PlaneOptions::default(),
+        )
+        .unwrap();
         assert!(tiles.len() > 80, "{}", tiles.len());
         for tile in tiles {
             let truth = 1.0 / plane(tile.pixel.x, tile.pixel.y);
@@ -274,7 +307,10 @@ mod tests {
         let flat = picture(|_, _| 1.0);
         assert_eq!(find(&flat, &square(400.0, 500.0)), Err(NoPlane::Outside));
         assert_eq!(find(&flat, &[Pixel::new(f64::NAN, 0.0); 4]), Err(NoPlane::Outside));
-        assert_eq!(find(&picture(|_, _| 0.0), &square(40.0, 200.0)), Err(NoPlane::Holes { percent: 0 }));
+        assert_eq!(
+            find(&picture(|_, _| 0.0), &square(40.0, 200.0)),
+            Err(NoPlane::Holes { percent: 0 })
+        );
         let bent = picture(|x, _| if x < 110.0 { 1.0 } else { 1.6 });
         assert!(matches!(find(&bent, &square(40.0, 200.0)), Err(NoPlane::NotFlat { .. })));
     }

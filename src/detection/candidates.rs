@@ -1,13 +1,16 @@
-//! Which pixels could be chessboard corners: the strongest local maxima of the response, each looked at once more.
+//! Which pixels could be chessboard corners: the strongest local maxima of the response, each
+//! looked at once more.
 //!
-//! However busy the picture, only so many maxima and [`MOST`] candidates go on: time is bounded by pixels.
+//! However busy the picture, only so many maxima and [`MOST`] candidates go on: time is bounded by
+//! pixels.
 
 use super::cross::{Vec2, Window};
 use super::response::{HALF_RING, REACH, Response};
 use crate::imaging::gray::GrayView;
 
-/// Tiles of the response, 4×4 pixels each, whose maximum is looked at: so many for each corner of the board, within bounds.
-/// One square of the board among them is enough, and the hardest pictures need 2.
+/// Tiles of the response, 4×4 pixels each, whose maximum is looked at: so many for each corner of
+/// the board, within bounds. One square of the board among them is enough, and the hardest pictures
+/// need 2.
 const TILES_A_CORNER: usize = 6;
 const FEWEST_TILES: usize = 320;
 const MOST_TILES: usize = 768;
@@ -32,8 +35,8 @@ const SETTLED_PX: f32 = 0.5;
 pub(super) struct Candidate {
     /// Where, in pixels of the level.
     pub pixel: Vec2,
-    /// Unit vectors along the two edges, in an order such that the bright wedges are those from the first to the second
-    /// and opposite, turning from +x to +y.
+    /// Unit vectors along the two edges, in an order such that the bright wedges are those from the
+    /// first to the second and opposite, turning from +x to +y.
     pub edges: [Vec2; 2],
     /// Bright wedges less dark wedges, in grey levels.
     pub contrast: f32,
@@ -56,7 +59,8 @@ pub(super) struct CandidateSearch {
 }
 
 impl CandidateSearch {
-    /// Finds the candidates of `image`, whose response is `response`, for a board of so many `corners`.
+    /// Finds the candidates of `image`, whose response is `response`, for a board of so many
+    /// `corners`.
     pub(super) fn search(&mut self, image: GrayView<'_>, response: &Response, corners: usize) {
         self.most_tiles = (TILES_A_CORNER * corners).clamp(FEWEST_TILES, MOST_TILES);
         self.collect_tiles(response);
@@ -87,15 +91,24 @@ impl CandidateSearch {
             pulp::Arch::new().dispatch(TileMaxima { rows, maxima: &mut self.maxima, tiles });
         }
         self.groups.clear();
-        self.groups.extend(self.tiles.chunks(GROUP).map(|tiles| tiles.iter().fold(0, |most, &tile| tile.max(most))));
-        // As many tiles as there are such groups are at least so strong: none that is weaker will be kept.
+        self.groups.extend(
+            self.tiles
+                .chunks(GROUP)
+                .map(|tiles| tiles.iter().fold(0, |most, &tile| tile.max(most))),
+        );
+        // As many tiles as there are such groups are at least so strong: none that is weaker will
+        // be kept.
         let mut counts = [0; 256];
         self.groups.iter().for_each(|&group| counts[usize::from(group)] += 1);
         let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
         let weakest = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE);
         let least = self.least_kept(&counts, weakest).0;
         counts.fill(0);
-        for (tiles, _) in self.tiles.chunks(GROUP).zip(&self.groups).filter(|(_, group)| usize::from(**group) >= least)
+        for (tiles, _) in self
+            .tiles
+            .chunks(GROUP)
+            .zip(&self.groups)
+            .filter(|(_, group)| usize::from(**group) >= least)
         {
             tiles.iter().for_each(|&tile| counts[usize::from(tile)] += 1);
         }
@@ -103,7 +116,8 @@ impl CandidateSearch {
         self.keep_strongest(response, &mut counts, least, kept);
     }
 
-    /// The strength down to which things are kept that are counted by strength, not below `weakest`, and how many there are.
+    /// The strength down to which things are kept that are counted by strength, not below
+    /// `weakest`, and how many there are.
     fn least_kept(&self, counts: &[usize; 256], weakest: usize) -> (usize, usize) {
         let mut kept = 0;
         for value in (weakest..256).rev() {
@@ -115,9 +129,15 @@ impl CandidateSearch {
         (weakest, kept)
     }
 
-    /// Leaves the `kept` strongest tiles, all at least `least`, strongest first and equal ones in raster order, with the
-    /// place of their maximum.
-    fn keep_strongest(&mut self, response: &Response, counts: &mut [usize; 256], least: usize, kept: usize) {
+    /// Leaves the `kept` strongest tiles, all at least `least`, strongest first and equal ones in
+    /// raster order, with the place of their maximum.
+    fn keep_strongest(
+        &mut self,
+        response: &Response,
+        counts: &mut [usize; 256],
+        least: usize,
+        kept: usize,
+    ) {
         // Where the first of each strength goes.
         let mut stronger = 0;
         for slot in counts[least..].iter_mut().rev() {
@@ -137,7 +157,9 @@ impl CandidateSearch {
                 let tile = group * GROUP + tile;
                 let (left, top) = (tile % across * TILE, tile / across * TILE);
                 let places = (0..TILE).map(|y| (y, &response.row(top + y)[left..left + TILE]));
-                let strongest = |(y, row): (usize, &[u8])| Some((row.iter().position(|&other| other == value)?, y));
+                let strongest = |(y, row): (usize, &[u8])| {
+                    Some((row.iter().position(|&other| other == value)?, y))
+                };
                 let (x, y) = places.filter_map(strongest).next().unwrap_or_default();
                 self.sorted[*slot] = (value, (left + x) as u32, (top + y) as u32);
                 *slot += 1;
@@ -146,8 +168,8 @@ impl CandidateSearch {
     }
 }
 
-/// The largest of each tile of one row of tiles. A struct, not a closure: all of it must be inlined to be compiled for the
-/// processor.
+/// The largest of each tile of one row of tiles. A struct, not a closure: all of it must be inlined
+/// to be compiled for the processor.
 struct TileMaxima<'a> {
     rows: [&'a [u8]; TILE],
     /// Scratch: the largest of each column, then of each two columns.
@@ -165,7 +187,8 @@ impl pulp::NullaryFnOnce for TileMaxima<'_> {
         columns.resize(length + TILE, 0);
         pairs.resize(length + TILE, 0);
         let [first, second, third, fourth] = self.rows;
-        let (first, second, third, fourth) = (&first[..length], &second[..length], &third[..length], &fourth[..length]);
+        let (first, second, third, fourth) =
+            (&first[..length], &second[..length], &third[..length], &fourth[..length]);
         for (i, most) in columns[..length].iter_mut().enumerate() {
             *most = first[i].max(second[i]).max(third[i].max(fourth[i]));
         }
@@ -186,7 +209,9 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
     }
     let (mut before, mut after) = (0, 0);
     for row in 0..5 {
-        let Some(&[a, b, c, d, e]) = response.row(y + row - 2).get(x - 2..x + 3) else { return false };
+        let Some(&[a, b, c, d, e]) = response.row(y + row - 2).get(x - 2..x + 3) else {
+            return false;
+        };
         match row {
             0 | 1 => before = a.max(b).max(c).max(d.max(e)).max(before),
             2 => (before, after) = (a.max(b).max(before), d.max(e)),
@@ -203,14 +228,16 @@ fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
     let window = Window { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
     let first = window.look_for(image, LEAST_FIRST_SCORE)?;
     let in_place = first.score >= CLEAR_SCORE && (first.center - center).norm() < SETTLED_PX;
-    let cross = if in_place { first } else { Window { center: first.center, ..window }.look(image)? };
+    let cross =
+        if in_place { first } else { Window { center: first.center, ..window }.look(image)? };
     if cross.score < LEAST_SCORE || cross.contrast < 3.0 || (cross.center - center).norm() > 2.5 {
         return None;
     }
     Some(Candidate { pixel: cross.center, edges, contrast: cross.contrast })
 }
 
-/// The edges that leave the middle of the ring: it must cross its own middle grey four times, at opposite places in pairs.
+/// The edges that leave the middle of the ring: it must cross its own middle grey four times, at
+/// opposite places in pairs.
 fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
     let ring = ring_about(image, x, y)?;
     let (least, most) = (ring.into_iter().fold(255, u8::min), ring.into_iter().fold(0, u8::max));
@@ -271,7 +298,9 @@ mod tests {
 
     #[test]
     fn the_corners_of_a_small_checker_are_found_with_their_edges() {
-        let pixels = (0..60 * 60).map(|i| if (i % 60 / 12 + i / 60 / 12) % 2 == 0 { 30 } else { 220 }).collect();
+        let pixels = (0..60 * 60)
+            .map(|i| if (i % 60 / 12 + i / 60 / 12) % 2 == 0 { 30 } else { 220 })
+            .collect();
         let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
         let mut response = Response::default();
         response.compute(image.view(), 1);

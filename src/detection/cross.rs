@@ -1,7 +1,9 @@
-//! A small window laid over the image along two edges: is this where four chessboard squares meet, and where exactly?
+//! A small window laid over the image along two edges: is this where four chessboard squares meet,
+//! and where exactly?
 //!
-//! The window is a parallelogram whose sides follow the board's edges, so a slanted board looks square in it. Six by six
-//! samples are compared with the pattern sign(a·b); where the pattern changes sign along each side is the corner.
+//! The window is a parallelogram whose sides follow the board's edges, so a slanted board looks
+//! square in it. Six by six samples are compared with the pattern sign(a·b); where the pattern
+//! changes sign along each side is the corner.
 
 use nalgebra::Vector2;
 
@@ -26,9 +28,11 @@ pub(super) struct Window {
 pub(super) struct Cross {
     /// Where the edges cross, in pixels.
     pub center: Vec2,
-    /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either polarity.
+    /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either
+    /// polarity.
     pub score: f32,
-    /// Mean brightness of the quadrants between +a and +b and between −a and −b, less that of the other two.
+    /// Mean brightness of the quadrants between +a and +b and between −a and −b, less that of the
+    /// other two.
     pub contrast: f32,
 }
 
@@ -40,14 +44,15 @@ const LANES: usize = 8;
 const TOUCHING: f32 = 1e-4;
 
 impl Window {
-    /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way to them, at most
-    /// `most_px` pixels.
+    /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way
+    /// to them, at most `most_px` pixels.
     pub(super) fn on_board(center: Vec2, u: Vec2, v: Vec2, fraction: f32, most_px: f32) -> Self {
         let reach = |w: Vec2| w * fraction.min(most_px / w.norm().max(1e-3));
         Self { center, a: reach(u), b: reach(v) }
     }
 
-    /// The same window, shrunk until it lies inside `image`; `None` if less than `least` of it is left.
+    /// The same window, shrunk until it lies inside `image`; `None` if less than `least` of it is
+    /// left.
     pub(super) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
         let (half, room) = (self.half(), self.room(image));
         let fit = (room.x / half.x.max(1e-6)).min(room.y / half.y.max(1e-6)) - TOUCHING;
@@ -68,7 +73,10 @@ impl Window {
     /// From its middle to the nearest border of `image`.
     fn room(&self, image: GrayView<'_>) -> Vec2 {
         let (right, bottom) = (image.width() as f32 - 1.0, image.height() as f32 - 1.0);
-        Vec2::new(self.center.x.min(right - self.center.x), self.center.y.min(bottom - self.center.y))
+        Vec2::new(
+            self.center.x.min(right - self.center.x),
+            self.center.y.min(bottom - self.center.y),
+        )
     }
 
     /// Whether all of it lies inside `image`.
@@ -82,12 +90,14 @@ impl Window {
         self.look_for(image, 0.0)
     }
 
-    /// Looks at the window once. `None` if it leaves the image, is flat or scores less than `least_score`.
+    /// Looks at the window once. `None` if it leaves the image, is flat or scores less than
+    /// `least_score`.
     pub(super) fn look_for(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
         if !self.is_inside(image) {
             return None;
         }
-        let lines = FixedLines::start(image, self.center - self.a - self.b, self.a * 0.4, self.b * 0.4);
+        let lines =
+            FixedLines::start(image, self.center - self.a - self.b, self.a * 0.4, self.b * 0.4);
         let Sums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
         let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
         let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
@@ -104,8 +114,9 @@ impl Window {
         Some(Cross { center, score, contrast: matched / 18.0 })
     }
 
-    /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the smaller of the bright
-    /// less the larger of the dark, with the sign that [`Cross::contrast`] has. `None` outside the image; 0 if not.
+    /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the
+    /// smaller of the bright less the larger of the dark, with the sign that [`Cross::contrast`]
+    /// has. `None` outside the image; 0 if not.
     pub(super) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
         if !self.is_inside(image) {
             return None;
@@ -125,10 +136,12 @@ impl Window {
     }
 }
 
-/// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place them, 8 to interpolate.
-/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+/// Samples a parallelogram line by line, in fixed point: 16 bits of a pixel's fraction to place
+/// them, 8 to interpolate. A struct, not a closure: all of it must be inlined to be compiled for
+/// the processor.
 struct FixedLines<'a> {
-    /// The image from the first pixel of the parallelogram's bounding box on, and the same one row below, of one length.
+    /// The image from the first pixel of the parallelogram's bounding box on, and the same one row
+    /// below, of one length.
     upper: &'a [u8],
     lower: &'a [u8],
     stride: i32,
@@ -155,8 +168,10 @@ impl<'a> FixedLines<'a> {
         let place = |start: f32, along: f32, down: f32, size: usize| {
             let (start, along, down) = (fixed(start), fixed(along), fixed(down));
             let far = (SAMPLES - 1) as i64;
-            let (before, after) = (far * (along.min(0) + down.min(0)), far * (along.max(0) + down.max(0)));
-            let first = (start + before).min(((size as i64 - 1) << 16) - 1 - (after - before)).max(0);
+            let (before, after) =
+                (far * (along.min(0) + down.min(0)), far * (along.max(0) + down.max(0)));
+            let first =
+                (start + before).min(((size as i64 - 1) << 16) - 1 - (after - before)).max(0);
             (first >> 16, [(first & 0xffff) - before, along, down].map(|v| v as i32))
         };
         let (left, x) = place(start.x, along.x, down.x, image.width());
@@ -175,7 +190,8 @@ impl<'a> FixedLines<'a> {
         for (k, (at, fractions)) in at.iter_mut().zip(&mut fractions).enumerate() {
             let (i, j) = ((k % LANES).min(SAMPLES - 1) as i32, (k / LANES) as i32);
             let [x, y] = std::array::from_fn(|axis| {
-                let (along, down) = (self.along[axis].wrapping_mul(i), self.down[axis].wrapping_mul(j));
+                let (along, down) =
+                    (self.along[axis].wrapping_mul(i), self.down[axis].wrapping_mul(j));
                 self.start[axis].wrapping_add(along).wrapping_add(down)
             });
             *at = (y >> 16).wrapping_mul(self.stride).wrapping_add(x >> 16) as u32;
@@ -191,7 +207,9 @@ impl<'a> FixedLines<'a> {
         for (fours, at) in fours.chunks_exact_mut(LANES).zip(at.chunks_exact(LANES)) {
             for lane in 0..SAMPLES {
                 let pair = at[lane] as usize..at[lane] as usize + 2;
-                if let (Some(&[a, b]), Some(&[c, d])) = (self.upper.get(pair.clone()), self.lower.get(pair)) {
+                if let (Some(&[a, b]), Some(&[c, d])) =
+                    (self.upper.get(pair.clone()), self.lower.get(pair))
+                {
                     let row = |pair| u32::from(u16::from_le_bytes(pair));
                     fours[lane] = row([a, b]) | row([c, d]) << 16;
                 }
@@ -208,7 +226,12 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
     fn call(self) -> Sums {
         let (at, fractions) = self.places();
         let fours = self.fours(&at);
-        let mut all = Sums { sums: [0.0; LANES], squares: [0.0; LANES], columns: [0.0; LANES], rows: [0.0; LINES] };
+        let mut all = Sums {
+            sums: [0.0; LANES],
+            squares: [0.0; LANES],
+            columns: [0.0; LANES],
+            rows: [0.0; LINES],
+        };
         for j in 0..LINES {
             let mut values = [0.0; LANES];
             for lane in 0..LANES {
@@ -220,7 +243,10 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
                 values[lane] = (upper * 256 + (lower - upper) * fy) as f32 * (1.0 / 65536.0);
             }
             let side = if j < LINES / 2 { -1.0 } else { 1.0 };
-            #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
+            #[expect(
+                clippy::needless_range_loop,
+                reason = "lanes of one width are what the compiler vectorises"
+            )]
             for lane in 0..LANES {
                 all.sums[lane] += values[lane];
                 all.squares[lane] += values[lane] * values[lane];
@@ -232,11 +258,13 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
     }
 }
 
-/// How far along the window the edge across it lies, from the contrast across the other edge at six places, −1 to 1.
+/// How far along the window the edge across it lies, from the contrast across the other edge at six
+/// places, −1 to 1.
 ///
-/// The contrast k(t) changes sign at the edge. Its even part tells the edge's offset δ, but light that changes over the
-/// window adds a constant g to it: even(t) = g − k′(t)·δ, solved by least squares. Where blur fills the window, k′ is
-/// constant too and the two cannot be told apart; then g is taken as small.
+/// The contrast k(t) changes sign at the edge. Its even part tells the edge's offset δ, but light
+/// that changes over the window adds a constant g to it: even(t) = g − k′(t)·δ, solved by least
+/// squares. Where blur fills the window, k′ is constant too and the two cannot be told apart; then
+/// g is taken as small.
 fn edge_offset(k: &[f32; 6]) -> f32 {
     const SMALL: f32 = 0.3;
     let even = [3, 4, 5].map(|n: usize| 0.5 * (k[n] + k[5 - n]));
@@ -279,12 +307,16 @@ mod tests {
 
     fn slanted_cross(center: Vec2, a: Vec2, b: Vec2) -> GrayImage {
         let mut pixels = Vec::new();
-        let inverse = nalgebra::Matrix2::from_columns(&[a, b]).try_inverse().expect("two directions");
+        let inverse =
+            nalgebra::Matrix2::from_columns(&[a, b]).try_inverse().expect("two directions");
         for y in 0..40 {
             for x in 0..40 {
                 let mut bright = 0.0;
                 for sub in 0..64 {
-                    let p = Vec2::new(x as f32 - 0.5 + (sub % 8) as f32 / 8.0, y as f32 - 0.5 + (sub / 8) as f32 / 8.0);
+                    let p = Vec2::new(
+                        x as f32 - 0.5 + (sub % 8) as f32 / 8.0,
+                        y as f32 - 0.5 + (sub / 8) as f32 / 8.0,
+                    );
                     let q = inverse * (p + Vec2::repeat(1.0 / 16.0) - center);
                     bright += if q.x * q.y > 0.0 { 200.0 / 64.0 } else { 50.0 / 64.0 };
                 }
@@ -322,7 +354,11 @@ mod tests {
     #[test]
     fn a_flat_window_and_one_outside_show_nothing() {
         let flat = GrayImage::filled(40, 40, 128);
-        let window = Window { center: Vec2::new(20.0, 20.0), a: Vec2::new(3.0, 0.0), b: Vec2::new(0.0, 3.0) };
+        let window = Window {
+            center: Vec2::new(20.0, 20.0),
+            a: Vec2::new(3.0, 0.0),
+            b: Vec2::new(0.0, 3.0),
+        };
         assert_eq!(window.look(flat.view()), None);
         let outside = Window { center: Vec2::new(1.0, 20.0), ..window };
         assert_eq!(outside.look(flat.view()), None);

@@ -17,7 +17,8 @@ use super::verification::verify;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`] lines each way.
+/// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`]
+/// lines each way.
 const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
 /// Grids that are judged on one level.
@@ -26,19 +27,22 @@ const MOST_GRIDS: usize = 2;
 const MOST_STARTS: usize = 16;
 /// Fewer corners than this are no grid: things that lie about make them.
 const LEAST_GROWN: usize = 7;
-/// A grid is looked for across its covers if it has so many corners more than one that was no board.
+/// A grid is looked for across its covers if it has so many corners more than one that was no
+/// board.
 const WORTH_BRIDGING: usize = 4;
 /// A candidate this near to a corner is that corner, in pixels of the level.
 const SAME_PX: f32 = 2.5;
-/// A grid as small as this that grows to more than a whole board on a finer level is none: stripes look so.
+/// A grid as small as this that grows to more than a whole board on a finer level is none: stripes
+/// look so.
 const SMALL: usize = LEAST_PART;
-/// On all but the coarsest level one of so many rows is searched for corners: a response is wider than that, and a board of
-/// which no square is seen so would have been seen on the level above.
+/// On all but the coarsest level one of so many rows is searched for corners: a response is wider
+/// than that, and a board of which no square is seen so would have been seen on the level above.
 const ROW_STEP: usize = 2;
 /// Longest side of a square that is looked for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 
-/// Windows in which the corners of a grid are looked at on their way to the image, as parts of the way to the neighbours.
+/// Windows in which the corners of a grid are looked at on their way to the image, as parts of the
+/// way to the neighbours.
 const EXACT: [f32; 2] = [0.2, 0.1];
 
 /// Finds one kind of board in images. Its buffers are kept from image to image.
@@ -125,7 +129,11 @@ impl Detector {
     ///
     /// # Errors
     /// [`NoBoard`] says why there is none.
-    pub fn find_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Detection, NoBoard> {
+    pub fn find_board(
+        &mut self,
+        image: GrayView<'_>,
+        options: &DetectOptions,
+    ) -> Result<Detection, NoBoard> {
         self.whole = None;
         let longer = self.board.cols.max(self.board.rows) as usize;
         let shorter = self.board.cols.min(self.board.rows) as usize;
@@ -147,7 +155,11 @@ impl Detector {
             let reach = if level == coarsest { widest } else { widest.min(MOST_STEP) };
             match self.search_level(image, level, reach, &mut best, &mut seen) {
                 Some(placement) => return self.report(image, placement, options),
-                None if seen.too_large || best.is_some_and(|(count, _)| 3 * count > self.board.corner_count()) => break,
+                None if seen.too_large
+                    || best.is_some_and(|(count, _)| 3 * count > self.board.corner_count()) =>
+                {
+                    break;
+                }
                 None => {}
             }
         }
@@ -158,7 +170,8 @@ impl Detector {
         }
     }
 
-    /// Grows grids from the candidates of `level`; a whole board is left in `part`, else the best part so far.
+    /// Grows grids from the candidates of `level`; a whole board is left in `part`, else the best
+    /// part so far.
     fn search_level(
         &mut self,
         image: GrayView<'_>,
@@ -179,8 +192,11 @@ impl Detector {
             if grids == MOST_GRIDS || starts == MOST_STARTS || seen.too_large {
                 break;
             }
-            let seed =
-                if self.used[first] { None } else { self.neighbourhood.seed(&self.candidates.found, first, reach) };
+            let seed = if self.used[first] {
+                None
+            } else {
+                self.neighbourhood.seed(&self.candidates.found, first, reach)
+            };
             let Some(seed) = seed else { continue };
             starts += 1;
             let worth = self.grow_from(image, level, &seed);
@@ -213,21 +229,24 @@ impl Detector {
         let view = self.pyramid.level(image, level);
         let radius = self.board.cols.max(self.board.rows) as i32 + 2;
         self.growth.start(view, &self.candidates.found, seed, radius, &mut self.grid);
-        if !self.is_whole() && self.grid.bounds().is_some_and(|bounds| !self.exceeds_board(bounds)) {
+        if !self.is_whole() && self.grid.bounds().is_some_and(|bounds| !self.exceeds_board(bounds))
+        {
             self.growth.reach(view, &self.candidates.found, &self.neighbourhood, &mut self.grid);
         }
         self.grid.members.len() >= LEAST_GROWN
     }
 
-    /// The candidates of `level` that are corners of the grid, even of one too small, or of the best part (kept at level 0),
-    /// seed no other.
+    /// The candidates of `level` that are corners of the grid, even of one too small, or of the
+    /// best part (kept at level 0), seed no other.
     fn spend(&mut self, level: usize, of_part: bool) {
-        let (grid, scale) = if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
+        let (grid, scale) =
+            if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
         let (offset, used) = (Vec2::repeat(0.5), &mut self.used);
         for &(i, j) in &grid.members {
             let Some(p) = grid.pixel(i, j) else { continue };
             let p = (p + offset) / scale - offset;
-            self.neighbourhood.visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
+            self.neighbourhood
+                .visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
         }
     }
 
@@ -263,7 +282,9 @@ impl Detector {
         }
         match self.placement(image) {
             Some(placement) if self.is_whole() => Found::Whole(placement),
-            Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => Found::Part(placement),
+            Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => {
+                Found::Part(placement)
+            }
             Some(_) => Found::Nothing,
             None => Found::Other { cols: larger(bounds), rows: smaller(bounds) },
         }
@@ -277,13 +298,19 @@ impl Detector {
         place(&self.grid, bounds, sure, self.board)
     }
 
-    /// Takes the grid from `level` to the image itself, and looks for more of the board on the way if some is missing.
+    /// Takes the grid from `level` to the image itself, and looks for more of the board on the way
+    /// if some is missing.
     fn follow(&mut self, image: GrayView<'_>, level: usize) {
         let most = if self.grid.members.len() < SMALL { self.most_corners() } else { usize::MAX };
         for finer in (0..level).rev() {
             self.grid.descend();
             let view = self.pyramid.level(image, finer);
-            sharpen_all(view, &mut self.grid, &WINDOWS[..1], if finer == 0 { &EXACT } else { &EXACT[..1] });
+            sharpen_all(
+                view,
+                &mut self.grid,
+                &WINDOWS[..1],
+                if finer == 0 { &EXACT } else { &EXACT[..1] },
+            );
             if self.is_whole() {
                 continue;
             }
@@ -303,7 +330,8 @@ impl Detector {
         }
     }
 
-    /// Looks for the rest of a board of which a good part is found, across what covers it. True if there is more of it.
+    /// Looks for the rest of a board of which a good part is found, across what covers it. True if
+    /// there is more of it.
     fn bridge(&mut self, image: GrayView<'_>) -> bool {
         let before = self.grid.members.len();
         for _ in 0..2 {
@@ -312,17 +340,22 @@ impl Detector {
             if count < LEAST_PART || self.is_whole() || self.exceeds_board(bounds) {
                 break;
             }
-            let (longer, shorter) =
-                (self.board.cols.max(self.board.rows) as i32, self.board.cols.min(self.board.rows) as i32);
+            let (longer, shorter) = (
+                self.board.cols.max(self.board.rows) as i32,
+                self.board.cols.min(self.board.rows) as i32,
+            );
             let lying = bounds.width() >= bounds.height();
             let room = |length: i32, has: i32| (length - has).clamp(0, 3);
-            let (room_i, room_j) = if bounds.width() > shorter || (lying && bounds.height() <= shorter) {
-                (room(longer, bounds.width()), room(shorter, bounds.height()))
-            } else {
-                (room(shorter, bounds.width()), room(longer, bounds.height()))
+            let (room_i, room_j) =
+                if bounds.width() > shorter || (lying && bounds.height() <= shorter) {
+                    (room(longer, bounds.width()), room(shorter, bounds.height()))
+                } else {
+                    (room(shorter, bounds.width()), room(longer, bounds.height()))
+                };
+            let wider = Bounds {
+                i: (bounds.i.0 - room_i, bounds.i.1 + room_i),
+                j: (bounds.j.0 - room_j, bounds.j.1 + room_j),
             };
-            let wider =
-                Bounds { i: (bounds.i.0 - room_i, bounds.i.1 + room_i), j: (bounds.j.0 - room_j, bounds.j.1 + room_j) };
             self.growth.bridge(image, &mut self.grid, wider);
             if self.grid.members.len() == count {
                 break;
@@ -331,12 +364,14 @@ impl Detector {
         self.grid.members.len() > before
     }
 
-    /// No board of the size looked for shows as many corners, even if a line on each side is none of its own.
+    /// No board of the size looked for shows as many corners, even if a line on each side is none
+    /// of its own.
     fn most_corners(&self) -> usize {
         (self.board.cols as usize + 2) * (self.board.rows as usize + 2) + 1
     }
 
-    /// Fewer corners are not believed to be part of the board: a small one that the picture's border cuts off looks the same.
+    /// Fewer corners are not believed to be part of the board: a small one that the picture's
+    /// border cuts off looks the same.
     pub(super) fn least_part(&self) -> usize {
         LEAST_PART.max((self.board.corner_count() * 2 / 5).min(2 * LEAST_PART))
     }
@@ -346,7 +381,8 @@ impl Detector {
             && self.grid.bounds().is_some_and(|bounds| whole_shape(bounds, self.board))
     }
 
-    /// Whether no board of the size looked for can have so many corners, even if a line on each side is none of its own.
+    /// Whether no board of the size looked for can have so many corners, even if a line on each
+    /// side is none of its own.
     fn exceeds_board(&self, bounds: Bounds) -> bool {
         let (cols, rows) = (self.board.cols, self.board.rows);
         larger(bounds) > cols.max(rows) + 2 || smaller(bounds) > cols.min(rows) + 2

@@ -1,4 +1,5 @@
-//! Whether the line between two neighbouring corners is an edge between a bright and a dark square all the way.
+//! Whether the line between two neighbouring corners is an edge between a bright and a dark square
+//! all the way.
 //!
 //! A grid that skips corners, or joins corners of two things, fails here.
 
@@ -13,13 +14,23 @@ const LEAST_DIFFERENCE: f32 = 0.25;
 
 /// Brightness at `p`; `None` outside the image.
 pub(super) fn sample(image: GrayView<'_>, p: Vec2) -> Option<f32> {
-    let inside = p.x >= 0.0 && p.y >= 0.0 && p.x <= (image.width() - 1) as f32 && p.y <= (image.height() - 1) as f32;
+    let inside = p.x >= 0.0
+        && p.y >= 0.0
+        && p.x <= (image.width() - 1) as f32
+        && p.y <= (image.height() - 1) as f32;
     inside.then(|| bilinear(image.bytes(), image.stride(), p.x, p.y))
 }
 
-/// Whether the side towards `aside` of the line from `p` to `q` is brighter by `contrast` (darker, if that is negative)
-/// than the other side, in three places. `None` where that would be outside the image.
-pub(super) fn is_edge(image: GrayView<'_>, p: Vec2, q: Vec2, aside: Vec2, contrast: f32) -> Option<bool> {
+/// Whether the side towards `aside` of the line from `p` to `q` is brighter by `contrast` (darker,
+/// if that is negative) than the other side, in three places. `None` where that would be outside
+/// the image.
+pub(super) fn is_edge(
+    image: GrayView<'_>,
+    p: Vec2,
+    q: Vec2,
+    aside: Vec2,
+    contrast: f32,
+) -> Option<bool> {
     let mut holds = true;
     for part in [0.28, 0.5, 0.72] {
         let on = p + (q - p) * part;
@@ -44,9 +55,11 @@ pub(super) fn count_edges(image: GrayView<'_>, grid: &Grid, i: i32, j: i32) -> E
     let (Some(node), Some([u, v])) = (grid.get(i, j), grid.steps(i, j)) else { return count };
     for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
         let Some(other) = grid.get(i + di, j + dj) else { continue };
-        // Beyond +i, the square on the side of +v has the corner's own polarity; a quarter turn changes the sign.
+        // Beyond +i, the square on the side of +v has the corner's own polarity; a quarter turn
+        // changes the sign.
         let (aside, sign) = if di != 0 { (v, di as f32) } else { (u, dj as f32) };
-        let contrast = 0.5 * (node.contrast.abs() + other.contrast.abs()) * grid.polarity(i, j) * sign;
+        let contrast =
+            0.5 * (node.contrast.abs() + other.contrast.abs()) * grid.polarity(i, j) * sign;
         if let Some(holds) = is_edge(image, node.pixel, other.pixel, aside, contrast) {
             count.seen += 1;
             count.held += u32::from(holds);

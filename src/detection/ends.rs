@@ -1,7 +1,8 @@
 //! Where the board itself ends: one square beyond its outermost corners the pattern stops.
 //!
-//! That no corner was found beyond a line is no proof: a hand or the image's border may hide it. The board's end is seen
-//! only if the squares outside the line alternate and what lies beyond these does not.
+//! That no corner was found beyond a line is no proof: a hand or the image's border may hide it.
+//! The board's end is seen only if the squares outside the line alternate and what lies beyond
+//! these does not.
 
 use super::cross::Vec2;
 use super::edges::sample;
@@ -9,24 +10,34 @@ use super::grid::{Bounds, Grid};
 use super::placement::Ends;
 use crate::imaging::gray::GrayView;
 
-/// Where the outermost squares and what lies beyond are sampled, in squares outward from the line of corners.
+/// Where the outermost squares and what lies beyond are sampled, in squares outward from the line
+/// of corners.
 const WITHIN: f32 = 0.7;
 const BEYOND: f32 = 1.3;
-/// Two squares alternate if they differ by this share of the contrast; they are alike below [`ALIKE`].
+/// Two squares alternate if they differ by this share of the contrast; they are alike below
+/// [`ALIKE`].
 const ALTERNATE: f32 = 0.5;
 const ALIKE: f32 = 0.3;
-/// Pairs of neighbouring squares beyond which it is all one: one with the colour of one of them, as a board's margin has,
-/// counts 2, another 1.
+/// Pairs of neighbouring squares beyond which it is all one: one with the colour of one of them, as
+/// a board's margin has, counts 2, another 1.
 const LEAST_WEIGHT: u32 = 2;
 /// The weight that leaves no doubt.
 const SURE_WEIGHT: u32 = 6;
 
-/// Which sides of `grid` are seen to be ends of the board: those that may be, and of these those that must be. What lies in
-/// front of the board along a line may look like an end at one place, hardly at two, and not along half of the line.
+/// Which sides of `grid` are seen to be ends of the board: those that may be, and of these those
+/// that must be. What lies in front of the board along a line may look like an end at one place,
+/// hardly at two, and not along half of the line.
 pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (Ends, Ends) {
-    let columns = |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
-    let rows = |j: i32, outward: i32| side(image, grid, bounds.i, outward, |along| (along, j), (0, 1));
-    let sides = [columns(bounds.i.0, -1), columns(bounds.i.1, 1), rows(bounds.j.0, -1), rows(bounds.j.1, 1)];
+    let columns =
+        |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
+    let rows =
+        |j: i32, outward: i32| side(image, grid, bounds.i, outward, |along| (along, j), (0, 1));
+    let sides = [
+        columns(bounds.i.0, -1),
+        columns(bounds.i.1, 1),
+        rows(bounds.j.0, -1),
+        rows(bounds.j.1, 1),
+    ];
     (sides.map(|side| side.may_end()), sides.map(|side| side.must_end()))
 }
 
@@ -51,7 +62,8 @@ impl Side {
     }
 }
 
-/// What shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward` along `axis`.
+/// What shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward`
+/// along `axis`.
 fn side(
     image: GrayView<'_>,
     grid: &Grid,
@@ -90,11 +102,19 @@ struct Outside {
 
 impl Outside {
     /// Looks at the square outward of the corners `p` and `q`, of which at least one must be known.
-    fn look(image: GrayView<'_>, grid: &Grid, p: (i32, i32), q: (i32, i32), outward: (i32, i32)) -> Option<Self> {
+    fn look(
+        image: GrayView<'_>,
+        grid: &Grid,
+        p: (i32, i32),
+        q: (i32, i32),
+        outward: (i32, i32),
+    ) -> Option<Self> {
         let known = grid.get(p.0, p.1).or_else(|| grid.get(q.0, q.1))?;
         let place = |at: (i32, i32)| grid.pixel(at.0, at.1).or_else(|| grid.predict(at.0, at.1));
         let (a, b) = (place(p)?, place(q)?);
-        let out = |at: (i32, i32), from: Vec2| Some(grid.predict(at.0 + outward.0, at.1 + outward.1)? - from);
+        let out = |at: (i32, i32), from: Vec2| {
+            Some(grid.predict(at.0 + outward.0, at.1 + outward.1)? - from)
+        };
         let step = match (out(p, a), out(q, b)) {
             (Some(first), Some(second)) => (first + second) * 0.5,
             (first, second) => first.or(second)?,
@@ -110,9 +130,11 @@ impl Outside {
         })
     }
 
-    /// How much this square and the next show that the board ends, and whether they show that it goes on.
+    /// How much this square and the next show that the board ends, and whether they show that it
+    /// goes on.
     fn compare(&self, next: &Self) -> (u32, bool) {
-        // Signs alternate from square to square, so the difference of neighbours times the sign is the contrast.
+        // Signs alternate from square to square, so the difference of neighbours times the sign is
+        // the contrast.
         let contrast = 0.5 * (self.contrast + next.contrast);
         if (self.within - next.within) * self.sign <= ALTERNATE * contrast {
             return (0, false);

@@ -1,8 +1,9 @@
-//! The corners of a board that was seen in the picture before, each looked for where it must be now.
+//! The corners of a board that was seen in the picture before, each looked for where it must be
+//! now.
 //!
-//! How far a corner is off where it was expected tells where its neighbours are: but for the first, one small window is
-//! enough, as narrow as the blur allows. That it is the board is shown by all of it together: every square between the
-//! corners bright or dark by turns, and none beyond them.
+//! How far a corner is off where it was expected tells where its neighbours are: but for the first,
+//! one small window is enough, as narrow as the blur allows. That it is the board is shown by all
+//! of it together: every square between the corners bright or dark by turns, and none beyond them.
 
 use super::cross::{Vec2, Window};
 use super::detector::Detector;
@@ -17,8 +18,9 @@ use crate::imaging::gray::GrayView;
 const MOST_LOST: usize = 4;
 /// How far off a corner may be whose neighbours are not found yet, in steps.
 const MOST_OFF_FIRST: f32 = 0.3;
-/// What windows reach across each edge: one as near as says most exactly where a corner is; and where that shows none, one as
-/// far as neighbours foretell it, in pixels and in steps. Both at least so many times the width of the blur.
+/// What windows reach across each edge: one as near as says most exactly where a corner is; and
+/// where that shows none, one as far as neighbours foretell it, in pixels and in steps. Both at
+/// least so many times the width of the blur.
 const FORETOLD_PX: f32 = 5.0;
 const FORETOLD_STEPS: f32 = 0.06;
 /// The same where a wide window, coarsely sampled, has found it.
@@ -34,7 +36,8 @@ const MOST_REACH: f32 = 0.4;
 const LEAST_SCORES: [f32; 2] = [0.6, 0.7];
 /// Least contrast, as a share of the last: windows of other sizes, and light, differ by less.
 const LEAST_CONTRAST: f32 = 0.3;
-/// A window in which the corner is farther from the middle than this share of its reach is moved there, a few times.
+/// A window in which the corner is farther from the middle than this share of its reach is moved
+/// there, a few times.
 const MOST_ASIDE: [f32; 2] = [0.4, 0.2];
 const MOST_LOOKS: usize = 3;
 /// Where each edge is looked at between its two corners, and how far to its sides, in steps.
@@ -42,11 +45,12 @@ const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
 const ASIDE: f32 = 0.25;
 /// Steps longer than this make large squares, in pixels.
 const LARGE: f32 = 16.0;
-/// Least difference of an edge's two sides, as a share of that of the edges around; and the part of all edges that hold.
+/// Least difference of an edge's two sides, as a share of that of the edges around; and the part of
+/// all edges that hold.
 const LEAST_DIFFERENCE: f32 = 0.25;
 const LEAST_HELD: f32 = 0.75;
-/// How far from a place beyond the board its four quarters are looked at, in steps, and the least by which they alternate,
-/// as a share of the contrast, to be looked at more closely.
+/// How far from a place beyond the board its four quarters are looked at, in steps, and the least
+/// by which they alternate, as a share of the contrast, to be looked at more closely.
 const BEYOND: f32 = 0.3;
 const MAY_ALTERNATE: f32 = 0.1;
 
@@ -69,7 +73,8 @@ pub(super) struct Followed {
 }
 
 impl Detector {
-    /// Starts a grid, in the board's own order, from the corners that are seen where they are expected.
+    /// Starts a grid, in the board's own order, from the corners that are seen where they are
+    /// expected.
     pub(super) fn look_where_expected(&mut self, image: GrayView<'_>, with_motion: bool) -> bool {
         let board = self.board;
         let Self { last, grid, followed, .. } = self;
@@ -98,24 +103,27 @@ impl Detector {
         true
     }
 
-    /// Looks for the corners that were not seen where they were expected where their neighbours put them.
+    /// Looks for the corners that were not seen where they were expected where their neighbours put
+    /// them.
     pub(super) fn look_between(&mut self, image: GrayView<'_>) {
         let cols = self.board.cols as usize;
         for index in 0..self.board.corner_count() {
             let (i, j) = ((index % cols) as i32, (index / cols) as i32);
             if self.grid.get(i, j).is_none()
-                && let Some(node) = Place::by_neighbours(&self.grid, i, j).and_then(|place| place.look(image, &WINDOWS))
+                && let Some(node) = Place::by_neighbours(&self.grid, i, j)
+                    .and_then(|place| place.look(image, &WINDOWS))
             {
                 self.grid.set(i, j, node);
             }
         }
     }
 
-    /// Whether the whole board in the grid, in the board's own order, holds together: every corner in its place among its
-    /// neighbours and most of its edges between bright and dark.
+    /// Whether the whole board in the grid, in the board's own order, holds together: every corner
+    /// in its place among its neighbours and most of its edges between bright and dark.
     pub(super) fn holds_together(&mut self, image: GrayView<'_>) -> bool {
         let Self { grid, followed, board, .. } = self;
-        let in_place = |&(i, j): &(i32, i32)| off_neighbours(grid, i, j).is_some_and(|off| off <= MOST_OFF);
+        let in_place =
+            |&(i, j): &(i32, i32)| off_neighbours(grid, i, j).is_some_and(|off| off <= MOST_OFF);
         grid.members.iter().all(in_place) && followed.edges_hold(image, grid, *board)
     }
 
@@ -135,7 +143,8 @@ impl Detector {
 /// Whether the four squares about `place` may be bright and dark by turns.
 fn may_be_corner(image: GrayView<'_>, place: &Place) -> bool {
     let [u, v] = place.steps;
-    let window = Window { center: place.expected, a: u * BEYOND, b: v * BEYOND }.inside(image, 0.25);
+    let window =
+        Window { center: place.expected, a: u * BEYOND, b: v * BEYOND }.inside(image, 0.25);
     let depth = window.and_then(|window| window.alternation(image));
     depth.is_some_and(|depth| depth * place.polarity > MAY_ALTERNATE * place.contrast[0])
 }
@@ -153,27 +162,41 @@ pub(super) struct Expected {
 
 impl Expected {
     /// The corner, which is `off` as far as its neighbours foretell it.
-    fn look(&self, image: GrayView<'_>, off: Option<Vec2>, polarity: f32, blur_px: f32) -> Option<Node> {
+    fn look(
+        &self,
+        image: GrayView<'_>,
+        off: Option<Vec2>,
+        polarity: f32,
+        blur_px: f32,
+    ) -> Option<Node> {
         let near = |place, steps| self.look_near(image, place, polarity, (steps, blur_px));
         let near_by = off.and_then(|off| near(self.expected + off, FORETOLD_STEPS));
         near_by.or_else(|| {
             let contrast = [self.last.contrast.abs(), self.last.near_contrast.abs()];
             let expected = self.expected + off.unwrap_or_else(Vec2::zeros);
-            let place = Place { expected, steps: self.steps, polarity, contrast, most_off: MOST_OFF_FIRST };
+            let place =
+                Place { expected, steps: self.steps, polarity, contrast, most_off: MOST_OFF_FIRST };
             let found = place.look(image, &[FOLLOWED])?;
             Some(near(found.pixel, FOUND_STEPS).unwrap_or(found))
         })
     }
 
     /// The corner near `place`, off by so many steps at most and under that much blur.
-    fn look_near(&self, image: GrayView<'_>, place: Vec2, polarity: f32, (off, blur_px): (f32, f32)) -> Option<Node> {
+    fn look_near(
+        &self,
+        image: GrayView<'_>,
+        place: Vec2,
+        polarity: f32,
+        (off, blur_px): (f32, f32),
+    ) -> Option<Node> {
         let [u, v] = self.steps;
         let lengths = [u.norm(), v.norm()];
         let (area, spread) = ((u.x * v.y - u.y * v.x).abs(), lengths[0] * lengths[1]);
         // What a window reaches across an edge, it reaches along the other by the slant more.
         let slant = spread / area.max(0.05 * spread);
         let look = |center: Vec2, reach_px: f32| {
-            let window = Window::on_board(center, u, v, MOST_REACH, reach_px * slant).inside(image, 0.25)?;
+            let window =
+                Window::on_board(center, u, v, MOST_REACH, reach_px * slant).inside(image, 0.25)?;
             window.look(image).filter(|cross| cross.contrast * polarity > 0.0)
         };
         let least_contrast = LEAST_CONTRAST * self.last.near_contrast.abs();
@@ -182,7 +205,8 @@ impl Expected {
             for _ in 0..MOST_LOOKS {
                 let cross = look(center, reach_px)?;
                 if (cross.center - center).norm() < MOST_ASIDE[stage] * reach_px {
-                    let clear = cross.score >= LEAST_SCORES[stage] && cross.contrast.abs() >= least_contrast;
+                    let clear = cross.score >= LEAST_SCORES[stage]
+                        && cross.contrast.abs() >= least_contrast;
                     return clear.then_some(cross);
                 }
                 center = cross.center;
@@ -191,7 +215,8 @@ impl Expected {
         };
         let exact = EXACT_PX.max(EXACT_BLURS * blur_px);
         let settled = settle(place, exact, 1).or_else(|| {
-            let mut reach = FORETOLD_PX.max(off * lengths[0].min(lengths[1])).max(FORETOLD_BLURS * blur_px);
+            let mut reach =
+                FORETOLD_PX.max(off * lengths[0].min(lengths[1])).max(FORETOLD_BLURS * blur_px);
             let mut center = place;
             while reach > exact {
                 center = settle(center, reach, 0)?.center;
@@ -217,7 +242,8 @@ fn nearest(image: GrayView<'_>, p: Vec2) -> Option<f32> {
 }
 
 impl Followed {
-    /// Measures the edges of the whole board in `grid`; whether enough of them hold, and at each corner half of them.
+    /// Measures the edges of the whole board in `grid`; whether enough of them hold, and at each
+    /// corner half of them.
     fn edges_hold(&mut self, image: GrayView<'_>, grid: &mut Grid, board: BoardSize) -> bool {
         self.measure_edges(image, grid, board);
         let Self { edges, around, .. } = self;
@@ -244,7 +270,8 @@ impl Followed {
             let (i, j) = ((index % cols) as i32, (index / cols) as i32);
             let Some(node) = grid.get(i, j) else { return false };
             let contrast = differences / seen.max(1) as f32;
-            all_hold &= 2 * held >= seen && (seen == 0 || contrast >= LEAST_CONTRAST * node.contrast.abs());
+            all_hold &=
+                2 * held >= seen && (seen == 0 || contrast >= LEAST_CONTRAST * node.contrast.abs());
             if seen > 0 {
                 grid.set(i, j, Node { contrast: contrast * grid.polarity(i, j), ..node });
             }
@@ -266,7 +293,10 @@ impl Followed {
                 let brightness = if large { nearest } else { sample };
                 let difference = |part: f32| {
                     let on = node.pixel + along * part;
-                    Some(brightness(image, on + aside * ASIDE)? - brightness(image, on - aside * ASIDE)?)
+                    Some(
+                        brightness(image, on + aside * ASIDE)?
+                            - brightness(image, on - aside * ASIDE)?,
+                    )
                 };
                 if let [Some(a), Some(b), Some(c)] = ALONG.map(difference) {
                     let differences = [a, b, c].map(|difference| difference * grid.polarity(i, j));

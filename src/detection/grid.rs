@@ -1,7 +1,7 @@
 //! Corners by their place in a regular grid, and where the next one must be.
 //!
-//! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the corners (i, j) and
-//! (i + 1, j + 1); squares with i + j even are all bright or all dark.
+//! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the
+//! corners (i, j) and (i + 1, j + 1); squares with i + j even are all bright or all dark.
 
 use super::cross::Vec2;
 
@@ -10,7 +10,8 @@ const LARGEST_RADIUS: i32 = 104;
 /// How often a place is looked at in vain.
 const MOST_ATTEMPTS: u8 = 4;
 
-/// Steps along a line that tell of the step at a place: how far off, on which parallel line, starting where; nearest first.
+/// Steps along a line that tell of the step at a place: how far off, on which parallel line,
+/// starting where; nearest first.
 const STEPS_NEARBY: [(i32, i32, i32); 22] = [
     (0, 0, 0),
     (0, 0, -1),
@@ -112,8 +113,11 @@ impl Grid {
     #[inline]
     fn slot(&self, i: i32, j: i32) -> Option<usize> {
         // Below −radius wraps to far beyond the side.
-        let (x, y, side) = ((i + self.radius) as u32, (j + self.radius) as u32, (2 * self.radius + 1) as u32);
-        (x < side && y < side).then(|| (y * side + x) as usize).filter(|&slot| slot < self.places.len())
+        let (x, y, side) =
+            ((i + self.radius) as u32, (j + self.radius) as u32, (2 * self.radius + 1) as u32);
+        (x < side && y < side)
+            .then(|| (y * side + x) as usize)
+            .filter(|&slot| slot < self.places.len())
     }
 
     /// Whether the grid has room for (i, j).
@@ -152,7 +156,8 @@ impl Grid {
         }
     }
 
-    /// Whether (i, j) is worth a look: within the grid, not a corner yet, not looked at too often. Counts the look.
+    /// Whether (i, j) is worth a look: within the grid, not a corner yet, not looked at too often.
+    /// Counts the look.
     pub(super) fn attempt(&mut self, i: i32, j: i32) -> bool {
         let Some(slot) = self.slot(i, j) else { return false };
         let place = &mut self.places[slot];
@@ -182,17 +187,18 @@ impl Grid {
     pub(super) fn bounds(&self) -> Option<Bounds> {
         let &(i, j) = self.members.first()?;
         let start = Bounds { i: (i, i), j: (j, j) };
-        Some(
-            self.members
-                .iter()
-                .fold(start, |b, &(i, j)| Bounds { i: (b.i.0.min(i), b.i.1.max(i)), j: (b.j.0.min(j), b.j.1.max(j)) }),
-        )
+        Some(self.members.iter().fold(start, |b, &(i, j)| Bounds {
+            i: (b.i.0.min(i), b.i.1.max(i)),
+            j: (b.j.0.min(j), b.j.1.max(j)),
+        }))
     }
 
     /// The same rectangle without lines at its sides that hold a single corner.
     pub(super) fn firm_bounds(&self) -> Option<Bounds> {
         let mut bounds = self.bounds()?;
-        let firm = |of: fn(&(i32, i32)) -> i32, line: i32| self.members.iter().filter(|at| of(at) == line).count() > 1;
+        let firm = |of: fn(&(i32, i32)) -> i32, line: i32| {
+            self.members.iter().filter(|at| of(at) == line).count() > 1
+        };
         let trim = |of: fn(&(i32, i32)) -> i32, (mut least, mut most): (i32, i32)| {
             while least < most && !firm(of, least) {
                 least += 1;
@@ -211,7 +217,10 @@ impl Grid {
     pub(super) fn is_firm(&self, i: i32, j: i32) -> bool {
         let clear = |i: i32, j: i32| self.get(i, j).is_some_and(|node| !node.tight);
         let squares = [(1, 1), (-1, 1), (-1, -1), (1, -1)];
-        clear(i, j) && squares.into_iter().any(|(di, dj)| clear(i + di, j) && clear(i, j + dj) && clear(i + di, j + dj))
+        clear(i, j)
+            && squares
+                .into_iter()
+                .any(|(di, dj)| clear(i + di, j) && clear(i, j + dj) && clear(i + di, j + dj))
     }
 
     /// From (i, j) to the next corner along i and along j, from the nearest that are known.
@@ -251,7 +260,9 @@ impl Grid {
                 add((p1 + next) * 0.5, 2.0);
             }
             for (ei, ej) in [(dj, di), (-dj, -di)] {
-                if let (Some(a), Some(b)) = (self.pixel(i - di + ei, j - dj + ej), self.pixel(i + ei, j + ej)) {
+                if let (Some(a), Some(b)) =
+                    (self.pixel(i - di + ei, j - dj + ej), self.pixel(i + ei, j + ej))
+                {
                     add(p1 + (b - a), 1.0);
                 }
             }
@@ -274,8 +285,8 @@ impl Grid {
     }
 }
 
-/// The step after `second` (older) and `first` (newer) on a line seen in perspective, where places are α + β/(n + γ):
-/// if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
+/// The step after `second` (older) and `first` (newer) on a line seen in perspective, where places
+/// are α + β/(n + γ): if r is the ratio of two steps, the next ratio is (1 + r)/(3 − r).
 fn projective_step(first: Vec2, second: Vec2) -> Vec2 {
     let ratio = first.norm() / second.norm().max(1e-3);
     let ratio = ratio.clamp(0.5, 2.0);
@@ -287,13 +298,23 @@ mod tests {
     use super::*;
 
     fn node(x: f32, y: f32) -> Node {
-        Node { pixel: Vec2::new(x, y), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false }
+        Node {
+            pixel: Vec2::new(x, y),
+            contrast: 100.0,
+            near_contrast: 90.0,
+            score: 1.0,
+            tight: false,
+        }
     }
 
     #[test]
     fn a_slanted_grid_is_continued() {
         let at = |i: i32, j: i32| {
-            let (x, y, w) = (10.0 * i as f32 + j as f32, 9.0 * j as f32, 1.0 + 0.02 * i as f32 + 0.01 * j as f32);
+            let (x, y, w) = (
+                10.0 * i as f32 + j as f32,
+                9.0 * j as f32,
+                1.0 + 0.02 * i as f32 + 0.01 * j as f32,
+            );
             node(100.0 + x / w, 80.0 + y / w)
         };
         let mut grid = Grid::default();

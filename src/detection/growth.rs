@@ -1,7 +1,8 @@
-//! From one square to the whole grid: each place beside a known corner is looked at in the image itself.
+//! From one square to the whole grid: each place beside a known corner is looked at in the image
+//! itself.
 //!
-//! A corner that the candidates missed is found here all the same, because it is known where to look, how its edges run
-//! and which of its squares are bright.
+//! A corner that the candidates missed is found here all the same, because it is known where to
+//! look, how its edges run and which of its squares are bright.
 
 use std::collections::VecDeque;
 
@@ -20,8 +21,9 @@ const LEAST_ALTERNATION: f32 = 0.3;
 const MOST_OFF: f32 = 0.4;
 /// The same where no neighbour is known.
 const MOST_OFF_FAR: f32 = 0.2;
-/// How far a candidate may lie from where a corner was predicted, in steps: to the side, nearer and farther. Less than what a
-/// step that skips two covered corners, or the one after it, is off. And the sine of how far its edges may be turned.
+/// How far a candidate may lie from where a corner was predicted, in steps: to the side, nearer and
+/// farther. Less than what a step that skips two covered corners, or the one after it, is off. And
+/// the sine of how far its edges may be turned.
 const MOST_ASIDE: f32 = 0.45;
 const MOST_NEARER: f32 = 0.45;
 const MOST_FARTHER: f32 = 0.75;
@@ -34,7 +36,8 @@ const NEAR: f32 = 0.16;
 const LEAST_NEAR_CONTRAST: f32 = 0.5;
 /// Least correlation with a chessboard corner very near it.
 const LEAST_NEAR_SCORE: f32 = 0.65;
-/// Least correlation with a chessboard corner of a place where one is expected, before it has settled.
+/// Least correlation with a chessboard corner of a place where one is expected, before it has
+/// settled.
 const LEAST_FIRST_SCORE: f32 = 0.25;
 /// How much more than at the look before it must be for another look.
 const LEAST_GAIN: f32 = 0.1;
@@ -43,7 +46,8 @@ const LEAST_REACH_PX: f32 = 2.0;
 
 /// Least correlation of a narrower window for its corner to be believed.
 const LEAST_NARROW_SCORE: f32 = 0.6;
-/// Least contrast of a narrower window, as a share of the widest's: where it is less, blur fills the window.
+/// Least contrast of a narrower window, as a share of the widest's: where it is less, blur fills
+/// the window.
 const LEAST_NARROW_CONTRAST: f32 = 0.6;
 
 /// A window's size, and what it must show.
@@ -65,11 +69,17 @@ pub(super) struct WindowSize {
 const WIDE: WindowSize =
     WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.4 };
 /// Beside something that covers the rest of the squares, and very close beside it.
-const NARROW: WindowSize =
-    WindowSize { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
+const NARROW: WindowSize = WindowSize {
+    reach: 0.16,
+    most_px: 8.0,
+    least_score: 0.72,
+    least_contrast: 0.5,
+    most_off: 0.15,
+};
 const CLOSE: WindowSize =
     WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.4, most_off: 0.1 };
-/// Where a board is followed from picture to picture: as far as its squares reach, at places some pixels apart.
+/// Where a board is followed from picture to picture: as far as its squares reach, at places some
+/// pixels apart.
 pub(super) const FOLLOWED: WindowSize = WindowSize { most_px: f32::MAX, ..WIDE };
 pub(super) const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
 
@@ -95,8 +105,10 @@ impl Growth {
             grid.set(i, j, Node { pixel, contrast, near_contrast: 0.0, score: 0.5, tight: false });
         }
         for (i, j) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
-            let settled =
-                grid.get(i, j).zip(grid.steps(i, j)).and_then(|(n, steps)| settle(image, n.pixel, steps, WIDE));
+            let settled = grid
+                .get(i, j)
+                .zip(grid.steps(i, j))
+                .and_then(|(n, steps)| settle(image, n.pixel, steps, WIDE));
             if let Some(node) = settled {
                 grid.set(i, j, node);
             }
@@ -110,7 +122,13 @@ impl Growth {
     }
 
     /// The same, up to `most` corners.
-    pub(super) fn grow_to(&mut self, image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize], most: usize) {
+    pub(super) fn grow_to(
+        &mut self,
+        image: GrayView<'_>,
+        grid: &mut Grid,
+        sizes: &[WindowSize],
+        most: usize,
+    ) {
         self.queue.clear();
         for index in 0..grid.members.len() {
             let (i, j) = grid.members[index];
@@ -123,15 +141,17 @@ impl Growth {
             if !grid.attempt(i, j) {
                 continue;
             }
-            if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes)) {
+            if let Some(node) =
+                Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes))
+            {
                 grid.set(i, j, node);
                 self.push_around(i, j);
             }
         }
     }
 
-    /// Goes on from the corners of `grid` to candidates farther off than they were expected, as where a lens squeezes the
-    /// board, and grows from there.
+    /// Goes on from the corners of `grid` to candidates farther off than they were expected, as
+    /// where a lens squeezes the board, and grows from there.
     pub(super) fn reach(
         &mut self,
         image: GrayView<'_>,
@@ -144,7 +164,9 @@ impl Growth {
         while let Some(&(i, j)) = grid.members.get(from) {
             for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
                 let place = Stretch::from(grid, (i, j), (di, dj));
-                if let Some(node) = place.and_then(|place| place.look(image, candidates, neighbourhood)) {
+                if let Some(node) =
+                    place.and_then(|place| place.look(image, candidates, neighbourhood))
+                {
                     grid.set(i + di, j + dj, node);
                     self.grow(image, grid, &WINDOWS[..1]);
                 }
@@ -153,7 +175,8 @@ impl Growth {
         }
     }
 
-    /// Looks, within `bounds`, at the places that growing did not reach, and grows on from what is found there.
+    /// Looks, within `bounds`, at the places that growing did not reach, and grows on from what is
+    /// found there.
     pub(super) fn bridge(&mut self, image: GrayView<'_>, grid: &mut Grid, bounds: Bounds) {
         let Some(mut perspective) = Perspective::fit(grid) else { return };
         for j in bounds.j.0..=bounds.j.1 {
@@ -163,7 +186,8 @@ impl Growth {
                 }
                 let place = Place::by_perspective(&perspective, grid, i, j);
                 let seen = place.and_then(|place| place.look(image, &WINDOWS));
-                let seen = seen.or_else(|| Place::by_bend(grid, i, j, place)?.look(image, &WINDOWS));
+                let seen =
+                    seen.or_else(|| Place::by_bend(grid, i, j, place)?.look(image, &WINDOWS));
                 let Some(node) = seen else { continue };
                 grid.set(i, j, node);
                 self.grow(image, grid, &WINDOWS);
@@ -216,8 +240,13 @@ impl Place {
 
     /// Beside a corner of a board that is bent, if that is not where it was looked for `before`.
     fn by_bend(grid: &Grid, i: i32, j: i32, before: Option<Self>) -> Option<Self> {
-        let beside = [(1, 0), (0, 1), (-1, 0), (0, -1)].into_iter().any(|(di, dj)| grid.get(i + di, j + dj).is_some());
-        let place = Self { expected: predict_bent(grid, i, j).filter(|_| beside)?, ..Self::by_neighbours(grid, i, j)? };
+        let beside = [(1, 0), (0, 1), (-1, 0), (0, -1)]
+            .into_iter()
+            .any(|(di, dj)| grid.get(i + di, j + dj).is_some());
+        let place = Self {
+            expected: predict_bent(grid, i, j).filter(|_| beside)?,
+            ..Self::by_neighbours(grid, i, j)?
+        };
         let off = before.and_then(|before| in_steps(place.expected - before.expected, place.steps));
         (off.is_none_or(|off| off.x.abs().max(off.y.abs()) > ELSEWHERE)).then_some(place)
     }
@@ -233,8 +262,10 @@ impl Place {
                 && off.x.abs() <= most
                 && off.y.abs() <= most;
             let alternates = |reach, contrast| alternates(image, &node, self, reach, contrast);
-            (fits && alternates(size.reach, node.contrast) && alternates(NEAR.min(size.reach), node.near_contrast))
-                .then_some(node)
+            (fits
+                && alternates(size.reach, node.contrast)
+                && alternates(NEAR.min(size.reach), node.near_contrast))
+            .then_some(node)
         })
     }
 }
@@ -257,11 +288,21 @@ impl Stretch {
             return None;
         }
         let axis = usize::from(dj != 0);
-        Some(Self { place: Place::by_neighbours(grid, i, j)?, from, axis, forward: (di + dj) as f32 })
+        Some(Self {
+            place: Place::by_neighbours(grid, i, j)?,
+            from,
+            axis,
+            forward: (di + dj) as f32,
+        })
     }
 
     /// The corner there: at a candidate of the right colours, with an edge all the way to it.
-    fn look(&self, image: GrayView<'_>, candidates: &[Candidate], neighbourhood: &Neighbourhood) -> Option<Node> {
+    fn look(
+        &self,
+        image: GrayView<'_>,
+        candidates: &[Candidate],
+        neighbourhood: &Neighbourhood,
+    ) -> Option<Node> {
         let Place { expected, steps, polarity, .. } = self.place;
         let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
         let edges = if polarity > 0.0 { [way(0), way(1)] } else { [way(1), way(0)] };
@@ -270,25 +311,36 @@ impl Stretch {
             turn(candidate.edges[0], edges[0]) < MOST_TURN
                 && turn(candidate.edges[1], edges[1]) < MOST_TURN
                 && in_steps(candidate.pixel - expected, steps).is_some_and(|off| {
-                    let (along, aside) = if self.axis == 0 { (off.x, off.y) } else { (off.y, off.x) };
-                    aside.abs() < MOST_ASIDE && (-MOST_NEARER..MOST_FARTHER).contains(&(along * self.forward))
+                    let (along, aside) =
+                        if self.axis == 0 { (off.x, off.y) } else { (off.y, off.x) };
+                    aside.abs() < MOST_ASIDE
+                        && (-MOST_NEARER..MOST_FARTHER).contains(&(along * self.forward))
                 })
         };
-        let reach = MOST_FARTHER * steps[self.axis].norm() + MOST_ASIDE * steps[1 - self.axis].norm();
+        let reach =
+            MOST_FARTHER * steps[self.axis].norm() + MOST_ASIDE * steps[1 - self.axis].norm();
         let at = candidates[neighbourhood.nearest(candidates, expected, reach, fits)?].pixel;
         let mut steps = steps;
         steps[self.axis] = (at - self.from.pixel) * self.forward;
         let node = Place { expected: at, steps, ..self.place }.look(image, &WINDOWS[..1])?;
-        // Beyond +i, the square on the side of +v has the opposite of the farther corner's polarity; a quarter turn changes
-        // the sign.
-        let (aside, sign) = if self.axis == 0 { (steps[1], self.forward) } else { (steps[0], self.forward) };
+        // Beyond +i, the square on the side of +v has the opposite of the farther corner's
+        // polarity; a quarter turn changes the sign.
+        let (aside, sign) =
+            if self.axis == 0 { (steps[1], self.forward) } else { (steps[0], self.forward) };
         let contrast = -0.5 * (node.contrast.abs() + self.from.contrast.abs()) * polarity * sign;
-        is_edge(image, self.from.pixel, node.pixel, aside, contrast).filter(|&holds| holds).map(|_| node)
+        is_edge(image, self.from.pixel, node.pixel, aside, contrast)
+            .filter(|&holds| holds)
+            .map(|_| node)
     }
 }
 
 /// The corner at `expected`, wherever exactly it settles, in the image.
-pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size: WindowSize) -> Option<Node> {
+pub(super) fn settle(
+    image: GrayView<'_>,
+    expected: Vec2,
+    steps: [Vec2; 2],
+    size: WindowSize,
+) -> Option<Node> {
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
     let first = window(expected, size.reach)?.look_for(image, LEAST_FIRST_SCORE)?;
     let mut cross = window(first.center, size.reach)?.look(image)?;
@@ -306,12 +358,24 @@ pub(super) fn settle(image: GrayView<'_>, expected: Vec2, steps: [Vec2; 2], size
     let sharp = near.contrast / cross.contrast > LEAST_NARROW_CONTRAST;
     let pixel = if sharp { near.center } else { cross.center };
     let tight = size.reach < WIDE.reach;
-    Some(Node { pixel, contrast: cross.contrast, near_contrast: near.contrast, score: cross.score, tight })
+    Some(Node {
+        pixel,
+        contrast: cross.contrast,
+        near_contrast: near.contrast,
+        score: cross.score,
+        tight,
+    })
 }
 
-/// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image` shows it. One that is not
-/// seen near where it was taken to is looked for where its neighbours put it.
-pub(super) fn sharpen_all(image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowSize], reaches: &[f32]) {
+/// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image`
+/// shows it. One that is not seen near where it was taken to is looked for where its neighbours put
+/// it.
+pub(super) fn sharpen_all(
+    image: GrayView<'_>,
+    grid: &mut Grid,
+    sizes: &[WindowSize],
+    reaches: &[f32],
+) {
     grid.doubtful.clear();
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
@@ -324,20 +388,32 @@ pub(super) fn sharpen_all(image: GrayView<'_>, grid: &mut Grid, sizes: &[WindowS
     }
     for index in 0..grid.doubtful.len() {
         let (i, j) = grid.doubtful[index];
-        if let Some(node) = Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes)) {
+        if let Some(node) =
+            Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes))
+        {
             grid.set(i, j, node);
         }
     }
 }
 
-/// The corner of `node` where `image` shows it, in windows of `reaches` in turn. `None` if the first shows none.
-pub(super) fn sharpen(image: GrayView<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Option<Node> {
+/// The corner of `node` where `image` shows it, in windows of `reaches` in turn. `None` if the
+/// first shows none.
+pub(super) fn sharpen(
+    image: GrayView<'_>,
+    node: &Node,
+    steps: [Vec2; 2],
+    reaches: &[f32],
+) -> Option<Node> {
     let mut seen = None;
     for &reach in reaches {
         let center = seen.unwrap_or(node.pixel);
-        match window(center, steps, reach, WIDE.most_px).inside(image, 0.25).and_then(|window| window.look(image)) {
+        match window(center, steps, reach, WIDE.most_px)
+            .inside(image, 0.25)
+            .and_then(|window| window.look(image))
+        {
             Some(cross)
-                if cross.score > LEAST_NARROW_SCORE && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>
+                if cross.score > LEAST_NARROW_SCORE
+                    && cross.contrast / node.contrast > LEAST_NARROW_CONTRAST =>
             {
                 seen = Some(cross.center);
             }
@@ -359,7 +435,8 @@ fn alternates(image: GrayView<'_>, node: &Node, place: &Place, reach: f32, contr
         .is_some_and(|depth| depth * place.polarity >= LEAST_ALTERNATION * contrast.abs())
 }
 
-/// Mean contrast of the known corners up to `reach` lines from (i, j), and the same very near to them.
+/// Mean contrast of the known corners up to `reach` lines from (i, j), and the same very near to
+/// them.
 fn contrast_near(grid: &Grid, i: i32, j: i32, reach: i32) -> [f32; 2] {
     let (mut wide, mut near, mut count) = (0.0, 0.0, 0.0);
     for dj in -reach..=reach {
@@ -378,6 +455,10 @@ fn contrast_near(grid: &Grid, i: i32, j: i32, reach: i32) -> [f32; 2] {
 pub(super) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
     let area = u.x * v.y - u.y * v.x;
     let least = 0.1 * u.norm() * v.norm();
-    (area.abs() > least && area.abs() > 1.0)
-        .then(|| Vec2::new((vector.x * v.y - vector.y * v.x) / area, (u.x * vector.y - u.y * vector.x) / area))
+    (area.abs() > least && area.abs() > 1.0).then(|| {
+        Vec2::new(
+            (vector.x * v.y - vector.y * v.x) / area,
+            (u.x * vector.y - u.y * vector.x) / area,
+        )
+    })
 }

@@ -1,6 +1,7 @@
 //! One luma image → a chessboard, or the reason why not. Pure; uses geometry and imaging.
 //!
-//! **May miss, never mislabels.** `README.md` beside this file has the table of stages, what was measured, and what was tried.
+//! **May miss, never mislabels.** `README.md` beside this file has the table of stages, what was
+//! measured, and what was tried.
 
 mod bend;
 pub mod board_detection;

@@ -1,4 +1,5 @@
-//! Where corners far from all known ones must be: the perspective of the whole board, and how the lens bends it nearby.
+//! Where corners far from all known ones must be: the perspective of the whole board, and how the
+//! lens bends it nearby.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -11,8 +12,8 @@ type Right = SVector<f64, 8>;
 
 /// A homography from grid indices to pixels, fitted to all corners of a grid.
 ///
-/// It minimises the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w = 1 + h₃₁i + h₃₂j,
-/// indices counted from the grid's middle and pixels from the corners' mean.
+/// It minimises the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w
+/// = 1 + h₃₁i + h₃₂j, indices counted from the grid's middle and pixels from the corners' mean.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Perspective {
     h: Right,
@@ -35,7 +36,8 @@ impl Perspective {
         let count = pixels().count() as f32;
         let mean = pixels().fold(Vec2::zeros(), |sum, (_, _, p)| sum + p) / count;
         let spread = pixels().map(|(_, _, p)| (p - mean).norm()).sum::<f32>() / count;
-        let middle = (f64::from(bounds.i.0 + bounds.i.1) / 2.0, f64::from(bounds.j.0 + bounds.j.1) / 2.0);
+        let middle =
+            (f64::from(bounds.i.0 + bounds.i.1) / 2.0, f64::from(bounds.j.0 + bounds.j.1) / 2.0);
         let scale = f64::from(spread.max(1.0));
         let mut normal = Normal::zeros();
         let mut right = Right::zeros();
@@ -65,20 +67,30 @@ impl Perspective {
         })
     }
 
-    /// Where the corner (i, j) of `grid` must be: moved as the nearest known corners are off the homography.
+    /// Where the corner (i, j) of `grid` must be: moved as the nearest known corners are off the
+    /// homography.
     pub(super) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
         self.predict_by(grid, i, j, |_, _| true)
     }
 
     /// The same, moved as those corners only that are `believed`.
-    fn predict_by(&self, grid: &Grid, i: i32, j: i32, believed: impl Fn(i32, i32) -> bool) -> Option<Vec2> {
+    fn predict_by(
+        &self,
+        grid: &Grid,
+        i: i32,
+        j: i32,
+        believed: impl Fn(i32, i32) -> bool,
+    ) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
         for &(mi, mj) in grid.members.iter().filter(|&&(mi, mj)| believed(mi, mj)) {
             let away = ((mi - i) * (mi - i) + (mj - j) * (mj - j)) as f32;
             if away > 16.0 || away == 0.0 {
                 continue;
             }
-            let (Some(seen), Some(put)) = (grid.pixel(mi, mj), self.at(mi as f32, mj as f32)) else { continue };
+            let (Some(seen), Some(put)) = (grid.pixel(mi, mj), self.at(mi as f32, mj as f32))
+            else {
+                continue;
+            };
             let w = 1.0 / (away * away);
             sum += (seen - put) * w;
             weight += w;
@@ -87,16 +99,29 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
-    /// How far the corner (i, j) of `grid` lies from where it must be as the `believed` ones have it, in steps.
-    pub(super) fn off(&self, grid: &Grid, i: i32, j: i32, believed: impl Fn(i32, i32) -> bool) -> Option<f32> {
-        let off = in_steps(grid.pixel(i, j)? - self.predict_by(grid, i, j, believed)?, self.steps(i, j)?)?;
+    /// How far the corner (i, j) of `grid` lies from where it must be as the `believed` ones have
+    /// it, in steps.
+    pub(super) fn off(
+        &self,
+        grid: &Grid,
+        i: i32,
+        j: i32,
+        believed: impl Fn(i32, i32) -> bool,
+    ) -> Option<f32> {
+        let off = in_steps(
+            grid.pixel(i, j)? - self.predict_by(grid, i, j, believed)?,
+            self.steps(i, j)?,
+        )?;
         Some(off.x.abs().max(off.y.abs()))
     }
 
     /// From (i, j) to the next corner along i and along j.
     pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         let (i, j) = (i as f32, j as f32);
-        Some([self.at(i + 0.5, j)? - self.at(i - 0.5, j)?, self.at(i, j + 0.5)? - self.at(i, j - 0.5)?])
+        Some([
+            self.at(i + 0.5, j)? - self.at(i - 0.5, j)?,
+            self.at(i, j + 0.5)? - self.at(i, j - 0.5)?,
+        ])
     }
 }
 
@@ -109,12 +134,25 @@ mod tests {
     fn a_board_in_perspective_is_continued_across_a_gap() {
         let at = |i: i32, j: i32| {
             let w = 1.0 + 0.06 * i as f32 - 0.02 * j as f32;
-            Vec2::new(200.0 + (31.0 * i as f32 + 4.0 * j as f32) / w, 150.0 + (24.0 * j as f32 - 3.0 * i as f32) / w)
+            Vec2::new(
+                200.0 + (31.0 * i as f32 + 4.0 * j as f32) / w,
+                150.0 + (24.0 * j as f32 - 3.0 * i as f32) / w,
+            )
         };
         let mut grid = Grid::default();
         grid.clear(10, true);
         for (i, j) in (0..4).flat_map(|j| (0..5).map(move |i| (i, j))) {
-            grid.set(i, j, Node { pixel: at(i, j), contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
+            grid.set(
+                i,
+                j,
+                Node {
+                    pixel: at(i, j),
+                    contrast: 100.0,
+                    near_contrast: 90.0,
+                    score: 1.0,
+                    tight: false,
+                },
+            );
         }
         let perspective = Perspective::fit(&grid).expect("twenty corners");
         for (i, j) in [(7, 1), (8, 5), (-2, 0), (2, 7)] {
@@ -142,6 +180,9 @@ mod tests {
                 },
             );
         }
-        assert!(Perspective::fit(&grid).is_none_or(|p| p.predict(&grid, 2, 3).is_none_or(|q| q.x.is_finite())));
+        assert!(
+            Perspective::fit(&grid)
+                .is_none_or(|p| p.predict(&grid, 2, 3).is_none_or(|q| q.x.is_finite()))
+        );
     }
 }

@@ -1,8 +1,9 @@
 //! Where in the board a grid lies, and which way round: the canonical order of corners.
 //!
-//! Column and row of the board turn from +x to +y like the grid's i and j, because a camera sees the board's front; so
-//! the grid lies in the board by one of four quarter turns and a shift. The colours of squares, the seen ends of the
-//! board and the number of corners leave one of these, or say that it cannot be known.
+//! Column and row of the board turn from +x to +y like the grid's i and j, because a camera sees
+//! the board's front; so the grid lies in the board by one of four quarter turns and a shift. The
+//! colours of squares, the seen ends of the board and the number of corners leave one of these, or
+//! say that it cannot be known.
 
 use super::cross::Vec2;
 use super::grid::{Bounds, Grid};
@@ -55,9 +56,14 @@ struct Frame {
     height: i32,
 }
 
-/// Places `board` over `grid`, whose corners lie within `bounds` and whose sides at `ends` are the board's own. `None` if
-/// the board cannot lie there.
-pub(super) fn place(grid: &Grid, bounds: Bounds, ends: Ends, board: BoardSize) -> Option<Placement> {
+/// Places `board` over `grid`, whose corners lie within `bounds` and whose sides at `ends` are the
+/// board's own. `None` if the board cannot lie there.
+pub(super) fn place(
+    grid: &Grid,
+    bounds: Bounds,
+    ends: Ends,
+    board: BoardSize,
+) -> Option<Placement> {
     let (cols, rows) = (board.cols as i32, board.rows as i32);
     let shapes = [(cols, rows), (rows, cols)];
     let mut chosen: Option<Frame> = None;
@@ -75,30 +81,43 @@ pub(super) fn place(grid: &Grid, bounds: Bounds, ends: Ends, board: BoardSize) -
     Some(Placement { first, turns, known: frames == 1 })
 }
 
-/// Where a board of `length` corners may start so that it covers `least` to `most` and ends where it is seen to end.
-fn starts((least, most): (i32, i32), length: i32, [ends_low, ends_high]: [bool; 2]) -> std::ops::RangeInclusive<i32> {
+/// Where a board of `length` corners may start so that it covers `least` to `most` and ends where
+/// it is seen to end.
+fn starts(
+    (least, most): (i32, i32),
+    length: i32,
+    [ends_low, ends_high]: [bool; 2],
+) -> std::ops::RangeInclusive<i32> {
     let lowest = if ends_low { least } else { most - length + 1 };
     let highest = if ends_high { most - length + 1 } else { least };
     lowest.max(most - length + 1)..=highest.min(least)
 }
 
-/// The first corner and the direction of columns: the outer diagonal square dark, where that decides; else the corner
-/// nearest the image's top-left.
+/// The first corner and the direction of columns: the outer diagonal square dark, where that
+/// decides; else the corner nearest the image's top-left.
 fn first_corner(grid: &Grid, frame: Frame, board: BoardSize) -> Option<((i32, i32), u8)> {
     let Frame { i, j, width, height } = frame;
-    let corners = [(i, j), (i + width - 1, j), (i + width - 1, j + height - 1), (i, j + height - 1)];
-    let outer_squares =
-        [(i - 1, j - 1), (i + width - 1, j - 1), (i + width - 1, j + height - 1), (i - 1, j + height - 1)];
-    // At corner 0 columns run along +i without a turn, at corner 1 with one quarter turn, and so on.
+    let corners =
+        [(i, j), (i + width - 1, j), (i + width - 1, j + height - 1), (i, j + height - 1)];
+    let outer_squares = [
+        (i - 1, j - 1),
+        (i + width - 1, j - 1),
+        (i + width - 1, j + height - 1),
+        (i - 1, j + height - 1),
+    ];
+    // At corner 0 columns run along +i without a turn, at corner 1 with one quarter turn, and so
+    // on.
     let upright = (board.cols as i32, board.rows as i32) == (width, height);
     let fits = |turns: usize| board.cols == board.rows || turns.is_multiple_of(2) == upright;
     let choices = (0..4).filter(|&turns| fits(turns));
     if !board.orientation_ambiguous() {
-        let dark = |&turns: &usize| grid.polarity(outer_squares[turns].0, outer_squares[turns].1) < 0.0;
+        let dark =
+            |&turns: &usize| grid.polarity(outer_squares[turns].0, outer_squares[turns].1) < 0.0;
         return choices.filter(dark).map(|turns| (corners[turns], turns as u8)).next();
     }
     let distance = |turns: usize| {
-        let p = estimate(grid, corners[turns].0, corners[turns].1).map_or(f32::MAX, |p| p.norm_squared());
+        let p = estimate(grid, corners[turns].0, corners[turns].1)
+            .map_or(f32::MAX, |p| p.norm_squared());
         (p, turns)
     };
     let best = choices.map(distance).min_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -121,7 +140,8 @@ mod tests {
     use super::*;
     use crate::detection::grid::Node;
 
-    /// A grid of `width` × `height` corners turned by `turns` quarter turns in the image, square (0, 0) bright or not.
+    /// A grid of `width` × `height` corners turned by `turns` quarter turns in the image, square
+    /// (0, 0) bright or not.
     fn grid(width: i32, height: i32, turns: i32, bright: bool) -> Grid {
         let mut grid = Grid::default();
         grid.clear(20, bright);
@@ -129,7 +149,11 @@ mod tests {
         for (i, j) in (0..height).flat_map(|j| (0..width).map(move |i| (i, j))) {
             let (x, y) = (20.0 * i as f32, 20.0 * j as f32);
             let pixel = Vec2::new(300.0 + c * x - s * y, 300.0 + s * x + c * y);
-            grid.set(i, j, Node { pixel, contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false });
+            grid.set(
+                i,
+                j,
+                Node { pixel, contrast: 100.0, near_contrast: 90.0, score: 1.0, tight: false },
+            );
         }
         grid
     }
@@ -142,10 +166,12 @@ mod tests {
     fn the_outer_diagonal_square_of_the_first_corner_is_dark() {
         for bright in [false, true] {
             for (width, height) in [(9, 6), (6, 9)] {
-                let placement = placed(&grid(width, height, 0, bright), [false; 4], "9x6").expect("it fits");
+                let placement =
+                    placed(&grid(width, height, 0, bright), [false; 4], "9x6").expect("it fits");
                 assert!(placement.known);
                 let (i, j) = placement.in_grid(-1, -1);
-                // Of two diagonal neighbours, in_grid gives the corner; its outer square lies between it and the first.
+                // Of two diagonal neighbours, in_grid gives the corner; its outer square lies
+                // between it and the first.
                 let square = (i.min(placement.first.0), j.min(placement.first.1));
                 assert_eq!((square.0 + square.1) % 2 == 0, !bright);
                 let last = placement.in_grid(8, 5);
@@ -181,6 +207,10 @@ mod tests {
         let right = at([false, true, false, false]).expect("it fits");
         assert!(right.known && right != left);
         assert_eq!(at([true, true, false, false]), None, "a board of 7 columns");
-        assert_eq!(placed(&grid(7, 7, 0, true), [false; 4], "9x6"), None, "more rows than the board has");
+        assert_eq!(
+            placed(&grid(7, 7, 0, true), [false; 4], "9x6"),
+            None,
+            "more rows than the board has"
+        );
     }
 }

@@ -1,8 +1,10 @@
-//! The flat surface that a board lies on, as far as it goes: a plate, a table, a wall. A board covers a small part of most
-//! depth pictures; what it lies on often covers all of one, and tells what the board alone leaves open.
+//! The flat surface that a board lies on, as far as it goes: a plate, a table, a wall. A board
+//! covers a small part of most depth pictures; what it lies on often covers all of one, and tells
+//! what the board alone leaves open.
 //!
-//! Patches of the picture are taken in from the board outwards, each only where it goes on from one that was taken in: by its
-//! own noise, its slope, and how far it lies off the common plane. An edge, a gap or a step ends the surface.
+//! Patches of the picture are taken in from the board outwards, each only where it goes on from one
+//! that was taken in: by its own noise, its slope, and how far it lies off the common plane. An
+//! edge, a gap or a step ends the surface.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -15,14 +17,16 @@ use crate::imaging::depth_image::DepthImage;
 /// About how many patches cover a picture.
 const PATCHES: f64 = 400.0;
 
-/// A patch goes on from its neighbour if it differs from what the plane says between them by no more than this many standard
-/// deviations of both, and this part of 1/z: the systematic error changes by less from patch to patch.
+/// A patch goes on from its neighbour if it differs from what the plane says between them by no
+/// more than this many standard deviations of both, and this part of 1/z: the systematic error
+/// changes by less from patch to patch.
 const STEP: [f64; 2] = [4.0, 0.0015];
 
 /// A patch whose readings scatter this many times as much as the board's has an edge in it.
 const ROUGH: f64 = 1.6;
 
-/// Readings next to each other err together: a patch's mean is no better than this many standard deviations of one.
+/// Readings next to each other err together: a patch's mean is no better than this many standard
+/// deviations of one.
 const LEAST_READING_STDS: f64 = 0.1;
 
 /// One patch of the picture.
@@ -32,7 +36,8 @@ struct Patch {
     ray: Vector3<f64>,
 }
 
-/// The patches of the surface that `board` (its own patches) lies on, without those inside its `outline`.
+/// The patches of the surface that `board` (its own patches) lies on, without those inside its
+/// `outline`.
 pub fn grow_plane(
     picture: &DepthImage,
     (reading, lens): (DepthReading, &Lens),
@@ -46,8 +51,14 @@ pub fn grow_plane(
     stds.sort_by(f64::total_cmp);
     let Some(usual_std) = stds.get(stds.len() / 2).copied() else { return Vec::new() };
     let patch = |cell: usize| {
-        let tile = measure(picture, (reading, options.invalid), [cell % across * side, cell / across * side], side)?;
-        // Quantisation alone leaves a patch that lies along a step without any scatter: only more is suspicious.
+        let tile = measure(
+            picture,
+            (reading, options.invalid),
+            [cell % across * side, cell / across * side],
+            side,
+        )?;
+        // Quantisation alone leaves a patch that lies along a step without any scatter: only more
+        // is suspicious.
         let step = reading.inverse_depth_step(tile.inverse_depth);
         (tile.reading_std <= ROUGH * usual_std.hypot(0.5 * step)).then_some(())?;
         Some(Patch { tile, ray: ray(lens, tile.pixel)? })
@@ -62,7 +73,10 @@ pub fn grow_plane(
     let mut patch_at = |cell: usize| *measured[cell].get_or_insert_with(|| patch(cell));
     let inside = |pixel: Pixel| is_inside(outline, pixel);
     let on_board = |cell: usize| {
-        let at = Pixel::new(((cell % across) as f64 + 0.5) * side as f64, ((cell / across) as f64 + 0.5) * side as f64);
+        let at = Pixel::new(
+            ((cell % across) as f64 + 0.5) * side as f64,
+            ((cell / across) as f64 + 0.5) * side as f64,
+        );
         inside(at)
     };
     let mut layer: Vec<usize> =
@@ -75,7 +89,9 @@ pub fn grow_plane(
         for from in &layer {
             let Some(near) = patch_at(*from) else { continue };
             for cell in neighbours(*from, across, down) {
-                let Some(patch) = (if taken[cell] { None } else { patch_at(cell) }) else { continue };
+                let Some(patch) = (if taken[cell] { None } else { patch_at(cell) }) else {
+                    continue;
+                };
                 if goes_on(&normal, (&near, &patch), options.tolerance) {
                     taken[cell] = true;
                     next.push(cell);
@@ -115,8 +131,9 @@ impl Sums {
 
 fn goes_on(plane: &Vector3<f64>, (near, next): (&Patch, &Patch), tolerance: f64) -> bool {
     let off = |patch: &Patch| patch.tile.inverse_depth - plane.dot(&patch.ray);
-    let std =
-        |patch: &Patch| patch.tile.reading_std * (1.0 / f64::from(patch.tile.count)).sqrt().max(LEAST_READING_STDS);
+    let std = |patch: &Patch| {
+        patch.tile.reading_std * (1.0 / f64::from(patch.tile.count)).sqrt().max(LEAST_READING_STDS)
+    };
     let limit = STEP[0] * std(near).hypot(std(next)) + STEP[1] * next.tile.inverse_depth;
     (off(next) - off(near)).abs() <= limit && off(next).abs() <= tolerance * next.tile.inverse_depth
 }
@@ -159,7 +176,8 @@ fn ray(lens: &Lens, pixel: Pixel) -> Option<Vector3<f64>> {
 fn is_inside(outline: &[Pixel], pixel: Pixel) -> bool {
     let sides = outline.iter().zip(outline.iter().cycle().skip(1));
     let crossings = sides.filter(|(a, b)| {
-        (a.y <= pixel.y) != (b.y <= pixel.y) && a.x + (pixel.y - a.y) / (b.y - a.y) * (b.x - a.x) < pixel.x
+        (a.y <= pixel.y) != (b.y <= pixel.y)
+            && a.x + (pixel.y - a.y) / (b.y - a.y) * (b.x - a.x) < pixel.x
     });
     crossings.count() % 2 == 1
 }
@@ -180,10 +198,15 @@ mod tests {
     /// Grows from a board in the middle of a picture with this depth, in metres.
     fn grown(z_m: impl Fn(f64, f64) -> f64) -> Vec<DepthTile> {
         let noise = |k: usize| 0.0004 * ((k as f64 * 12.9898).sin() * 43_758.545_3).fract();
-        let reading = |k: usize| ((z_m((k % 320) as f64, (k / 320) as f64) + noise(k)) * 10_000.0).round() as u16;
-        let picture = DepthImage::new(ImageSize::new(320, 240), (0..320 * 240).map(reading).collect()).unwrap();
-        let outline: Vec<Pixel> =
-            [(120.0, 90.0), (200.0, 90.0), (200.0, 150.0), (120.0, 150.0)].map(|(x, y)| Pixel::new(x, y)).to_vec();
+        let reading = |k: usize| {
+            ((z_m((k % 320) as f64, (k / 320) as f64) + noise(k)) * 10_000.0).round() as u16
+        };
+        let picture =
+            DepthImage::new(ImageSize::new(320, 240), (0..320 * 240).map(reading).collect())
+                .unwrap();
+        let outline: Vec<Pixel> = [(120.0, 90.0), (200.0, 90.0), (200.0, 150.0), (120.0, 150.0)]
+            .map(|(x, y)| Pixel::new(x, y))
+            .to_vec();
         let options = PlaneOptions::default();
         let board = find_board_plane(&picture, (METRIC, &lens()), &outline, &options).unwrap();
         grow_plane(&picture, (METRIC, &lens()), (&board, &outline), &options)
@@ -197,19 +220,34 @@ mod tests {
     fn a_wall_is_followed_to_its_edges_and_through_a_slow_error() {
         let all = grown(tilted);
         assert!(all.len() > 300, "{}", all.len());
-        assert!(all.iter().all(|tile| (1.0 / tile.inverse_depth - tilted(tile.pixel.x, tile.pixel.y)).abs() < 5e-4));
-        let bent = grown(|x, y| tilted(x, y) * (1.0 + 2e-7 * ((x - 160.0).powi(2) + (y - 120.0).powi(2))));
+        assert!(all.iter().all(|tile| {
+            (1.0 / tile.inverse_depth - tilted(tile.pixel.x, tile.pixel.y)).abs() < 5e-4
+        }));
+        let bent =
+            grown(|x, y| tilted(x, y) * (1.0 + 2e-7 * ((x - 160.0).powi(2) + (y - 120.0).powi(2))));
         assert!(bent.len() > 300, "{}", bent.len());
     }
 
     #[test]
     fn a_step_an_edge_and_another_wall_end_it() {
-        let right_of = |tiles: &[DepthTile], x: f64| tiles.iter().filter(|tile| tile.pixel.x > x).count();
+        let right_of =
+            |tiles: &[DepthTile], x: f64| tiles.iter().filter(|tile| tile.pixel.x > x).count();
         let step = grown(|x, y| tilted(x, y) + if x > 230.0 { 0.02 } else { 0.0 });
-        assert!(right_of(&step, 232.0) == 0 && step.len() > 150, "{} {}", right_of(&step, 232.0), step.len());
+        assert!(
+            right_of(&step, 232.0) == 0 && step.len() > 150,
+            "{} {}",
+            right_of(&step, 232.0),
+            step.len()
+        );
         let corner = grown(|x, y| tilted(x, y) - if x > 230.0 { 0.004 * (x - 230.0) } else { 0.0 });
-        assert!(right_of(&corner, 245.0) == 0 && corner.len() > 150, "{}", right_of(&corner, 245.0));
-        let alone = grown(|x, y| if (115.0..205.0).contains(&x) && (85.0..155.0).contains(&y) { 1.0 } else { 1.5 });
+        assert!(
+            right_of(&corner, 245.0) == 0 && corner.len() > 150,
+            "{}",
+            right_of(&corner, 245.0)
+        );
+        let alone = grown(|x, y| {
+            if (115.0..205.0).contains(&x) && (85.0..155.0).contains(&y) { 1.0 } else { 1.5 }
+        });
         assert!(alone.len() < 4, "{}", alone.len());
     }
 }

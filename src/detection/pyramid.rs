@@ -1,7 +1,7 @@
 //! Smaller copies of an image, each pixel the mean of 2×2 of the level below.
 //!
-//! A coarse level is looked at first: it costs a fraction of the image, and blur, motion and noise shrink with it.
-//! Level 0 is the image itself, which is never copied.
+//! A coarse level is looked at first: it costs a fraction of the image, and blur, motion and noise
+//! shrink with it. Level 0 is the image itself, which is never copied.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::gray::GrayView;
@@ -45,11 +45,16 @@ impl Pyramid {
     /// Level `level` of the image the pyramid was built from; 0 is `image` itself.
     pub(super) fn level<'a>(&'a self, image: GrayView<'a>, level: usize) -> GrayView<'a> {
         let level = level.min(self.built);
-        level.checked_sub(1).and_then(|above| self.levels.get(above)).and_then(Plane::view).unwrap_or(image)
+        level
+            .checked_sub(1)
+            .and_then(|above| self.levels.get(above))
+            .and_then(Plane::view)
+            .unwrap_or(image)
     }
 }
 
-/// The coarsest level worth looking at: about 150 pixels and at least `cells` × 7 on its longer side.
+/// The coarsest level worth looking at: about 150 pixels and at least `cells` × 7 on its longer
+/// side.
 pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     let longer = size.width.max(size.height) as usize;
     let least = 150.max(cells * 7);
@@ -100,7 +105,8 @@ mod tests {
 
     #[test]
     fn a_level_is_the_rounded_mean_of_four() {
-        let image = GrayImage::from_pixels(5, 4, (0..20).map(|i| i * 7).collect()).expect("twenty pixels");
+        let image =
+            GrayImage::from_pixels(5, 4, (0..20).map(|i| i * 7).collect()).expect("twenty pixels");
         let mut pyramid = Pyramid::default();
         pyramid.build(image.view(), 2);
         let half = pyramid.level(image.view(), 1);

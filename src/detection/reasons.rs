@@ -42,14 +42,22 @@ impl Detector {
     /// The reason why the board in `part` is not whole.
     pub(super) fn part_reason(&self, image: GrayView<'_>, seen: usize) -> NoBoard {
         let (part, board) = (&self.part, self.board);
-        let (longer, shorter) = (board.cols.max(board.rows) as i32, board.cols.min(board.rows) as i32);
-        let (width, height) = part.bounds().map_or((0, 0), |bounds| (bounds.width(), bounds.height()));
-        let inside =
-            |p: Vec2| p.x > 1.0 && p.y > 1.0 && p.x < image.width() as f32 - 2.0 && p.y < image.height() as f32 - 2.0;
+        let (longer, shorter) =
+            (board.cols.max(board.rows) as i32, board.cols.min(board.rows) as i32);
+        let (width, height) =
+            part.bounds().map_or((0, 0), |bounds| (bounds.width(), bounds.height()));
+        let inside = |p: Vec2| {
+            p.x > 1.0
+                && p.y > 1.0
+                && p.x < image.width() as f32 - 2.0
+                && p.y < image.height() as f32 - 2.0
+        };
         let beyond = |&(i, j): &(i32, i32), (di, dj): (i32, i32)| {
             let grown = (width.max(height) < longer) || (width.min(height) < shorter);
             let next = (i + di, j + dj);
-            grown && part.get(next.0, next.1).is_none() && part.predict(next.0, next.1).is_some_and(|p| !inside(p))
+            grown
+                && part.get(next.0, next.1).is_none()
+                && part.predict(next.0, next.1).is_some_and(|p| !inside(p))
         };
         let ways = [(1, 0), (0, 1), (-1, 0), (0, -1)];
         if part.members.iter().any(|member| ways.into_iter().any(|way| beyond(member, way))) {
@@ -60,8 +68,9 @@ impl Detector {
     }
 }
 
-/// Width of the sharpest edges of `image`, as a Gaussian's standard deviation: the slope of an edge of height h blurred by σ
-/// is h/(σ√2π), and the edges are taken to be as high as the picture's `range` of brightness.
+/// Width of the sharpest edges of `image`, as a Gaussian's standard deviation: the slope of an edge
+/// of height h blurred by σ is h/(σ√2π), and the edges are taken to be as high as the picture's
+/// `range` of brightness.
 fn sharpest_blur(image: GrayView<'_>, range: u8) -> f32 {
     let mut counts = [0usize; 256];
     for y in 1..image.height().saturating_sub(1) {

@@ -1,4 +1,5 @@
-//! From the corners of a grid to what is answered: refined, in the board's order, with what is in doubt left out.
+//! From the corners of a grid to what is answered: refined, in the board's order, with what is in
+//! doubt left out.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
 use super::cross::Vec2;
@@ -17,12 +18,15 @@ use crate::imaging::gray::GrayView;
 const STANDING_SCORE: f32 = 0.7;
 /// How far such a one may lie from where its neighbours put it, in steps.
 const STANDING_OFF: f32 = 0.05;
-/// Least standard deviation of a corner with something in front of it a few pixels away, whose edge may pull it.
+/// Least standard deviation of a corner with something in front of it a few pixels away, whose edge
+/// may pull it.
 const TIGHT_STD_PX: f64 = 0.3;
-/// How far a corner of a part may lie from where its neighbours put it, in steps; one with something in front of it.
+/// How far a corner of a part may lie from where its neighbours put it, in steps; one with
+/// something in front of it.
 const MOST_ASTRAY: f32 = 0.12;
 const MOST_ASTRAY_TIGHT: f32 = 0.08;
-/// A corner whose standard deviation is so many of the usual ones may be another thing's, and is held to the same.
+/// A corner whose standard deviation is so many of the usual ones may be another thing's, and is
+/// held to the same.
 const DOUBTFUL_STDS: f64 = 5.0;
 /// Corners that tell where those must be that have no square of their own.
 const LEAST_FIRM: usize = 8;
@@ -46,7 +50,8 @@ impl Detector {
                 Some(refined) if stays(guess, refined) => {
                     let (i, j) = placement.in_grid(index.col, index.row);
                     let tight = self.part.get(i, j).is_some_and(|node| node.tight);
-                    let std_px = if tight { refined.std_px.max(TIGHT_STD_PX) } else { refined.std_px };
+                    let std_px =
+                        if tight { refined.std_px.max(TIGHT_STD_PX) } else { refined.std_px };
                     corners.push(DetectedCorner { index, pixel: refined.pixel, std_px });
                     self.blurs.push(refined.blur_px);
                 }
@@ -65,13 +70,18 @@ impl Detector {
             self.spare = corners;
             return Err(self.part_reason(image, seen));
         }
-        let placement = if partial { self.as_far_as_reported(image, placement, &corners) } else { placement };
+        let placement =
+            if partial { self.as_far_as_reported(image, placement, &corners) } else { placement };
         self.whole = Some(placement).filter(|_| !partial);
         Ok(self.detection(placement, corners))
     }
 
     /// The detection of `corners`, with the middle one of the blurs that were seen.
-    pub(super) fn detection(&mut self, placement: Placement, corners: Vec<DetectedCorner>) -> Detection {
+    pub(super) fn detection(
+        &mut self,
+        placement: Placement,
+        corners: Vec<DetectedCorner>,
+    ) -> Detection {
         Detection {
             board: self.board,
             partial: corners.len() < self.board.corner_count(),
@@ -115,8 +125,8 @@ impl Detector {
         self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
     }
 
-    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a board may end beside a
-    /// corner, and be taken for one of its edges.
+    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a
+    /// board may end beside a corner, and be taken for one of its edges.
     fn drop_astray(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
         let part = &mut self.part;
         for corner in corners.iter() {
@@ -141,18 +151,24 @@ impl Detector {
             if !firm(i, j)
                 && let Some(off) = of_firm.as_ref().and_then(|board| board.off(part, i, j, firm))
             {
-                // A line along the edge of a cover is no witness for itself: it may follow that edge, corner by corner.
+                // A line along the edge of a cover is no witness for itself: it may follow that
+                // edge, corner by corner.
                 let tight = part.get(i, j).is_some_and(|node| node.tight);
                 let bent = off_bent(part, i, j).filter(|_| tight).unwrap_or(off);
                 return if tight { off.min(bent) < MOST_ASTRAY_TIGHT } else { near(off) };
             }
-            // At the end of a line few neighbours tell, and a slant or a bend misleads them; the whole board knows better.
+            // At the end of a line few neighbours tell, and a slant or a bend misleads them; the
+            // whole board knows better.
             astray(part, i, j, most).is_none_or(near)
-                || perspective.as_ref().and_then(|board| board.off(part, i, j, |_, _| true)).is_some_and(near)
+                || perspective
+                    .as_ref()
+                    .and_then(|board| board.off(part, i, j, |_, _| true))
+                    .is_some_and(near)
         });
     }
 
-    /// The placement of a part, known only if the corners that are reported tell it, and no line of a single one.
+    /// The placement of a part, known only if the corners that are reported tell it, and no line of
+    /// a single one.
     fn as_far_as_reported(
         &mut self,
         image: GrayView<'_>,
@@ -167,7 +183,8 @@ impl Detector {
             let (i, j) = part.members[index];
             let (col, row) = placement.in_board(i, j);
             // Corners are in row-major order.
-            let reported = corners.binary_search_by_key(&(row, col), |corner| (corner.index.row, corner.index.col));
+            let reported = corners
+                .binary_search_by_key(&(row, col), |corner| (corner.index.row, corner.index.col));
             if reported.is_err() {
                 part.remove(i, j);
             }
@@ -179,18 +196,20 @@ impl Detector {
         Placement { known: again == Some(placement), ..placement }
     }
 
-    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its neighbours, with all
-    /// edges to them.
+    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its
+    /// neighbours, with all edges to them.
     fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
         let GridIndex { col, row } = guess.index;
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
         let on_board = |&(c, r): &(i32, i32)| (0..cols).contains(&c) && (0..rows).contains(&r);
-        let complete = around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
+        let complete =
+            around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
         let (i, j) = placement.in_grid(col, row);
         let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
         let clear = self.part.get(i, j).is_some_and(|node| node.score >= STANDING_SCORE);
-        let in_place = clear && off_neighbours(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
+        let in_place =
+            clear && off_neighbours(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
         complete && seen >= 2 && held == seen && in_place
     }
 }
@@ -201,14 +220,26 @@ fn middle_one(values: &mut [f64]) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of a square, at least 0.3.
+/// Standard deviation of a corner that was found but could not be refined, in pixels: a fiftieth of
+/// a square, at least 0.3.
 fn guess_std_px(guess: &GridCorner) -> f64 {
-    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    let nearest = guess
+        .neighbours
+        .iter()
+        .flatten()
+        .map(|p| p.distance_px(guess.pixel))
+        .fold(f64::MAX, f64::min);
     (0.02 * nearest).clamp(0.3, 3.0)
 }
 
-/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its nearest neighbour.
+/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its
+/// nearest neighbour.
 fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
-    let nearest = guess.neighbours.iter().flatten().map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+    let nearest = guess
+        .neighbours
+        .iter()
+        .flatten()
+        .map(|p| p.distance_px(guess.pixel))
+        .fold(f64::MAX, f64::min);
     refined.pixel.distance_px(guess.pixel) < 0.25 * nearest
 }

@@ -1,14 +1,16 @@
 //! How much each pixel looks like the middle of four chessboard squares.
 //!
-//! On a ring of 16 pixels about the point, opposite pixels of a chessboard corner are alike, and the means of opposite
-//! pairs differ from pair to pair: bright along one diagonal, dark along the other. An edge has unlike opposites; a
-//! stripe has a middle unlike its ring. So, with a_k the mean and d_k the difference of the k-th of eight opposite pairs,
+//! On a ring of 16 pixels about the point, opposite pixels of a chessboard corner are alike, and
+//! the means of opposite pairs differ from pair to pair: bright along one diagonal, dark along the
+//! other. An edge has unlike opposites; a stripe has a middle unlike its ring. So, with a_k the
+//! mean and d_k the difference of the k-th of eight opposite pairs,
 //!
 //! > response = (max a − min a) − mean d − 2·|middle − mean a|
 //!
-//! after Bennett and Lasenby, "ChESS – quick and robust detection of chess-board features" (CVIU 118, 2014), with the
-//! range of the eight means in place of their sums over pairs at right angles, so that a board seen at a slant, whose
-//! squares are acute, still answers. All in saturating eight-bit arithmetic, 32 pixels an instruction where there is AVX2.
+//! after Bennett and Lasenby, "ChESS – quick and robust detection of chess-board features" (CVIU
+//! 118, 2014), with the range of the eight means in place of their sums over pairs at right angles,
+//! so that a board seen at a slant, whose squares are acute, still answers. All in saturating
+//! eight-bit arithmetic, 32 pixels an instruction where there is AVX2.
 
 use crate::imaging::gray::GrayView;
 
@@ -16,7 +18,8 @@ use crate::imaging::gray::GrayView;
 pub(super) const REACH: usize = 4;
 
 /// Half of the ring, in order of its angle from +x towards +y; the other half is opposite.
-pub(super) const HALF_RING: [(i32, i32); 8] = [(4, 0), (4, 2), (3, 3), (2, 4), (0, 4), (-2, 4), (-3, 3), (-4, 2)];
+pub(super) const HALF_RING: [(i32, i32); 8] =
+    [(4, 0), (4, 2), (3, 3), (2, 4), (0, 4), (-2, 4), (-3, 3), (-4, 2)];
 
 /// The response at every pixel of an image, rows without padding.
 #[derive(Debug, Default)]
@@ -27,7 +30,8 @@ pub(super) struct Response {
 }
 
 impl Response {
-    /// Computes the response of `image` in one of `every` rows; 0 in the others, and within [`REACH`] of the border.
+    /// Computes the response of `image` in one of `every` rows; 0 in the others, and within
+    /// [`REACH`] of the border.
     pub(super) fn compute(&mut self, image: GrayView<'_>, every: usize) {
         (self.width, self.height) = (image.width(), image.height());
         let (width, height) = (self.width, self.height);
@@ -61,7 +65,8 @@ impl Response {
     }
 }
 
-/// The rows that are not at the border. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+/// The rows that are not at the border. A struct, not a closure: all of it must be inlined to be
+/// compiled for the processor.
 struct Rows<'a> {
     image: GrayView<'a>,
     values: &'a mut [u8],
@@ -99,8 +104,9 @@ fn apart(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-/// A function of two neighbours at a time, of eight: the shape of a mean, a most and a least. Written out, because a closure
-/// in the loop over pixels may be left uninlined, and then none of it is vectorised.
+/// A function of two neighbours at a time, of eight: the shape of a mean, a most and a least.
+/// Written out, because a closure in the loop over pixels may be left uninlined, and then none of
+/// it is vectorised.
 macro_rules! of_eight {
     ($f:path, $v:expr) => {
         $f($f($f($v[0], $v[1]), $f($v[2], $v[3])), $f($f($v[4], $v[5]), $f($v[6], $v[7])))
@@ -155,6 +161,9 @@ fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
         let range = of_eight!(u8::max, means) - of_eight!(u8::min, means);
         let center = mean(mean(middle[0][i], middle[1][i]), mean(middle[2][i], middle[3][i]));
         let offset = apart(center, of_eight!(mean, means));
-        out[i] = range.saturating_sub(of_eight!(mean, unlike)).saturating_sub(offset).saturating_sub(offset);
+        out[i] = range
+            .saturating_sub(of_eight!(mean, unlike))
+            .saturating_sub(offset)
+            .saturating_sub(offset);
     }
 }

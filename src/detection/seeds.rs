@@ -1,7 +1,7 @@
 //! Four candidates that close a square of a chessboard: where a grid starts.
 //!
-//! From a candidate its two edges lead to its neighbours, whose colours are the other way round; if both ways to the
-//! fourth corner end at the same candidate, the four are very likely one square.
+//! From a candidate its two edges lead to its neighbours, whose colours are the other way round; if
+//! both ways to the fourth corner end at the same candidate, the four are very likely one square.
 
 use super::candidates::Candidate;
 use super::cross::Vec2;
@@ -68,17 +68,26 @@ impl Neighbourhood {
         (at(p.x, self.across), at(p.y, self.down))
     }
 
-    /// The square that starts at candidate `first`, if its neighbours close one within `reach` pixels a side.
-    pub(super) fn seed(&mut self, candidates: &[Candidate], first: usize, reach: f32) -> Option<Seed> {
+    /// The square that starts at candidate `first`, if its neighbours close one within `reach`
+    /// pixels a side.
+    pub(super) fn seed(
+        &mut self,
+        candidates: &[Candidate],
+        first: usize,
+        reach: f32,
+    ) -> Option<Seed> {
         let links = self.links(candidates, first, reach);
         for quarter in 0..4 {
             let (Some(a), Some(b)) = (links[quarter], links[(quarter + 1) % 4]) else { continue };
             let along_i = direction(&candidates[first], quarter);
             let along_j = direction(&candidates[first], (quarter + 1) % 4);
-            let fourth = self.links(candidates, a, reach)[nearest_direction(&candidates[a], along_j)];
-            let again = self.links(candidates, b, reach)[nearest_direction(&candidates[b], along_i)];
+            let fourth =
+                self.links(candidates, a, reach)[nearest_direction(&candidates[a], along_j)];
+            let again =
+                self.links(candidates, b, reach)[nearest_direction(&candidates[b], along_i)];
             if fourth.is_some() && fourth == again {
-                return fourth.map(|d| Seed { corners: [first, a, b, d], bright: quarter % 2 == 0 });
+                return fourth
+                    .map(|d| Seed { corners: [first, a, b, d], bright: quarter % 2 == 0 });
             }
         }
         None
@@ -99,7 +108,8 @@ impl Neighbourhood {
             self.visit_ring(bx, by, ring, |index| {
                 let other = &candidates[index];
                 let step = other.pixel - origin.pixel;
-                // The way along an edge and the way off it together are no shorter than the way straight there.
+                // The way along an edge and the way off it together are no shorter than the way
+                // straight there.
                 if step.norm_squared() >= farthest * farthest {
                     return;
                 }
@@ -109,7 +119,8 @@ impl Neighbourhood {
                 let off = (step.x * way.y - step.y * way.x).abs();
                 // A little off the edge is worth a little more way.
                 let distance = along + off;
-                let nearer = along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
+                let nearer =
+                    along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
                 if nearer && opposite_colours(origin, other) {
                     best[quarter] = (distance, Some(index));
                     farthest = best.iter().fold(0.0, |most, &(distance, _)| distance.max(most));
@@ -140,11 +151,18 @@ impl Neighbourhood {
     }
 
     /// Visits the candidates within `reach` pixels of `place`.
-    pub(super) fn visit_near(&self, candidates: &[Candidate], place: Vec2, reach: f32, mut visit: impl FnMut(usize)) {
+    pub(super) fn visit_near(
+        &self,
+        candidates: &[Candidate],
+        place: Vec2,
+        reach: f32,
+        mut visit: impl FnMut(usize),
+    ) {
         let (left, top) = self.bin_of(place - Vec2::repeat(reach));
         let (right, bottom) = self.bin_of(place + Vec2::repeat(reach));
         for y in top..=bottom {
-            let (first, last) = (self.starts[y * self.across + left], self.starts[y * self.across + right + 1]);
+            let (first, last) =
+                (self.starts[y * self.across + left], self.starts[y * self.across + right + 1]);
             for &member in &self.members[first as usize..last as usize] {
                 if (candidates[member as usize].pixel - place).norm_squared() < reach * reach {
                     visit(member as usize);
@@ -160,7 +178,8 @@ impl Neighbourhood {
             let whole = y as isize == top || y == bottom;
             let mut bin = |x: usize| {
                 let at = y * self.across + x;
-                for &member in &self.members[self.starts[at] as usize..self.starts[at + 1] as usize] {
+                for &member in &self.members[self.starts[at] as usize..self.starts[at + 1] as usize]
+                {
                     visit(member as usize);
                 }
             };
@@ -191,7 +210,8 @@ fn nearest_direction(candidate: &Candidate, step: Vec2) -> usize {
     if along[edge] > 0.0 { edge } else { edge + 2 }
 }
 
-/// Neighbours on a board share their edges' directions, with the bright wedges where the other has the dark ones.
+/// Neighbours on a board share their edges' directions, with the bright wedges where the other has
+/// the dark ones.
 fn opposite_colours(p: &Candidate, q: &Candidate) -> bool {
     let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
     turn(p.edges[0], q.edges[1]) < EDGE_TURN && turn(p.edges[1], q.edges[0]) < EDGE_TURN

@@ -1,8 +1,9 @@
 //! Where the board is now, if it is near where it was last: for live use, a fraction of a search.
 //!
-//! Each corner is looked at in the image itself, in a window as wide as its squares, where it was and where it would be if it
-//! went on as it moved. What is found must pass the tests of a search: every corner of the board, every edge, none beyond.
-//! Anything less is no answer, and the whole picture is searched.
+//! Each corner is looked at in the image itself, in a window as wide as its squares, where it was
+//! and where it would be if it went on as it moved. What is found must pass the tests of a search:
+//! every corner of the board, every edge, none beyond. Anything less is no answer, and the whole
+//! picture is searched.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::cross::Vec2;
@@ -23,8 +24,8 @@ const LEAST_STD_PX: f64 = 0.05;
 pub struct Sighting {
     /// The board.
     pub detection: Detection,
-    /// It was found near where it was last, without a search: its corners are not refined, but for those that tell the blur
-    /// and how exact the others are, and `std_px` is the same for all.
+    /// It was found near where it was last, without a search: its corners are not refined, but for
+    /// those that tell the blur and how exact the others are, and `std_px` is the same for all.
     pub followed: bool,
 }
 
@@ -52,19 +53,26 @@ impl LastBoard {
         self.before.clear();
         self.before.extend(self.nodes.iter().map(|node| node.pixel));
         self.nodes.clear();
-        let corners = (0..board.rows as i32).flat_map(|row| (0..board.cols as i32).map(move |col| (col, row)));
+        let corners = (0..board.rows as i32)
+            .flat_map(|row| (0..board.cols as i32).map(move |col| (col, row)));
         self.nodes.extend(corners.filter_map(|(col, row)| {
             let (i, j) = placement.in_grid(col, row);
             grid.get(i, j)
         }));
         self.motion.clear();
-        self.motion.extend(self.nodes.iter().zip(&self.before).map(|(node, before)| node.pixel - before));
+        self.motion
+            .extend(self.nodes.iter().zip(&self.before).map(|(node, before)| node.pixel - before));
         let ((i, j), (k, l)) = (placement.in_grid(0, 0), placement.in_grid(1, 1));
         self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
     }
 
     /// Where corner `index` should be.
-    pub(super) fn expect(&self, index: usize, board: BoardSize, with_motion: bool) -> Option<Expected> {
+    pub(super) fn expect(
+        &self,
+        index: usize,
+        board: BoardSize,
+        with_motion: bool,
+    ) -> Option<Expected> {
         let (cols, rows) = (board.cols as usize, board.rows as usize);
         let step = |at: usize, length: usize, stride: usize| {
             let low = index - stride.min(at * stride);
@@ -80,12 +88,17 @@ impl LastBoard {
 }
 
 impl Detector {
-    /// Finds the board in the next picture of a stream: first where it was last, else by [`Detector::find_board`], in the same
-    /// call. The pictures since this detector was made decide the answer, nothing else.
+    /// Finds the board in the next picture of a stream: first where it was last, else by
+    /// [`Detector::find_board`], in the same call. The pictures since this detector was made decide
+    /// the answer, nothing else.
     ///
     /// # Errors
     /// [`NoBoard`] says why there is none.
-    pub fn track_board(&mut self, image: GrayView<'_>, options: &DetectOptions) -> Result<Sighting, NoBoard> {
+    pub fn track_board(
+        &mut self,
+        image: GrayView<'_>,
+        options: &DetectOptions,
+    ) -> Result<Sighting, NoBoard> {
         if let Some(detection) = self.follow_board(image) {
             self.last.blur_px = detection.blur_px as f32;
             return Ok(Sighting { detection, followed: true });
@@ -120,7 +133,8 @@ impl Detector {
         self.report_followed(image, placement)
     }
 
-    /// The corners of `part` as they were followed; a few of them refined, to know the blur and how far the others may be off.
+    /// The corners of `part` as they were followed; a few of them refined, to know the blur and how
+    /// far the others may be off.
     fn report_followed(&mut self, image: GrayView<'_>, placement: Placement) -> Option<Detection> {
         self.take_guesses(placement);
         let mut corners = std::mem::take(&mut self.spare);
@@ -140,7 +154,8 @@ impl Detector {
         let mut squares = 0.0;
         for (guess, refined) in self.guesses.iter().zip(self.refined.iter().flatten()) {
             self.blurs.push(refined.blur_px);
-            squares += refined.pixel.distance_px(guess.pixel).powi(2) + 2.0 * refined.std_px.powi(2);
+            squares +=
+                refined.pixel.distance_px(guess.pixel).powi(2) + 2.0 * refined.std_px.powi(2);
         }
         let seen = self.blurs.len();
         if 2 * seen < SAMPLED {

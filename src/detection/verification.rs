@@ -13,15 +13,16 @@ pub(super) const MOST_OFF: f32 = 0.22;
 /// A grid with more misplaced corners than this is none.
 const MOST_MISPLACED: usize = 12;
 
-/// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe any of it.
+/// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe
+/// any of it.
 pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
     let total = drop_loose(image, grid);
     let believed = total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32;
     believed && drop_misplaced(grid)
 }
 
-/// Drops corners most of whose edges do not hold. Each drop takes an edge from others, so it goes round a few times.
-/// Returns what the last round counted.
+/// Drops corners most of whose edges do not hold. Each drop takes an edge from others, so it goes
+/// round a few times. Returns what the last round counted.
 fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
     let mut total = EdgeCount::default();
     for _ in 0..4 {
@@ -44,7 +45,8 @@ fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
     total
 }
 
-/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False if too many must go.
+/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False
+/// if too many must go.
 fn drop_misplaced(grid: &mut Grid) -> bool {
     for _ in 0..MOST_MISPLACED {
         let off = |&(i, j): &(i32, i32)| Some((astray(grid, i, j, MOST_OFF)?, (i, j)));
@@ -57,8 +59,8 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
     false
 }
 
-/// How far the corner (i, j) lies from where its neighbours put it, in steps; if that is more than `most`, on a board that may
-/// be bent.
+/// How far the corner (i, j) lies from where its neighbours put it, in steps; if that is more than
+/// `most`, on a board that may be bent.
 pub(super) fn astray(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
     let off = off_neighbours(grid, i, j)?;
     Some(if off > most { off_bent(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })

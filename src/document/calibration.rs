@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::calibration::{
-    CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, RigCamera, SensorCalibration,
+    CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, RigCamera,
+    SensorCalibration,
 };
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::document::depth::DepthDocument;
@@ -93,8 +94,8 @@ pub struct SensorDocument {
     pub lens: LensDocument,
     /// Standard deviation of each lens parameter.
     pub lens_std: LensStdDocument,
-    /// Covariance of the lens parameters, row by row in the order fx, fy, cx, cy, skew and the model's coefficients; left
-    /// out where it is not known.
+    /// Covariance of the lens parameters, row by row in the order fx, fy, cx, cy, skew and the
+    /// model's coefficients; left out where it is not known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lens_covariance: Vec<Vec<f64>>,
     /// Root mean square of the used corners' reprojection errors, in pixels.
@@ -104,16 +105,16 @@ pub struct SensorDocument {
     /// The lens models that were compared, where the choice was left to the solve.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub compared: Vec<ComparedLensDocument>,
-    /// How far the board was bowed at its middle along its x and its y, in metres, away from the side that is seen; only
-    /// where that was to be estimated.
+    /// How far the board was bowed at its middle along its x and its y, in metres, away from the
+    /// side that is seen; only where that was to be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_warp_m: Option<[f64; 2]>,
     /// Each picture or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
 
-/// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion, in pixels; null where the
-/// views leave it without bound.
+/// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion, in
+/// pixels; null where the views leave it without bound.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UncertaintyDocument {
     /// At the image's centre.
@@ -151,7 +152,8 @@ pub struct ViewDocument {
 /// Where one sensor is relative to another.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExtrinsicsDocument {
-    /// What it maps, as in `color_from_depth`; between the cameras of a rig, as in `left_from_right`.
+    /// What it maps, as in `color_from_depth`; between the cameras of a rig, as in
+    /// `left_from_right`.
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
@@ -205,13 +207,22 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             camera: document.camera.clone(),
             session: document.session.clone(),
             created_at_ns: time::utc_ns(document.created_at),
-            target: document.target.map(Chessboard::try_from).transpose().map_err(|e| e.inside("target"))?,
+            target: document
+                .target
+                .map(Chessboard::try_from)
+                .transpose()
+                .map_err(|e| e.inside("target"))?,
             color: sensor(&document.sensors.color, "color")?,
             infrared: sensor(&document.sensors.infrared, "infrared")?,
             infrared2: sensor(&document.sensors.infrared2, "infrared2")?,
             depth: depth.transpose().map_err(|e| e.inside("sensors.depth"))?,
             cameras: document.cameras.iter().enumerate().map(camera).collect::<Result<_, _>>()?,
-            extrinsics: document.extrinsics.iter().enumerate().map(extrinsics).collect::<Result<_, _>>()?,
+            extrinsics: document
+                .extrinsics
+                .iter()
+                .enumerate()
+                .map(extrinsics)
+                .collect::<Result<_, _>>()?,
             checks: document.checks.into(),
             verdict: (&document.verdict).into(),
         })
@@ -220,7 +231,8 @@ impl TryFrom<&CalibrationDocument> for Calibration {
 
 impl From<&RigCamera> for RigCameraDocument {
     fn from(camera: &RigCamera) -> Self {
-        let sensors = SensorsDocument { color: Some((&camera.sensor).into()), ..SensorsDocument::default() };
+        let sensors =
+            SensorsDocument { color: Some((&camera.sensor).into()), ..SensorsDocument::default() };
         Self { name: camera.name.clone(), sensors }
     }
 }
@@ -229,8 +241,12 @@ impl TryFrom<&RigCameraDocument> for RigCamera {
     type Error = DocumentError;
     fn try_from(document: &RigCameraDocument) -> Result<Self, DocumentError> {
         let missing = || DocumentError::field("sensors.color", "is missing");
-        let sensor = SensorCalibration::try_from(document.sensors.color.as_ref().ok_or_else(missing)?);
-        Ok(Self { name: document.name.clone(), sensor: sensor.map_err(|e| e.inside("sensors.color"))? })
+        let sensor =
+            SensorCalibration::try_from(document.sensors.color.as_ref().ok_or_else(missing)?);
+        Ok(Self {
+            name: document.name.clone(),
+            sensor: sensor.map_err(|e| e.inside("sensors.color"))?,
+        })
     }
 }
 
@@ -259,7 +275,10 @@ impl TryFrom<&SensorDocument> for SensorCalibration {
         };
         Ok(Self {
             image_size: image_size(document.image_size)?,
-            lens_std: document.lens_std.to_values(lens.model()).map_err(|e| e.inside("lens_std"))?,
+            lens_std: document
+                .lens_std
+                .to_values(lens.model())
+                .map_err(|e| e.inside("lens_std"))?,
             lens_covariance: lens_covariance(&document.lens_covariance, lens.parameters().len())?,
             lens,
             rms_px: document.rms_px,
@@ -276,14 +295,16 @@ fn lens_covariance(rows: &[Vec<f64>], parameters: usize) -> Result<Vec<Vec<f64>>
     if rows.is_empty() || square {
         return Ok(rows.to_vec());
     }
-    let problem = format!("is not {parameters} rows of {parameters} numbers, one for each lens parameter");
+    let problem =
+        format!("is not {parameters} rows of {parameters} numbers, one for each lens parameter");
     Err(DocumentError::field("lens_covariance", problem))
 }
 
 /// An image size from `image_size`.
 ///
 /// # Errors
-/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels, and all no more than a picture may have.
+/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels, and all no more than a picture
+/// may have.
 pub fn image_size([width, height]: [u32; 2]) -> Result<ImageSize, DocumentError> {
     let fits = |side: u32| (1..=u32::from(u16::MAX)).contains(&side);
     let wrong = || {
@@ -374,8 +395,10 @@ impl From<&Extrinsics> for ExtrinsicsDocument {
 impl TryFrom<&ExtrinsicsDocument> for Extrinsics {
     type Error = DocumentError;
     fn try_from(document: &ExtrinsicsDocument) -> Result<Self, DocumentError> {
-        let target_from_source =
-            Pose::try_from(&PoseDocument { rotation: document.rotation, translation: document.translation })?;
+        let target_from_source = Pose::try_from(&PoseDocument {
+            rotation: document.rotation,
+            translation: document.translation,
+        })?;
         Ok(Self {
             name: document.name.clone(),
             target_from_source,
@@ -397,7 +420,8 @@ pub(crate) mod tests {
     /// A calibration with every field filled in.
     pub(crate) fn example() -> Calibration {
         let third = 1.0 / 3.0;
-        let target_from_source = Pose::from_axis_angle(Vector3::new(0.1, 0.2, -third), Vector3::new(0.0, -0.1, third));
+        let target_from_source =
+            Pose::from_axis_angle(Vector3::new(0.1, 0.2, -third), Vector3::new(0.0, -0.1, third));
         let view = |name: &str, used| CalibratedView {
             name: name.into(),
             used,
@@ -413,7 +437,9 @@ pub(crate) mod tests {
             image_size: ImageSize::new(640, 480),
             lens: lens.unwrap(),
             lens_std: vec![0.1, 0.1, 0.2, 0.2, 0.0, 0.01, 0.02, 1e-6, 1e-6, 0.0],
-            lens_covariance: (0..10).map(|i| (0..10).map(|j| third.powi(1 + i + j)).collect()).collect(),
+            lens_covariance: (0..10)
+                .map(|i| (0..10).map(|j| third.powi(1 + i + j)).collect())
+                .collect(),
             rms_px: third,
             uncertainty_px: ProjectionUncertainty { center: 0.01, median: 0.02, worst: 0.1 },
             views: vec![view("left01.jpg", true), view("left02.jpg", false)],
@@ -443,7 +469,10 @@ pub(crate) mod tests {
                 outlier_fraction: 0.01,
                 coverage: 0.8,
             },
-            verdict: Verdict { grade: Grade::Usable, reasons: vec!["no views in the lower left".into()] },
+            verdict: Verdict {
+                grade: Grade::Usable,
+                reasons: vec!["no views in the lower left".into()],
+            },
         }
     }
 
@@ -474,7 +503,9 @@ pub(crate) mod tests {
           "extrinsics": [],
           "checks": {"split_half_ratio": 0.0, "held_out_rms_px": 0.0, "outlier_fraction": 0.0, "coverage": 0.0},
           "verdict": {"grade": "good", "reasons": []}}"#;
-        let calibration = Calibration::try_from(&from_json::<CalibrationDocument>(json.as_bytes()).unwrap()).unwrap();
+        let calibration =
+            Calibration::try_from(&from_json::<CalibrationDocument>(json.as_bytes()).unwrap())
+                .unwrap();
         assert_eq!(calibration.created_at_ns, 1_767_323_045_500_000_000);
         assert_eq!(calibration.color.unwrap().lens.model(), LensModel::Brown);
     }

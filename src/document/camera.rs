@@ -45,7 +45,8 @@ pub struct CameraDocument {
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentityDocument,
-    /// What the device states of its own sensors, as it left the factory; left out where it states nothing.
+    /// What the device states of its own sensors, as it left the factory; left out where it states
+    /// nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub factory: Option<FactoryDocument>,
     /// The running session, if there is one.
@@ -121,9 +122,14 @@ impl FactoryDocument {
             (stated.sensor.name().to_owned(), document)
         };
         let extrinsics = |stated: &FactorySensor| {
-            let PoseDocument { rotation, translation } = PoseDocument::from(&stated.color_from_sensor?);
+            let PoseDocument { rotation, translation } =
+                PoseDocument::from(&stated.color_from_sensor?);
             let name = format!("color_from_{}", stated.sensor.name());
-            (stated.sensor != SensorKind::Color).then_some(FactoryExtrinsicsDocument { name, rotation, translation })
+            (stated.sensor != SensorKind::Color).then_some(FactoryExtrinsicsDocument {
+                name,
+                rotation,
+                translation,
+            })
         };
         (!factory.sensors.is_empty()).then(|| Self {
             sensors: factory.sensors.iter().map(sensor).collect(),

@@ -3,12 +3,16 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::calibration::depth_calibration::{DepthBias, DepthCalibration, DepthNoise, PictureDelay};
+use crate::calibration::depth_calibration::{
+    DepthBias, DepthCalibration, DepthNoise, PictureDelay,
+};
 use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
-use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, MAX_TERMS, SplineGrid};
+use crate::geometry::depth_correction::{
+    CorrectedQuantity, DepthCorrection, MAX_TERMS, SplineGrid,
+};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
@@ -37,8 +41,8 @@ pub struct DepthDocument {
     pub bias_m: BiasDocument,
     /// Noise of a reading: constant + quadratic · z², in metres.
     pub noise_m: NoiseDocument,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in milliseconds; left out where
-    /// the board's motion does not tell.
+    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// milliseconds; left out where the board's motion does not tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_ms: Option<f64>,
     /// Its standard deviation, in milliseconds.
@@ -65,8 +69,9 @@ pub struct DisparityDocument {
     pub slope: f64,
 }
 
-/// A correction: x' = x + Σ_k g_k(u, v) · x^k with x = 1/z or z, and g_k a uniform cubic B-spline surface with
-/// (cells + 3) nodes along each axis of the picture, row by row; without cells one number.
+/// A correction: x' = x + Σ_k g_k(u, v) · x^k with x = 1/z or z, and g_k a uniform cubic B-spline
+/// surface with (cells + 3) nodes along each axis of the picture, row by row; without cells one
+/// number.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CorrectionDocument {
     /// `inverse_depth` or `depth`.
@@ -75,7 +80,8 @@ pub struct CorrectionDocument {
     pub cells: [u32; 2],
     /// Power by power, the nodes of g_k.
     pub coefficients: Vec<Vec<f64>>,
-    /// The nearest and the farthest depth that it was fitted over, in metres; x is held at these ends in the sum.
+    /// The nearest and the farthest depth that it was fitted over, in metres; x is held at these
+    /// ends in the sum.
     pub seen_m: [f64; 2],
 }
 
@@ -139,7 +145,10 @@ impl From<&DepthCalibration> for DepthDocument {
             lens_std: LensStdDocument::new(camera.lens.model(), &depth.lens_std),
             correction: camera.correction.as_ref().map(CorrectionDocument::from),
             bias_m: BiasDocument { ranges: depth.bias.iter().map(range).collect() },
-            noise_m: NoiseDocument { constant: depth.noise.constant_m, quadratic: depth.noise.quadratic_per_m },
+            noise_m: NoiseDocument {
+                constant: depth.noise.constant_m,
+                quadratic: depth.noise.quadratic_per_m,
+            },
             time_offset_ms: depth.time_offset.map(|delay| delay.seconds * 1e3),
             time_offset_std_ms: depth.time_offset.map(|delay| delay.std_s * 1e3),
         }
@@ -154,16 +163,23 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
         let reading = match (document.kind, document.unit_m, document.disparity) {
             (DepthKind::Depth, Some(unit_m), _) if unit_m > 0.0 => DepthReading::Metric { unit_m },
             (DepthKind::Depth, ..) => {
-                return Err(DocumentError::field("unit_m", "must be metres per unit, above 0, for kind depth"));
+                return Err(DocumentError::field(
+                    "unit_m",
+                    "must be metres per unit, above 0, for kind depth",
+                ));
             }
             (DepthKind::Disparity, _, Some(DisparityDocument { offset, slope })) => {
                 DepthReading::Disparity { offset, slope }
             }
             (DepthKind::Disparity, _, None) => {
-                return Err(DocumentError::field("disparity", "must say offset and slope for kind disparity"));
+                return Err(DocumentError::field(
+                    "disparity",
+                    "must say offset and slope for kind disparity",
+                ));
             }
         };
-        let correction = document.correction.as_ref().map(|correction| correction.to_correction(image_size));
+        let correction =
+            document.correction.as_ref().map(|correction| correction.to_correction(image_size));
         let bias = |range: &BiasRangeDocument| DepthBias {
             from_m: range.from,
             to_m: range.to,
@@ -180,9 +196,15 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
                 correction: correction.transpose().map_err(|e| e.inside("correction"))?,
             },
             invalid: document.invalid,
-            lens_std: document.lens_std.to_values(lens.model()).map_err(|e| e.inside("lens_std"))?,
+            lens_std: document
+                .lens_std
+                .to_values(lens.model())
+                .map_err(|e| e.inside("lens_std"))?,
             bias: document.bias_m.ranges.iter().map(bias).collect(),
-            noise: DepthNoise { constant_m: document.noise_m.constant, quadratic_per_m: document.noise_m.quadratic },
+            noise: DepthNoise {
+                constant_m: document.noise_m.constant,
+                quadratic_per_m: document.noise_m.quadratic,
+            },
             time_offset: document.time_offset_ms.map(|offset_ms| PictureDelay {
                 seconds: offset_ms * 1e-3,
                 std_s: document.time_offset_std_ms.unwrap_or(0.0) * 1e-3,
@@ -212,10 +234,15 @@ impl CorrectionDocument {
         };
         let [cols, rows] = self.cells;
         if cols > 1000 || rows > 1000 || (cols == 0) != (rows == 0) {
-            return Err(DocumentError::field("cells", "must be two numbers up to 1000, or 0 and 0"));
+            return Err(DocumentError::field(
+                "cells",
+                "must be two numbers up to 1000, or 0 and 0",
+            ));
         }
         let grid = SplineGrid { size, cols, rows };
-        let whole = |nodes: &Vec<f64>| nodes.len() == grid.node_count() && nodes.iter().all(|node| node.is_finite());
+        let whole = |nodes: &Vec<f64>| {
+            nodes.len() == grid.node_count() && nodes.iter().all(|node| node.is_finite())
+        };
         let terms = self.coefficients.len();
         if terms == 0 || terms > MAX_TERMS || !self.coefficients.iter().all(whole) {
             let count = grid.node_count();
@@ -226,8 +253,17 @@ impl CorrectionDocument {
         }
         let [near, far] = self.seen_m;
         if !(near > 0.0 && far >= near && far.is_finite()) {
-            return Err(DocumentError::field("seen_m", "must be the nearest and the farthest distance, above 0"));
+            return Err(DocumentError::field(
+                "seen_m",
+                "must be the nearest and the farthest distance, above 0",
+            ));
         }
-        Ok(DepthCorrection { quantity, terms, grid, coefficients: self.coefficients.concat(), seen_m: self.seen_m })
+        Ok(DepthCorrection {
+            quantity,
+            terms,
+            grid,
+            coefficients: self.coefficients.concat(),
+            seen_m: self.seen_m,
+        })
     }
 }

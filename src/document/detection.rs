@@ -53,13 +53,14 @@ impl TryFrom<&DetectionDocument> for Detection {
         let board = BoardSize::new(document.cols, document.rows);
         let count = document.corners.len();
         if document.indices.len() != count || document.std_px.len() != count {
-            return Err(DocumentError::field("corners", "has another length than `indices` or `std_px`"));
+            return Err(DocumentError::field(
+                "corners",
+                "has another length than `indices` or `std_px`",
+            ));
         }
         let places = document.indices.iter().zip(&document.corners);
-        let corner = |((&[col, row], &[x, y]), &std_px): ((&[i32; 2], &[f64; 2]), &f64)| DetectedCorner {
-            index: GridIndex { col, row },
-            pixel: Pixel::new(x, y),
-            std_px,
+        let corner = |((&[col, row], &[x, y]), &std_px): ((&[i32; 2], &[f64; 2]), &f64)| {
+            DetectedCorner { index: GridIndex { col, row }, pixel: Pixel::new(x, y), std_px }
         };
         Ok(Self {
             board: board.map_err(|e| DocumentError::field("cols", e.to_string()))?,

@@ -40,7 +40,9 @@ impl DocumentError {
     /// The same error, seen from a document that holds this one as `parent`.
     pub fn inside(self, parent: &str) -> Self {
         match self {
-            Self::Field { field, problem } => Self::Field { field: format!("{parent}.{field}"), problem },
+            Self::Field { field, problem } => {
+                Self::Field { field: format!("{parent}.{field}"), problem }
+            }
             syntax @ Self::Syntax { .. } => syntax,
         }
     }

@@ -52,13 +52,14 @@ pub struct BoardAdviceDocument {
 }
 
 impl FocusDocument {
-    /// For a lens of which `blur_px` is sharp enough; `board` is the inner corners along a row and the image's width in
-    /// pixels.
+    /// For a lens of which `blur_px` is sharp enough; `board` is the inner corners along a row and
+    /// the image's width in pixels.
     pub fn new(lens: &ThinLens, blur_px: f64, board: Option<(u32, u32)>) -> Self {
         let bounded = |distance_m: f64| distance_m.is_finite().then_some(distance_m);
         let depth = lens.depth_of_field(blur_px);
         let advice = |(cols, width_px): (u32, u32)| {
-            let BoardAdvice { distance_m, square_m } = lens.board(cols.saturating_add(1), width_px, (FILL, blur_px));
+            let BoardAdvice { distance_m, square_m } =
+                lens.board(cols.saturating_add(1), width_px, (FILL, blur_px));
             BoardAdviceDocument { cols, square_m, distance_m }
         };
         Self {
@@ -67,7 +68,10 @@ impl FocusDocument {
             pixel_m: lens.pixel_m,
             focus_m: bounded(lens.focus_m),
             blur_px,
-            depth_of_field: DepthOfFieldDocument { near_m: depth.near_m, far_m: bounded(depth.far_m) },
+            depth_of_field: DepthOfFieldDocument {
+                near_m: depth.near_m,
+                far_m: bounded(depth.far_m),
+            },
             hyperfocal_m: lens.hyperfocal_m(blur_px),
             focal_px: lens.focal_px(),
             board: board.map(advice),
@@ -82,7 +86,8 @@ mod tests {
 
     #[test]
     fn infinity_is_null_and_the_rest_survives() {
-        let lens = ThinLens { focal_m: 0.008, f_number: 2.0, pixel_m: 3.45e-6, focus_m: f64::INFINITY };
+        let lens =
+            ThinLens { focal_m: 0.008, f_number: 2.0, pixel_m: 3.45e-6, focus_m: f64::INFINITY };
         let document = FocusDocument::new(&lens, 1.0, Some((9, 1280)));
         assert_eq!((document.focus_m, document.depth_of_field.far_m), (None, None));
         let board = document.board.clone().unwrap();

@@ -47,7 +47,8 @@ impl From<LensModelName> for LensModel {
     }
 }
 
-/// The lens model that is asked for: one by name, or `auto`, chosen by the error on views that were not fitted to.
+/// The lens model that is asked for: one by name, or `auto`, chosen by the error on views that were
+/// not fitted to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LensRequest {
@@ -138,7 +139,9 @@ pub struct LensDocument {
 impl LensDocument {
     fn new(model: LensModel, parameters: &[f64]) -> Self {
         let names = Lens::parameter_names(model);
-        let value = |name: &str| names.iter().position(|n| *n == name).and_then(|i| parameters.get(i)).copied();
+        let value = |name: &str| {
+            names.iter().position(|n| *n == name).and_then(|i| parameters.get(i)).copied()
+        };
         let number = |name: &str| value(name).unwrap_or(0.0);
         Self {
             model: model.into(),
@@ -172,13 +175,19 @@ impl LensDocument {
             ("k6", self.k6),
         ];
         let names = model.coefficient_names();
-        if let Some((extra, _)) = given.iter().find(|(name, value)| value.is_some() && !names.contains(name)) {
-            return Err(DocumentError::field(*extra, format!("a `{model}` lens has no such coefficient")));
+        if let Some((extra, _)) =
+            given.iter().find(|(name, value)| value.is_some() && !names.contains(name))
+        {
+            return Err(DocumentError::field(
+                *extra,
+                format!("a `{model}` lens has no such coefficient"),
+            ));
         }
         let mut parameters = vec![self.fx, self.fy, self.cx, self.cy, self.skew];
         for name in names {
             let value = given.iter().find(|(given, _)| given == name).and_then(|(_, value)| *value);
-            let missing = || DocumentError::field(*name, format!("is missing; a `{model}` lens has it"));
+            let missing =
+                || DocumentError::field(*name, format!("is missing; a `{model}` lens has it"));
             parameters.push(value.ok_or_else(missing)?);
         }
         Ok(parameters)
@@ -196,7 +205,10 @@ impl TryFrom<&LensDocument> for Lens {
     fn try_from(document: &LensDocument) -> Result<Self, DocumentError> {
         for (name, value) in [("fx", document.fx), ("fy", document.fy)] {
             if value.is_nan() || value <= 0.0 {
-                return Err(DocumentError::field(name, format!("{value} is not a focal length: it must be positive")));
+                return Err(DocumentError::field(
+                    name,
+                    format!("{value} is not a focal length: it must be positive"),
+                ));
             }
         }
         let wrong = || DocumentError::field("model", "has other coefficients than are given");
@@ -248,17 +260,20 @@ pub struct LensStdDocument {
 impl LensStdDocument {
     /// From values in the order of [`Lens::parameter_names`].
     pub fn new(model: LensModel, std: &[f64]) -> Self {
-        let LensDocument { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6, .. } = LensDocument::new(model, std);
+        let LensDocument { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6, .. } =
+            LensDocument::new(model, std);
         Self { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 }
     }
 
     /// The values in the order of [`Lens::parameter_names`].
     ///
     /// # Errors
-    /// [`DocumentError::Field`] naming a coefficient that is missing or that the model does not have.
+    /// [`DocumentError::Field`] naming a coefficient that is missing or that the model does not
+    /// have.
     pub fn to_values(&self, model: LensModel) -> Result<Vec<f64>, DocumentError> {
         let &Self { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 } = self;
-        LensDocument { model: model.into(), fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 }.parameters()
+        LensDocument { model: model.into(), fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 }
+            .parameters()
     }
 }
 
@@ -274,9 +289,13 @@ mod tests {
             let values: Vec<f64> = (0..names.len()).map(|i| 500.0 / 3.0 + i as f64 / 7.0).collect();
             let lens = Lens::from_parameters(model, &values).unwrap();
             let json = to_json(&LensDocument::from(&lens)).unwrap();
-            let expected: Vec<String> = names.iter().zip(&values).map(|(n, v)| format!("\"{n}\":{v}")).collect();
+            let expected: Vec<String> =
+                names.iter().zip(&values).map(|(n, v)| format!("\"{n}\":{v}")).collect();
             assert_eq!(json, format!("{{\"model\":\"{model}\",{}}}", expected.join(",")));
-            assert_eq!(Lens::try_from(&from_json::<LensDocument>(json.as_bytes()).unwrap()), Ok(lens));
+            assert_eq!(
+                Lens::try_from(&from_json::<LensDocument>(json.as_bytes()).unwrap()),
+                Ok(lens)
+            );
             assert_eq!(LensStdDocument::new(model, &values).to_values(model), Ok(values));
         }
     }
@@ -286,7 +305,10 @@ mod tests {
         let base = r#""fx":500,"fy":500,"cx":320,"cy":240"#;
         let table = [
             (format!(r#"{{"model":"radial",{base}}}"#), "k1: is missing; a `radial` lens has it"),
-            (format!(r#"{{"model":"pinhole",{base},"k1":0}}"#), "k1: a `pinhole` lens has no such coefficient"),
+            (
+                format!(r#"{{"model":"pinhole",{base},"k1":0}}"#),
+                "k1: a `pinhole` lens has no such coefficient",
+            ),
             (
                 r#"{"model":"pinhole","fx":-1,"fy":500,"cx":320,"cy":240}"#.into(),
                 "fx: -1 is not a focal length: it must be positive",
@@ -296,7 +318,8 @@ mod tests {
             let document: LensDocument = from_json(json.as_bytes()).unwrap();
             assert_eq!(Lens::try_from(&document).unwrap_err().to_string(), expected);
         }
-        let unknown = from_json::<LensDocument>(format!(r#"{{"model":"fov",{base}}}"#).as_bytes()).unwrap_err();
+        let unknown = from_json::<LensDocument>(format!(r#"{{"model":"fov",{base}}}"#).as_bytes())
+            .unwrap_err();
         assert_eq!(unknown.path(), Some("model"));
     }
 }

@@ -1,9 +1,10 @@
-//! The documents of the contract, one schema for the command line, HTTP and the store. Uses geometry, imaging,
-//! estimation and calibration.
+//! The documents of the contract, one schema for the command line, HTTP and the store. Uses
+//! geometry, imaging, estimation and calibration.
 //!
-//! Every shape is plain data with public fields, derives its JSON and its OpenAPI schema, and converts to and from the
-//! domain's types. [`reading::from_json`] reads any of them and names the field where something is wrong;
-//! [`reading::to_json`] writes them so that every bit of a double survives.
+//! Every shape is plain data with public fields, derives its JSON and its OpenAPI schema, and
+//! converts to and from the domain's types. [`reading::from_json`] reads any of them and names the
+//! field where something is wrong; [`reading::to_json`] writes them so that every bit of a double
+//! survives.
 
 pub mod calibration;
 pub mod camera;

@@ -56,7 +56,10 @@ impl TryFrom<&PoseDocument> for Pose {
             ));
         }
         // Not normalised again: a pose read back is the pose written, to the bit.
-        Ok(Self::new(UnitQuaternion::new_unchecked(quaternion), Vector3::from(a_from_b.translation)))
+        Ok(Self::new(
+            UnitQuaternion::new_unchecked(quaternion),
+            Vector3::from(a_from_b.translation),
+        ))
     }
 }
 
@@ -66,7 +69,8 @@ mod tests {
 
     #[test]
     fn a_pose_survives_to_the_bit() {
-        let a_from_b = Pose::from_axis_angle(Vector3::new(0.1, -2.0, 0.7), Vector3::new(0.1, 0.2, 1.0 / 3.0));
+        let a_from_b =
+            Pose::from_axis_angle(Vector3::new(0.1, -2.0, 0.7), Vector3::new(0.1, 0.2, 1.0 / 3.0));
         assert_eq!(Pose::try_from(&PoseDocument::from(&a_from_b)), Ok(a_from_b));
     }
 

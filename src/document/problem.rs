@@ -33,10 +33,12 @@ pub struct ProblemDocument {
     /// Whether fx = fy.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub square_pixels: bool,
-    /// Lens parameters that are known, by name, with their values: `{"fx": 600, "fy": 600, "k3": 0}`.
+    /// Lens parameters that are known, by name, with their values: `{"fx": 600, "fy": 600, "k3":
+    /// 0}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, f64>,
-    /// Whether it is estimated how far the board is bowed at its middle, along its x and its y; else it is as its points say.
+    /// Whether it is estimated how far the board is bowed at its middle, along its x and its y;
+    /// else it is as its points say.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warp: bool,
 }
@@ -62,7 +64,8 @@ pub enum Method {
     /// Lens and poses from several views of a flat target, with uncertainty.
     #[default]
     Calibrate,
-    /// The direct linear transform: the projection matrix from one view of at least six points that are not in a plane.
+    /// The direct linear transform: the projection matrix from one view of at least six points that
+    /// are not in a plane.
     Dlt,
 }
 
@@ -94,7 +97,8 @@ impl TryFrom<&ProblemDocument> for CameraProblem {
 fn board_view(index: usize, view: &ProblemViewDocument) -> Result<BoardView, DocumentError> {
     let (points, pixels) = (view.object.len(), view.image.len());
     if points != pixels {
-        let problem = format!("{pixels} pixels for {points} object points; each point needs its pixel");
+        let problem =
+            format!("{pixels} pixels for {points} object points; each point needs its pixel");
         return Err(DocumentError::field(format!("views[{index}].image"), problem));
     }
     let correspondence = |(&[x, y, z], &[u, v]): (&[f64; 3], &[f64; 2])| Correspondence {
@@ -137,9 +141,14 @@ mod tests {
     #[test]
     fn a_problem_survives_to_the_bit() {
         let json = r#"{"image_size":[640,480],"views":[{"name":"a","object":[[0.1,0.2,0]],"image":[[1e-3,2.7]]}]}"#;
-        let problem = CameraProblem::try_from(&from_json::<ProblemDocument>(json.as_bytes()).unwrap()).unwrap();
+        let problem =
+            CameraProblem::try_from(&from_json::<ProblemDocument>(json.as_bytes()).unwrap())
+                .unwrap();
         let written = to_json(&ProblemDocument::from(&problem)).unwrap();
-        assert_eq!(CameraProblem::try_from(&from_json::<ProblemDocument>(written.as_bytes()).unwrap()), Ok(problem));
+        assert_eq!(
+            CameraProblem::try_from(&from_json::<ProblemDocument>(written.as_bytes()).unwrap()),
+            Ok(problem)
+        );
     }
 
     #[test]
@@ -157,13 +166,19 @@ mod tests {
             (r#"{"image_size":[0,480],"views":[]}"#.into(), "image_size"),
             (r#"{"image_size":[640,480],"views":[]}"#.into(), "views"),
             (
-                format!(r#"{{"image_size":[640,480],"views":[{one},{{"object":[[0,0,0]],"image":[]}}]}}"#),
+                format!(
+                    r#"{{"image_size":[640,480],"views":[{one},{{"object":[[0,0,0]],"image":[]}}]}}"#
+                ),
                 "views[1].image",
             ),
         ];
         for (json, field) in table {
             let document: ProblemDocument = from_json(json.as_bytes()).unwrap();
-            assert_eq!(CameraProblem::try_from(&document).unwrap_err().path(), Some(field), "{json}");
+            assert_eq!(
+                CameraProblem::try_from(&document).unwrap_err().path(),
+                Some(field),
+                "{json}"
+            );
         }
     }
 }

@@ -9,8 +9,9 @@ use crate::document::error::DocumentError;
 /// Reads a document.
 ///
 /// # Errors
-/// [`DocumentError::Field`] with the field's path when a field is missing, unknown, of the wrong shape, or holds what JSON
-/// has no number for (`NaN`, `Infinity`, 1e999); [`DocumentError::Syntax`] when the text is not JSON at all.
+/// [`DocumentError::Field`] with the field's path when a field is missing, unknown, of the wrong
+/// shape, or holds what JSON has no number for (`NaN`, `Infinity`, 1e999);
+/// [`DocumentError::Syntax`] when the text is not JSON at all.
 pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
     let mut reader = serde_json::Deserializer::from_slice(json);
     let document = serde_path_to_error::deserialize(&mut reader).map_err(|e| {
@@ -21,10 +22,12 @@ pub fn from_json<T: DeserializeOwned>(json: &[u8]) -> Result<T, DocumentError> {
     Ok(document)
 }
 
-/// Writes a document on one line. Doubles are written with as few digits as read back to the same bits.
+/// Writes a document on one line. Doubles are written with as few digits as read back to the same
+/// bits.
 ///
 /// # Errors
-/// [`DocumentError::Field`] never happens for the documents of this layer: all their keys are strings.
+/// [`DocumentError::Field`] never happens for the documents of this layer: all their keys are
+/// strings.
 pub fn to_json<T: Serialize>(document: &T) -> Result<String, DocumentError> {
     serde_json::to_string(document).map_err(unwritable)
 }
@@ -45,13 +48,17 @@ fn unwritable(error: serde_json::Error) -> DocumentError {
 fn located(json: &[u8], path: &str, error: &serde_json::Error) -> DocumentError {
     let not_a_number = not_a_number_at(json, error);
     match error.classify() {
-        Category::Syntax if not_a_number.is_none() && !error.to_string().starts_with("number out of range") => {
+        Category::Syntax
+            if not_a_number.is_none() && !error.to_string().starts_with("number out of range") =>
+        {
             syntax(json, error)
         }
         Category::Eof | Category::Io => syntax(json, error),
         _ => {
-            let problem = not_a_number.unwrap_or_else(|| in_terms_of_json(&without_position(error)));
-            let missing = problem.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
+            let problem =
+                not_a_number.unwrap_or_else(|| in_terms_of_json(&without_position(error)));
+            let missing =
+                problem.strip_prefix("missing field `").and_then(|rest| rest.split('`').next());
             match missing {
                 Some(name) if path == "." => DocumentError::field(name, "is missing"),
                 Some(name) => DocumentError::field(format!("{path}.{name}"), "is missing"),
@@ -63,8 +70,11 @@ fn located(json: &[u8], path: &str, error: &serde_json::Error) -> DocumentError 
 }
 
 fn syntax(json: &[u8], error: &serde_json::Error) -> DocumentError {
-    let problem =
-        if json.iter().all(u8::is_ascii_whitespace) { "nothing there".into() } else { without_position(error) };
+    let problem = if json.iter().all(u8::is_ascii_whitespace) {
+        "nothing there".into()
+    } else {
+        without_position(error)
+    };
     DocumentError::Syntax { line: error.line(), column: error.column(), problem }
 }
 
@@ -100,7 +110,8 @@ fn in_terms_of_json(problem: &str) -> String {
     format!("is {found}, expected {wanted}")
 }
 
-/// Names the word when the parser stumbled over what other languages print for a double that is no number.
+/// Names the word when the parser stumbled over what other languages print for a double that is no
+/// number.
 fn not_a_number_at(json: &[u8], error: &serde_json::Error) -> Option<String> {
     let line = json.split(|&b| b == b'\n').nth(error.line().checked_sub(1)?)?;
     // The parser points at the offending byte or one past it.
@@ -120,13 +131,28 @@ mod tests {
 
     #[test]
     fn errors_name_the_field_in_one_line() {
-        let view =
-            |image: &str| format!(r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":{image}}}]}}"#);
+        let view = |image: &str| {
+            format!(
+                r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":{image}}}]}}"#
+            )
+        };
         let table = [
-            (view("[[1,NaN]]"), "views[0].image[0][1]: NaN is not a number; every number must be finite"),
-            (view("[[1, Infinity]]"), "views[0].image[0][1]: Infinity is not a number; every number must be finite"),
-            (view("[[-Infinity,2]]"), "views[0].image[0][0]: -Infinity is not a number; every number must be finite"),
-            (view("[[nan,2]]"), "views[0].image[0][0]: nan is not a number; every number must be finite"),
+            (
+                view("[[1,NaN]]"),
+                "views[0].image[0][1]: NaN is not a number; every number must be finite",
+            ),
+            (
+                view("[[1, Infinity]]"),
+                "views[0].image[0][1]: Infinity is not a number; every number must be finite",
+            ),
+            (
+                view("[[-Infinity,2]]"),
+                "views[0].image[0][0]: -Infinity is not a number; every number must be finite",
+            ),
+            (
+                view("[[nan,2]]"),
+                "views[0].image[0][0]: nan is not a number; every number must be finite",
+            ),
             (view("[[1,1e999]]"), "views[0].image[0][1]: number out of range"),
             (view("[[1,null]]"), "views[0].image[0][1]: is null, expected a number"),
             (view("[[1]]"), "views[0].image[0]: has length 1, expected an array of length 2"),
@@ -134,8 +160,14 @@ mod tests {
             (view("{}"), "views[0].image: is an object, expected an array"),
             (view(r#""x""#), r#"views[0].image: is "x", expected an array"#),
             (r#"{"image_size":[640,480]}"#.into(), "views: is missing"),
-            (r#"{"image_size":[640,480],"views":[{"image":[]}]}"#.into(), "views[0].object: is missing"),
-            (r#"{"image_size":[640],"views":[]}"#.into(), "image_size: has length 1, expected an array of length 2"),
+            (
+                r#"{"image_size":[640,480],"views":[{"image":[]}]}"#.into(),
+                "views[0].object: is missing",
+            ),
+            (
+                r#"{"image_size":[640],"views":[]}"#.into(),
+                "image_size: has length 1, expected an array of length 2",
+            ),
             (
                 r#"{"image_size":[640,-1],"views":[]}"#.into(),
                 "image_size[1]: is `-1`, expected a whole number, 0 or more",

@@ -24,9 +24,10 @@ impl RecordDocument {
     /// [`DocumentError::Field`] naming the field.
     pub fn check(&self) -> Result<(), DocumentError> {
         match self.max_seconds.filter(|seconds| seconds.is_nan() || *seconds <= 0.0) {
-            Some(seconds) => {
-                Err(DocumentError::field("max_seconds", format!("{seconds} is no time; give a positive number")))
-            }
+            Some(seconds) => Err(DocumentError::field(
+                "max_seconds",
+                format!("{seconds} is no time; give a positive number"),
+            )),
             None => Ok(()),
         }
     }

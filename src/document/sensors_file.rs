@@ -1,5 +1,5 @@
-//! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth pictures' numbers mean, and what the factory
-//! says of the sensors, in the shapes of the calibration document.
+//! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth pictures' numbers
+//! mean, and what the factory says of the sensors, in the shapes of the calibration document.
 
 use serde::Deserialize;
 
@@ -65,8 +65,8 @@ impl SensorsFile {
     /// # Errors
     /// [`DocumentError::Field`] with what is missing or wrong.
     pub fn from_toml(text: &str) -> Result<Self, DocumentError> {
-        let file: Self =
-            toml::from_str(text).map_err(|error| DocumentError::field(FILE_NAME, error.message().to_owned()))?;
+        let file: Self = toml::from_str(text)
+            .map_err(|error| DocumentError::field(FILE_NAME, error.message().to_owned()))?;
         file.depth.reading()?;
         Ok(file)
     }
@@ -76,10 +76,12 @@ impl SensorsFile {
     /// # Errors
     /// [`DocumentError::Field`] for a lens or pose that cannot be.
     pub fn factory(&self) -> Result<Option<(Lens, Pose)>, DocumentError> {
-        let stated = self.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+        let stated =
+            self.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
         let (Some(lens), Some(extrinsics)) = (&self.depth.lens, stated) else { return Ok(None) };
         let lens = Lens::try_from(lens).map_err(|e| e.inside("depth.lens"))?;
-        let stated = PoseDocument { rotation: extrinsics.rotation, translation: extrinsics.translation };
+        let stated =
+            PoseDocument { rotation: extrinsics.rotation, translation: extrinsics.translation };
         let color_from_depth = Pose::try_from(&stated).map_err(|e| e.inside("extrinsics"))?;
         Ok(Some((lens, color_from_depth.inverse())))
     }
@@ -99,7 +101,9 @@ impl StatedDepth {
                 "depth.unit_m",
                 "is missing: say how many metres one unit is, as in unit_m = 0.001",
             )),
-            (DepthKind::Depth, ..) => Err(DocumentError::field("depth.unit_m", "must be above 0 and below 1 m")),
+            (DepthKind::Depth, ..) => {
+                Err(DocumentError::field("depth.unit_m", "must be above 0 and below 1 m"))
+            }
             (DepthKind::Disparity, _, Some(DisparityDocument { offset, slope })) => {
                 Ok(Some(DepthReading::Disparity { offset, slope }))
             }
@@ -114,7 +118,8 @@ mod tests {
 
     #[test]
     fn what_a_folder_states_is_read_and_what_is_missing_named() {
-        let kinect = SensorsFile::from_toml("[depth]\nkind = \"disparity\"\ninvalid = 2047").unwrap();
+        let kinect =
+            SensorsFile::from_toml("[depth]\nkind = \"disparity\"\ninvalid = 2047").unwrap();
         assert_eq!((kinect.depth.reading().unwrap(), kinect.depth.invalid), (None, Some(2047)));
         assert_eq!(kinect.factory().unwrap(), None);
         let metric = SensorsFile::from_toml(
@@ -124,9 +129,11 @@ mod tests {
         .unwrap();
         let (lens, depth_from_color) = metric.factory().unwrap().unwrap();
         assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
-        for (text, word) in
-            [("[depth]\nkind = \"depth\"", "unit_m"), ("[depth]\nkind = \"metres\"", "metres"), ("[color]", "depth")]
-        {
+        for (text, word) in [
+            ("[depth]\nkind = \"depth\"", "unit_m"),
+            ("[depth]\nkind = \"metres\"", "metres"),
+            ("[color]", "depth"),
+        ] {
             let line = SensorsFile::from_toml(text).unwrap_err().to_string();
             assert!(line.contains(word) && !line.contains('\n'), "{line}");
         }

@@ -52,22 +52,29 @@ impl TryFrom<&StartDocument> for SessionRequest {
         Ok(Self {
             target: Chessboard::try_from(document.target).map_err(|e| e.inside("target"))?,
             lens: document.lens.into(),
-            finish: document.finish.map(Finish::try_from).transpose().map_err(|e| e.inside("finish"))?,
+            finish: document
+                .finish
+                .map(Finish::try_from)
+                .transpose()
+                .map_err(|e| e.inside("finish"))?,
         })
     }
 }
 
-/// When a session stops by itself: as soon as every goal that is given is reached, or the time is up.
+/// When a session stops by itself: as soon as every goal that is given is reached, or the time is
+/// up.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FinishDocument {
-    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough, in pixels.
+    /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough,
+    /// in pixels.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty_px: Option<f64>,
     /// Not before so many views are kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub min_views: Option<u32>,
-    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then is solved.
+    /// The longest it may collect, in seconds of the frames' time; what has been gathered by then
+    /// is solved.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_seconds: Option<f64>,
 }
@@ -85,7 +92,10 @@ impl TryFrom<FinishDocument> for Finish {
         let FinishDocument { uncertainty_px, min_views, max_seconds } = document;
         for (field, value) in [("uncertainty_px", uncertainty_px), ("max_seconds", max_seconds)] {
             if let Some(value) = value.filter(|value| value.is_nan() || *value <= 0.0) {
-                return Err(DocumentError::field(field, format!("{value} cannot be reached; give a positive number")));
+                return Err(DocumentError::field(
+                    field,
+                    format!("{value} cannot be reached; give a positive number"),
+                ));
             }
         }
         Ok(Self { uncertainty_px, min_views, max_seconds })
@@ -139,8 +149,9 @@ pub struct SessionDocument {
     pub id: String,
     /// The camera's name, or the rig's.
     pub camera: String,
-    /// What each camera of a rig contributes, in the rig's order; left out for one camera. For a rig, `frames_seen` and
-    /// `boards_seen` are sums, `coverage` and `estimate` the worst camera's, and `views_kept` counts moments.
+    /// What each camera of a rig contributes, in the rig's order; left out for one camera. For a
+    /// rig, `frames_seen` and `boards_seen` are sums, `coverage` and `estimate` the worst camera's,
+    /// and `views_kept` counts moments.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cameras: Vec<SessionMemberDocument>,
     /// Where it stands.
@@ -191,7 +202,8 @@ pub struct CoverageDocument {
 pub struct GuidanceDocument {
     /// In words.
     pub message: String,
-    /// Where the board's outline should be, as corners of a polygon in pixels; empty when there is no such wish.
+    /// Where the board's outline should be, as corners of a polygon in pixels; empty when there is
+    /// no such wish.
     pub outline_px: Vec<[f64; 2]>,
 }
 
@@ -227,7 +239,11 @@ impl From<&SessionRecord> for SessionDocument {
             rejected: rejected_counts(&record.rejected),
             coverage: (&record.coverage).into(),
             guidance: (&record.guidance).into(),
-            estimate: record.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
+            estimate: record
+                .estimate
+                .as_ref()
+                .filter(|estimate| is_finite(estimate))
+                .map(EstimateDocument::from),
             calibration: record.calibration.clone(),
         }
     }
@@ -244,7 +260,8 @@ pub(super) fn is_finite(estimate: &RunningEstimate) -> bool {
 }
 
 impl SessionDocument {
-    /// The record it came from; `collecting_s` is what the document does not tell: seconds of frame time spent collecting.
+    /// The record it came from; `collecting_s` is what the document does not tell: seconds of frame
+    /// time spent collecting.
     ///
     /// # Errors
     /// [`DocumentError::Field`] naming the field that cannot be.
@@ -266,7 +283,11 @@ impl SessionDocument {
             views_kept: self.views_kept,
             rejected: rejections(&self.rejected),
             collecting_s,
-            coverage: self.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
+            coverage: self
+                .coverage
+                .clone()
+                .try_into()
+                .map_err(|e: DocumentError| e.inside("coverage"))?,
             guidance: self.guidance.clone().into(),
             estimate: estimate.map_err(|e| e.inside("estimate"))?,
             calibration: self.calibration.clone(),
@@ -363,7 +384,8 @@ pub struct SessionViewDocument {
     pub reason: Option<String>,
     /// Its reprojection error in the session's calibration, in pixels.
     pub rms_px: Option<f64>,
-    /// Seen minus predicted for each corner, in pixels; null before there is a calibration, and for a view without a pose.
+    /// Seen minus predicted for each corner, in pixels; null before there is a calibration, and for
+    /// a view without a pose.
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,
@@ -388,7 +410,10 @@ mod tests {
         let target = r#""target":{"kind":"chessboard","cols":9,"rows":6,"square_m":0.025}"#;
         let table = [
             ("{}".into(), "target: is missing"),
-            (r#"{"target":{"kind":"chessboard","cols":9,"rows":6}}"#.into(), "target.square_m: is missing"),
+            (
+                r#"{"target":{"kind":"chessboard","cols":9,"rows":6}}"#.into(),
+                "target.square_m: is missing",
+            ),
             (
                 format!(r#"{{{target},"finish":{{"uncertainty_px":-1}}}}"#),
                 "finish.uncertainty_px: -1 cannot be reached; give a positive number",
@@ -401,7 +426,10 @@ mod tests {
         }
         let document: StartDocument = from_json(format!("{{{target}}}").as_bytes()).unwrap();
         let request = SessionRequest::try_from(&document).unwrap();
-        assert_eq!((request.lens, request.finish), (crate::estimation::problem::LensChoice::Auto, None));
+        assert_eq!(
+            (request.lens, request.finish),
+            (crate::estimation::problem::LensChoice::Auto, None)
+        );
         assert_eq!(StartDocument::from(&request), document);
     }
 }

@@ -45,7 +45,11 @@ impl From<&SessionMember> for SessionMemberDocument {
             rejected: rejected_counts(&member.rejected),
             coverage: (&member.coverage).into(),
             guidance: (&member.guidance).into(),
-            estimate: member.estimate.as_ref().filter(|estimate| is_finite(estimate)).map(EstimateDocument::from),
+            estimate: member
+                .estimate
+                .as_ref()
+                .filter(|estimate| is_finite(estimate))
+                .map(EstimateDocument::from),
         }
     }
 }
@@ -61,7 +65,11 @@ impl TryFrom<&SessionMemberDocument> for SessionMember {
             views_kept: document.views_kept,
             views_shared: document.views_shared,
             rejected: rejections(&document.rejected),
-            coverage: document.coverage.clone().try_into().map_err(|e: DocumentError| e.inside("coverage"))?,
+            coverage: document
+                .coverage
+                .clone()
+                .try_into()
+                .map_err(|e: DocumentError| e.inside("coverage"))?,
             guidance: document.guidance.clone().into(),
             estimate: estimate.map_err(|e| e.inside("estimate"))?,
         })

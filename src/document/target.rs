@@ -58,9 +58,12 @@ mod tests {
 
     #[test]
     fn impossible_boards_are_refused_by_field() {
-        for (cols, rows, square_m, field) in
-            [(2, 6, 0.03, "cols"), (9, 2, 0.03, "rows"), (9, 6, 0.0, "square_m"), (9, 101, 0.03, "rows")]
-        {
+        for (cols, rows, square_m, field) in [
+            (2, 6, 0.03, "cols"),
+            (9, 2, 0.03, "rows"),
+            (9, 6, 0.0, "square_m"),
+            (9, 101, 0.03, "rows"),
+        ] {
             let document = TargetDocument { kind: TargetKind::Chessboard, cols, rows, square_m };
             assert_eq!(Chessboard::try_from(document).unwrap_err().path(), Some(field));
         }

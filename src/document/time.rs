@@ -4,7 +4,8 @@ use jiff::Timestamp;
 
 /// A moment from nanoseconds since the Unix epoch.
 pub fn from_utc_ns(utc_ns: i64) -> Timestamp {
-    // All of i64's nanoseconds, 1677 to 2262, lie inside a timestamp's range of years -9999 to 9999.
+    // All of i64's nanoseconds, 1677 to 2262, lie inside a timestamp's range of years -9999 to
+    // 9999.
     Timestamp::from_nanosecond(i128::from(utc_ns)).unwrap_or_default()
 }
 

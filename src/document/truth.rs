@@ -1,5 +1,5 @@
-//! What is true of a simulated recording: beside it as `….truth.json`, and inside it as the metadata record
-//! [`RECORD`], whose keys are this document's and whose values are their JSON.
+//! What is true of a simulated recording: beside it as `….truth.json`, and inside it as the
+//! metadata record [`RECORD`], whose keys are this document's and whose values are their JSON.
 
 use std::collections::BTreeMap;
 
@@ -34,10 +34,11 @@ pub struct TruthDocument {
     pub depth: Option<TrueDepthDocument>,
 }
 
-/// How a simulated depth camera measures: with q the inverse of the depth along the axis, in 1/m, and two fields over the
-/// picture, q' = q · (1 + scale) + offset + noise, rounded to steps; a reading is 1/q' in units, rounded, 0 where there is
-/// none. A field is the sum of its five coefficients times 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), x and y from the
-/// picture's middle in half widths.
+/// How a simulated depth camera measures: with q the inverse of the depth along the axis, in 1/m,
+/// and two fields over the picture, q' = q · (1 + scale) + offset + noise, rounded to steps; a
+/// reading is 1/q' in units, rounded, 0 where there is none. A field is the sum of its five
+/// coefficients times 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), x and y from the picture's middle
+/// in half widths.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrueDepthDocument {
@@ -51,7 +52,8 @@ pub struct TrueDepthDocument {
     pub noise_per_m: f64,
     /// The step, in 1/m.
     pub step_per_m: f64,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in seconds.
+    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// seconds.
     pub time_offset_s: f64,
 }
 
@@ -73,7 +75,8 @@ pub struct TrueFrameDocument {
     pub sequence: u64,
     /// Where the board was in the middle of the colour sensor's exposure.
     pub camera_from_board: PoseDocument,
-    /// How far the board's image moved during the exposure at most, in pixels; null where part of it was out of view.
+    /// How far the board's image moved during the exposure at most, in pixels; null where part of
+    /// it was out of view.
     pub motion_px: Option<f64>,
 }
 
@@ -94,7 +97,10 @@ impl TruthDocument {
     pub fn from_record(record: &BTreeMap<String, String>) -> Result<Self, DocumentError> {
         let mut whole = serde_json::Map::new();
         for (key, value) in record {
-            whole.insert(key.clone(), from_json(value.as_bytes()).map_err(|error| error.inside(key))?);
+            whole.insert(
+                key.clone(),
+                from_json(value.as_bytes()).map_err(|error| error.inside(key))?,
+            );
         }
         from_json(to_json(&whole)?.as_bytes())
     }
@@ -112,10 +118,19 @@ mod tests {
         let pose = PoseDocument { rotation, translation: [1.0 / 3.0, -0.1, 0.7] };
         let truth = TruthDocument {
             seed: u64::MAX,
-            target: TargetDocument { kind: TargetKind::Chessboard, cols: 9, rows: 6, square_m: 0.1 / 3.0 },
+            target: TargetDocument {
+                kind: TargetKind::Chessboard,
+                cols: 9,
+                rows: 6,
+                square_m: 0.1 / 3.0,
+            },
             sensors: BTreeMap::new(),
             extrinsics: Vec::new(),
-            frames: vec![TrueFrameDocument { sequence: 3, camera_from_board: pose, motion_px: None }],
+            frames: vec![TrueFrameDocument {
+                sequence: 3,
+                camera_from_board: pose,
+                motion_px: None,
+            }],
             depth: Some(TrueDepthDocument {
                 unit_m: 0.001,
                 scale: [0.1 / 3.0; 5],

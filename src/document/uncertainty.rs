@@ -5,7 +5,8 @@ use utoipa::ToSchema;
 
 use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 
-/// The predicted 1-σ uncertainty of projections on a grid of pixels over the image, after the best compensating motion.
+/// The predicted 1-σ uncertainty of projections on a grid of pixels over the image, after the best
+/// compensating motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UncertaintyMapDocument {
     /// Whose: `color`, `infrared`, `infrared2`, or a rig's camera.
@@ -18,8 +19,8 @@ pub struct UncertaintyMapDocument {
     pub x_px: Vec<f64>,
     /// The grid's rows, in pixels from the top.
     pub y_px: Vec<f64>,
-    /// Standard deviation in the worst direction at each pixel of the grid, row by row, in pixels; null where the lens sees
-    /// nothing.
+    /// Standard deviation in the worst direction at each pixel of the grid, row by row, in pixels;
+    /// null where the lens sees nothing.
     pub std_px: Vec<Vec<Option<f64>>>,
 }
 

@@ -8,8 +8,8 @@ use crate::calibration::calibration::{Checks, Grade, Verdict};
 /// How a calibration does beyond the views it was fitted to; null where it could not be computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ChecksDocument {
-    /// Projection difference between two disjoint halves, over what their uncertainties predict: about 1 when the model
-    /// is right.
+    /// Projection difference between two disjoint halves, over what their uncertainties predict:
+    /// about 1 when the model is right.
     pub split_half_ratio: Option<f64>,
     /// Error on views that were not fitted to, in pixels.
     pub held_out_rms_px: Option<f64>,
@@ -28,7 +28,8 @@ impl From<Checks> for ChecksDocument {
 
 impl From<ChecksDocument> for Checks {
     fn from(document: ChecksDocument) -> Self {
-        let ChecksDocument { split_half_ratio, held_out_rms_px, outlier_fraction, coverage } = document;
+        let ChecksDocument { split_half_ratio, held_out_rms_px, outlier_fraction, coverage } =
+            document;
         Self { split_half_ratio, held_out_rms_px, outlier_fraction, coverage }
     }
 }

@@ -1,4 +1,5 @@
-//! Where a board is, seen by a camera whose lens is known: both poses where a flat board leaves two.
+//! Where a board is, seen by a camera whose lens is known: both poses where a flat board leaves
+//! two.
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
@@ -20,17 +21,18 @@ pub struct BoardPose {
     pub camera_from_board: Pose,
     /// Root mean square of the distance between seen and projected, in pixels.
     pub rms_px: f64,
-    /// Covariance for corners with a standard deviation of their `std_px`: a turn about the camera's axes (radians) and a
-    /// shift of the view's mean point (metres).
+    /// Covariance for corners with a standard deviation of their `std_px`: a turn about the
+    /// camera's axes (radians) and a shift of the view's mean point (metres).
     pub covariance: Matrix6<f64>,
 }
 
 /// Turns smaller than this, in radians, are one pose.
 const SAME: f64 = 1e-4;
 
-/// The poses that explain `view` under `lens`, best first: one, or for a flat board seen from far the one with its tilt
-/// reversed too (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose estimation using coplanar feature points*, 1996).
-/// How much worse the second is, against the corners' noise, tells whether the first is sure.
+/// The poses that explain `view` under `lens`, best first: one, or for a flat board seen from far
+/// the one with its tilt reversed too (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose
+/// estimation using coplanar feature points*, 1996). How much worse the second is, against the
+/// corners' noise, tells whether the first is sure.
 ///
 /// # Errors
 /// Numbers that are not finite, or a view that determines no pose.
@@ -47,7 +49,8 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
     let reversed = prepared.board_normal().map(|normal| tilt_reversed(&camera_from_center, normal));
     for camera_from_center in [Some(camera_from_center), reversed].into_iter().flatten() {
         let Some(refined) = refine(&prepared, lens, camera_from_center) else { continue };
-        let same = |other: &BoardPose| other.camera_from_board.angle_to(&refined.camera_from_board) < SAME;
+        let same =
+            |other: &BoardPose| other.camera_from_board.angle_to(&refined.camera_from_board) < SAME;
         if !found.iter().any(same) {
             found.push(refined);
         }
@@ -74,12 +77,20 @@ fn refine(prepared: &Prepared, lens: &Lens, camera_from_center: Pose) -> Option<
         warp: [0.0; 2],
     };
     let (sights, loss) = (&prepared.sights, Loss::Squares);
-    let minimum = Minimum::start(&layout, start, sights, loss)?.descend(&layout, sights, loss, Stop::default());
+    let minimum = Minimum::start(&layout, start, sights, loss)?.descend(
+        &layout,
+        sights,
+        loss,
+        Stop::default(),
+    );
     let found = minimum.state.rig_from_board[0];
     let residuals = minimum.equations.residuals[0].iter().zip(&sights[0].inverse_std);
     let squares: f64 = residuals.map(|([x, y], s)| (x * x + y * y) / (s * s)).sum();
     Some(BoardPose {
-        camera_from_board: Pose::new(found.rotation(), found.translation() - found * prepared.center_in_board),
+        camera_from_board: Pose::new(
+            found.rotation(),
+            found.translation() - found * prepared.center_in_board,
+        ),
         rms_px: (squares / sights[0].points.len() as f64).sqrt(),
         covariance: minimum.equations.instant_covariance(0, &nalgebra::DMatrix::zeros(0, 0))?,
     })
@@ -94,10 +105,14 @@ mod tests {
 
     #[test]
     fn a_far_board_has_two_poses_and_the_better_is_the_true_one() {
-        let lens = Lens::pinhole(CameraMatrix { fx: 800.0, fy: 800.0, cx: 320.0, cy: 240.0, skew: 0.0 });
+        let lens =
+            Lens::pinhole(CameraMatrix { fx: 800.0, fy: 800.0, cx: 320.0, cy: 240.0, skew: 0.0 });
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
         for (distance_m, expected) in [(0.5, 1), (3.0, 2)] {
-            let truth = Pose::from_axis_angle(Vector3::new(0.5, 0.2, 0.1), Vector3::new(0.05, 0.02, distance_m));
+            let truth = Pose::from_axis_angle(
+                Vector3::new(0.5, 0.2, 0.1),
+                Vector3::new(0.05, 0.02, distance_m),
+            );
             let seen = board.corners_in_board().into_iter().map(|point| Correspondence {
                 point_in_board: point,
                 pixel: lens.pixel_from_point(&(truth * point)).unwrap(),

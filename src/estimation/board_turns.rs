@@ -1,16 +1,19 @@
-//! A board that looks the same after a turn is labelled by chance from one end or another. What one camera calls its first
-//! corner, a second one may call its last; that they are fixed to each other tells which views have to be turned.
+//! A board that looks the same after a turn is labelled by chance from one end or another. What one
+//! camera calls its first corner, a second one may call its last; that they are fixed to each other
+//! tells which views have to be turned.
 
 use crate::estimation::robust::median;
 use crate::geometry::pose::Pose;
 
-/// The poses that each sensor found of the board by itself, with the moment (counted from 0) of each.
+/// The poses that each sensor found of the board by itself, with the moment (counted from 0) of
+/// each.
 pub type SensorPoses = Vec<(usize, Pose)>;
 
-/// For each view of each sensor, which of `board_from_turned` to apply: `sensor_from_board · board_from_turned` is where the board is when its
-/// corners are labelled as the sensor that was placed first labelled them. These are the turns that
-/// the board looks the same after; the identity is among them. Sensors are placed one after the other, those with the
-/// most moments in common first; a view that no other sensor shares keeps its labels.
+/// For each view of each sensor, which of `board_from_turned` to apply: `sensor_from_board ·
+/// board_from_turned` is where the board is when its corners are labelled as the sensor that was
+/// placed first labelled them. These are the turns that the board looks the same after; the
+/// identity is among them. Sensors are placed one after the other, those with the most moments in
+/// common first; a view that no other sensor shares keeps its labels.
 pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> Vec<Vec<usize>> {
     let moments = sensors.iter().flatten().map(|(moment, _)| moment + 1).max().unwrap_or(0);
     let mut chosen: Vec<Vec<usize>> = sensors.iter().map(|views| vec![0; views.len()]).collect();
@@ -18,49 +21,79 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
     let mut left: Vec<usize> = (0..sensors.len()).collect();
     while !left.is_empty() {
         let shared = |sensor: &usize| {
-            sensors[*sensor].iter().filter(|(moment, _)| reference_from_board[*moment].is_some()).count()
+            sensors[*sensor]
+                .iter()
+                .filter(|(moment, _)| reference_from_board[*moment].is_some())
+                .count()
         };
         // The first of those with the most in common.
-        let next = left.iter().enumerate().rev().max_by_key(|(_, sensor)| shared(sensor)).map_or(0, |(at, _)| at);
+        let next = left
+            .iter()
+            .enumerate()
+            .rev()
+            .max_by_key(|(_, sensor)| shared(sensor))
+            .map_or(0, |(at, _)| at);
         let sensor = left.remove(next);
-        let sensor_from_reference = agreed(&sensors[sensor], &reference_from_board, board_from_turned);
+        let sensor_from_reference =
+            agreed(&sensors[sensor], &reference_from_board, board_from_turned);
         for (view, (moment, sensor_from_board)) in sensors[sensor].iter().enumerate() {
             let Some(sensor_from_reference) = sensor_from_reference else {
                 reference_from_board[*moment].get_or_insert(*sensor_from_board);
                 continue;
             };
             if let Some(known) = reference_from_board[*moment] {
-                chosen[sensor][view] =
-                    nearest_turn(sensor_from_board, &(sensor_from_reference * known), board_from_turned).0;
+                chosen[sensor][view] = nearest_turn(
+                    sensor_from_board,
+                    &(sensor_from_reference * known),
+                    board_from_turned,
+                )
+                .0;
             } else {
-                reference_from_board[*moment] = Some(sensor_from_reference.inverse() * *sensor_from_board);
+                reference_from_board[*moment] =
+                    Some(sensor_from_reference.inverse() * *sensor_from_board);
             }
         }
     }
     chosen
 }
 
-/// The relative pose that most shared moments can be turned to; `None` for a sensor that shares none.
-fn agreed(views: &SensorPoses, reference_from_board: &[Option<Pose>], board_from_turned: &[Pose]) -> Option<Pose> {
-    let shared: Vec<(Pose, Pose)> =
-        views.iter().filter_map(|(moment, pose)| Some((*pose, reference_from_board[*moment]?))).collect();
-    let candidates = shared
+/// The relative pose that most shared moments can be turned to; `None` for a sensor that shares
+/// none.
+fn agreed(
+    views: &SensorPoses,
+    reference_from_board: &[Option<Pose>],
+    board_from_turned: &[Pose],
+) -> Option<Pose> {
+    let shared: Vec<(Pose, Pose)> = views
         .iter()
-        .flat_map(|(pose, reference)| board_from_turned.iter().map(move |turn| *pose * *turn * reference.inverse()));
+        .filter_map(|(moment, pose)| Some((*pose, reference_from_board[*moment]?)))
+        .collect();
+    let candidates = shared.iter().flat_map(|(pose, reference)| {
+        board_from_turned.iter().map(move |turn| *pose * *turn * reference.inverse())
+    });
     let spread = |sensor_from_reference: &Pose| {
-        let apart = shared
-            .iter()
-            .map(|(pose, reference)| nearest_turn(pose, &(*sensor_from_reference * *reference), board_from_turned).1);
+        let apart = shared.iter().map(|(pose, reference)| {
+            nearest_turn(pose, &(*sensor_from_reference * *reference), board_from_turned).1
+        });
         median(apart.collect()).unwrap_or(f64::INFINITY)
     };
-    candidates.map(|candidate| (spread(&candidate), candidate)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| pose)
+    candidates
+        .map(|candidate| (spread(&candidate), candidate))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, pose)| pose)
 }
 
-/// The turn that brings a pose nearest to the expected one, and how far from it (radians plus metres).
-fn nearest_turn(sensor_from_board: &Pose, expected_from_board: &Pose, board_from_turned: &[Pose]) -> (usize, f64) {
+/// The turn that brings a pose nearest to the expected one, and how far from it (radians plus
+/// metres).
+fn nearest_turn(
+    sensor_from_board: &Pose,
+    expected_from_board: &Pose,
+    board_from_turned: &[Pose],
+) -> (usize, f64) {
     let apart = |board_from_turned: &Pose| {
         let turned = *sensor_from_board * *board_from_turned;
-        turned.angle_to(expected_from_board) + (turned.translation() - expected_from_board.translation()).norm()
+        turned.angle_to(expected_from_board)
+            + (turned.translation() - expected_from_board.translation()).norm()
     };
     let all = board_from_turned.iter().map(apart).enumerate();
     all.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
@@ -78,7 +111,8 @@ mod tests {
     #[test]
     fn views_turned_by_chance_are_turned_back() {
         let half = Pose::from_axis_angle(Vector3::z() * PI, Vector3::new(0.16, 0.16, 0.0));
-        let quarter = Pose::from_axis_angle(Vector3::z() * (PI / 2.0), Vector3::new(0.16, 0.0, 0.0));
+        let quarter =
+            Pose::from_axis_angle(Vector3::z() * (PI / 2.0), Vector3::new(0.16, 0.0, 0.0));
         let turns = [Pose::identity(), quarter, half, half * quarter];
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let sensor_from_rig = [
@@ -105,10 +139,12 @@ mod tests {
         let sensors = [seen(0, 0..7), seen(1, 2..12), seen(2, 7..12)];
         let chosen = consistent_turns(&sensors, &turns);
         for moment in 0..12 {
-            let views = sensors.iter().zip(&chosen).zip(&sensor_from_rig).filter_map(|((views, chosen), from_rig)| {
-                let at = views.iter().position(|(seen, _)| *seen == moment)?;
-                Some(from_rig.inverse() * views[at].1 * turns[chosen[at]])
-            });
+            let views = sensors.iter().zip(&chosen).zip(&sensor_from_rig).filter_map(
+                |((views, chosen), from_rig)| {
+                    let at = views.iter().position(|(seen, _)| *seen == moment)?;
+                    Some(from_rig.inverse() * views[at].1 * turns[chosen[at]])
+                },
+            );
             let first_from_board: Vec<Pose> = views.collect();
             for other in &first_from_board[1..] {
                 assert!(first_from_board[0].angle_to(other) < 1e-9, "moment {moment}");

@@ -1,4 +1,5 @@
-//! One camera from views of a board: lens, poses, what was rejected and why, and the covariance of everything.
+//! One camera from views of a board: lens, poses, what was rejected and why, and the covariance of
+//! everything.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -38,7 +39,14 @@ pub struct CameraOptions {
 
 impl Default for CameraOptions {
     fn default() -> Self {
-        Self { lens: LensChoice::Auto, skew: false, square_pixels: false, warp: false, given: Vec::new(), start: None }
+        Self {
+            lens: LensChoice::Auto,
+            skew: false,
+            square_pixels: false,
+            warp: false,
+            given: Vec::new(),
+            start: None,
+        }
     }
 }
 
@@ -47,7 +55,8 @@ impl Default for CameraOptions {
 pub struct CameraStart {
     /// Its lens; used where it is of the model to fit.
     pub lens: Lens,
-    /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are found anew.
+    /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are
+    /// found anew.
     pub camera_from_board: Vec<Option<Pose>>,
     /// Its [`CameraEstimate::common_px`].
     pub common_px: f64,
@@ -60,23 +69,27 @@ pub struct CameraEstimate {
     pub image_size: ImageSize,
     /// Its lens.
     pub lens: Lens,
-    /// Covariance of the lens parameters, in the order of [`Lens::parameter_names`]; zero rows for those not estimated.
+    /// Covariance of the lens parameters, in the order of [`Lens::parameter_names`]; zero rows for
+    /// those not estimated.
     pub lens_covariance: DMatrix<f64>,
-    /// The error that all corners were taken to have beyond their own `std_px`, in pixels: what the residuals show of one. It
-    /// brings weights nearer to equal.
+    /// The error that all corners were taken to have beyond their own `std_px`, in pixels: what the
+    /// residuals show of one. It brings weights nearer to equal.
     pub common_px: f64,
-    /// The noise that the residuals tell of: the factor on each corner's `std_px`, with [`Self::common_px`] in it.
+    /// The noise that the residuals tell of: the factor on each corner's `std_px`, with
+    /// [`Self::common_px`] in it.
     pub noise: f64,
-    /// How many times greater all variances are than if each corner erred by itself: 1 unless the views show that the
-    /// corners of a view err together. Covariances have it in them.
+    /// How many times greater all variances are than if each corner erred by itself: 1 unless the
+    /// views show that the corners of a view err together. Covariances have it in them.
     pub shared_error: f64,
-    /// Root mean square over the used corners of the distance between seen and projected, in pixels.
+    /// Root mean square over the used corners of the distance between seen and projected, in
+    /// pixels.
     pub rms_px: f64,
     /// Every view of the problem, in order.
     pub views: Vec<ViewEstimate>,
     /// The board's bow along x and y at its middle, in metres, where it was estimated.
     pub warp_m: Option<[f64; 2]>,
-    /// The models that were compared, where the choice was left open; the chosen one is [`Self::lens`]'s.
+    /// The models that were compared, where the choice was left open; the chosen one is
+    /// [`Self::lens`]'s.
     pub compared: Vec<LensTrial>,
 }
 
@@ -89,10 +102,11 @@ pub struct ViewEstimate {
     pub fault: Option<ViewFault>,
     /// Where the board was; for a view that took no part the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
-    /// Covariance of that pose, as a turn about the camera's axes (radians) and a shift of the problem's mean point
-    /// (metres); `None` for a view that took no part.
+    /// Covariance of that pose, as a turn about the camera's axes (radians) and a shift of the
+    /// problem's mean point (metres); `None` for a view that took no part.
     pub covariance: Option<Matrix6<f64>>,
-    /// Root mean square over the corners that took part (over all of them in a view that did not), in pixels.
+    /// Root mean square over the corners that took part (over all of them in a view that did not),
+    /// in pixels.
     pub rms_px: Option<f64>,
     /// Projected minus seen of each corner, in pixels; infinite where nothing is projected.
     pub residuals_px: Vec<[f64; 2]>,
@@ -101,14 +115,16 @@ pub struct ViewEstimate {
 }
 
 impl CameraEstimate {
-    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 where not estimated.
+    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0
+    /// where not estimated.
     pub fn lens_std(&self) -> Vec<f64> {
         self.lens_covariance.diagonal().iter().map(|variance| variance.sqrt()).collect()
     }
 
     /// What to start from when views are added.
     pub fn to_start(&self) -> CameraStart {
-        let good = |view: &ViewEstimate| view.fault.is_none().then_some(view.camera_from_board).flatten();
+        let good =
+            |view: &ViewEstimate| view.fault.is_none().then_some(view.camera_from_board).flatten();
         let camera_from_board = self.views.iter().map(good).collect();
         CameraStart { lens: self.lens, camera_from_board, common_px: self.common_px }
     }
@@ -120,16 +136,22 @@ impl CameraEstimate {
     }
 }
 
-/// Calibrates a camera: Zhang's closed form for a start (or `options.start`), then Levenberg–Marquardt over the lens and
-/// all poses, against corners and views chosen robustly. Deterministic.
+/// Calibrates a camera: Zhang's closed form for a start (or `options.start`), then
+/// Levenberg–Marquardt over the lens and all poses, against corners and views chosen robustly.
+/// Deterministic.
 ///
 /// # Errors
-/// Numbers that are not finite, too few usable views, views that leave the lens open: each says what to do.
-pub fn calibrate_camera(problem: &CameraProblem, options: &CameraOptions) -> Result<CameraEstimate, EstimationError> {
+/// Numbers that are not finite, too few usable views, views that leave the lens open: each says
+/// what to do.
+pub fn calibrate_camera(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<CameraEstimate, EstimationError> {
     Ok(solve(problem, options)?.0)
 }
 
-/// As [`calibrate_camera`], with what tells whether the model is right ([`crate::estimation::model_check`]).
+/// As [`calibrate_camera`], with what tells whether the model is right
+/// ([`crate::estimation::model_check`]).
 ///
 /// # Errors
 /// As [`calibrate_camera`].
@@ -142,7 +164,10 @@ pub fn calibrate_and_check(
     Ok((estimate, check))
 }
 
-fn solve(problem: &CameraProblem, options: &CameraOptions) -> Result<(CameraEstimate, CameraFit), EstimationError> {
+fn solve(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
     let known_px = options.start.as_ref().map_or(0.0, |start| start.common_px);
     let (first, first_fit) = solve_weighted((problem, known_px), options)?;
@@ -166,7 +191,10 @@ fn solve_weighted(
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
         LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
     };
-    Ok((CameraEstimate { common_px, compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? }, fit))
+    Ok((
+        CameraEstimate { common_px, compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? },
+        fit,
+    ))
 }
 
 pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
@@ -176,7 +204,8 @@ pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
     }
     for view in &problem.views {
         for (point, c) in view.correspondences.iter().enumerate() {
-            let not_finite = |what| EstimationError::NotFinite { view: view.name.clone(), point, what };
+            let not_finite =
+                |what| EstimationError::NotFinite { view: view.name.clone(), point, what };
             if !c.point_in_board.coords.iter().all(|v| v.is_finite()) {
                 return Err(not_finite("the board point"));
             }
@@ -184,7 +213,11 @@ pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
                 return Err(not_finite("the pixel"));
             }
             if !(c.std_px > 0.0 && c.std_px.is_finite()) {
-                return Err(EstimationError::Std { view: view.name.clone(), point, std_px: c.std_px });
+                return Err(EstimationError::Std {
+                    view: view.name.clone(),
+                    point,
+                    std_px: c.std_px,
+                });
             }
         }
     }
@@ -204,7 +237,12 @@ pub(crate) struct CameraFit {
 const MAX_VIEWS: usize = 60;
 
 impl CameraFit {
-    pub(crate) fn new(layout: Layout, robust: RobustFit, sights: Vec<Sight>, faults: Vec<Option<ViewFault>>) -> Self {
+    pub(crate) fn new(
+        layout: Layout,
+        robust: RobustFit,
+        sights: Vec<Sight>,
+        faults: Vec<Option<ViewFault>>,
+    ) -> Self {
         Self { layout, robust, sights, faults }
     }
 
@@ -214,21 +252,27 @@ impl CameraFit {
 
     /// The variance that the residuals show, in units of the corners' own.
     pub(crate) fn noise_square(&self) -> f64 {
-        let used: usize = self.sights.iter().map(|sight| sight.used.iter().filter(|used| **used).count()).sum();
+        let used: usize =
+            self.sights.iter().map(|sight| sight.used.iter().filter(|used| **used).count()).sum();
         let instants = self.robust.minimum.equations.seen_instants();
         let freedom = (2 * used) as f64 - (self.layout.len + 6 * instants) as f64;
         self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
-    /// The covariance of its first camera's lens parameters, as if no corner were seen better than [`LEAST_NOISE`]; `None`
-    /// where they are not determined.
+    /// The covariance of its first camera's lens parameters, as if no corner were seen better than
+    /// [`LEAST_NOISE`]; `None` where they are not determined.
     pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
         let free = &self.layout.sensors[0].lens;
         let unit = self.robust.minimum.equations.global_covariance()?;
         let spread = free.spread(self.lens());
         let unit = unit.view((0, 0), (free.free.len(), free.free.len()));
-        let covariance = &spread * unit * spread.transpose() * self.noise_square().max(LEAST_NOISE * LEAST_NOISE);
-        let known = |axis: usize| covariance[(axis, axis)].sqrt() < OPEN_FOCAL * self.lens().parameters()[axis];
+        let covariance = &spread
+            * unit
+            * spread.transpose()
+            * self.noise_square().max(LEAST_NOISE * LEAST_NOISE);
+        let known = |axis: usize| {
+            covariance[(axis, axis)].sqrt() < OPEN_FOCAL * self.lens().parameters()[axis]
+        };
         (known(0) && known(1)).then_some(covariance)
     }
 
@@ -237,10 +281,11 @@ impl CameraFit {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
     }
 
-    /// The good sights of each instant, by index: of all instants that have any, or of enough of them, evenly. For a camera
-    /// by itself an instant is a view.
+    /// The good sights of each instant, by index: of all instants that have any, or of enough of
+    /// them, evenly. For a camera by itself an instant is a view.
     pub(crate) fn some_instants(&self) -> Vec<Vec<usize>> {
-        let mut all: Vec<Vec<usize>> = vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
+        let mut all: Vec<Vec<usize>> =
+            vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
         for sight in self.good_views() {
             all[self.sights[sight].instant].push(sight);
         }
@@ -286,7 +331,8 @@ fn fit_from(
     let readmitted = readmit(prepared, &mut robust, &mut faults);
     let mirrored = name_mirrored(prepared, &robust.minimum.state, &mut faults);
     if readmitted || mirrored {
-        robust = fit(robust.minimum.state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
+        robust =
+            fit(robust.minimum.state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
         enough_views(prepared, &faults, needed)?;
     }
     let mut fit = CameraFit::new(layout, robust, sights, faults);
@@ -294,22 +340,30 @@ fn fit_from(
     Ok(fit)
 }
 
-fn enough_views(prepared: &Prepared, faults: &[Option<ViewFault>], needed: usize) -> Result<(), EstimationError> {
+fn enough_views(
+    prepared: &Prepared,
+    faults: &[Option<ViewFault>],
+    needed: usize,
+) -> Result<(), EstimationError> {
     let usable = faults.iter().filter(|fault| fault.is_none()).count();
     if usable >= needed {
         return Ok(());
     }
-    let named = prepared.names.iter().zip(faults).filter_map(|(name, fault)| Some((name, (*fault)?)));
+    let named =
+        prepared.names.iter().zip(faults).filter_map(|(name, fault)| Some((name, (*fault)?)));
     let rejected = named.take(5).map(|(name, fault)| format!("; view `{name}`: {fault}")).collect();
     Err(EstimationError::TooFewViews { usable, needed, rejected })
 }
 
-/// Looks again, with the lens known, at views that were set aside only because no homography explained them.
+/// Looks again, with the lens known, at views that were set aside only because no homography
+/// explained them.
 fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<ViewFault>]) -> bool {
     let mut readmitted = false;
     for (view, fault) in faults.iter_mut().enumerate() {
         let Some(ViewFault::NoPose { .. }) = fault else { continue };
-        let Some((pose, residuals)) = locate(prepared, view, &robust.minimum.state) else { continue };
+        let Some((pose, residuals)) = locate(prepared, view, &robust.minimum.state) else {
+            continue;
+        };
         let good = residuals.iter().filter(|[x, y]| x.hypot(*y) <= robust.limit).count();
         if 10 * good >= 9 * residuals.len() {
             robust.minimum.state.rig_from_board[view] = pose;
@@ -319,7 +373,8 @@ fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<Vie
     readmitted
 }
 
-/// The pose of a view by itself under a known lens, robustly, with its residuals in standard deviations.
+/// The pose of a view by itself under a known lens, robustly, with its residuals in standard
+/// deviations.
 fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<[f64; 2]>)> {
     let lens = state.lenses[0];
     let pose = prepared.pose(view, &lens)?;
@@ -331,7 +386,12 @@ fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<
     sight.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();
     let loss = Loss::Huber { scale: median_scale(at_start.into_iter()).max(1e-8) };
     let sights = [sight];
-    let minimum = Minimum::start(&layout, start, &sights, loss)?.descend(&layout, &sights, loss, Stop::default());
+    let minimum = Minimum::start(&layout, start, &sights, loss)?.descend(
+        &layout,
+        &sights,
+        loss,
+        Stop::default(),
+    );
     let residuals = minimum.state.residuals(&layout, &sights[0]);
     Some((minimum.state.rig_from_board[0], residuals))
 }
@@ -344,8 +404,10 @@ fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFa
         (*pose * normal).dot(&pose.translation()) < 0.0
     };
     let good: Vec<usize> = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
-    let (behind, front): (Vec<usize>, Vec<usize>) = good.into_iter().partition(|view| from_behind(*view));
-    // A board whose points are given in a left-handed order is seen so in every view: only the odd ones out are wrong.
+    let (behind, front): (Vec<usize>, Vec<usize>) =
+        good.into_iter().partition(|view| from_behind(*view));
+    // A board whose points are given in a left-handed order is seen so in every view: only the odd
+    // ones out are wrong.
     let odd = if behind.len() <= front.len() { behind } else { front };
     for view in &odd {
         faults[*view] = Some(ViewFault::Mirrored);
@@ -384,8 +446,8 @@ fn rms(residuals: &[[f64; 2]], inverse_std: &[f64], used: impl Fn(usize) -> bool
     (sum / f64::from(count.max(1))).sqrt()
 }
 
-/// The relative standard deviation of the focal length above which views are refused: a lens known no better than this
-/// is not known.
+/// The relative standard deviation of the focal length above which views are refused: a lens known
+/// no better than this is not known.
 const OPEN_FOCAL: f64 = 0.2;
 
 /// No corner is seen better than this, in units of its own standard deviation.
@@ -431,13 +493,15 @@ pub(crate) fn assemble(
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
         let of_unit_noise = spread.row(axis) * of_lens * spread.row(axis).transpose();
-        let std = (of_unit_noise[(0, 0)] * shared_error).sqrt() * noise2.sqrt().max(LEAST_NOISE / part.noise);
+        let std = (of_unit_noise[(0, 0)] * shared_error).sqrt()
+            * noise2.sqrt().max(LEAST_NOISE / part.noise);
         if !(std < OPEN_FOCAL * lens.parameters()[axis]) {
             return Err(open(axis, std));
         }
     }
     let views = sights.map(|index| {
-        let (fault, sight, residuals) = (fit.faults[index], &fit.sights[index], &equations.residuals[index]);
+        let (fault, sight, residuals) =
+            (fit.faults[index], &fit.sights[index], &equations.residuals[index]);
         let placed = residuals.iter().any(|r| r[0].is_finite());
         let pose = pose_of(index);
         let shift = pose.translation() - pose * prepared.center_in_board;
@@ -446,14 +510,20 @@ pub(crate) fn assemble(
             (pose_at, by_sensor, by_board)
         });
         let known = fault.is_none();
-        let covariance = known.then(|| equations.pose_covariance(sight.instant, &unit, chained)).flatten();
+        let covariance =
+            known.then(|| equations.pose_covariance(sight.instant, &unit, chained)).flatten();
         ViewEstimate {
             name: problem.views[index - part.first_sight].name.clone(),
             fault,
             camera_from_board: placed.then(|| Pose::new(pose.rotation(), shift)),
             covariance: covariance.map(|c| c * variance),
-            rms_px: placed.then(|| rms(residuals, &sight.inverse_std, |k| fault.is_some() || sight.used[k])),
-            residuals_px: residuals.iter().zip(&sight.inverse_std).map(|(r, s)| r.map(|r| r / s)).collect(),
+            rms_px: placed
+                .then(|| rms(residuals, &sight.inverse_std, |k| fault.is_some() || sight.used[k])),
+            residuals_px: residuals
+                .iter()
+                .zip(&sight.inverse_std)
+                .map(|(r, s)| r.map(|r| r / s))
+                .collect(),
             used: sight.used.clone(),
         }
     });

@@ -1,8 +1,8 @@
-//! Which correction a depth camera needs: polynomials over grids from none to fine, compared on views that were not
-//! fitted to.
+//! Which correction a depth camera needs: polynomials over grids from none to fine, compared on
+//! views that were not fitted to.
 //!
-//! With the board's planes given, every correction is linear in its coefficients: one set of normal equations a fold, from
-//! which any four of five folds are fitted.
+//! With the board's planes given, every correction is linear in its coefficients: one set of normal
+//! equations a fold, from which any four of five folds are fitted.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -25,7 +25,8 @@ pub struct JudgedTile {
 /// How strongly coefficients are held together, where tiles say little.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothness {
-    /// What a term may do to 1/z at the middle of the depths seen, as a part of it: one standard deviation.
+    /// What a term may do to 1/z at the middle of the depths seen, as a part of it: one standard
+    /// deviation.
     pub amplitude: f64,
     /// The same for how much a node may differ from the straight line through its neighbours.
     pub bend: f64,
@@ -98,9 +99,10 @@ impl Prior {
     }
 }
 
-/// What triangulates measures 1/z up to a scale and an offset. What is curved in it beyond that, over the whole picture, cannot be
-/// told from how far the sensor stands back along its axis (1/(z + t) = 1/z − t/z² …): it is held to this part of 1/z at the
-/// middle of the depths seen, and is free to differ from one part of the picture to another.
+/// What triangulates measures 1/z up to a scale and an offset. What is curved in it beyond that,
+/// over the whole picture, cannot be told from how far the sensor stands back along its axis (1/(z
+/// + t) = 1/z − t/z² …): it is held to this part of 1/z at the middle of the depths seen, and is
+/// free to differ from one part of the picture to another.
 const LINEAR_TERMS: usize = 2;
 const MEAN_CURVATURE: f64 = 0.002;
 
@@ -110,8 +112,8 @@ const FOLDS: usize = 5;
 /// A correction is refused unless it does better than a simpler one by this part.
 const PREFERENCE: f64 = 0.01;
 
-/// Tries corrections on `views` (the tiles of each) and answers the chosen one, unfitted, with everything that was
-/// tried. `quantities` are those that make sense for the device.
+/// Tries corrections on `views` (the tiles of each) and answers the chosen one, unfitted, with
+/// everything that was tried. `quantities` are those that make sense for the device.
 pub fn choose_correction(
     views: &[Vec<JudgedTile>],
     size: ImageSize,
@@ -130,16 +132,17 @@ pub fn choose_correction(
     tried.push(none);
     let mut best = none;
     // The normal equations of a form serve every smoothness.
-    let attempt = |quantity, terms, cells: [u32; 2], smooth: &[Smoothness]| -> Vec<TriedCorrection> {
-        let grid = SplineGrid { size, cols: cells[0], rows: cells[1] };
-        let form = DepthCorrection::none(quantity, terms, grid, seen_m);
-        let folds = folds(views, &form);
-        let tried = |smoothness: &Smoothness| {
-            let held_out = held_out((views, &folds), &form, *smoothness);
-            TriedCorrection { quantity, terms, cells, smoothness: *smoothness, held_out }
+    let attempt =
+        |quantity, terms, cells: [u32; 2], smooth: &[Smoothness]| -> Vec<TriedCorrection> {
+            let grid = SplineGrid { size, cols: cells[0], rows: cells[1] };
+            let form = DepthCorrection::none(quantity, terms, grid, seen_m);
+            let folds = folds(views, &form);
+            let tried = |smoothness: &Smoothness| {
+                let held_out = held_out((views, &folds), &form, *smoothness);
+                TriedCorrection { quantity, terms, cells, smoothness: *smoothness, held_out }
+            };
+            smooth.iter().map(tried).collect()
         };
-        smooth.iter().map(tried).collect()
-    };
     let mut consider = |candidate: TriedCorrection, best: &mut TriedCorrection| {
         tried.push(candidate);
         if candidate.held_out < best.held_out * (1.0 - PREFERENCE) {
@@ -149,13 +152,17 @@ pub fn choose_correction(
     for quantity in quantities {
         for terms in 1..=3 {
             for cells in [[0, 0], COARSE] {
-                attempt(*quantity, terms, cells, &SMOOTH[..1]).into_iter().for_each(|one| consider(one, &mut best));
+                attempt(*quantity, terms, cells, &SMOOTH[..1])
+                    .into_iter()
+                    .for_each(|one| consider(one, &mut best));
             }
         }
     }
     if best.terms > 0 {
         for cells in FINER {
-            attempt(best.quantity, best.terms, cells, &SMOOTH).into_iter().for_each(|one| consider(one, &mut best));
+            attempt(best.quantity, best.terms, cells, &SMOOTH)
+                .into_iter()
+                .for_each(|one| consider(one, &mut best));
         }
     }
     let grid = SplineGrid { size, cols: best.cells[0], rows: best.cells[1] };
@@ -178,7 +185,9 @@ fn seen(views: &[Vec<JudgedTile>]) -> [f64; 2] {
 }
 
 fn uncorrected(views: &[Vec<JudgedTile>]) -> f64 {
-    let squares = |judged: &JudgedTile| ((judged.tile.inverse_depth - judged.plane) * judged.inverse_std).powi(2);
+    let squares = |judged: &JudgedTile| {
+        ((judged.tile.inverse_depth - judged.plane) * judged.inverse_std).powi(2)
+    };
     let count = views.iter().map(Vec::len).sum::<usize>().max(1);
     (views.iter().flatten().map(squares).sum::<f64>() / count as f64).sqrt()
 }
@@ -192,34 +201,47 @@ struct Fold {
 /// One view's residual without correction, and by the coefficients.
 fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
     columns.clear();
-    correction_columns(correction, &judged.tile, |index, value| columns.push((index, value * judged.inverse_std)));
+    correction_columns(correction, &judged.tile, |index, value| {
+        columns.push((index, value * judged.inverse_std))
+    });
     (judged.tile.inverse_depth - judged.plane) * judged.inverse_std
 }
 
-fn held_out((views, folds): (&[Vec<JudgedTile>], &[Fold]), form: &DepthCorrection, smoothness: Smoothness) -> f64 {
-    let Some(residuals) = residuals_of((views, folds), form, smoothness) else { return f64::INFINITY };
+fn held_out(
+    (views, folds): (&[Vec<JudgedTile>], &[Fold]),
+    form: &DepthCorrection,
+    smoothness: Smoothness,
+) -> f64 {
+    let Some(residuals) = residuals_of((views, folds), form, smoothness) else {
+        return f64::INFINITY;
+    };
     let count = residuals.iter().map(Vec::len).sum::<usize>().max(1);
     let of_tile = |(judged, residual): (&JudgedTile, &f64)| (judged.inverse_std * residual).powi(2);
-    let squares = views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
+    let squares =
+        views.iter().zip(&residuals).flat_map(|(view, residuals)| view.iter().zip(residuals));
     (squares.map(of_tile).sum::<f64>() / count as f64).sqrt()
 }
 
-/// Corrected 1/z minus the plane's, in 1/m, of every tile, by a correction of this form fitted to other views. `None` where
-/// it cannot be fitted.
+/// Corrected 1/z minus the plane's, in 1/m, of every tile, by a correction of this form fitted to
+/// other views. `None` where it cannot be fitted.
 pub fn held_out_residuals(
     views: &[Vec<JudgedTile>],
     correction: &DepthCorrection,
     smoothness: Smoothness,
 ) -> Option<Vec<Vec<f64>>> {
-    let form = DepthCorrection { coefficients: vec![0.0; correction.coefficients.len()], ..correction.clone() };
+    let form = DepthCorrection {
+        coefficients: vec![0.0; correction.coefficients.len()],
+        ..correction.clone()
+    };
     residuals_of((views, &folds(views, &form)), &form, smoothness)
 }
 
 /// The normal equations of each group of views for an unfitted correction of this form.
 fn folds(views: &[Vec<JudgedTile>], form: &DepthCorrection) -> Vec<Fold> {
     let size = form.coefficients.len();
-    let mut folds: Vec<Fold> =
-        (0..FOLDS).map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) }).collect();
+    let mut folds: Vec<Fold> = (0..FOLDS)
+        .map(|_| Fold { hessian: DMatrix::zeros(size, size), right: DVector::zeros(size) })
+        .collect();
     let mut columns = Vec::new();
     for (index, view) in views.iter().enumerate() {
         let fold = &mut folds[index % FOLDS];
@@ -245,15 +267,19 @@ fn residuals_of(
     let (size, mut columns) = (form.coefficients.len(), Vec::new());
     let prior = Prior::of(form, smoothness).hessian;
     let all = folds.iter().fold(prior, |sum, fold| sum + &fold.hessian);
-    let all_right = folds.iter().fold(DVector::zeros(size), |sum: DVector<f64>, fold| sum + &fold.right);
-    let fits: Option<Vec<DVector<f64>>> =
-        folds.iter().map(|fold| Some((&all - &fold.hessian).cholesky()?.solve(&(&all_right - &fold.right)))).collect();
+    let all_right =
+        folds.iter().fold(DVector::zeros(size), |sum: DVector<f64>, fold| sum + &fold.right);
+    let fits: Option<Vec<DVector<f64>>> = folds
+        .iter()
+        .map(|fold| Some((&all - &fold.hessian).cholesky()?.solve(&(&all_right - &fold.right))))
+        .collect();
     let fits = fits?;
     let each = views.iter().enumerate().map(|(index, view)| {
         let coefficients = &fits[index % FOLDS];
         let residual = |judged: &JudgedTile| {
             let before = rows(form, judged, &mut columns);
-            (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>()) / judged.inverse_std
+            (before + columns.iter().map(|(i, d)| d * coefficients[*i]).sum::<f64>())
+                / judged.inverse_std
         };
         view.iter().map(residual).collect()
     });

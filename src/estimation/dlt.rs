@@ -1,7 +1,8 @@
-//! The direct linear transform: a projection matrix, and from it K, R and t, from one view of points in space.
+//! The direct linear transform: a projection matrix, and from it K, R and t, from one view of
+//! points in space.
 //!
-//! R. Hartley and A. Zisserman, *Multiple View Geometry*, 2nd edition, algorithm 7.1: normalised coordinates, the least
-//! algebraic error, RQ decomposition, then the least distance in the image.
+//! R. Hartley and A. Zisserman, *Multiple View Geometry*, 2nd edition, algorithm 7.1: normalised
+//! coordinates, the least algebraic error, RQ decomposition, then the least distance in the image.
 
 use nalgebra::{DMatrix, Matrix3, Matrix3x4, Matrix4, Point3, Vector3};
 
@@ -20,8 +21,9 @@ use crate::geometry::pose::Pose;
 /// What the direct linear transform finds.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DltEstimate {
-    /// The linear solution: maps homogeneous points to homogeneous pixels; the first three entries of its last row have
-    /// length 1, and points in front of the camera a positive third coordinate.
+    /// The linear solution: maps homogeneous points to homogeneous pixels; the first three entries
+    /// of its last row have length 1, and points in front of the camera a positive third
+    /// coordinate.
     pub projection: Matrix3x4<f64>,
     /// K, R and t of the refined solution, a pinhole lens with skew, with their uncertainty.
     pub camera: CameraEstimate,
@@ -30,8 +32,9 @@ pub struct DltEstimate {
 /// The ratio of the points' thickness to their width below which they count as one plane.
 const THICKNESS: f64 = 1e-3;
 
-/// How much closer than the smallest the second smallest singular value may come, relative to the largest, before the
-/// solution is not alone: points and camera on a twisted cubic, or on a plane and a line.
+/// How much closer than the smallest the second smallest singular value may come, relative to the
+/// largest, before the solution is not alone: points and camera on a twisted cubic, or on a plane
+/// and a line.
 const ALONE: f64 = 1e-7;
 
 /// The projection matrix of the points of one view, scaled as in [`DltEstimate::projection`].
@@ -52,7 +55,8 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
         return Err(EstimationError::Coplanar);
     }
     let middle = seen.iter().map(|c| c.pixel.to_vector()).sum::<nalgebra::Vector2<f64>>() / n;
-    let spread = seen.iter().map(|c| (c.pixel.to_vector() - middle).norm_squared()).sum::<f64>() / n;
+    let spread =
+        seen.iter().map(|c| (c.pixel.to_vector() - middle).norm_squared()).sum::<f64>() / n;
     if !(spread > 0.0) {
         return Err(EstimationError::Coplanar);
     }
@@ -69,18 +73,30 @@ pub fn projection_matrix(seen: &[Correspondence]) -> Result<Matrix3x4<f64>, Esti
         }
     }
     let normalized = null_vector(rows).ok_or(EstimationError::Coplanar)?;
-    let to_pixels = Matrix3::new(1.0 / to_unit_px, 0.0, middle.x, 0.0, 1.0 / to_unit_px, middle.y, 0.0, 0.0, 1.0);
+    let to_pixels = Matrix3::new(
+        1.0 / to_unit_px,
+        0.0,
+        middle.x,
+        0.0,
+        1.0 / to_unit_px,
+        middle.y,
+        0.0,
+        0.0,
+        1.0,
+    );
     let mut to_normalized = Matrix4::identity() * to_unit;
     to_normalized.fixed_view_mut::<3, 1>(0, 3).copy_from(&(-center * to_unit));
     to_normalized[(3, 3)] = 1.0;
     let projection = to_pixels * normalized * to_normalized;
-    let depth: f64 = seen.iter().map(|c| (projection * c.point_in_board.coords.push(1.0)).z.signum()).sum();
+    let depth: f64 =
+        seen.iter().map(|c| (projection * c.point_in_board.coords.push(1.0)).z.signum()).sum();
     let scale = projection.fixed_view::<1, 3>(2, 0).norm() * depth.signum();
     let scaled = projection / scale;
     scaled.iter().all(|v| v.is_finite()).then_some(scaled).ok_or(EstimationError::Coplanar)
 }
 
-/// The right singular vector of the smallest singular value, as a projection; `None` where it is not alone.
+/// The right singular vector of the smallest singular value, as a projection; `None` where it is
+/// not alone.
 fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
     if rows.nrows() < 12 {
         rows = rows.resize_vertically(12, 0.0);
@@ -90,11 +106,12 @@ fn null_vector(mut rows: DMatrix<f64>) -> Option<Matrix3x4<f64>> {
     let mut order: Vec<usize> = (0..values.len()).collect();
     order.sort_by(|a, b| values[*a].total_cmp(&values[*b]));
     let (smallest, second, largest) = (order[0], values[order[1]], values[order[values.len() - 1]]);
-    (second > ALONE * largest).then(|| Matrix3x4::from_row_slice(v_t.row(smallest).transpose().as_slice()))
+    (second > ALONE * largest)
+        .then(|| Matrix3x4::from_row_slice(v_t.row(smallest).transpose().as_slice()))
 }
 
-/// K, R and t of a projection matrix: K upper triangular with a positive diagonal, R a rotation (RQ decomposition). `None`
-/// for a camera at infinity, or a matrix that only a mirror could make.
+/// K, R and t of a projection matrix: K upper triangular with a positive diagonal, R a rotation (RQ
+/// decomposition). `None` for a camera at infinity, or a matrix that only a mirror could make.
 pub fn camera_from_projection(projection: &Matrix3x4<f64>) -> Option<(CameraMatrix, Pose)> {
     let left: Matrix3<f64> = projection.fixed_columns::<3>(0).into_owned();
     let flip = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0);
@@ -112,18 +129,20 @@ pub fn camera_from_projection(projection: &Matrix3x4<f64>) -> Option<(CameraMatr
     usable.then(|| (matrix, Pose::from_matrix(&rotation, translation)))
 }
 
-/// Calibrates a camera without distortion from the one view of `problem`: the linear solution, then the least distance in
-/// the image over K (with skew), R and t.
+/// Calibrates a camera without distortion from the one view of `problem`: the linear solution, then
+/// the least distance in the image over K (with skew), R and t.
 ///
 /// # Errors
-/// More than one view, fewer than 6 points, points that determine no projection, numbers that are not finite.
+/// More than one view, fewer than 6 points, points that determine no projection, numbers that are
+/// not finite.
 pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationError> {
     check(problem)?;
     let [view] = problem.views.as_slice() else {
         return Err(EstimationError::NotOneView { views: problem.views.len() });
     };
     let projection = projection_matrix(&view.correspondences)?;
-    let (matrix, camera_from_world) = camera_from_projection(&projection).ok_or(EstimationError::NoFit)?;
+    let (matrix, camera_from_world) =
+        camera_from_projection(&projection).ok_or(EstimationError::NoFit)?;
     let prepared = Prepared::of(problem);
     let about_center = camera_from_world * Point3::from(prepared.center_in_board);
     let start = State {
@@ -136,7 +155,8 @@ pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationE
     let options = CameraOptions { lens, skew: true, ..CameraOptions::default() };
     let (free_lens, _) = FreeLens::from_options(LensModel::Pinhole, &options)?;
     let (layout, loss) = (Layout::new(vec![free_lens], None), Loss::Squares);
-    let minimum = Minimum::start(&layout, start, &prepared.sights, loss).ok_or(EstimationError::NoFit)?;
+    let minimum =
+        Minimum::start(&layout, start, &prepared.sights, loss).ok_or(EstimationError::NoFit)?;
     let minimum = minimum.descend(&layout, &prepared.sights, loss, Stop::default());
     let robust = RobustFit { minimum, limit: f64::INFINITY };
     let fit = CameraFit::new(layout, robust, prepared.sights.clone(), vec![None]);
@@ -151,7 +171,8 @@ mod tests {
 
     fn truth() -> (Lens, Pose) {
         let matrix = CameraMatrix { fx: 700.0, fy: 690.0, cx: 330.0, cy: 235.0, skew: 2.5 };
-        let camera_from_world = Pose::from_axis_angle(Vector3::new(0.5, -0.4, 0.2), Vector3::new(-0.1, 0.05, 1.5));
+        let camera_from_world =
+            Pose::from_axis_angle(Vector3::new(0.5, -0.4, 0.2), Vector3::new(-0.1, 0.05, 1.5));
         (Lens::pinhole(matrix), camera_from_world)
     }
 
@@ -162,12 +183,14 @@ mod tests {
             pixel: lens.pixel_from_point(&(camera_from_world * point)).unwrap(),
             std_px: 1.0,
         };
-        let view = BoardView { name: "cube".to_owned(), correspondences: points.map(seen).collect() };
+        let view =
+            BoardView { name: "cube".to_owned(), correspondences: points.map(seen).collect() };
         CameraProblem { image_size: ImageSize::new(640, 480), views: vec![view] }
     }
 
     fn cube(count: usize) -> impl Iterator<Item = Point3<f64>> {
-        let corner = |k: usize| Point3::new((k % 2) as f64, (k / 2 % 2) as f64, (k / 4 % 2) as f64) * 0.3;
+        let corner =
+            |k: usize| Point3::new((k % 2) as f64, (k / 2 % 2) as f64, (k / 4 % 2) as f64) * 0.3;
         (0..count).map(corner)
     }
 
@@ -190,10 +213,15 @@ mod tests {
         let table = [
             (problem(cube(5)), EstimationError::TooFewPoints { points: 5 }),
             (
-                problem((0..30).map(|k| Point3::new(f64::from(k % 6), f64::from(k / 6), 0.0) * 0.1)),
+                problem(
+                    (0..30).map(|k| Point3::new(f64::from(k % 6), f64::from(k / 6), 0.0) * 0.1),
+                ),
                 EstimationError::Coplanar,
             ),
-            (problem((0..9).map(|k| Point3::new(0.01, 0.02, 0.03) * f64::from(k))), EstimationError::Coplanar),
+            (
+                problem((0..9).map(|k| Point3::new(0.01, 0.02, 0.03) * f64::from(k))),
+                EstimationError::Coplanar,
+            ),
         ];
         for (problem, expected) in table {
             assert_eq!(calibrate_dlt(&problem).unwrap_err(), expected);

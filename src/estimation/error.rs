@@ -15,7 +15,9 @@ pub enum EstimationError {
         height: u32,
     },
     /// NaN or infinite.
-    #[error("view `{view}`, point {point}: {what} is not a finite number; correct it or leave the point out")]
+    #[error(
+        "view `{view}`, point {point}: {what} is not a finite number; correct it or leave the point out"
+    )]
     NotFinite {
         /// The view's name.
         view: String,
@@ -25,7 +27,9 @@ pub enum EstimationError {
         what: &'static str,
     },
     /// A standard deviation of 0 or less.
-    #[error("view `{view}`, point {point}: a standard deviation of {std_px} px is impossible; give a positive one")]
+    #[error(
+        "view `{view}`, point {point}: a standard deviation of {std_px} px is impossible; give a positive one"
+    )]
     Std {
         /// The view's name.
         view: String,
@@ -102,24 +106,31 @@ pub enum EstimationError {
         reason: String,
     },
     /// A sensor of a rig that never saw the board together with another.
-    #[error("sensor `{sensor}` saw the board at no instant at which another sensor did: show it to both at once")]
+    #[error(
+        "sensor `{sensor}` saw the board at no instant at which another sensor did: show it to both at once"
+    )]
     NothingShared {
         /// The sensor's name.
         sensor: String,
     },
     /// The direct linear transform takes one view.
-    #[error("{views} views were given to the direct linear transform: give one, or leave out the method")]
+    #[error(
+        "{views} views were given to the direct linear transform: give one, or leave out the method"
+    )]
     NotOneView {
         /// How many were given.
         views: usize,
     },
     /// A direct linear transform needs six points in space.
-    #[error("{points} points are too few for a direct linear transform: give at least 6 that do not lie on one plane")]
+    #[error(
+        "{points} points are too few for a direct linear transform: give at least 6 that do not lie on one plane"
+    )]
     TooFewPoints {
         /// How many were given.
         points: usize,
     },
-    /// The points lie on a plane, a line, or with the camera on a surface that determines no projection.
+    /// The points lie on a plane, a line, or with the camera on a surface that determines no
+    /// projection.
     #[error(
         "the points lie on one plane (or nearly), which determines no projection matrix: add points at other depths, or give several views of the plane and leave out the method"
     )]

@@ -1,7 +1,8 @@
-//! Which lens model: the one with the fewest parameters over which no larger one is worth its own. A larger model is worth
-//! them if it errs less on views that it was not fitted to, and if it moves projections somewhere in the picture by more
-//! than it is itself uncertain there: a smaller error on a few views is chance one time in six, and they tell nothing of
-//! the picture's corners that no view reached, where parameters that are hardly determined do their harm.
+//! Which lens model: the one with the fewest parameters over which no larger one is worth its own.
+//! A larger model is worth them if it errs less on views that it was not fitted to, and if it moves
+//! projections somewhere in the picture by more than it is itself uncertain there: a smaller error
+//! on a few views is chance one time in six, and they tell nothing of the picture's corners that no
+//! view reached, where parameters that are hardly determined do their harm.
 
 use nalgebra::DMatrix;
 
@@ -13,7 +14,9 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, Sight, State};
 use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
-use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 
@@ -22,7 +25,8 @@ use crate::geometry::pixel::ImageSize;
 pub struct LensTrial {
     /// The model.
     pub model: LensModel,
-    /// Root mean square error on views that were not fitted to, in pixels, once each of those views has its own pose.
+    /// Root mean square error on views that were not fitted to, in pixels, once each of those views
+    /// has its own pose.
     pub held_out_rms_px: f64,
     /// How many parameters were estimated.
     pub parameters: usize,
@@ -31,28 +35,34 @@ pub struct LensTrial {
 /// The views are dealt into at most this many parts, each held out once.
 const FOLDS: usize = 10;
 
-/// How much smaller the error on held-out views must be, in standard errors of the mean difference per view.
+/// How much smaller the error on held-out views must be, in standard errors of the mean difference
+/// per view.
 const HELD_OUT: f64 = 1.0;
 
-/// How far projections must move somewhere in the picture, in the larger model's standard deviations there.
+/// How far projections must move somewhere in the picture, in the larger model's standard
+/// deviations there.
 const MOVED: f64 = 2.5;
 
-/// Projections that move this far decide even where views are too few for [`HELD_OUT`] to say more than which is better.
+/// Projections that move this far decide even where views are too few for [`HELD_OUT`] to say more
+/// than which is better.
 const MOVED_FAR: f64 = 4.0;
 
 /// The picture is compared on this many columns of pixels.
 const COLUMNS: u32 = 12;
 
-/// A step's cost is as it was foreseen within this part: the problem is linear there, and the step its minimum.
+/// A step's cost is as it was foreseen within this part: the problem is linear there, and the step
+/// its minimum.
 const FORESEEN: f64 = 0.01;
 
-/// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of that.
+/// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of
+/// that.
 const LEAST_DENOMINATOR: f64 = 0.1;
 
 /// Squared radii at which it is looked at.
 const POLE_STEPS: u32 = 400;
 
-/// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations from its minimum.
+/// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
+/// from its minimum.
 const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
 /// Views used in the comparison at most; more would not tell the models further apart.
@@ -77,17 +87,25 @@ pub(crate) fn choose_lens(
     }
     // The model that fits most closely tells best which corners are wrong.
     let closest = fits.iter().min_by(|a, b| a.robust.limit.total_cmp(&b.robust.limit));
-    let Some(closest) = closest.cloned() else { return Err(refusal.unwrap_or(EstimationError::NoFit)) };
+    let Some(closest) = closest.cloned() else {
+        return Err(refusal.unwrap_or(EstimationError::NoFit));
+    };
     let views = closest.good_views();
-    let views: Vec<usize> = views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
+    let views: Vec<usize> =
+        views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
     let grid = PixelGrid::over(prepared.image_size, COLUMNS);
-    let trials: Vec<Trial<'_>> = fits.iter().filter_map(|fit| Trial::of(fit, &closest.sights, &views, grid)).collect();
+    let trials: Vec<Trial<'_>> =
+        fits.iter().filter_map(|fit| Trial::of(fit, &closest.sights, &views, grid)).collect();
     let mut by_size: Vec<&Trial<'_>> = trials.iter().collect();
     by_size.sort_by_key(|trial| standing(trial.fit.lens().model()));
-    let enough =
-        |(k, smaller): &(usize, &&Trial<'_>)| !by_size[k + 1..].iter().any(|larger| larger.is_worth_more(smaller));
-    let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else { return Ok((closest, Vec::new())) };
-    let corners: usize = views.iter().map(|v| closest.sights[*v].used.iter().filter(|used| **used).count()).sum();
+    let enough = |(k, smaller): &(usize, &&Trial<'_>)| {
+        !by_size[k + 1..].iter().any(|larger| larger.is_worth_more(smaller))
+    };
+    let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else {
+        return Ok((closest, Vec::new()));
+    };
+    let corners: usize =
+        views.iter().map(|v| closest.sights[*v].used.iter().filter(|used| **used).count()).sum();
     let told = |trial: &Trial<'_>| LensTrial {
         model: trial.fit.lens().model(),
         held_out_rms_px: (trial.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt(),
@@ -96,22 +114,24 @@ pub(crate) fn choose_lens(
     Ok((chosen.fit.clone(), trials.iter().map(told).collect()))
 }
 
-/// Whether the denominator of a rational lens comes near 0 somewhere in the picture. Views that do not determine all of its
-/// parameters are fitted best by a numerator and a denominator of huge coefficients that cancel but for a kink on a circle,
-/// which no lens has.
+/// Whether the denominator of a rational lens comes near 0 somewhere in the picture. Views that do
+/// not determine all of its parameters are fitted best by a numerator and a denominator of huge
+/// coefficients that cancel but for a kink on a circle, which no lens has.
 fn has_pole(lens: &Lens, size: ImageSize) -> bool {
     let coefficients = lens.distortion.coefficients();
     let [_, _, _, _, _, k4, k5, k6] = coefficients.as_slice() else { return false };
     let matrix = lens.matrix;
     let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
-    let farthest = (reach(matrix.cx, size.width) / matrix.fx).hypot(reach(matrix.cy, size.height) / matrix.fy);
+    let farthest =
+        (reach(matrix.cx, size.width) / matrix.fx).hypot(reach(matrix.cy, size.height) / matrix.fy);
     let denominator = |r2: f64| 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
-    (1..=POLE_STEPS)
-        .any(|k| denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR)
+    (1..=POLE_STEPS).any(|k| {
+        denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR
+    })
 }
 
-/// The order in which models are preferred: by the number of their parameters, but the fisheye's, with one less, after the
-/// one that every program knows.
+/// The order in which models are preferred: by the number of their parameters, but the fisheye's,
+/// with one less, after the one that every program knows.
 fn standing(model: LensModel) -> usize {
     match model {
         LensModel::Pinhole => 0,
@@ -138,38 +158,55 @@ impl<'a> Trial<'a> {
         Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
     }
 
-    /// Whether it is to be preferred to `smaller`, which is preferred where nothing tells them apart.
+    /// Whether it is to be preferred to `smaller`, which is preferred where nothing tells them
+    /// apart.
     fn is_worth_more(&self, smaller: &Self) -> bool {
         let gain = gain_in_standard_errors(&smaller.squares, &self.squares);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
         gain > 0.0 && moved() > if gain > HELD_OUT { MOVED } else { MOVED_FAR }
     }
 
-    /// How far its projections are from those of `other` at most, in its own standard deviations at that pixel.
+    /// How far its projections are from those of `other` at most, in its own standard deviations at
+    /// that pixel.
     fn moves_projections_of(&self, other: &Lens) -> Option<f64> {
-        let own = projection_uncertainty(self.fit.lens(), self.covariance.as_ref()?, self.grid, Distance::Infinity)?;
+        let own = projection_uncertainty(
+            self.fit.lens(),
+            self.covariance.as_ref()?,
+            self.grid,
+            Distance::Infinity,
+        )?;
         let moved = projection_difference(self.fit.lens(), other, self.grid, &own.weights);
-        let pairs = moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
+        let pairs =
+            moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
         Some(pairs.map(|([x, y], own)| f64::sqrt((x * x + y * y) / own)).fold(0.0, f64::max))
     }
 }
 
-/// The mean per view of how much smaller `larger_model` is than `smaller_model`, in standard errors of that mean.
+/// The mean per view of how much smaller `larger_model` is than `smaller_model`, in standard errors
+/// of that mean.
 fn gain_in_standard_errors(smaller_model: &[f64], larger_model: &[f64]) -> f64 {
     let n = smaller_model.len() as f64;
-    let differences: Vec<f64> = smaller_model.iter().zip(larger_model).map(|(a, b)| a - b).collect();
+    let differences: Vec<f64> =
+        smaller_model.iter().zip(larger_model).map(|(a, b)| a - b).collect();
     let mean = differences.iter().sum::<f64>() / n;
     let variance = differences.iter().map(|d| (d - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
     mean / (variance / n).sqrt().max(f64::MIN_POSITIVE)
 }
 
-/// Per view, the sum of squared pixel errors under a lens fitted without it. `None` where a part cannot be fitted.
-pub(crate) fn held_out_squares(fit: &CameraFit, chosen: &[Sight], views: &[usize], folds: usize) -> Option<Vec<f64>> {
+/// Per view, the sum of squared pixel errors under a lens fitted without it. `None` where a part
+/// cannot be fitted.
+pub(crate) fn held_out_squares(
+    fit: &CameraFit,
+    chosen: &[Sight],
+    views: &[usize],
+    folds: usize,
+) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; views.len()];
     let folds = folds.min(views.len());
     let apart = looked_at((&fit.layout, &fit.robust.minimum.state), chosen, views)?;
     for fold in 0..folds {
-        let kept: Vec<usize> = (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
+        let kept: Vec<usize> =
+            (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
         let lens = refit(fit, (chosen, &apart), &kept).state.lenses[0];
         for k in (fold..views.len()).step_by(folds) {
             squares[k] = squares_under(&lens, fit, &chosen[views[k]])?;
@@ -179,11 +216,21 @@ pub(crate) fn held_out_squares(fit: &CameraFit, chosen: &[Sight], views: &[usize
 }
 
 /// The fit of some of the views, from the fit of all, where `apart` tells what each says.
-pub(crate) fn refit(fit: &CameraFit, (chosen, apart): (&[Sight], &[LocalEquations]), views: &[usize]) -> Minimum {
+pub(crate) fn refit(
+    fit: &CameraFit,
+    (chosen, apart): (&[Sight], &[LocalEquations]),
+    views: &[usize],
+) -> Minimum {
     let all = &fit.robust.minimum.state;
-    let sights: Vec<Sight> =
-        views.iter().enumerate().map(|(k, view)| Sight { instant: k, ..chosen[*view].clone() }).collect();
-    let state = State { rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(), ..all.clone() };
+    let sights: Vec<Sight> = views
+        .iter()
+        .enumerate()
+        .map(|(k, view)| Sight { instant: k, ..chosen[*view].clone() })
+        .collect();
+    let state = State {
+        rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(),
+        ..all.clone()
+    };
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
     let equations = together(apart, (&fit.layout, all), chosen, (parts, views.len()));
     let start = Minimum { state, equations, steps: 0 };
@@ -193,24 +240,37 @@ pub(crate) fn refit(fit: &CameraFit, (chosen, apart): (&[Sight], &[LocalEquation
 /// The sum of squared pixel errors of one view at its best pose under `lens`.
 pub(crate) fn squares_under(lens: &Lens, fit: &CameraFit, sight: &Sight) -> Option<f64> {
     let all = &fit.robust.minimum.state;
-    let layout = Layout::new(vec![FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false }], None);
+    let layout = Layout::new(
+        vec![FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false }],
+        None,
+    );
     let pose = all.rig_from_board[sight.instant];
     let state = State { lenses: vec![*lens], rig_from_board: vec![pose], ..all.clone() };
     let sights = [Sight { instant: 0, ..sight.clone() }];
     let loss = Loss::Squares;
     let mut minimum = Minimum::start(&layout, state, &sights, loss)?;
     let step = minimum.equations.solve(0.0)?;
-    let mut residuals = minimum.state.stepped(&layout, &step.global, &step.instants)?.residuals(&layout, &sights[0]);
-    let used = || sight.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
+    let mut residuals = minimum
+        .state
+        .stepped(&layout, &step.global, &step.instants)?
+        .residuals(&layout, &sights[0]);
+    let used =
+        || sight.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
     let cost: f64 = used().map(|corner| residuals[corner]).map(|[x, y]| x * x + y * y).sum();
     // A step that ends as it was foreseen needs no second one.
     let foreseen = minimum.equations.cost - step.predicted_decrease;
     if !cost.is_finite() || (cost - foreseen).abs() > FORESEEN * cost {
-        minimum = minimum.descend(&layout, &sights, loss, Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() });
+        minimum = minimum.descend(
+            &layout,
+            &sights,
+            loss,
+            Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() },
+        );
         residuals.clone_from(&minimum.equations.residuals[0]);
     }
-    let squares =
-        |corner: usize| residuals[corner].map(|r| (r / sight.inverse_std[corner]).powi(2)).iter().sum::<f64>();
+    let squares = |corner: usize| {
+        residuals[corner].map(|r| (r / sight.inverse_std[corner]).powi(2)).iter().sum::<f64>()
+    };
     let squares: f64 = used().map(squares).sum();
     squares.is_finite().then_some(squares)
 }
@@ -226,11 +286,16 @@ mod tests {
             Lens::from_parameters(LensModel::Rational, &parameters).unwrap()
         };
         let size = ImageSize::new(640, 480);
-        assert!(has_pole(&rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]), size));
+        assert!(has_pole(
+            &rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]),
+            size
+        ));
         assert!(!has_pole(&rational([0.34, 0.016, 0.0, 0.0, 0.0004, 0.65, 0.1, 0.002]), size));
         assert!(!has_pole(&rational([12.0, 5.0, 0.0, 0.0, 0.3, 12.3, 8.0, 1.2]), size));
-        let brown =
-            Lens::from_parameters(LensModel::Brown, &[700.0, 700.0, 319.5, 239.5, 0.0, -0.3, 0.1, 0.0, 0.0, 0.0]);
+        let brown = Lens::from_parameters(
+            LensModel::Brown,
+            &[700.0, 700.0, 319.5, 239.5, 0.0, -0.3, 0.1, 0.0, 0.0, 0.0],
+        );
         assert!(!has_pole(&brown.unwrap(), size));
     }
 }

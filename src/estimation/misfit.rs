@@ -1,9 +1,10 @@
-//! Why a model does not fit: what else, had it been in the model, would explain what is left. Each candidate is tried by one
-//! Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948): a board whose points are off its plane, the same in every
-//! view; and a board or camera in motion while the rows of the picture were read one after another. Twelve unknowns a view
-//! always explain something, so motion must explain far more than a board of any shape does, or clearly more than the
-//! same with columns in place of rows: that differs only by perspective, since a shear along rows is one along columns
-//! and a turn.
+//! Why a model does not fit: what else, had it been in the model, would explain what is left. Each
+//! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948): a
+//! board whose points are off its plane, the same in every view; and a board or camera in motion
+//! while the rows of the picture were read one after another. Twelve unknowns a view always explain
+//! something, so motion must explain far more than a board of any shape does, or clearly more than
+//! the same with columns in place of rows: that differs only by perspective, since a shear along
+//! rows is one along columns and a turn.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
@@ -14,15 +15,16 @@ use crate::geometry::pixel::Pixel;
 /// What seems to be wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Misfit {
-    /// The part of the residuals' squares that motion while rows were read explains, where it explains a good part.
+    /// The part of the residuals' squares that motion while rows were read explains, where it
+    /// explains a good part.
     pub rolling_shutter: Option<f64>,
-    /// How far the board's points seem to be off a plane, from the lowest to the highest, in metres, where that explains
-    /// a visible part of what is left.
+    /// How far the board's points seem to be off a plane, from the lowest to the highest, in
+    /// metres, where that explains a visible part of what is left.
     pub unevenness_m: Option<f64>,
 }
 
-/// The least part of the residuals' squares that an uneven board must explain to be named, and the least of that in units
-/// of the noise's variance; chance alone explains 7.
+/// The least part of the residuals' squares that an uneven board must explain to be named, and the
+/// least of that in units of the noise's variance; chance alone explains 7.
 const UNEVEN_GAIN: [f64; 2] = [0.05, 40.0];
 
 /// Motion must leave less than this part of the variance that a board of any shape leaves, …
@@ -53,11 +55,13 @@ impl Misfit {
         let score = |read, shape| Score::of(fit, views, Extra { size, read, shape });
         let shape = is_flat.then(|| score(Read::AtOnce, SHAPE)).flatten();
         let without_motion = shape.as_ref().map_or(fit.noise_square(), Score::variance_left);
-        let rows = score(Read::ByRows, 0).filter(|rows| rows.variance_left() < MOTION_LEFT * without_motion);
+        let rows = score(Read::ByRows, 0)
+            .filter(|rows| rows.variance_left() < MOTION_LEFT * without_motion);
         let is_motion = |rows: &Score| {
             let by_columns = || {
-                score(Read::ByColumns, 0)
-                    .is_some_and(|columns| rows.variance_left() < MOTION_AGAINST_COLUMNS * columns.variance_left())
+                score(Read::ByColumns, 0).is_some_and(|columns| {
+                    rows.variance_left() < MOTION_AGAINST_COLUMNS * columns.variance_left()
+                })
             };
             rows.variance_left() < MOTION_ALONE * without_motion || by_columns()
         };
@@ -65,7 +69,8 @@ impl Misfit {
             return Self { rolling_shutter: Some(rows.decrease / rows.cost), unevenness_m: None };
         }
         let is_uneven = |score: &Score| {
-            score.decrease > UNEVEN_GAIN[0] * score.cost && score.decrease > UNEVEN_GAIN[1] * fit.noise_square()
+            score.decrease > UNEVEN_GAIN[0] * score.cost
+                && score.decrease > UNEVEN_GAIN[1] * fit.noise_square()
         };
         let unevenness_m = shape.filter(is_uneven).map(|score| score.unevenness_m(fit, views));
         Self { rolling_shutter: None, unevenness_m }
@@ -116,14 +121,16 @@ impl Score {
         for view in views {
             let (jacobian, residual) = linearized(fit, *view, extra)?;
             (cost, residuals) = (cost + residual.norm_squared(), residuals + residual.len());
-            let (by_global, by_view) = (jacobian.columns(0, globals), jacobian.columns(globals, extra.per_view()));
+            let (by_global, by_view) =
+                (jacobian.columns(0, globals), jacobian.columns(globals, extra.per_view()));
             let square = by_view.transpose() * by_view;
             let factor = square.cholesky()?;
             let gradient = by_view.transpose() * &residual;
             let step = factor.solve(&gradient);
             decrease += gradient.dot(&step);
             let coupling = by_global.transpose() * by_view;
-            schur += by_global.transpose() * by_global - &coupling * factor.solve(&coupling.transpose());
+            schur +=
+                by_global.transpose() * by_global - &coupling * factor.solve(&coupling.transpose());
             right += by_global.transpose() * &residual - coupling * step;
         }
         // Parameters differ by orders of magnitude: solve in units of their own strength.
@@ -144,10 +151,14 @@ impl Score {
     /// From the lowest to the highest of the board's points, off the plane that fits them best.
     fn unevenness_m(&self, fit: &CameraFit, views: &[usize]) -> f64 {
         let half = half_extent(fit);
-        let points: Vec<&Point3<f64>> = views.iter().flat_map(|view| &fit.sights[*view].points).collect();
-        let heights = points.iter().map(|p| shape_at(p, half).iter().zip(&self.shape).map(|(b, s)| b * s).sum());
+        let points: Vec<&Point3<f64>> =
+            views.iter().flat_map(|view| &fit.sights[*view].points).collect();
+        let heights = points
+            .iter()
+            .map(|p| shape_at(p, half).iter().zip(&self.shape).map(|(b, s)| b * s).sum());
         let heights = DVector::from_iterator(points.len(), heights);
-        let plane = DMatrix::from_fn(points.len(), 3, |row, k| [1.0, points[row].x, points[row].y][k]);
+        let plane =
+            DMatrix::from_fn(points.len(), 3, |row, k| [1.0, points[row].x, points[row].y][k]);
         let tilt = plane.clone().svd(true, true).solve(&heights, 1e-12);
         let off = tilt.map_or_else(|_| heights.clone(), |tilt| &heights - plane * tilt);
         off.max() - off.min()
@@ -165,7 +176,8 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
     [x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y]
 }
 
-/// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's corners that take part.
+/// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's corners that
+/// take part.
 fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (sight, lens) = (&fit.sights[view], fit.lens());
     let pose = fit.robust.minimum.state.rig_from_board[sight.instant];
@@ -173,7 +185,8 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
     let used: Vec<usize> = (0..sight.points.len()).filter(|k| sight.used[*k]).collect();
     let spread = fit.layout.sensors[0].lens.spread(lens);
     let columns = fit.layout.len + extra.shape + extra.per_view();
-    let (mut jacobian, mut residual) = (DMatrix::zeros(2 * used.len(), columns), DVector::zeros(2 * used.len()));
+    let (mut jacobian, mut residual) =
+        (DMatrix::zeros(2 * used.len(), columns), DVector::zeros(2 * used.len()));
     for (row, k) in used.into_iter().enumerate() {
         let (point, seen, weight) = (sight.points[k], sight.pixels[k], sight.inverse_std[k]);
         let turned: Vector3<f64> = turn * point.coords;
@@ -190,10 +203,14 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
         for (part, time) in [Some(1.0), extra.time(seen)].into_iter().flatten().enumerate() {
             let at = extra.shape + 6 * part;
             moved.fixed_view_mut::<3, 3>(0, at).copy_from(&(-cross(&turned) * time));
-            moved.fixed_view_mut::<3, 3>(0, at + 3).copy_from(&(nalgebra::Matrix3::identity() * time));
+            moved
+                .fixed_view_mut::<3, 3>(0, at + 3)
+                .copy_from(&(nalgebra::Matrix3::identity() * time));
         }
         jacobian.view_mut((2 * row, 0), (2, fit.layout.len)).copy_from(&by_lens);
-        jacobian.view_mut((2 * row, fit.layout.len), (2, moved.ncols())).copy_from(&(by_point * moved));
+        jacobian
+            .view_mut((2 * row, fit.layout.len), (2, moved.ncols()))
+            .copy_from(&(by_point * moved));
     }
     Some((jacobian, residual))
 }

@@ -1,5 +1,5 @@
-//! Whether the model is right at all, which no residual of the fit itself can tell: two disjoint halves of the views are
-//! fitted apart, and each predicts the other.
+//! Whether the model is right at all, which no residual of the fit itself can tell: two disjoint
+//! halves of the views are fitted apart, and each predicts the other.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -9,38 +9,43 @@ use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::lens_choice::{refit, squares_under};
 use crate::estimation::misfit::Misfit;
-use crate::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use crate::geometry::lens::Lens;
 
 /// What two halves of the views say of each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ModelCheck {
-    /// The difference of the halves' projections, after the best compensating turn, over what their uncertainties predict
-    /// at that pixel: the root of the mean square over the image, about 1 when the model is right. `None` with fewer than six views.
+    /// The difference of the halves' projections, after the best compensating turn, over what their
+    /// uncertainties predict at that pixel: the root of the mean square over the image, about 1
+    /// when the model is right. `None` with fewer than six views.
     pub split_half_ratio: Option<f64>,
     /// Root mean square error of each half's views under the other half's lens, in pixels.
     pub held_out_rms_px: Option<f64>,
     /// By how much the focal length differs between the halves, relative to itself.
     pub focal_change: Option<f64>,
-    /// Correlation of the residuals of corners that follow each other on the board: near 0 for noise, near 1 where the model
-    /// cannot follow the picture, and halves agree on the same wrong answer.
+    /// Correlation of the residuals of corners that follow each other on the board: near 0 for
+    /// noise, near 1 where the model cannot follow the picture, and halves agree on the same wrong
+    /// answer.
     pub residual_correlation: Option<f64>,
     /// What seems to be wrong where halves or neighbouring corners show that something is.
     pub misfit: Misfit,
-    /// How far the board seems bent at its middle along x and y, in metres, where that explains a visible part of what is
-    /// left and was not estimated.
+    /// How far the board seems bent at its middle along x and y, in metres, where that explains a
+    /// visible part of what is left and was not estimated.
     pub bow_m: Option<[f64; 2]>,
 }
 
-/// The least part of the residuals' squares that a bent board must explain to be named, and the least of that in units of
-/// the noise's variance: chance alone explains 2.
+/// The least part of the residuals' squares that a bent board must explain to be named, and the
+/// least of that in units of the noise's variance: chance alone explains 2.
 const BOW_GAIN: [f64; 2] = [0.05, 40.0];
 
 /// Above either of these, causes are looked for; clean data stays below.
 const SUSPICIOUS_RATIO: f64 = 2.0;
 const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
-/// Where another lens raises the squares of a view by less than this part, what second order leaves out of it is far less.
+/// Where another lens raises the squares of a view by less than this part, what second order leaves
+/// out of it is far less.
 const NEARBY: f64 = 0.2;
 
 /// Neighbours that it takes to tell a correlation from chance.
@@ -60,7 +65,8 @@ impl ModelCheck {
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let look = suspicious && views.len() >= Self::MIN_VIEWS;
         let misfit = if look { Misfit::of(fit, &views, size) } else { Misfit::default() };
-        // A bow leaves smooth residuals: where neighbours go apart rather than together, none is worth looking for.
+        // A bow leaves smooth residuals: where neighbours go apart rather than together, none is
+        // worth looking for.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
         let bow_m = if smooth { bow_m(fit) } else { None };
         Self { bow_m, residual_correlation, misfit, ..halves }
@@ -71,38 +77,50 @@ impl ModelCheck {
         if views.len() < Self::MIN_VIEWS {
             return None;
         }
-        let half = |parity: usize| -> Vec<usize> { views.iter().skip(parity).step_by(2).copied().collect() };
+        let half = |parity: usize| -> Vec<usize> {
+            views.iter().skip(parity).step_by(2).copied().collect()
+        };
         let (even, odd) = (half(0), half(1));
         let apart = &fit.robust.minimum.equations.apart;
         let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.sights, apart), half));
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
         let grid = PixelGrid::over(estimate.image_size, 10);
-        let predicted = projection_uncertainty(&estimate.lens, &covariance, grid, Distance::Infinity)?;
+        let predicted =
+            projection_uncertainty(&estimate.lens, &covariance, grid, Distance::Infinity)?;
         let seen = projection_difference(&lens_a, &lens_b, grid, &predicted.weights);
-        // Each pixel against its own prediction: a corner that no view reached must not drown the rest.
+        // Each pixel against its own prediction: a corner that no view reached must not drown the
+        // rest.
         let ratios = seen.iter().zip(&predicted.square_px2).filter_map(|(seen, predicted)| {
             let [x, y] = (*seen)?;
             Some((x * x + y * y) / (*predicted)?)
         });
-        let (count, sum) = ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
+        let (count, sum) =
+            ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
         let crossed = |lens: &Lens, views: &[usize]| -> Option<f64> {
             let looked_at_again = |view: usize| squares_under(lens, fit, &fit.sights[view]);
-            views.iter().map(|view| squares_nearby(lens, fit, *view).or_else(|| looked_at_again(*view))).sum()
+            views
+                .iter()
+                .map(|view| squares_nearby(lens, fit, *view).or_else(|| looked_at_again(*view)))
+                .sum()
         };
         let held_out = crossed(&lens_b, &even).and_then(|sum| Some(sum + crossed(&lens_a, &odd)?));
-        let corners = views.iter().flat_map(|view| &fit.sights[*view].used).filter(|used| **used).count();
+        let corners =
+            views.iter().flat_map(|view| &fit.sights[*view].used).filter(|used| **used).count();
         Some(Self {
             split_half_ratio: Some(f64::sqrt(sum / count)).filter(|ratio| ratio.is_finite()),
             held_out_rms_px: held_out.map(|squares| (squares / corners.max(1) as f64).sqrt()),
-            focal_change: Some((lens_a.matrix.fx - lens_b.matrix.fx).abs() / estimate.lens.matrix.fx),
+            focal_change: Some(
+                (lens_a.matrix.fx - lens_b.matrix.fx).abs() / estimate.lens.matrix.fx,
+            ),
             ..Self::default()
         })
     }
 }
 
-/// The sum of squared pixel errors of one view at its best pose under a lens near that of the fit, to second order from what
-/// the view said there; `None` where that is not near enough, or its corners have not all the same to say.
+/// The sum of squared pixel errors of one view at its best pose under a lens near that of the fit,
+/// to second order from what the view said there; `None` where that is not near enough, or its
+/// corners have not all the same to say.
 fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
     let (minimum, sight) = (&fit.robust.minimum, &fit.sights[view]);
     let free = &fit.layout.sensors[0].lens.free;
@@ -111,12 +129,15 @@ fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
         return None;
     }
     let part = std::iter::once((view, 0));
-    let alone = together(&minimum.equations.apart, (&fit.layout, &minimum.state), &fit.sights, (part, 1));
+    let alone =
+        together(&minimum.equations.apart, (&fit.layout, &minimum.state), &fit.sights, (part, 1));
     let (information, score) = alone.reduced(0)?;
     let (there, here) = (lens.parameters(), fit.lens().parameters());
-    let moved = DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
+    let moved =
+        DVector::from_iterator(free.len(), free.iter().map(|index| there[*index] - here[*index]));
     let raised = 2.0 * score.dot(&moved) + moved.dot(&(&information * &moved));
-    (raised.abs() < NEARBY * alone.cost).then_some((alone.cost + raised) / (inverse_std * inverse_std))
+    (raised.abs() < NEARBY * alone.cost)
+        .then_some((alone.cost + raised) / (inverse_std * inverse_std))
 }
 
 fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
@@ -144,11 +165,16 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     let views = some_views(fit);
     let points = || views.iter().flat_map(|view| &fit.sights[*view].points);
     let [only] = fit.layout.sensors.as_slice() else { return None };
-    if fit.layout.warp.is_some() || views.len() < ModelCheck::MIN_VIEWS || points().any(|p| p.z != 0.0) {
+    if fit.layout.warp.is_some()
+        || views.len() < ModelCheck::MIN_VIEWS
+        || points().any(|p| p.z != 0.0)
+    {
         return None;
     }
-    let half_extent = [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
-    let (layout, state) = (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
+    let half_extent =
+        [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
+    let (layout, state) =
+        (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
     let apart = looked_at((&layout, state), &fit.sights, &views)?;
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
     let equations = together(&apart, (&layout, state), &fit.sights, (parts, views.len()));
@@ -158,8 +184,13 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     enough.then(|| [step.global[step.global.len() - 2], step.global[step.global.len() - 1]])
 }
 
-/// The covariance of the lens that one half gives, with the noise of the whole and what its views' corners share.
-fn lens_covariance(fit: &CameraFit, half: &Minimum, estimate: &CameraEstimate) -> Option<DMatrix<f64>> {
+/// The covariance of the lens that one half gives, with the noise of the whole and what its views'
+/// corners share.
+fn lens_covariance(
+    fit: &CameraFit,
+    half: &Minimum,
+    estimate: &CameraEstimate,
+) -> Option<DMatrix<f64>> {
     let free = &fit.layout.sensors[0].lens;
     let unit = half.equations.global_covariance()?;
     let spread = free.spread(&estimate.lens);

@@ -1,25 +1,29 @@
-//! What no corner's own standard deviation knows of: a board that is not quite flat or square, a lens that its model only
-//! nearly describes, and that the deviations are themselves only estimates, which differ more than the errors do. It is the
-//! same for all corners; weights by the corners' own deviations alone would trust a few that seem sharp with an error that is not theirs.
+//! What no corner's own standard deviation knows of: a board that is not quite flat or square, a
+//! lens that its model only nearly describes, and that the deviations are themselves only
+//! estimates, which differ more than the errors do. It is the same for all corners; weights by the
+//! corners' own deviations alone would trust a few that seem sharp with an error that is not
+//! theirs.
 //!
-//! One more variance for all corners, so that residuals bear out the weights: where they are the same for corners of small and
-//! of large deviations, it is large and the weights nearly equal; where they follow the deviations, it is 0. It is the one of
-//! greatest likelihood for variances k (std² + common²) with any k (a variance component, as in R. C. Paule and J. Mandel,
-//! *Consensus values and weighting factors*, 1982, but with the level free).
+//! One more variance for all corners, so that residuals bear out the weights: where they are the
+//! same for corners of small and of large deviations, it is large and the weights nearly equal;
+//! where they follow the deviations, it is 0. It is the one of greatest likelihood for variances k
+//! (std² + common²) with any k (a variance component, as in R. C. Paule and J. Mandel, *Consensus
+//! values and weighting factors*, 1982, but with the level free).
 
 use std::borrow::Cow;
 
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 
-/// Weights that differ by less than this part from better ones cost next to nothing of the estimate.
+/// Weights that differ by less than this part from better ones cost next to nothing of the
+/// estimate.
 const NEAR: f64 = 0.2;
 
 /// Corners looked at, at most.
 const CORNERS: usize = 1000;
 
-/// The least common variance that is tried, in units of a sharp corner's own, and the greatest, in units of a blurred one's;
-/// in between each is twice the one before.
+/// The least common variance that is tried, in units of a sharp corner's own, and the greatest, in
+/// units of a blurred one's; in between each is twice the one before.
 const TRIED: [f64; 2] = [0.125, 64.0];
 
 /// The problem with a common error of `common_px` added to every corner's own.
@@ -32,16 +36,24 @@ pub(crate) fn with_common_error(problem: &CameraProblem, common_px: f64) -> Cow<
         name: view.name.clone(),
         correspondences: view.correspondences.iter().map(corner).collect(),
     };
-    Cow::Owned(CameraProblem { image_size: problem.image_size, views: problem.views.iter().map(view).collect() })
+    Cow::Owned(CameraProblem {
+        image_size: problem.image_size,
+        views: problem.views.iter().map(view).collect(),
+    })
 }
 
-/// The common error that the residuals of `estimate` tell of, in pixels; `None` where weights with it would be near those
-/// that it was made with, or all corners have the same deviation and weights stay as they are.
+/// The common error that the residuals of `estimate` tell of, in pixels; `None` where weights with
+/// it would be near those that it was made with, or all corners have the same deviation and weights
+/// stay as they are.
 pub(crate) fn common_error_px(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
     let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
-    let corners = views.flat_map(|(given, view)| given.correspondences.iter().zip(&view.residuals_px).zip(&view.used));
-    let seen: Vec<Seen> =
-        corners.filter(|(_, used)| **used).map(|((corner, residual), _)| Seen::of(corner, residual)).collect();
+    let corners = views.flat_map(|(given, view)| {
+        given.correspondences.iter().zip(&view.residuals_px).zip(&view.used)
+    });
+    let seen: Vec<Seen> = corners
+        .filter(|(_, used)| **used)
+        .map(|((corner, residual), _)| Seen::of(corner, residual))
+        .collect();
     if seen.windows(2).all(|pair| pair[0].variance == pair[1].variance) {
         return None;
     }

@@ -1,8 +1,10 @@
-//! Where a board is, from the directions in which a camera with a known lens sees its points: linear, any angle of view.
+//! Where a board is, from the directions in which a camera with a known lens sees its points:
+//! linear, any angle of view.
 //!
-//! Each direction b gives b × (M X) = 0 for the unknown M of the projection in homogeneous board coordinates X (the DLT,
-//! with directions in place of pixels, so that points beside the camera are as good as others). A flat board leaves
-//! M = [r1 r2 t], eight unknowns and a scale; points in space leave M = [R t], twelve.
+//! Each direction b gives b × (M X) = 0 for the unknown M of the projection in homogeneous board
+//! coordinates X (the DLT, with directions in place of pixels, so that points beside the camera are
+//! as good as others). A flat board leaves M = [r1 r2 t], eight unknowns and a scale; points in
+//! space leave M = [R t], twelve.
 
 use nalgebra::{DMatrix, Matrix3, Matrix3x4, Point3, SMatrix, Vector3};
 
@@ -40,7 +42,8 @@ impl Shape {
             return None;
         }
         let n = points.len() as f64;
-        let center = Point3::from(points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n);
+        let center =
+            Point3::from(points.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n);
         let mut scatter = Matrix3::zeros();
         let mut tilted = false;
         for p in points {
@@ -56,7 +59,8 @@ impl Shape {
             let spread = scatter[(0, 0)] + scatter[(1, 1)];
             let area = scatter[(0, 0)] * scatter[(1, 1)] - scatter[(0, 1)] * scatter[(0, 1)];
             let plane_from_board = Pose::new(nalgebra::UnitQuaternion::identity(), -center.coords);
-            return (area > 1e-8 * spread * spread).then_some(Self::Flat { plane_from_board, scale });
+            return (area > 1e-8 * spread * spread)
+                .then_some(Self::Flat { plane_from_board, scale });
         }
         let eigen = scatter.symmetric_eigen();
         let mut order = [0, 1, 2];
@@ -68,8 +72,10 @@ impl Shape {
         if widths[2] > FLATNESS * widths[0] {
             return (points.len() >= 6).then_some(Self::Solid { center, scale });
         }
-        let (x, y) =
-            (eigen.eigenvectors.column(order[0]).into_owned(), eigen.eigenvectors.column(order[1]).into_owned());
+        let (x, y) = (
+            eigen.eigenvectors.column(order[0]).into_owned(),
+            eigen.eigenvectors.column(order[1]).into_owned(),
+        );
         let mut z = x.cross(&y);
         let (mut y, zed) = (y, z.z);
         // Facing as the board's own z axis, so that front and back stay what they are.
@@ -77,7 +83,10 @@ impl Shape {
             (y, z) = (-y, -z);
         }
         let rotation = Matrix3::from_rows(&[x.transpose(), y.transpose(), z.transpose()]);
-        Some(Self::Flat { plane_from_board: Pose::from_matrix(&rotation, -(rotation * center.coords)), scale })
+        Some(Self::Flat {
+            plane_from_board: Pose::from_matrix(&rotation, -(rotation * center.coords)),
+            scale,
+        })
     }
 
     /// Whether the points lie on a plane.
@@ -86,10 +95,16 @@ impl Shape {
     }
 }
 
-/// `camera_from_board` from points and the directions in which they are seen; points without a direction are left out.
-/// The solution in front of the camera, of least algebraic error; to be refined. `None` where it is not determined.
-pub(crate) fn pose_from_bearings(shape: &Shape, points: &[Point3<f64>], bearings: &[Option<Bearing>]) -> Option<Pose> {
-    let seen = points.iter().zip(bearings).filter_map(|(point, bearing)| Some((point, (*bearing)?)));
+/// `camera_from_board` from points and the directions in which they are seen; points without a
+/// direction are left out. The solution in front of the camera, of least algebraic error; to be
+/// refined. `None` where it is not determined.
+pub(crate) fn pose_from_bearings(
+    shape: &Shape,
+    points: &[Point3<f64>],
+    bearings: &[Option<Bearing>],
+) -> Option<Pose> {
+    let seen =
+        points.iter().zip(bearings).filter_map(|(point, bearing)| Some((point, (*bearing)?)));
     match shape {
         Shape::Flat { plane_from_board, scale } => flat_pose(plane_from_board, *scale, seen),
         Shape::Solid { center, scale } => solid_pose(center, *scale, seen),
@@ -110,7 +125,8 @@ fn flat_pose<'a>(
         let (x, y) = (on_plane.x * scale, on_plane.y * scale);
         let products = [x * x, x * y, x, y * y, y, 1.0];
         let b = bearing.as_ref();
-        let across = [1.0 - b.x * b.x, -b.x * b.y, -b.x * b.z, 1.0 - b.y * b.y, -b.y * b.z, 1.0 - b.z * b.z];
+        let across =
+            [1.0 - b.x * b.x, -b.x * b.y, -b.x * b.z, 1.0 - b.y * b.y, -b.y * b.z, 1.0 - b.z * b.z];
         for (sum, factor) in sums.iter_mut().zip(across) {
             for (s, p) in sum.iter_mut().zip(products) {
                 *s += factor * p;
@@ -142,11 +158,13 @@ fn flat_pose<'a>(
         columns = -columns;
     }
     let facing = |c: &Matrix3<f64>| zhang::pose_from_columns(c);
-    // `pose_from_columns` puts the origin in front; a fisheye may see it beside or behind, so that sign is undone.
+    // `pose_from_columns` puts the origin in front; a fisheye may see it beside or behind, so that
+    // sign is undone.
     let camera_from_plane = if columns[(2, 2)] < 0.0 {
         let pose = facing(&-columns)?;
         let r = pose.rotation_matrix();
-        let flipped = Matrix3::from_columns(&[-r.column(0), -r.column(1), r.column(2).into_owned()]);
+        let flipped =
+            Matrix3::from_columns(&[-r.column(0), -r.column(1), r.column(2).into_owned()]);
         Pose::from_matrix(&flipped, -pose.translation())
     } else {
         facing(&columns)?
@@ -173,8 +191,11 @@ fn solid_pose<'a>(
     let eigen = normal.symmetric_eigen();
     let m = eigen.eigenvectors.column(eigen.eigenvalues.imin());
     let mut columns = Matrix3x4::from_row_slice(m.as_slice());
-    let along: f64 =
-        seen.map(|(point, bearing)| bearing.dot(&(columns * ((point - center) * scale).push(1.0))).signum()).sum();
+    let along: f64 = seen
+        .map(|(point, bearing)| {
+            bearing.dot(&(columns * ((point - center) * scale).push(1.0))).signum()
+        })
+        .sum();
     if along < 0.0 {
         columns = -columns;
     }
@@ -193,8 +214,10 @@ mod tests {
     use super::*;
 
     fn check(points: &[Point3<f64>], camera_from_board: &Pose) {
-        let bearings: Vec<_> =
-            points.iter().map(|p| Some(Unit::new_normalize((*camera_from_board * *p).coords))).collect();
+        let bearings: Vec<_> = points
+            .iter()
+            .map(|p| Some(Unit::new_normalize((*camera_from_board * *p).coords)))
+            .collect();
         let shape = Shape::of(points).unwrap();
         let found = pose_from_bearings(&shape, points, &bearings).unwrap();
         assert!(found.angle_to(camera_from_board) < 1e-7, "{found:?} {camera_from_board:?}");
@@ -203,12 +226,15 @@ mod tests {
 
     #[test]
     fn exact_directions_give_the_exact_pose() {
-        let flat: Vec<_> =
-            (0..54).map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0)).collect();
-        let turn = Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.9), Vector3::new(0.2, -0.1, 0.7));
+        let flat: Vec<_> = (0..54)
+            .map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0))
+            .collect();
+        let turn =
+            Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.9), Vector3::new(0.2, -0.1, 0.7));
         let tilted: Vec<_> = flat.iter().map(|p| turn * *p).collect();
-        let solid: Vec<_> =
-            (0..27).map(|k| Point3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) * 0.1).collect();
+        let solid: Vec<_> = (0..27)
+            .map(|k| Point3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) * 0.1)
+            .collect();
         for (axis, t) in [
             ([0.3, -0.2, 0.1], [-0.1, -0.05, 0.6]),
             ([-0.5, 0.4, 2.0], [0.1, 0.0, 0.4]),
@@ -224,7 +250,8 @@ mod tests {
 
     #[test]
     fn lines_and_spots_have_no_pose() {
-        let line: Vec<_> = (0..9).map(|k| Point3::new(f64::from(k), 2.0 * f64::from(k), 0.0)).collect();
+        let line: Vec<_> =
+            (0..9).map(|k| Point3::new(f64::from(k), 2.0 * f64::from(k), 0.0)).collect();
         assert!(Shape::of(&line).is_none());
         assert!(Shape::of(&[Point3::new(1.0, 2.0, 3.0); 9]).is_none());
         assert!(Shape::of(&line[..3]).is_none());

@@ -1,4 +1,5 @@
-//! What is given to an estimate: points of the board and the pixels they were seen at, view by view.
+//! What is given to an estimate: points of the board and the pixels they were seen at, view by
+//! view.
 
 use nalgebra::Point3;
 
@@ -12,7 +13,8 @@ pub struct Correspondence {
     pub point_in_board: Point3<f64>,
     /// Where it was seen.
     pub pixel: Pixel,
-    /// Standard deviation of `pixel` per axis, in pixels; weights are relative, the noise level itself is estimated.
+    /// Standard deviation of `pixel` per axis, in pixels; weights are relative, the noise level
+    /// itself is estimated.
     pub std_px: f64,
 }
 

@@ -1,9 +1,12 @@
-//! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors are, and where the
-//! board was at each instant, in one joint problem. A sensor need not see every instant.
+//! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors
+//! are, and where the board was at each instant, in one joint problem. A sensor need not see every
+//! instant.
 
 use nalgebra::Matrix6;
 
-use crate::estimation::camera::{CameraEstimate, CameraFit, CameraOptions, Part, assemble, check, fit_camera};
+use crate::estimation::camera::{
+    CameraEstimate, CameraFit, CameraOptions, Part, assemble, check, fit_camera,
+};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{Layout, Sight, State};
 use crate::estimation::lens_choice::choose_lens;
@@ -52,18 +55,23 @@ pub struct RigEstimate {
 pub struct SensorPlace {
     /// The pose.
     pub sensor_from_rig: Pose,
-    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (metres); zero for the first sensor.
+    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (metres); zero for
+    /// the first sensor.
     pub covariance: Matrix6<f64>,
-    /// How many times greater that is than if each corner erred by itself, as [`CameraEstimate::shared_error`].
+    /// How many times greater that is than if each corner erred by itself, as
+    /// [`CameraEstimate::shared_error`].
     pub shared_error: f64,
 }
 
-/// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor weighted by its own noise.
+/// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor
+/// weighted by its own noise.
 ///
 /// # Errors
-/// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no instant with the others.
+/// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no
+/// instant with the others.
 pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
-    let cameras: Vec<CameraProblem> = problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
+    let cameras: Vec<CameraProblem> =
+        problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
     cameras.iter().try_for_each(check)?;
     let center = mean_point(&cameras);
     let mut alone = Vec::new();
@@ -98,7 +106,10 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
 
 impl RigSensor {
     fn to_camera_problem(&self) -> CameraProblem {
-        CameraProblem { image_size: self.image_size, views: self.views.iter().map(|(_, view)| view.clone()).collect() }
+        CameraProblem {
+            image_size: self.image_size,
+            views: self.views.iter().map(|(_, view)| view.clone()).collect(),
+        }
     }
 
     /// Each instant that it has a good pose of in `fit`, with that pose.
@@ -109,12 +120,16 @@ impl RigSensor {
     }
 }
 
-/// The noise of a sensor by itself; of exact corners a part of their deviations that is far above rounding.
+/// The noise of a sensor by itself; of exact corners a part of their deviations that is far above
+/// rounding.
 fn own_noise(fit: &CameraFit) -> f64 {
     fit.noise_square().sqrt().max(1e-6)
 }
 
-fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<CameraFit, EstimationError> {
+fn fit_jointly(
+    problem: &RigProblem,
+    alone: &[(Prepared, CameraFit)],
+) -> Result<CameraFit, EstimationError> {
     let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
     let (mut sights, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
@@ -124,7 +139,11 @@ fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<
             sight.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
             sights.push(sight);
             let own = fit.robust.minimum.state.rig_from_board[view];
-            let expected = rig_from_board.get(*instant).copied().flatten().map(|pose| sensor_from_rig[index] * pose);
+            let expected = rig_from_board
+                .get(*instant)
+                .copied()
+                .flatten()
+                .map(|pose| sensor_from_rig[index] * pose);
             let turned = expected.is_some_and(|expected| expected.angle_to(&own) > HALF_TURN);
             faults.push(fit.faults[view].or(turned.then_some(ViewFault::HalfTurn)));
         }
@@ -132,41 +151,59 @@ fn fit_jointly(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<
     let state = State {
         lenses: alone.iter().map(|(_, fit)| *fit.lens()).collect(),
         sensor_from_rig,
-        rig_from_board: rig_from_board.into_iter().map(|pose| pose.unwrap_or(Pose::identity())).collect(),
+        rig_from_board: rig_from_board
+            .into_iter()
+            .map(|pose| pose.unwrap_or(Pose::identity()))
+            .collect(),
         warp: alone[0].1.robust.minimum.state.warp,
     };
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
     let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent));
-    let robust = robust_fit(&layout, state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
+    let robust =
+        robust_fit(&layout, state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
     Ok(CameraFit::new(layout, robust, sights, faults))
 }
 
-/// A board seen further round than this, in radians, against the other sensors was labelled from its other end.
+/// A board seen further round than this, in radians, against the other sensors was labelled from
+/// its other end.
 const HALF_TURN: f64 = 2.4;
 
 type Places = (Vec<Pose>, Vec<Option<Pose>>);
 
-/// `sensor_from_rig` of each sensor and `rig_from_board` of each instant, from the poses that each sensor found by itself:
-/// sensor by sensor, each joined to those already placed by the relative pose that most shared instants agree on.
-fn place_sensors(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Result<Places, EstimationError> {
+/// `sensor_from_rig` of each sensor and `rig_from_board` of each instant, from the poses that each
+/// sensor found by itself: sensor by sensor, each joined to those already placed by the relative
+/// pose that most shared instants agree on.
+fn place_sensors(
+    problem: &RigProblem,
+    alone: &[(Prepared, CameraFit)],
+) -> Result<Places, EstimationError> {
     let mut rig_from_board: Vec<Option<Pose>> = vec![None; problem.instants];
     let mut sensor_from_rig: Vec<Option<Pose>> = vec![None; problem.sensors.len()];
-    let instant_out_of_range =
-        problem.sensors.iter().flat_map(|s| &s.views).any(|(instant, _)| *instant >= problem.instants);
+    let instant_out_of_range = problem
+        .sensors
+        .iter()
+        .flat_map(|s| &s.views)
+        .any(|(instant, _)| *instant >= problem.instants);
     if instant_out_of_range || problem.sensors.is_empty() {
         return Err(EstimationError::NoFit);
     }
     for _ in 0..problem.sensors.len() {
-        let next = (0..problem.sensors.len()).filter(|k| sensor_from_rig[*k].is_none()).find_map(|sensor| {
-            let placed = problem.sensors[sensor].placed(&alone[sensor].1);
-            let shared = placed.filter_map(|(instant, pose)| Some(pose * rig_from_board[instant]?.inverse()));
-            let first = sensor == 0;
-            let sensor_from_rig: Vec<Pose> = if first { vec![Pose::identity()] } else { shared.collect() };
-            Some((sensor, agreed(&sensor_from_rig)?))
-        });
+        let next = (0..problem.sensors.len()).filter(|k| sensor_from_rig[*k].is_none()).find_map(
+            |sensor| {
+                let placed = problem.sensors[sensor].placed(&alone[sensor].1);
+                let shared = placed
+                    .filter_map(|(instant, pose)| Some(pose * rig_from_board[instant]?.inverse()));
+                let first = sensor == 0;
+                let sensor_from_rig: Vec<Pose> =
+                    if first { vec![Pose::identity()] } else { shared.collect() };
+                Some((sensor, agreed(&sensor_from_rig)?))
+            },
+        );
         let Some((sensor, sensor_from)) = next else {
             let lonely = sensor_from_rig.iter().position(Option::is_none).unwrap_or(0);
-            return Err(EstimationError::NothingShared { sensor: problem.sensors[lonely].name.clone() });
+            return Err(EstimationError::NothingShared {
+                sensor: problem.sensors[lonely].name.clone(),
+            });
         };
         sensor_from_rig[sensor] = Some(sensor_from);
         for (instant, pose) in problem.sensors[sensor].placed(&alone[sensor].1) {
@@ -176,11 +213,17 @@ fn place_sensors(problem: &RigProblem, alone: &[(Prepared, CameraFit)]) -> Resul
     Ok((sensor_from_rig.into_iter().flatten().collect(), rig_from_board))
 }
 
-/// The candidate with the least median distance to the others: not moved by less than half of wrong ones.
+/// The candidate with the least median distance to the others: not moved by less than half of wrong
+/// ones.
 fn agreed(a_from_b: &[Pose]) -> Option<Pose> {
     let spread = |one: &_| {
-        let apart = |other: &Pose| other.angle_to(one) + (other.translation() - one.translation()).norm();
+        let apart =
+            |other: &Pose| other.angle_to(one) + (other.translation() - one.translation()).norm();
         median(a_from_b.iter().map(apart).collect()).unwrap_or(f64::INFINITY)
     };
-    a_from_b.iter().map(|one| (spread(one), one)).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, pose)| *pose)
+    a_from_b
+        .iter()
+        .map(|one| (spread(one), one))
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, pose)| *pose)
 }

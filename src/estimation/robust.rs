@@ -5,7 +5,8 @@
 pub(crate) enum Loss {
     /// r²: right when every residual is noise.
     Squares,
-    /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964): convex, so a start far away is no trap.
+    /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964): convex, so a start far away
+    /// is no trap.
     Huber {
         /// Where it turns linear.
         scale: f64,
@@ -26,8 +27,8 @@ impl Loss {
 /// √(2 ln 2): the median of a two-dimensional Gaussian's length, in standard deviations per axis.
 const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_515_474_7;
 
-/// The standard deviation per axis of two-dimensional residuals, from the median of their lengths: right with up to
-/// half of them wrong. 0 for none.
+/// The standard deviation per axis of two-dimensional residuals, from the median of their lengths:
+/// right with up to half of them wrong. 0 for none.
 pub(crate) fn median_scale(residuals: impl Iterator<Item = [f64; 2]>) -> f64 {
     let squares = residuals.map(|[x, y]| x * x + y * y).collect();
     median(squares).unwrap_or(0.0).sqrt() / RAYLEIGH_MEDIAN
@@ -51,10 +52,14 @@ mod tests {
         for loss in [Loss::Squares, Loss::Huber { scale: 1.5 }] {
             for r2 in [0.0, 0.3, 2.0, 2.3, 9.0, 400.0] {
                 let h = 1e-6;
-                let slope = (loss.cost_and_weight(r2 + h).0 - loss.cost_and_weight((r2 - h).abs()).0)
+                let slope = (loss.cost_and_weight(r2 + h).0
+                    - loss.cost_and_weight((r2 - h).abs()).0)
                     / (r2 + h - (r2 - h).abs()).max(h);
                 let weight = loss.cost_and_weight(r2).1;
-                assert!(r2 == 0.0 || (slope - weight).abs() < 1e-5, "{loss:?} {r2}: {slope} {weight}");
+                assert!(
+                    r2 == 0.0 || (slope - weight).abs() < 1e-5,
+                    "{loss:?} {r2}: {slope} {weight}"
+                );
             }
         }
     }

@@ -1,12 +1,14 @@
-//! A fit that wrong corners and wrong views do not move: Huber's loss while the scale of the residuals falls, then
-//! plain least squares over the corners within a limit, chosen anew until the choice stands.
+//! A fit that wrong corners and wrong views do not move: Huber's loss while the scale of the
+//! residuals falls, then plain least squares over the corners within a limit, chosen anew until the
+//! choice stands.
 
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{Layout, Sight, State};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::view_fault::ViewFault;
 
-/// Corners further off than this many standard deviations take no part: of Gaussian ones, four in a million.
+/// Corners further off than this many standard deviations take no part: of Gaussian ones, four in a
+/// million.
 const LIMIT: f64 = 5.0;
 
 /// Where Huber's loss turns linear, in standard deviations.
@@ -15,8 +17,8 @@ const HUBER: f64 = 2.0;
 /// Fewer wrong corners than this do no harm that choosing the right ones would not undo.
 const FEW: f64 = 0.005;
 
-/// Until the scale of the residuals is known to a few percent. Little damping: a start from the closed form is near, and more
-/// costs a step of its own.
+/// Until the scale of the residuals is known to a few percent. Little damping: a start from the
+/// closed form is near, and more costs a step of its own.
 const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
 /// A view needs this part of its corners, or its labels are wrong rather than its corners.
@@ -29,19 +31,22 @@ const ROUNDING: f64 = 1e-8;
 #[derive(Debug, Clone)]
 pub(crate) struct RobustFit {
     pub(crate) minimum: Minimum,
-    /// The distance, in units of each corner's relative standard deviation, up to which corners were believed.
+    /// The distance, in units of each corner's relative standard deviation, up to which corners
+    /// were believed.
     pub(crate) limit: f64,
 }
 
-/// Fits from `start`; chooses `used` of the sights whose `faults` entry is `None`, and adds the faults of views that have
-/// too few good corners. `None` where nothing can be projected or everything was rejected.
+/// Fits from `start`; chooses `used` of the sights whose `faults` entry is `None`, and adds the
+/// faults of views that have too few good corners. `None` where nothing can be projected or
+/// everything was rejected.
 pub(crate) fn robust_fit(
     layout: &Layout,
     start: State,
     sights: &mut [Sight],
     faults: &mut [Option<ViewFault>],
 ) -> Option<RobustFit> {
-    let at_start: Vec<Vec<[f64; 2]>> = sights.iter().map(|sight| start.residuals(layout, sight)).collect();
+    let at_start: Vec<Vec<[f64; 2]>> =
+        sights.iter().map(|sight| start.residuals(layout, sight)).collect();
     select(sights, &at_start, f64::INFINITY, faults);
     let mut scale = scale_of(sights, &at_start).max(ROUNDING);
     let clean = part_beyond(LIMIT * scale, sights, &at_start) < FEW;
@@ -50,14 +55,16 @@ pub(crate) fn robust_fit(
     let mut minimum = minimum.descend(layout, sights, loss, ROUGH);
     for _ in 0..12 {
         let next = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
-        let settled = next > 0.8 * scale || part_beyond(LIMIT * next, sights, &minimum.equations.residuals) < FEW;
+        let settled = next > 0.8 * scale
+            || part_beyond(LIMIT * next, sights, &minimum.equations.residuals) < FEW;
         scale = next;
         if settled {
             break;
         }
         select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
         loss = huber(scale);
-        minimum = Minimum::start(layout, minimum.state, sights, loss)?.descend(layout, sights, loss, ROUGH);
+        minimum = Minimum::start(layout, minimum.state, sights, loss)?
+            .descend(layout, sights, loss, ROUGH);
     }
     for round in 0..10 {
         let changed = select(sights, &minimum.equations.residuals, LIMIT * scale, faults);
@@ -67,7 +74,9 @@ pub(crate) fn robust_fit(
         // Where Huber's loss turned linear beyond every residual, it was least squares already.
         let was_squares = match loss {
             Loss::Squares => true,
-            Loss::Huber { scale } => part_beyond(scale, sights, &minimum.equations.residuals) == 0.0,
+            Loss::Huber { scale } => {
+                part_beyond(scale, sights, &minimum.equations.residuals) == 0.0
+            }
         };
         if changed || !was_squares {
             minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
@@ -92,21 +101,38 @@ fn scale_of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
 
 /// The part of the corners taking part that are further off than `limit`.
 fn part_beyond(limit: f64, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
-    let corners = || sights.iter().zip(residuals).flat_map(|(s, r)| s.used.iter().zip(r)).filter(|(used, _)| **used);
+    let corners = || {
+        sights
+            .iter()
+            .zip(residuals)
+            .flat_map(|(s, r)| s.used.iter().zip(r))
+            .filter(|(used, _)| **used)
+    };
     let beyond = corners().filter(|(_, [x, y])| x * x + y * y > limit * limit).count();
     beyond as f64 / corners().count().max(1) as f64
 }
 
-/// Lets those corners take part that are within `limit` (and can be projected at all); answers whether that changed.
-fn select(sights: &mut [Sight], residuals: &[Vec<[f64; 2]>], limit: f64, faults: &mut [Option<ViewFault>]) -> bool {
+/// Lets those corners take part that are within `limit` (and can be projected at all); answers
+/// whether that changed.
+fn select(
+    sights: &mut [Sight],
+    residuals: &[Vec<[f64; 2]>],
+    limit: f64,
+    faults: &mut [Option<ViewFault>],
+) -> bool {
     let mut changed = false;
     for ((sight, residuals), fault) in sights.iter_mut().zip(residuals).zip(faults) {
         let within = |[x, y]: &[f64; 2]| x.is_finite() && (*x * *x + *y * *y) <= limit * limit;
         let good = residuals.iter().filter(|r| within(r)).count();
         let points = residuals.len();
         if fault.is_none() && (good as f64) < MIN_USED * points as f64 {
-            let mean_std = sight.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>() / points as f64;
-            *fault = Some(ViewFault::Outliers { outliers: points - good, points, limit_px: limit * mean_std });
+            let mean_std =
+                sight.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>() / points as f64;
+            *fault = Some(ViewFault::Outliers {
+                outliers: points - good,
+                points,
+                limit_px: limit * mean_std,
+            });
         }
         for (used, residual) in sight.used.iter_mut().zip(residuals) {
             let next = fault.is_none() && within(residual);

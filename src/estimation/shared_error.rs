@@ -1,11 +1,14 @@
-//! Whether the corners of a view err together. The covariance of a least-squares estimate takes every corner's error for its
-//! own; where something moves a whole view's corners (a moving board under a rolling shutter, a picture of a bent board, a lens that the
-//! model cannot follow), views differ by more than their corners' scatter explains, and so do estimates from other views.
+//! Whether the corners of a view err together. The covariance of a least-squares estimate takes
+//! every corner's error for its own; where something moves a whole view's corners (a moving board
+//! under a rolling shutter, a picture of a bent board, a lens that the model cannot follow), views
+//! differ by more than their corners' scatter explains, and so do estimates from other views.
 //!
-//! Each view (of a rig: what all sensors saw at one instant) pulls the parameters by its score s = g − C H⁻¹ h (its pose eliminated), whose covariance is A, its part of the
-//! information, if corners err by themselves. How much greater the scores are is the factor on the covariance: a scalar
-//! form of the clustered covariance of K.-Y. Liang and S. L. Zeger, *Longitudinal data analysis using generalized linear
-//! models*, 1986, which with few views would itself be too uncertain.
+//! Each view (of a rig: what all sensors saw at one instant) pulls the parameters by its score s =
+//! g − C H⁻¹ h (its pose eliminated), whose covariance is A, its part of the information, if
+//! corners err by themselves. How much greater the scores are is the factor on the covariance: a
+//! scalar form of the clustered covariance of K.-Y. Liang and S. L. Zeger, *Longitudinal data
+//! analysis using generalized linear models*, 1986, which with few views would itself be too
+//! uncertain.
 
 use std::ops::Range;
 
@@ -21,8 +24,8 @@ const MIN_INSTANTS: usize = 5;
 /// A factor within this many standard deviations of 1 is chance.
 const CHANCE: f64 = 4.0;
 
-/// The factor on the variance of the parameters in `block`, 1 or more; `unit` is the covariance of all parameters for
-/// residuals of unit variance.
+/// The factor on the variance of the parameters in `block`, 1 or more; `unit` is the covariance of
+/// all parameters for residuals of unit variance.
 pub(crate) fn shared_error(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> f64 {
     factor(fit, unit, block).filter(|factor| factor.is_finite()).unwrap_or(1.0)
 }
@@ -49,10 +52,12 @@ fn factor(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> Option<f
     (factor > 1.0 + CHANCE * variance.sqrt() / expected).then_some(factor)
 }
 
-/// What the scores of instants do to the parameters of a block, in units of the block's own covariance.
+/// What the scores of instants do to the parameters of a block, in units of the block's own
+/// covariance.
 struct Pulls<'a> {
     unit: &'a DMatrix<f64>,
-    /// The block's rows of `unit` and the inverse of its own part; `None` where the block is all of it.
+    /// The block's rows of `unit` and the inverse of its own part; `None` where the block is all of
+    /// it.
     block: Option<(DMatrix<f64>, DMatrix<f64>)>,
 }
 
@@ -62,7 +67,13 @@ impl<'a> Pulls<'a> {
             return Some(Self { unit, block: None });
         }
         let own = unit.view((block.start, block.start), (block.len(), block.len())).into_owned();
-        Some(Self { unit, block: Some((unit.rows(block.start, block.len()).into_owned(), own.cholesky()?.inverse())) })
+        Some(Self {
+            unit,
+            block: Some((
+                unit.rows(block.start, block.len()).into_owned(),
+                own.cholesky()?.inverse(),
+            )),
+        })
     }
 
     /// The square of the pull of one score.
@@ -76,8 +87,8 @@ impl<'a> Pulls<'a> {
         }
     }
 
-    /// The covariance of the pull that an instant with this information has if corners err by themselves, and how much of
-    /// that the estimate took up, which is gone.
+    /// The covariance of the pull that an instant with this information has if corners err by
+    /// themselves, and how much of that the estimate took up, which is gone.
     fn expected(&self, information: &DMatrix<f64>) -> (DMatrix<f64>, f64) {
         match &self.block {
             None => {

@@ -1,5 +1,5 @@
-//! Where to start without any guess: Zhang's closed form, or, where a lens bends the picture too strongly for it, the
-//! focal length under which linear poses fit best.
+//! Where to start without any guess: Zhang's closed form, or, where a lens bends the picture too
+//! strongly for it, the focal length under which linear poses fit best.
 
 use nalgebra::{Point2, Point3, Vector3};
 
@@ -16,8 +16,8 @@ use crate::geometry::lens::{Distortion, Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-/// A view is left out of the start where its own homography leaves this part of its corners' spread: a strong fisheye
-/// leaves a tenth, labels out of order leave more than half.
+/// A view is left out of the start where its own homography leaves this part of its corners'
+/// spread: a strong fisheye leaves a tenth, labels out of order leave more than half.
 const MISFIT: f64 = 0.25;
 
 /// At least this many corners make a view: a flat pose takes four, two more make errors show.
@@ -102,25 +102,30 @@ impl Prepared {
         (0..self.views.len()).filter(|index| self.views[*index].fault.is_none()).collect()
     }
 
-    /// `camera_from_board` (about the common centre) of each view under `lens`, linear; `None` where there is none.
+    /// `camera_from_board` (about the common centre) of each view under `lens`, linear; `None`
+    /// where there is none.
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
         let (prepared, sight) = (&self.views[view], &self.sights[view]);
-        let straight =
-            lens.model() != LensModel::KannalaBrandt && lens.distortion.coefficients().iter().all(|c| *c == 0.0);
+        let straight = lens.model() != LensModel::KannalaBrandt
+            && lens.distortion.coefficients().iter().all(|c| *c == 0.0);
         if let (true, Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
             (straight, &prepared.homography, &prepared.shape)
         {
             return Some(zhang::camera_from_board(lens.matrix, homography)? * *plane_from_board);
         }
-        let bearings: Vec<_> = sight.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
+        let bearings: Vec<_> =
+            sight.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
         pose_from_bearings(prepared.shape.as_ref()?, &sight.points, &bearings)
     }
 }
 
 /// The mean of all board points.
 pub(crate) fn mean_point(problems: &[CameraProblem]) -> Vector3<f64> {
-    let corners = || problems.iter().flat_map(|problem| &problem.views).flat_map(|view| &view.correspondences);
-    corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>() / corners().count().max(1) as f64
+    let corners = || {
+        problems.iter().flat_map(|problem| &problem.views).flat_map(|view| &view.correspondences)
+    };
+    corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
+        / corners().count().max(1) as f64
 }
 
 impl PreparedView {
@@ -134,7 +139,9 @@ impl PreparedView {
         if spread_px(&sight.pixels).1 < 1e-6 {
             return faulty(ViewFault::PixelsOnLine);
         }
-        let Shape::Flat { .. } = &shape else { return Self { shape: Some(shape), homography: None, fault: None } };
+        let Shape::Flat { .. } = &shape else {
+            return Self { shape: Some(shape), homography: None, fault: None };
+        };
         let pairs = plane_pairs(&shape, sight);
         let homography = Homography::fit(&pairs).ok().map(|h| (h, h.rms(&pairs)));
         let spread = spread_px(&sight.pixels).0;
@@ -144,14 +151,19 @@ impl PreparedView {
     }
 }
 
-/// Looks for the names of those labels that no homography explains, to within what the other views leave.
+/// Looks for the names of those labels that no homography explains, to within what the other views
+/// leave.
 fn name_mislabelled(sights: &[Sight], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
-    let Some(typical_px) = median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect()) else {
+    let Some(typical_px) =
+        median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect())
+    else {
         return;
     };
     for (sight, view) in sights.iter().zip(views) {
-        let (Some(ViewFault::NoPose { .. }), Some(shape)) = (&view.fault, &view.shape) else { continue };
+        let (Some(ViewFault::NoPose { .. }), Some(shape)) = (&view.fault, &view.shape) else {
+            continue;
+        };
         let Shape::Flat { plane_from_board, .. } = shape else { continue };
         let on_plane: Vec<_> = sight.points.iter().map(|p| *plane_from_board * *p).collect();
         let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&sight.pixels).0);
@@ -188,19 +200,23 @@ fn spread_px(pixels: &[Pixel]) -> (f64, f64) {
     ((trace / n).sqrt(), if trace > 0.0 { area.sqrt() / trace } else { 0.0 })
 }
 
-/// A first lens of `model` and the poses of the usable views, about the common centre; a view without a pose gets the
-/// fault that says so. `None` where not one view has a pose.
+/// A first lens of `model` and the poses of the usable views, about the common centre; a view
+/// without a pose gets the fault that says so. `None` where not one view has a pose.
 pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> {
     let usable = prepared.usable();
-    let homographies: Vec<_> = usable.iter().filter_map(|v| Some(prepared.views[*v].homography?.0)).collect();
+    let homographies: Vec<_> =
+        usable.iter().filter_map(|v| Some(prepared.views[*v].homography?.0)).collect();
     let mut candidates: Vec<CameraMatrix> = Vec::new();
     candidates.extend(zhang::camera_matrix(&homographies, prepared.image_size, Skew::Zero).ok());
     candidates.retain(|matrix| is_plausible(matrix, prepared.image_size));
-    candidates.extend(median_focal(&homographies, prepared.image_size).map(|f| centered(prepared.image_size, f)));
+    candidates.extend(
+        median_focal(&homographies, prepared.image_size).map(|f| centered(prepared.image_size, f)),
+    );
     let few = sample(&usable, 9);
     let lens_of = |matrix| undistorted(model, matrix);
     let score = |matrix: &CameraMatrix| misfit_px(prepared, &few, &lens_of(*matrix));
-    let mut scored: Vec<_> = candidates.into_iter().map(|matrix| (score(&matrix), matrix)).collect();
+    let mut scored: Vec<_> =
+        candidates.into_iter().map(|matrix| (score(&matrix), matrix)).collect();
     scored.sort_by(|a, b| a.0.total_cmp(&b.0));
     let good_enough_px = 0.005 * prepared.image_size.diagonal_px();
     if scored.first().is_none_or(|(px, _)| !(*px < good_enough_px)) {
@@ -222,23 +238,35 @@ pub(crate) fn resume(prepared: &mut Prepared, earlier: &CameraStart) -> Option<S
         .camera_from_board
         .iter()
         .map(|known| {
-            known.map(|camera_from_board| Pose::new(camera_from_board.rotation(), (camera_from_board * center).coords))
+            known.map(|camera_from_board| {
+                Pose::new(camera_from_board.rotation(), (camera_from_board * center).coords)
+            })
         })
         .collect();
     place_views(prepared, earlier.lens, &known)
 }
 
 /// `lens` with the pose of each usable view, known or found.
-fn place_views(prepared: &mut Prepared, lens: Lens, camera_from_board: &[Option<Pose>]) -> Option<State> {
+fn place_views(
+    prepared: &mut Prepared,
+    lens: Lens,
+    camera_from_board: &[Option<Pose>],
+) -> Option<State> {
     let mut rig_from_board = vec![Pose::identity(); prepared.views.len()];
     let mut found = false;
     for view in prepared.usable() {
-        match camera_from_board.get(view).copied().flatten().or_else(|| prepared.pose(view, &lens)) {
+        match camera_from_board.get(view).copied().flatten().or_else(|| prepared.pose(view, &lens))
+        {
             Some(pose) => (rig_from_board[view], found) = (pose, true),
             None => prepared.views[view].fault = Some(ViewFault::NoPose { rms_px: f64::INFINITY }),
         }
     }
-    found.then(|| State { lenses: vec![lens], sensor_from_rig: vec![Pose::identity()], rig_from_board, warp: [0.0; 2] })
+    found.then(|| State {
+        lenses: vec![lens],
+        sensor_from_rig: vec![Pose::identity()],
+        rig_from_board,
+        warp: [0.0; 2],
+    })
 }
 
 /// Square pixels, the principal point in the middle.
@@ -260,11 +288,14 @@ fn is_plausible(matrix: &CameraMatrix, size: ImageSize) -> bool {
     let inside = |c: f64, length: f64| c > 0.1 * length && c < 0.9 * length;
     let ratio = matrix.fx / matrix.fy;
     let focal = matrix.fx / width.max(height);
-    inside(matrix.cx, width) && inside(matrix.cy, height) && (0.6..1.6).contains(&ratio) && (0.1..50.0).contains(&focal)
+    inside(matrix.cx, width)
+        && inside(matrix.cy, height)
+        && (0.6..1.6).contains(&ratio)
+        && (0.1..50.0).contains(&focal)
 }
 
-/// The focal length of square pixels about the image's middle: each homography gives one from Zhang's two equations,
-/// and the median is not moved by a few wrong ones.
+/// The focal length of square pixels about the image's middle: each homography gives one from
+/// Zhang's two equations, and the median is not moved by a few wrong ones.
 fn median_focal(homographies: &[Homography], size: ImageSize) -> Option<f64> {
     let center = size.center();
     let squares = homographies.iter().filter_map(|homography| {
@@ -276,7 +307,8 @@ fn median_focal(homographies: &[Homography], size: ImageSize) -> Option<f64> {
         let ((a, b, c), (d, e, f)) = (at(0), at(1));
         let across = [a * d + b * e, a * a + b * b - d * d - e * e];
         let depth = [c * f, c * c - f * f];
-        let square = -(across[0] * depth[0] + across[1] * depth[1]) / (depth[0] * depth[0] + depth[1] * depth[1]);
+        let square = -(across[0] * depth[0] + across[1] * depth[1])
+            / (depth[0] * depth[0] + depth[1] * depth[1]);
         (square.is_finite() && square > 0.0).then_some(square)
     });
     Some(median(squares.collect())?.sqrt())
@@ -288,7 +320,8 @@ fn sample(indices: &[usize], count: usize) -> Vec<usize> {
     indices.iter().step_by(step).copied().collect()
 }
 
-/// The median over `views` of each one's rms at its linear pose; a view without a pose counts as infinitely far off.
+/// The median over `views` of each one's rms at its linear pose; a view without a pose counts as
+/// infinitely far off.
 fn misfit_px(prepared: &Prepared, views: &[usize], lens: &Lens) -> f64 {
     let of_view = |view: &usize| {
         let sight = &prepared.sights[*view];

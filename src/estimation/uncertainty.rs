@@ -1,7 +1,8 @@
-//! How far a projection can be trusted, where in the picture: after the camera motion that compensates best, since what
-//! a turn of the camera explains is no error of its lens (mrcal's projection uncertainty and difference). Pixels that are
-//! known many times worse than most, as a corner of the picture that no view reached, have little to say in that motion:
-//! what is unknown there would else be carried all over the picture.
+//! How far a projection can be trusted, where in the picture: after the camera motion that
+//! compensates best, since what a turn of the camera explains is no error of its lens (mrcal's
+//! projection uncertainty and difference). Pixels that are known many times worse than most, as a
+//! corner of the picture that no view reached, have little to say in that motion: what is unknown
+//! there would else be carried all over the picture.
 
 use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
@@ -32,17 +33,20 @@ impl PixelGrid {
     /// About `count` columns along the longer side, and the same spacing along the other.
     pub fn over(size: ImageSize, count: u32) -> Self {
         let longer = f64::from(size.width.max(size.height));
-        let along = |length: u32| ((f64::from(count) * f64::from(length) / longer).round() as u32).max(2);
+        let along =
+            |length: u32| ((f64::from(count) * f64::from(length) / longer).round() as u32).max(2);
         Self { size, cols: along(size.width), rows: along(size.height) }
     }
 
     /// The pixels, row by row.
     pub fn pixels(self) -> impl Iterator<Item = Pixel> {
-        let at =
-            |k: u32, count: u32, length: u32| f64::from(k) / f64::from(count.max(2) - 1) * (f64::from(length) - 1.0);
+        let at = |k: u32, count: u32, length: u32| {
+            f64::from(k) / f64::from(count.max(2) - 1) * (f64::from(length) - 1.0)
+        };
         let Self { size, cols, rows } = self;
-        (0..rows)
-            .flat_map(move |r| (0..cols).map(move |c| Pixel::new(at(c, cols, size.width), at(r, rows, size.height))))
+        (0..rows).flat_map(move |r| {
+            (0..cols).map(move |c| Pixel::new(at(c, cols, size.width), at(r, rows, size.height)))
+        })
     }
 }
 
@@ -51,13 +55,15 @@ impl PixelGrid {
 pub struct UncertaintyMap {
     /// Where.
     pub grid: PixelGrid,
-    /// Standard deviation in the worst direction at each pixel of the grid, row by row; `None` where the lens sees
-    /// nothing.
+    /// Standard deviation in the worst direction at each pixel of the grid, row by row; `None`
+    /// where the lens sees nothing.
     pub std_px: Vec<Option<f64>>,
-    /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a difference is compared with.
+    /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a
+    /// difference is compared with.
     pub square_px2: Vec<Option<f64>>,
-    /// How much each pixel of the grid had to say in the compensating motion: 1 for all that are known about equally well,
-    /// less for those that are known much worse than most, 0 where the lens sees nothing.
+    /// How much each pixel of the grid had to say in the compensating motion: 1 for all that are
+    /// known about equally well, less for those that are known much worse than most, 0 where the
+    /// lens sees nothing.
     pub weights: Vec<f64>,
 }
 
@@ -65,8 +71,10 @@ impl UncertaintyMap {
     /// The uncertainty at the image's middle (at the nearest pixel of the grid that the lens sees).
     pub fn center(&self) -> Option<f64> {
         let middle = self.grid.size.center();
-        let seen = self.grid.pixels().zip(&self.std_px).filter_map(|(pixel, std)| Some((pixel, (*std)?)));
-        let nearest = seen.min_by(|a, b| a.0.distance_px(middle).total_cmp(&b.0.distance_px(middle)));
+        let seen =
+            self.grid.pixels().zip(&self.std_px).filter_map(|(pixel, std)| Some((pixel, (*std)?)));
+        let nearest =
+            seen.min_by(|a, b| a.0.distance_px(middle).total_cmp(&b.0.distance_px(middle)));
         Some(nearest?.1)
     }
 
@@ -130,8 +138,9 @@ fn invert_motion(normal: &Matrix6<f64>, distance: Distance) -> Option<Matrix6<f6
     }
 }
 
-/// The 1-σ uncertainty of projections over a grid of pixels, from the covariance of the lens's parameters (in the order
-/// of [`Lens::parameter_names`]), after the best compensating motion. `None` where the lens sees nothing of the image.
+/// The 1-σ uncertainty of projections over a grid of pixels, from the covariance of the lens's
+/// parameters (in the order of [`Lens::parameter_names`]), after the best compensating motion.
+/// `None` where the lens sees nothing of the image.
 pub fn projection_uncertainty(
     lens: &Lens,
     covariance: &DMatrix<f64>,
@@ -141,13 +150,19 @@ pub fn projection_uncertainty(
     let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
     let count = covariance.nrows().min(MAX_PARAMETERS);
     padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
-    let samples: Vec<Option<Sample>> =
-        grid.pixels().map(|pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance)).collect();
-    let mut weights: Vec<f64> = samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
+    let samples: Vec<Option<Sample>> = grid
+        .pixels()
+        .map(|pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance))
+        .collect();
+    let mut weights: Vec<f64> =
+        samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
     let mut spreads = spreads(&samples, &weights, (&padded, distance))?;
     for _ in 0..MAX_ROUNDS {
         let next = weights_of(&spreads);
-        let settled = next.iter().zip(&weights).all(|(next, weight)| (next - weight).abs() < 0.1 * weight + 1e-3);
+        let settled = next
+            .iter()
+            .zip(&weights)
+            .all(|(next, weight)| (next - weight).abs() < 0.1 * weight + 1e-3);
         if settled {
             break;
         }
@@ -188,7 +203,8 @@ fn spreads(
     Some(samples.iter().map(|sample| sample.as_ref().map(spread)).collect())
 }
 
-/// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with the variance.
+/// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with
+/// the variance.
 fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
     let mut variances: Vec<f64> = spreads.iter().flatten().map(Matrix2::trace).collect();
     let middle = variances.len() / 2;
@@ -196,15 +212,23 @@ fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
         return vec![0.0; spreads.len()];
     }
     let limit = *variances.select_nth_unstable_by(middle, f64::total_cmp).1 * FAR_WORSE * FAR_WORSE;
-    let weight = |spread: &Matrix2<f64>| if spread.trace() > limit { limit / spread.trace() } else { 1.0 };
+    let weight =
+        |spread: &Matrix2<f64>| if spread.trace() > limit { limit / spread.trace() } else { 1.0 };
     spreads.iter().map(|spread| spread.as_ref().map_or(0.0, weight)).collect()
 }
 
-/// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the best compensating
-/// turn, in pixels; `None` where either sees nothing. Against a prediction it is to be held with that one's `weights`
-/// ([`UncertaintyMap::weights`]); without any (an empty slice) all pixels have the same to say in the turn.
-pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid, weights: &[f64]) -> Vec<Option<[f64; 2]>> {
-    let seen: Vec<_> = grid.pixels().map(|pixel| (pixel, first.bearing_from_pixel(pixel))).collect();
+/// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the
+/// best compensating turn, in pixels; `None` where either sees nothing. Against a prediction it is
+/// to be held with that one's `weights` ([`UncertaintyMap::weights`]); without any (an empty slice)
+/// all pixels have the same to say in the turn.
+pub fn projection_difference(
+    first: &Lens,
+    second: &Lens,
+    grid: PixelGrid,
+    weights: &[f64],
+) -> Vec<Option<[f64; 2]>> {
+    let seen: Vec<_> =
+        grid.pixels().map(|pixel| (pixel, first.bearing_from_pixel(pixel))).collect();
     let mut turn = nalgebra::UnitQuaternion::identity();
     let difference = |pixel: Pixel, bearing: Bearing, turn: &nalgebra::UnitQuaternion<f64>| {
         let projection = second.project(&Point3::from(turn * bearing.into_inner()))?;
@@ -227,7 +251,8 @@ pub fn projection_difference(first: &Lens, second: &Lens, grid: PixelGrid, weigh
         }
         let Some(inverse) = invert_motion(&normal, Distance::Infinity) else { break };
         let step = -(inverse * gradient);
-        turn = nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned()) * turn;
+        turn =
+            nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned()) * turn;
         if step.norm() < 1e-8 {
             break;
         }

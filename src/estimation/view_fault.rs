@@ -35,7 +35,9 @@ pub enum ViewFault {
     #[error("its labels are transposed: the corners were listed along the columns")]
     Transposed,
     /// No pose explains it.
-    #[error("no pose explains its corners (rms {rms_px:.1} px): they are mislabelled, or it is another board")]
+    #[error(
+        "no pose explains its corners (rms {rms_px:.1} px): they are mislabelled, or it is another board"
+    )]
     NoPose {
         /// What is left at the best pose.
         rms_px: f64,
@@ -88,13 +90,21 @@ impl Grid {
         if cols * rows != points.len() || cols < 3 || rows < 3 {
             return None;
         }
-        let nearest = |values: &[f64], v: f64| values.partition_point(|x| *x < v - 0.5 * (values[1] - values[0]));
-        let places: Vec<_> = points.iter().map(|p| (nearest(&xs, p.x), nearest(&ys, p.y))).collect();
+        let nearest = |values: &[f64], v: f64| {
+            values.partition_point(|x| *x < v - 0.5 * (values[1] - values[0]))
+        };
+        let places: Vec<_> =
+            points.iter().map(|p| (nearest(&xs, p.x), nearest(&ys, p.y))).collect();
         let mut point_at = vec![usize::MAX; points.len()];
         for (index, (col, row)) in places.iter().enumerate() {
             *point_at.get_mut(row * cols + col)? = index;
         }
-        point_at.iter().all(|index| *index != usize::MAX).then_some(Self { cols, rows, places, point_at })
+        point_at.iter().all(|index| *index != usize::MAX).then_some(Self {
+            cols,
+            rows,
+            places,
+            point_at,
+        })
     }
 
     /// For each point the one that it was, had the labels been moved by `place`.
@@ -116,12 +126,18 @@ fn lines(values: impl Iterator<Item = f64>) -> Vec<f64> {
     sorted
 }
 
-/// What is wrong with the labels of a flat view that no pose explains: the relabelling under which a homography fits to
-/// within `limit_px`, if one does.
-pub(crate) fn mislabelling(points_on_plane: &[Point3<f64>], pixels: &[Pixel], limit_px: f64) -> Option<ViewFault> {
+/// What is wrong with the labels of a flat view that no pose explains: the relabelling under which
+/// a homography fits to within `limit_px`, if one does.
+pub(crate) fn mislabelling(
+    points_on_plane: &[Point3<f64>],
+    pixels: &[Pixel],
+    limit_px: f64,
+) -> Option<ViewFault> {
     let grid = Grid::of(points_on_plane)?;
     let (cols, rows) = (grid.cols, grid.rows);
-    let shifted = |by_col: usize, by_row: usize| grid.permuted(|c, r| ((c + by_col) % cols, (r + by_row) % rows));
+    let shifted = |by_col: usize, by_row: usize| {
+        grid.permuted(|c, r| ((c + by_col) % cols, (r + by_row) % rows))
+    };
     let listed_along_columns = |k: usize| (k / rows, k % rows);
     let listed_along_rows = |k: usize| (k % cols, k / cols);
     let along_columns = grid.permuted(|c, r| listed_along_columns(r * cols + c));
@@ -135,7 +151,9 @@ pub(crate) fn mislabelling(points_on_plane: &[Point3<f64>], pixels: &[Pixel], li
         (ViewFault::Transposed, along_rows),
     ];
     relabellings.into_iter().find_map(|(fault, relabelled)| {
-        let pair = |(label, pixel): (&usize, &Pixel)| (points_on_plane[*label].xy(), Point2::new(pixel.x, pixel.y));
+        let pair = |(label, pixel): (&usize, &Pixel)| {
+            (points_on_plane[*label].xy(), Point2::new(pixel.x, pixel.y))
+        };
         let pairs: Vec<_> = relabelled.iter().zip(pixels).map(pair).collect();
         let homography = Homography::fit(&pairs).ok()?;
         (homography.rms(&pairs) <= limit_px).then_some(fault)
@@ -149,11 +167,17 @@ mod tests {
     #[test]
     fn each_mislabelling_is_named() {
         let (cols, rows) = (7, 5);
-        let points: Vec<_> =
-            (0..35).map(|k| Point3::new(f64::from(k % cols) * 0.03, f64::from(k / cols) * 0.03, 0.0)).collect();
+        let points: Vec<_> = (0..35)
+            .map(|k| Point3::new(f64::from(k % cols) * 0.03, f64::from(k / cols) * 0.03, 0.0))
+            .collect();
         let pixels: Vec<_> = points
             .iter()
-            .map(|p| Pixel::new(100.0 + 900.0 * p.x / (1.0 + p.y), 80.0 + 800.0 * (p.y + 0.1 * p.x) / (1.0 + p.y)))
+            .map(|p| {
+                Pixel::new(
+                    100.0 + 900.0 * p.x / (1.0 + p.y),
+                    80.0 + 800.0 * (p.y + 0.1 * p.x) / (1.0 + p.y),
+                )
+            })
             .collect();
         let named = |order: &dyn Fn(i32) -> i32| {
             let seen: Vec<_> = (0..35).map(|k| pixels[order(k) as usize]).collect();

@@ -5,8 +5,8 @@ use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 
-/// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's centre: its cx and cy are ours
-/// plus one half.
+/// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's centre:
+/// its cx and cy are ours plus one half.
 const CORNER_TO_CENTER_PX: f64 = 0.5;
 
 /// One line a sensor, numbered from 1 in the order of documents.
@@ -20,7 +20,12 @@ pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
         let (model, parameters) = camera(sensor.lens);
         let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
         let (width, height) = (sensor.image_size.width, sensor.image_size.height);
-        text += &format!("# {}\n{} {model} {width} {height} {}\n", sensor.name, k + 1, parameters.join(" "));
+        text += &format!(
+            "# {}\n{} {model} {width} {height} {}\n",
+            sensor.name,
+            k + 1,
+            parameters.join(" ")
+        );
     }
     Ok(text)
 }

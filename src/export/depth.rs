@@ -22,9 +22,14 @@ pub(super) fn correction_file(camera: &str, depth: &DepthCalibration) -> String 
     let size = depth.camera.image_size;
     let reading = match depth.camera.reading {
         DepthReading::Metric { unit_m } => format!("depth {}", decimal(unit_m)),
-        DepthReading::Disparity { offset, slope } => format!("disparity {} {}", decimal(offset), decimal(slope)),
+        DepthReading::Disparity { offset, slope } => {
+            format!("disparity {} {}", decimal(offset), decimal(slope))
+        }
     };
-    let mut text = format!("plumb_depth_correction 1\n{HEADER}camera {camera}\nsize {} {}\n", size.width, size.height);
+    let mut text = format!(
+        "plumb_depth_correction 1\n{HEADER}camera {camera}\nsize {} {}\n",
+        size.width, size.height
+    );
     text += &format!("reading {reading}\n");
     if let Some(invalid) = depth.invalid {
         text += &format!("invalid {invalid}\n");

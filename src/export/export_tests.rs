@@ -19,7 +19,8 @@ fn with_lens(model: LensModel, parameters: &[f64]) -> Calibration {
 }
 
 fn text(calibration: &Calibration, format: Format) -> String {
-    String::from_utf8(export(calibration, format, &ExportOptions::default()).unwrap().bytes).unwrap()
+    String::from_utf8(export(calibration, format, &ExportOptions::default()).unwrap().bytes)
+        .unwrap()
 }
 
 fn refused(calibration: &Calibration, format: Format) -> ExportError {
@@ -28,12 +29,15 @@ fn refused(calibration: &Calibration, format: Format) -> ExportError {
 
 /// Those that hold a lens.
 fn lens_formats() -> impl Iterator<Item = Format> {
-    Format::ALL.into_iter().filter(|format| !matches!(format, Format::Urdf | Format::Tf | Format::Depth))
+    Format::ALL
+        .into_iter()
+        .filter(|format| !matches!(format, Format::Urdf | Format::Tf | Format::Depth))
 }
 
 #[test]
 fn every_digit_reaches_every_format() {
-    let calibration = with_lens(LensModel::Radial, &[532.123_456_789_012_3, 531.0, 319.5, 239.5, 0.0, -1e-7]);
+    let calibration =
+        with_lens(LensModel::Radial, &[532.123_456_789_012_3, 531.0, 319.5, 239.5, 0.0, -1e-7]);
     for format in lens_formats() {
         let text = text(&calibration, format);
         assert!(text.contains("532.1234567890123"), "{format}: {text}");
@@ -43,7 +47,10 @@ fn every_digit_reaches_every_format() {
 
 #[test]
 fn what_a_format_lacks_is_refused_by_name() {
-    let fisheye = with_lens(LensModel::KannalaBrandt, &[200.0, 200.0, 320.0, 240.0, 0.0, 0.01, 0.0, 0.0, 0.0]);
+    let fisheye = with_lens(
+        LensModel::KannalaBrandt,
+        &[200.0, 200.0, 320.0, 240.0, 0.0, 0.01, 0.0, 0.0, 0.0],
+    );
     let line = refused(&fisheye, Format::Mrcal).to_string();
     assert!(line.contains("mrcal") && line.contains("kannala_brandt"), "{line}");
 
@@ -53,7 +60,10 @@ fn what_a_format_lacks_is_refused_by_name() {
     }
 
     let two = Calibration { infrared: fisheye.color.clone(), ..example() };
-    assert_eq!(text(&two, Format::Colmap).lines().filter(|line| line.contains("640 480")).count(), 2);
+    assert_eq!(
+        text(&two, Format::Colmap).lines().filter(|line| line.contains("640 480")).count(),
+        2
+    );
 
     let none = Calibration { color: None, ..example() };
     for format in lens_formats().filter(|format| *format != Format::Json) {
@@ -79,11 +89,23 @@ fn a_refit_states_its_error_or_is_refused() {
 /// Two cameras of a rig, a quarter of a metre apart.
 fn rig() -> Calibration {
     let camera = |name: &str| RigCamera { name: name.into(), sensor: example().color.unwrap() };
-    let target_from_source = Pose::from_axis_angle(Vector3::z() * FRAC_PI_2, Vector3::new(0.25, 0.0, -0.5));
+    let target_from_source =
+        Pose::from_axis_angle(Vector3::z() * FRAC_PI_2, Vector3::new(0.25, 0.0, -0.5));
     let name = "left_from_right".into();
-    let extrinsics = Extrinsics { name, target_from_source, rotation_std: [0.0; 3], translation_std_m: [0.0; 3] };
+    let extrinsics = Extrinsics {
+        name,
+        target_from_source,
+        rotation_std: [0.0; 3],
+        translation_std_m: [0.0; 3],
+    };
     let cameras = vec![camera("left"), camera("right"), camera("lonely")];
-    Calibration { camera: Some("head".into()), color: None, cameras, extrinsics: vec![extrinsics], ..example() }
+    Calibration {
+        camera: Some("head".into()),
+        color: None,
+        cameras,
+        extrinsics: vec![extrinsics],
+        ..example()
+    }
 }
 
 #[test]
@@ -143,5 +165,7 @@ fn a_chain_says_where_each_camera_is_from_the_one_before() {
 #[test]
 fn colmap_counts_from_the_image_s_corner() {
     let calibration = with_lens(LensModel::Pinhole, &[530.0, 531.0, 319.5, 239.5, 0.0]);
-    assert!(text(&calibration, Format::Colmap).ends_with("1 PINHOLE 640 480 530.0 531.0 320.0 240.0\n"));
+    assert!(
+        text(&calibration, Format::Colmap).ends_with("1 PINHOLE 640 480 530.0 531.0 320.0 240.0\n")
+    );
 }

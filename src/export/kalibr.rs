@@ -10,7 +10,8 @@ use crate::geometry::pose::Pose;
 /// A refit that is further off than this anywhere in the image is refused.
 const WORST_REFIT_PX: f64 = 0.5;
 
-/// The cameras of a chain: colour and infrared (the depth sensor where there is no infrared picture), or a rig's.
+/// The cameras of a chain: colour and infrared (the depth sensor where there is no infrared
+/// picture), or a rig's.
 pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
     let mut cameras = sensors::all(calibration);
     if cameras.iter().any(|sensor| sensor.name == "infrared") {
@@ -27,14 +28,23 @@ pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, Exp
     }
 }
 
-/// The chain of `cameras`, and what its reader must know. A lens with more coefficients than `radtan` has is refitted.
-pub(super) fn camera_chain(camera: &str, cameras: &[Sensor<'_>]) -> Result<(String, Option<String>), ExportError> {
+/// The chain of `cameras`, and what its reader must know. A lens with more coefficients than
+/// `radtan` has is refitted.
+pub(super) fn camera_chain(
+    camera: &str,
+    cameras: &[Sensor<'_>],
+) -> Result<(String, Option<String>), ExportError> {
     let (mut text, mut notes) = (String::new(), Vec::new());
     for (k, sensor) in cameras.iter().enumerate() {
         without_skew(sensor, Format::Kalibr)?;
         let (lens, note) = held_lens(sensor)?;
-        notes.extend(note.map(|note| if cameras.len() > 1 { format!("{}: {note}", sensor.name) } else { note }));
-        let others: Vec<String> = (0..cameras.len()).filter(|other| *other != k).map(|k| k.to_string()).collect();
+        notes.extend(
+            note.map(
+                |note| if cameras.len() > 1 { format!("{}: {note}", sensor.name) } else { note },
+            ),
+        );
+        let others: Vec<String> =
+            (0..cameras.len()).filter(|other| *other != k).map(|k| k.to_string()).collect();
         text += &format!("cam{k}:\n");
         if let Some(before) = k.checked_sub(1).and_then(|k| cameras[k].first_from_sensor)
             && let Some(first_from_sensor) = sensor.first_from_sensor
@@ -71,7 +81,9 @@ fn entry(sensor: &Sensor<'_>, lens: &Lens) -> String {
 /// Where the camera before is in this one's frame, row by row.
 fn step(this_from_before: &Pose) -> String {
     let (turn, shift) = (this_from_before.rotation_matrix(), this_from_before.translation());
-    let row = |k: usize| format!("  - [{}]\n", list(&[turn[(k, 0)], turn[(k, 1)], turn[(k, 2)], shift[k]]));
+    let row = |k: usize| {
+        format!("  - [{}]\n", list(&[turn[(k, 0)], turn[(k, 1)], turn[(k, 2)], shift[k]]))
+    };
     format!("  T_cn_cnm1:\n{}{}{}  - [0.0, 0.0, 0.0, 1.0]\n", row(0), row(1), row(2))
 }
 
@@ -87,9 +99,14 @@ fn held_lens(sensor: &Sensor<'_>) -> Result<(Lens, Option<String>), ExportError>
         return Ok((lens, None));
     }
     let model = lens.model();
-    let refused =
-        |worst_px| ExportError::Refit { format: Format::Kalibr, model, worst_px, instead: "radial or kannala_brandt" };
-    let refit = refit::with_four_coefficients(&lens, sensor.image_size).ok_or(refused(f64::INFINITY))?;
+    let refused = |worst_px| ExportError::Refit {
+        format: Format::Kalibr,
+        model,
+        worst_px,
+        instead: "radial or kannala_brandt",
+    };
+    let refit =
+        refit::with_four_coefficients(&lens, sensor.image_size).ok_or(refused(f64::INFINITY))?;
     if refit.worst_px > WORST_REFIT_PX {
         return Err(refused(refit.worst_px));
     }

@@ -1,11 +1,13 @@
-//! Calibrations in other programs' formats, one file a format. Uses geometry, calibration and document.
+//! Calibrations in other programs' formats, one file a format. Uses geometry, calibration and
+//! document.
 //!
-//! **Never truncates.** A lens that a format cannot hold exactly is refused by name ([`ExportError::Lens`],
-//! [`ExportError::Skew`]), or refitted where the format's users would otherwise have nothing, with the refit's error stated
-//! in the file and in [`Exported::note`]. Numbers are written with every digit of their double.
+//! **Never truncates.** A lens that a format cannot hold exactly is refused by name
+//! ([`ExportError::Lens`], [`ExportError::Skew`]), or refitted where the format's users would
+//! otherwise have nothing, with the refit's error stated in the file and in [`Exported::note`].
+//! Numbers are written with every digit of their double.
 //!
-//! A calibration of several sensors goes whole into the formats that hold several; of the others, it is one sensor's:
-//! colour's unless [`ExportOptions::sensor`] says another.
+//! A calibration of several sensors goes whole into the formats that hold several; of the others,
+//! it is one sensor's: colour's unless [`ExportOptions::sensor`] says another.
 
 mod colmap;
 mod depth;
@@ -44,7 +46,8 @@ pub enum Format {
     Urdf,
     /// Where the sensors are, as a YAML list of ROS `geometry_msgs/TransformStamped`.
     Tf,
-    /// The meaning and the correction of a depth sensor's readings; docs/depth-correction has readers of it.
+    /// The meaning and the correction of a depth sensor's readings; docs/depth-correction has
+    /// readers of it.
     Depth,
 }
 
@@ -165,7 +168,9 @@ pub enum ExportError {
         skew_px: f64,
     },
     /// The format holds one camera.
-    #[error("the {format} format holds one sensor, and this calibration has several: ask for one of {known}")]
+    #[error(
+        "the {format} format holds one sensor, and this calibration has several: ask for one of {known}"
+    )]
     SeveralSensors {
         /// The format.
         format: Format,
@@ -192,7 +197,9 @@ pub enum ExportError {
     #[error("the depth format is for depth sensors, and this calibration has none")]
     NoDepth,
     /// There is nothing to write.
-    #[error("this calibration has no picture sensor, which is what the {format} format holds; export to json")]
+    #[error(
+        "this calibration has no picture sensor, which is what the {format} format holds; export to json"
+    )]
     NoSensor {
         /// The format.
         format: Format,
@@ -208,8 +215,8 @@ pub enum ExportError {
 /// What of a calibration is written.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ExportOptions {
-    /// The sensor, for formats that hold one: `color`, `infrared`, `infrared2`, `depth` or a camera of a rig. Default: the only one, or
-    /// colour's.
+    /// The sensor, for formats that hold one: `color`, `infrared`, `infrared2`, `depth` or a camera
+    /// of a rig. Default: the only one, or colour's.
     pub sensor: Option<String>,
 }
 
@@ -217,7 +224,11 @@ pub struct ExportOptions {
 ///
 /// # Errors
 /// [`ExportError`] where the format cannot hold it.
-pub fn export(calibration: &Calibration, format: Format, options: &ExportOptions) -> Result<Exported, ExportError> {
+pub fn export(
+    calibration: &Calibration,
+    format: Format,
+    options: &ExportOptions,
+) -> Result<Exported, ExportError> {
     let camera = calibration.camera.as_deref().unwrap_or("camera");
     let one = || one_sensor(calibration, format, options.sensor.as_deref());
     let (text, file, note) = match format {
@@ -238,7 +249,9 @@ pub fn export(calibration: &Calibration, format: Format, options: &ExportOptions
             };
             (text, camera.to_owned(), note)
         }
-        Format::Colmap => (colmap::cameras(&sensors::pictures(calibration))?, camera.to_owned(), None),
+        Format::Colmap => {
+            (colmap::cameras(&sensors::pictures(calibration))?, camera.to_owned(), None)
+        }
         Format::Urdf | Format::Tf => {
             let (placed, note) = placed_sensors(calibration, format)?;
             let write = if format == Format::Urdf { transforms::urdf } else { transforms::stamped };

@@ -5,8 +5,8 @@ use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::LensModel;
 
-/// The model at the reference's origin. mrcal's OPENCV4, 5 and 8 take OpenCV's coefficients in OpenCV's order; it has no
-/// fisheye of OpenCV's kind.
+/// The model at the reference's origin. mrcal's OPENCV4, 5 and 8 take OpenCV's coefficients in
+/// OpenCV's order; it has no fisheye of OpenCV's kind.
 pub(super) fn camera_model(sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Mrcal)?;
     let lens = sensor.lens;
@@ -20,7 +20,11 @@ pub(super) fn camera_model(sensor: &Sensor<'_>) -> Result<String, ExportError> {
         LensModel::Brown => "LENSMODEL_OPENCV5",
         LensModel::Rational => "LENSMODEL_OPENCV8",
         model @ LensModel::KannalaBrandt => {
-            return Err(ExportError::Lens { format: Format::Mrcal, model, instead: "rational or brown" });
+            return Err(ExportError::Lens {
+                format: Format::Mrcal,
+                model,
+                instead: "rational or brown",
+            });
         }
     };
     let k = lens.matrix;

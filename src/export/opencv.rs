@@ -6,9 +6,13 @@ use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::LensModel;
 
-/// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1: the coefficients are
-/// those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their fisheye twins.
-pub(super) fn file_storage(calibration: &Calibration, sensor: &Sensor<'_>) -> Result<String, ExportError> {
+/// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:
+/// the coefficients are those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their
+/// fisheye twins.
+pub(super) fn file_storage(
+    calibration: &Calibration,
+    sensor: &Sensor<'_>,
+) -> Result<String, ExportError> {
     without_skew(sensor, Format::Opencv)?;
     let lens = sensor.lens;
     let mut coefficients = lens.distortion.coefficients();
@@ -17,7 +21,10 @@ pub(super) fn file_storage(calibration: &Calibration, sensor: &Sensor<'_>) -> Re
     }
     let k = lens.matrix;
     let mut text = String::from("%YAML:1.0\n---\n");
-    text += &format!("image_width: {}\nimage_height: {}\n", sensor.image_size.width, sensor.image_size.height);
+    text += &format!(
+        "image_width: {}\nimage_height: {}\n",
+        sensor.image_size.width, sensor.image_size.height
+    );
     if let Some(target) = &calibration.target {
         text += &format!("board_width: {}\nboard_height: {}\n", target.size.cols, target.size.rows);
         text += &format!("square_size: {}\n", decimal(target.square_m));
@@ -33,5 +40,8 @@ pub(super) fn file_storage(calibration: &Calibration, sensor: &Sensor<'_>) -> Re
 
 fn matrix(name: &str, rows: usize, values: &[f64]) -> String {
     let cols = values.len() / rows;
-    format!("{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]\n", list(values))
+    format!(
+        "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]\n",
+        list(values)
+    )
 }

@@ -1,9 +1,11 @@
-//! The same calibration for other pictures than it was made with, a part of them or scaled, on explicit request only.
+//! The same calibration for other pictures than it was made with, a part of them or scaled, on
+//! explicit request only.
 
 use nalgebra::DMatrix;
 
 use crate::calibration::calibration::{
-    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, RigCamera, SensorCalibration,
+    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, RigCamera,
+    SensorCalibration,
 };
 use crate::calibration::solve::uncertainty_over;
 use crate::geometry::image_region::{ImageRegion, RegionError, lens_in_region};
@@ -16,7 +18,8 @@ pub struct OtherPictures {
     pub crop: Option<ImageRegion>,
     /// What that is scaled to. Default: not scaled.
     pub size: Option<ImageSize>,
-    /// The sensor whose pictures they are. Default: all of a calibration's, where nothing is cropped; else its only one.
+    /// The sensor whose pictures they are. Default: all of a calibration's, where nothing is
+    /// cropped; else its only one.
     pub sensor: Option<String>,
 }
 
@@ -47,20 +50,28 @@ pub enum PicturesError {
     },
 }
 
-/// `calibration` for other pictures: the lens, and every figure that counts pixels. Poses and depth stay.
+/// `calibration` for other pictures: the lens, and every figure that counts pixels. Poses and depth
+/// stay.
 ///
 /// # Errors
-/// [`PicturesError`] where a sensor's pictures would be stretched, a crop is not inside them, or it is not said whose it is.
-pub fn for_other_pictures(calibration: &Calibration, other: &OtherPictures) -> Result<Calibration, PicturesError> {
+/// [`PicturesError`] where a sensor's pictures would be stretched, a crop is not inside them, or it
+/// is not said whose it is.
+pub fn for_other_pictures(
+    calibration: &Calibration,
+    other: &OtherPictures,
+) -> Result<Calibration, PicturesError> {
     if other.crop.is_none() && other.size.is_none() {
         return Ok(calibration.clone());
     }
-    let known: Vec<String> = calibration.picture_sensors().map(|(name, _)| name.to_owned()).collect();
+    let known: Vec<String> =
+        calibration.picture_sensors().map(|(name, _)| name.to_owned()).collect();
     match &other.sensor {
         Some(name) if !known.contains(name) => {
             return Err(PicturesError::UnknownSensor { name: name.clone(), known });
         }
-        None if other.crop.is_some() && known.len() > 1 => return Err(PicturesError::SeveralSensors { known }),
+        None if other.crop.is_some() && known.len() > 1 => {
+            return Err(PicturesError::SeveralSensors { known });
+        }
         _ => {}
     }
     let changed = |name: &str, sensor: &SensorCalibration| {
@@ -70,28 +81,40 @@ pub fn for_other_pictures(calibration: &Calibration, other: &OtherPictures) -> R
         let named = |error| PicturesError::Region { sensor: name.to_owned(), error };
         sensor_for(sensor, other).map_err(named)
     };
-    let own = |name, sensor: &Option<SensorCalibration>| sensor.as_ref().map(|s| changed(name, s)).transpose();
+    let own = |name, sensor: &Option<SensorCalibration>| {
+        sensor.as_ref().map(|s| changed(name, s)).transpose()
+    };
     let camera = |camera: &RigCamera| {
         Ok(RigCamera { name: camera.name.clone(), sensor: changed(&camera.name, &camera.sensor)? })
     };
-    let (color, infrared) = (own("color", &calibration.color)?, own("infrared", &calibration.infrared)?);
+    let (color, infrared) =
+        (own("color", &calibration.color)?, own("infrared", &calibration.infrared)?);
     let infrared2 = own("infrared2", &calibration.infrared2)?;
     let cameras = calibration.cameras.iter().map(camera).collect::<Result<_, _>>()?;
     let mut changed = Calibration { color, infrared, infrared2, cameras, ..calibration.clone() };
     let scale = changed.picture_sensors().zip(calibration.picture_sensors()).next();
     let scale = scale.map_or(1.0, |((_, new), (_, old))| scale_between(old, new, other));
-    changed.checks =
-        Checks { held_out_rms_px: calibration.checks.held_out_rms_px.map(|rms| rms * scale), ..calibration.checks };
+    changed.checks = Checks {
+        held_out_rms_px: calibration.checks.held_out_rms_px.map(|rms| rms * scale),
+        ..calibration.checks
+    };
     Ok(changed)
 }
 
 /// How many pixels of the new pictures lie across one of the old ones.
 fn scale_between(old: &SensorCalibration, new: &SensorCalibration, other: &OtherPictures) -> f64 {
     let shown = other.crop.map_or(old.image_size, |crop| crop.size);
-    if old.image_size == new.image_size { 1.0 } else { f64::from(new.image_size.width) / f64::from(shown.width) }
+    if old.image_size == new.image_size {
+        1.0
+    } else {
+        f64::from(new.image_size.width) / f64::from(shown.width)
+    }
 }
 
-fn sensor_for(sensor: &SensorCalibration, other: &OtherPictures) -> Result<SensorCalibration, RegionError> {
+fn sensor_for(
+    sensor: &SensorCalibration,
+    other: &OtherPictures,
+) -> Result<SensorCalibration, RegionError> {
     let shown = other.crop.unwrap_or(ImageRegion { left: 0, top: 0, size: sensor.image_size });
     let size = other.size.unwrap_or(shown.size);
     let lens = lens_in_region(&sensor.lens, sensor.image_size, shown, size)?;
@@ -102,10 +125,15 @@ fn sensor_for(sensor: &SensorCalibration, other: &OtherPictures) -> Result<Senso
     let factor = |index: usize| in_pixels.get(index).copied().unwrap_or(1.0);
     let ProjectionUncertainty { center, median, worst } = sensor.uncertainty_px;
     let covariance = sensor.lens_covariance.iter().enumerate();
-    let scaled_row =
-        |(i, row): (usize, &Vec<f64>)| row.iter().enumerate().map(|(j, value)| value * factor(i) * factor(j)).collect();
+    let scaled_row = |(i, row): (usize, &Vec<f64>)| {
+        row.iter().enumerate().map(|(j, value)| value * factor(i) * factor(j)).collect()
+    };
     let lens_covariance: Vec<Vec<f64>> = covariance.map(scaled_row).collect();
-    let scaled = ProjectionUncertainty { center: center * across, median: median * across, worst: worst * across };
+    let scaled = ProjectionUncertainty {
+        center: center * across,
+        median: median * across,
+        worst: worst * across,
+    };
     // Another part of the picture has another median and another worst place.
     let uncertainty_px = if other.crop.is_some() && !lens_covariance.is_empty() {
         let count = lens_covariance.len();
@@ -120,7 +148,11 @@ fn sensor_for(sensor: &SensorCalibration, other: &OtherPictures) -> Result<Senso
         rms_px: sensor.rms_px * across,
         uncertainty_px,
         views: sensor.views.iter().map(|view| scaled_view(view, across)).collect(),
-        compared: sensor.compared.iter().map(|compared| scaled_comparison(compared, across)).collect(),
+        compared: sensor
+            .compared
+            .iter()
+            .map(|compared| scaled_comparison(compared, across))
+            .collect(),
         board_warp_m: sensor.board_warp_m,
         lens,
     })
@@ -166,10 +198,17 @@ mod tests {
         let whole = Calibration { infrared: None, ..example() };
         let sensor = whole.color.as_ref().unwrap();
         let crop = ImageRegion { left: 40, top: 20, size: ImageSize::new(320, 240) };
-        let part = for_other_pictures(&whole, &OtherPictures { crop: Some(crop), ..OtherPictures::default() }).unwrap();
+        let part = for_other_pictures(
+            &whole,
+            &OtherPictures { crop: Some(crop), ..OtherPictures::default() },
+        )
+        .unwrap();
         let part = part.color.unwrap();
         assert_eq!((part.image_size, part.rms_px), (crop.size, sensor.rms_px));
-        assert_eq!((part.lens.matrix.fx, part.lens.matrix.cx), (sensor.lens.matrix.fx, sensor.lens.matrix.cx - 40.0));
+        assert_eq!(
+            (part.lens.matrix.fx, part.lens.matrix.cx),
+            (sensor.lens.matrix.fx, sensor.lens.matrix.cx - 40.0)
+        );
         assert_eq!(part.lens.matrix.cy, sensor.lens.matrix.cy - 20.0);
     }
 
@@ -185,7 +224,10 @@ mod tests {
             ),
             (
                 several.clone(),
-                OtherPictures { sensor: Some("left".to_owned()), ..scaled_to(ImageSize::new(320, 240)) },
+                OtherPictures {
+                    sensor: Some("left".to_owned()),
+                    ..scaled_to(ImageSize::new(320, 240))
+                },
                 "no picture sensor `left`",
             ),
             (
@@ -193,7 +235,11 @@ mod tests {
                 OtherPictures { crop: Some(crop), sensor: Some("infrared".to_owned()), size: None },
                 "infrared: the region 320x240 at (600, 0) is not inside",
             ),
-            (example(), scaled_to(ImageSize::new(640, 360)), "color: 640x480 scaled to 640x360 would stretch"),
+            (
+                example(),
+                scaled_to(ImageSize::new(640, 360)),
+                "color: 640x480 scaled to 640x360 would stretch",
+            ),
         ];
         for (calibration, other, words) in table {
             let error = for_other_pictures(&calibration, &other).unwrap_err().to_string();

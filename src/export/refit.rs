@@ -15,12 +15,14 @@ pub(super) struct Refit {
     pub worst_px: f64,
 }
 
-/// Columns of [`Lens::parameters`] that are fitted: fx, fy, cx, cy, k1, k2, p1, p2; skew and k3 stay 0.
+/// Columns of [`Lens::parameters`] that are fitted: fx, fy, cx, cy, k1, k2, p1, p2; skew and k3
+/// stay 0.
 const FREE: [usize; 8] = [0, 1, 2, 3, 5, 6, 7, 8];
 
-/// The lens with k1, k2, p1, p2 that sees the image as nearly as possible as `lens` does: Gauss–Newton on the pixel
-/// differences over a grid that covers the image, up to a rotation of the camera, which a calibration leaves open only as
-/// one with the poses and which is therefore kept. `None` where it does not converge or `lens` does not see the whole image.
+/// The lens with k1, k2, p1, p2 that sees the image as nearly as possible as `lens` does:
+/// Gauss–Newton on the pixel differences over a grid that covers the image, up to a rotation of the
+/// camera, which a calibration leaves open only as one with the poses and which is therefore kept.
+/// `None` where it does not converge or `lens` does not see the whole image.
 pub(super) fn with_four_coefficients(lens: &Lens, size: ImageSize) -> Option<Refit> {
     let seen = grid(lens, size)?;
     let mut parameters = lens.parameters();
@@ -41,7 +43,8 @@ pub(super) fn with_four_coefficients(lens: &Lens, size: ImageSize) -> Option<Ref
     }
     let fitted = Lens::from_parameters(LensModel::Brown, &parameters)?;
     let (_, residuals) = linearize(&fitted, &seen)?;
-    let squares: Vec<f64> = residuals.as_slice().chunks(2).map(|r| r[0] * r[0] + r[1] * r[1]).collect();
+    let squares: Vec<f64> =
+        residuals.as_slice().chunks(2).map(|r| r[0] * r[0] + r[1] * r[1]).collect();
     let rms_px = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
     let worst_px = squares.iter().fold(0.0, |worst: f64, square| worst.max(*square)).sqrt();
     rms_px.is_finite().then_some(Refit { lens: fitted, rms_px, worst_px })
@@ -110,7 +113,10 @@ mod tests {
         assert!(refit.rms_px < refit.worst_px);
         for pixel in [Pixel::new(-0.5, -0.5), Pixel::new(320.0, 240.0), Pixel::new(600.0, 20.0)] {
             let point = Point3::from(lens.bearing_from_pixel(pixel).unwrap().into_inner());
-            assert!(refit.lens.pixel_from_point(&point).unwrap().distance_px(pixel) <= refit.worst_px + 1e-9);
+            assert!(
+                refit.lens.pixel_from_point(&point).unwrap().distance_px(pixel)
+                    <= refit.worst_px + 1e-9
+            );
         }
     }
 }

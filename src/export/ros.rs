@@ -5,9 +5,9 @@ use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 
-/// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the projection matrix keeps
-/// the camera matrix: a rectified image has the same focal length and principal point, so that nothing is resampled more
-/// than the distortion asks for.
+/// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the
+/// projection matrix keeps the camera matrix: a rectified image has the same focal length and
+/// principal point, so that nothing is resampled more than the distortion asks for.
 pub(super) fn camera_info(name: &str, sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Ros)?;
     let (model, coefficients) = distortion(sensor.lens);
@@ -32,7 +32,8 @@ pub(super) fn camera_info(name: &str, sensor: &Sensor<'_>) -> Result<String, Exp
     ))
 }
 
-/// ROS's name and coefficients. Pinhole and radial lenses are `plumb_bob` ones whose other coefficients are 0.
+/// ROS's name and coefficients. Pinhole and radial lenses are `plumb_bob` ones whose other
+/// coefficients are 0.
 fn distortion(lens: &Lens) -> (&'static str, Vec<f64>) {
     let coefficients = lens.distortion.coefficients();
     match lens.model() {

@@ -22,7 +22,8 @@ pub(super) struct Sensor<'a> {
 }
 
 impl Sensor<'_> {
-    /// What other programs call it: the camera's name for its colour picture, and for a rig's camera its own.
+    /// What other programs call it: the camera's name for its colour picture, and for a rig's
+    /// camera its own.
     pub fn frame_name(&self, camera: &str) -> String {
         match self.name {
             name if self.is_camera => name.to_owned(),
@@ -34,7 +35,11 @@ impl Sensor<'_> {
     /// The ROS name of its optical frame (REP 103: x right, y down, z forward).
     pub fn optical_frame(&self, camera: &str) -> String {
         let name = self.name;
-        if self.is_camera { format!("{name}_optical_frame") } else { format!("{camera}_{name}_optical_frame") }
+        if self.is_camera {
+            format!("{name}_optical_frame")
+        } else {
+            format!("{camera}_{name}_optical_frame")
+        }
     }
 
     /// The topic that Plumb's recordings have it on.
@@ -50,21 +55,41 @@ pub(super) fn all(calibration: &Calibration) -> Vec<Sensor<'_>> {
         Some(first) if first == name => Some(Pose::identity()),
         Some(first) => {
             let wanted = format!("{first}_from_{name}");
-            calibration.extrinsics.iter().find(|known| known.name == wanted).map(|known| known.target_from_source)
+            calibration
+                .extrinsics
+                .iter()
+                .find(|known| known.name == wanted)
+                .map(|known| known.target_from_source)
         }
         None => None,
     };
-    let picture = |(name, sensor): (&'_ str, &SensorCalibration)| (sensor.image_size, Some(sensor.rms_px), place(name));
+    let picture = |(name, sensor): (&'_ str, &SensorCalibration)| {
+        (sensor.image_size, Some(sensor.rms_px), place(name))
+    };
     let mut sensors: Vec<Sensor<'_>> = Vec::new();
     for (name, sensor) in calibration.picture_sensors() {
         let (image_size, rms_px, first_from_sensor) = picture((name, sensor));
         let is_camera = calibration.cameras.iter().any(|camera| camera.name == name);
-        sensors.push(Sensor { name, is_camera, image_size, lens: &sensor.lens, rms_px, first_from_sensor });
+        sensors.push(Sensor {
+            name,
+            is_camera,
+            image_size,
+            lens: &sensor.lens,
+            rms_px,
+            first_from_sensor,
+        });
     }
     if let Some(depth) = &calibration.depth {
         let (image_size, lens) = (depth.camera.image_size, &depth.camera.lens);
         let first_from_sensor = place("depth");
-        sensors.push(Sensor { name: "depth", is_camera: false, image_size, lens, rms_px: None, first_from_sensor });
+        sensors.push(Sensor {
+            name: "depth",
+            is_camera: false,
+            image_size,
+            lens,
+            rms_px: None,
+            first_from_sensor,
+        });
     }
     sensors
 }
@@ -78,7 +103,8 @@ pub(super) fn pictures(calibration: &Calibration) -> Vec<Sensor<'_>> {
     all(calibration).into_iter().filter(|sensor| sensor.rms_px.is_some()).collect()
 }
 
-/// The sensor that is asked for, or the only one, or colour's; with what is left out, where nothing was asked for.
+/// The sensor that is asked for, or the only one, or colour's; with what is left out, where nothing
+/// was asked for.
 pub(super) fn one_sensor<'a>(
     calibration: &'a Calibration,
     format: Format,
@@ -94,17 +120,21 @@ pub(super) fn one_sensor<'a>(
     match sensors.as_slice() {
         [] => Err(ExportError::NoSensor { format }),
         [only] if only.rms_px.is_some() => Ok((only.clone(), None)),
-        several => match several.iter().find(|sensor| sensor.name == "color" && !sensor.is_camera) {
-            Some(color) => {
-                let note = format!(
-                    "this is the color sensor of several ({}): ask for the others by name, and for where they are by the format urdf or tf",
-                    known()
-                );
-                Ok((color.clone(), Some(note)))
+        several => {
+            match several.iter().find(|sensor| sensor.name == "color" && !sensor.is_camera) {
+                Some(color) => {
+                    let note = format!(
+                        "this is the color sensor of several ({}): ask for the others by name, and for where they are by the format urdf or tf",
+                        known()
+                    );
+                    Ok((color.clone(), Some(note)))
+                }
+                None if several.iter().all(|sensor| sensor.rms_px.is_none()) => {
+                    Err(ExportError::NoSensor { format })
+                }
+                None => Err(ExportError::SeveralSensors { format, known: known() }),
             }
-            None if several.iter().all(|sensor| sensor.rms_px.is_none()) => Err(ExportError::NoSensor { format }),
-            None => Err(ExportError::SeveralSensors { format, known: known() }),
-        },
+        }
     }
 }
 
@@ -119,6 +149,7 @@ pub(super) fn placed_sensors(
         return Err(ExportError::NoPlaces { format });
     }
     let names = open.iter().map(|sensor| sensor.name).collect::<Vec<_>>().join(", ");
-    let note = format!("left out, because where it is against {} is not known: {names}", placed[0].name);
+    let note =
+        format!("left out, because where it is against {} is not known: {names}", placed[0].name);
     Ok((placed, (!open.is_empty()).then_some(note)))
 }

@@ -4,8 +4,9 @@ use crate::export::number::decimal;
 use crate::export::sensors::Sensor;
 use crate::geometry::pose::Pose;
 
-/// A URDF whose root is the first sensor's optical frame, with a fixed joint to each other's. A robot's own URDF takes the
-/// joints over. Angles are URDF's: about the fixed x, y and z axes, in this order.
+/// A URDF whose root is the first sensor's optical frame, with a fixed joint to each other's. A
+/// robot's own URDF takes the joints over. Angles are URDF's: about the fixed x, y and z axes, in
+/// this order.
 pub(super) fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> String {
     let mut text = format!("<?xml version=\"1.0\"?>\n<robot name=\"{camera}\">\n");
     for sensor in sensors {
@@ -25,13 +26,17 @@ pub(super) fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> String {
     text + "</robot>\n"
 }
 
-/// A YAML list of `geometry_msgs/TransformStamped`, from the first sensor's optical frame to each other's.
+/// A YAML list of `geometry_msgs/TransformStamped`, from the first sensor's optical frame to each
+/// other's.
 pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     let mut text = String::new();
     for (parent, child, parent_from_child) in pairs(camera, sensors) {
         let (shift, turn) = (parent_from_child.translation(), parent_from_child.rotation());
         let named = |names: &[&str], values: &[f64]| {
-            let pairs = names.iter().zip(values).map(|(name, value)| format!("{name}: {}", decimal(*value)));
+            let pairs = names
+                .iter()
+                .zip(values)
+                .map(|(name, value)| format!("{name}: {}", decimal(*value)));
             pairs.collect::<Vec<_>>().join(", ")
         };
         text += &format!(
@@ -44,8 +49,13 @@ pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     text
 }
 
-fn pairs<'a>(camera: &'a str, sensors: &'a [Sensor<'_>]) -> impl Iterator<Item = (String, String, Pose)> + 'a {
+fn pairs<'a>(
+    camera: &'a str,
+    sensors: &'a [Sensor<'_>],
+) -> impl Iterator<Item = (String, String, Pose)> + 'a {
     let parent = sensors.first().map(|sensor| sensor.optical_frame(camera)).unwrap_or_default();
     let placed = sensors.iter().skip(1);
-    placed.filter_map(move |sensor| Some((parent.clone(), sensor.optical_frame(camera), sensor.first_from_sensor?)))
+    placed.filter_map(move |sensor| {
+        Some((parent.clone(), sensor.optical_frame(camera), sensor.first_from_sensor?))
+    })
 }

@@ -1,4 +1,5 @@
-//! The chessboard: how many inner corners, how large a square, where each corner lies in the board frame.
+//! The chessboard: how many inner corners, how large a square, where each corner lies in the board
+//! frame.
 
 use nalgebra::Point3;
 
@@ -47,7 +48,11 @@ impl BoardSize {
     /// [`BoardError::Size`] unless each is 3 to 100.
     pub fn new(cols: u32, rows: u32) -> Result<Self, BoardError> {
         let fits = |n: u32| (3..=100).contains(&n);
-        if fits(cols) && fits(rows) { Ok(Self { cols, rows }) } else { Err(BoardError::Size { cols, rows }) }
+        if fits(cols) && fits(rows) {
+            Ok(Self { cols, rows })
+        } else {
+            Err(BoardError::Size { cols, rows })
+        }
     }
 
     /// How many inner corners there are.
@@ -55,8 +60,8 @@ impl BoardSize {
         self.cols as usize * self.rows as usize
     }
 
-    /// Whether a half turn of the board leaves its pattern as it was, so that no picture can tell which corner is first:
-    /// `cols` + `rows` is even.
+    /// Whether a half turn of the board leaves its pattern as it was, so that no picture can tell
+    /// which corner is first: `cols` + `rows` is even.
     pub fn orientation_ambiguous(self) -> bool {
         (self.cols + self.rows).is_multiple_of(2)
     }
@@ -80,8 +85,8 @@ impl std::fmt::Display for BoardSize {
 
 /// A chessboard with its physical size.
 ///
-/// Board frame: origin at the first inner corner, x along a row, y along the columns, z = x × y, which points away from
-/// a camera that sees the front.
+/// Board frame: origin at the first inner corner, x along a row, y along the columns, z = x × y,
+/// which points away from a camera that sees the front.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Chessboard {
     /// Its inner corners.
@@ -103,8 +108,8 @@ impl Chessboard {
         }
     }
 
-    /// Where the corner (`col`, `row`) lies in the board frame, in metres. Indices outside the board are allowed: the
-    /// outer border of the squares is at −1 and `cols`.
+    /// Where the corner (`col`, `row`) lies in the board frame, in metres. Indices outside the
+    /// board are allowed: the outer border of the squares is at −1 and `cols`.
     pub fn corner_in_board(&self, col: i32, row: i32) -> Point3<f64> {
         Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
     }

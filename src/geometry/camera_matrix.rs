@@ -25,18 +25,22 @@ impl CameraMatrix {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }
 
-    /// From an upper triangular matrix, scaled so that its last entry is 1. `None` if that entry is 0, a focal length
-    /// is not positive, or anything is not finite.
+    /// From an upper triangular matrix, scaled so that its last entry is 1. `None` if that entry is
+    /// 0, a focal length is not positive, or anything is not finite.
     pub fn from_matrix(k: &Matrix3<f64>) -> Option<Self> {
         let k = k / k[(2, 2)];
-        let matrix = Self { fx: k[(0, 0)], fy: k[(1, 1)], cx: k[(0, 2)], cy: k[(1, 2)], skew: k[(0, 1)] };
+        let matrix =
+            Self { fx: k[(0, 0)], fy: k[(1, 1)], cx: k[(0, 2)], cy: k[(1, 2)], skew: k[(0, 1)] };
         let usable = k.iter().all(|v| v.is_finite()) && matrix.fx > 0.0 && matrix.fy > 0.0;
         usable.then_some(matrix)
     }
 
     /// The pixel at normalised coordinates.
     pub fn pixel_from_normalized(self, normalized: Vector2<f64>) -> Pixel {
-        Pixel::new(self.fx * normalized.x + self.skew * normalized.y + self.cx, self.fy * normalized.y + self.cy)
+        Pixel::new(
+            self.fx * normalized.x + self.skew * normalized.y + self.cx,
+            self.fy * normalized.y + self.cy,
+        )
     }
 
     /// Normalised coordinates of a pixel.

@@ -1,4 +1,5 @@
-//! A depth camera: what a reading at a pixel says about the distance there, and the point it stands for.
+//! A depth camera: what a reading at a pixel says about the distance there, and the point it stands
+//! for.
 
 use nalgebra::Point3;
 
@@ -6,8 +7,8 @@ use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// What the numbers of a depth picture mean, as the device gives them. Depth is along the optical axis (z), not along
-/// the ray.
+/// What the numbers of a depth picture mean, as the device gives them. Depth is along the optical
+/// axis (z), not along the ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DepthReading {
     /// z = unit · reading.
@@ -15,7 +16,8 @@ pub enum DepthReading {
         /// Metres per unit.
         unit_m: f64,
     },
-    /// 1/z = offset + slope · reading (Kinect 1: slope < 0; a stereo matcher: offset 0, slope 1/(f·baseline)).
+    /// 1/z = offset + slope · reading (Kinect 1: slope < 0; a stereo matcher: offset 0, slope
+    /// 1/(f·baseline)).
     Disparity {
         /// 1/m.
         offset: f64,
@@ -42,7 +44,8 @@ impl DepthReading {
         }
     }
 
-    /// By how much 1/z changes per unit of the reading, in 1/m, as an absolute value: what quantisation costs.
+    /// By how much 1/z changes per unit of the reading, in 1/m, as an absolute value: what
+    /// quantisation costs.
     pub fn inverse_depth_step(self, inverse_depth: f64) -> f64 {
         match self {
             Self::Metric { unit_m } => unit_m * inverse_depth * inverse_depth,
@@ -74,8 +77,8 @@ impl DepthCamera {
         }
     }
 
-    /// The point that a reading at `pixel` stands for, in the depth camera's frame, in metres; `None` for what no surface
-    /// gives and where the lens sees nothing.
+    /// The point that a reading at `pixel` stands for, in the depth camera's frame, in metres;
+    /// `None` for what no surface gives and where the lens sees nothing.
     pub fn point_from_reading(&self, pixel: Pixel, reading: f64) -> Option<Point3<f64>> {
         let z = 1.0 / self.inverse_depth(pixel, reading)?;
         let bearing = self.lens.bearing_from_pixel(pixel)?;
@@ -88,7 +91,8 @@ impl DepthCamera {
 pub struct DepthTile {
     /// The middle of its readings.
     pub pixel: Pixel,
-    /// The uncorrected 1/z there, in 1/m: a plane's is linear over a picture without distortion, so that this is a mean.
+    /// The uncorrected 1/z there, in 1/m: a plane's is linear over a picture without distortion, so
+    /// that this is a mean.
     pub inverse_depth: f64,
     /// Standard deviation of a single reading's 1/z about the patch's own plane, in 1/m.
     pub reading_std: f64,
@@ -103,13 +107,19 @@ mod tests {
 
     #[test]
     fn readings_become_points_and_back() {
-        let lens = Lens::pinhole(CameraMatrix { fx: 580.0, fy: 590.0, cx: 320.0, cy: 240.0, skew: 0.0 });
+        let lens =
+            Lens::pinhole(CameraMatrix { fx: 580.0, fy: 590.0, cx: 320.0, cy: 240.0, skew: 0.0 });
         for reading in [
             DepthReading::Metric { unit_m: 0.001 },
             DepthReading::Disparity { offset: 3.12, slope: -0.002_85 },
             DepthReading::Disparity { offset: 0.0, slope: 0.01 },
         ] {
-            let camera = DepthCamera { image_size: ImageSize::new(640, 480), lens, reading, correction: None };
+            let camera = DepthCamera {
+                image_size: ImageSize::new(640, 480),
+                lens,
+                reading,
+                correction: None,
+            };
             let point = Point3::new(0.3, -0.2, 1.7);
             let pixel = lens.pixel_from_point(&point).unwrap();
             let again = camera.point_from_reading(pixel, reading.reading(1.0 / 1.7)).unwrap();
@@ -118,6 +128,9 @@ mod tests {
             assert!((step.abs() / reading.inverse_depth_step(0.5) - 1.0).abs() < 0.01);
         }
         assert_eq!(DepthReading::Metric { unit_m: 0.001 }.inverse_depth(0.0), None);
-        assert_eq!(DepthReading::Disparity { offset: 3.0, slope: -0.003 }.inverse_depth(2047.0), None);
+        assert_eq!(
+            DepthReading::Disparity { offset: 3.0, slope: -0.003 }.inverse_depth(2047.0),
+            None
+        );
     }
 }

@@ -1,5 +1,5 @@
-//! The systematic error of a depth camera: a polynomial in depth or inverse depth whose coefficients vary smoothly over
-//! the picture.
+//! The systematic error of a depth camera: a polynomial in depth or inverse depth whose
+//! coefficients vary smoothly over the picture.
 //!
 //! With g_k(u, v) a cubic B-spline surface (C. de Boor, *A Practical Guide to Splines*, 1978):
 //!
@@ -8,8 +8,8 @@
 //! structured light, time of flight:   z' =   z + Σ_k g_k(u, v) ·     z^k
 //! ```
 //!
-//! Two terms of the first are a(u,v)/z + b(u,v). The polynomial is held at its value at the ends of the range of depths
-//! it was fitted over.
+//! Two terms of the first are a(u,v)/z + b(u,v). The polynomial is held at its value at the ends of
+//! the range of depths it was fitted over.
 
 use crate::geometry::pixel::{ImageSize, Pixel};
 
@@ -32,7 +32,8 @@ impl CorrectedQuantity {
     }
 }
 
-/// A grid of equal cells over a picture, with the nodes of cubic B-splines on it. Without cells it is one constant.
+/// A grid of equal cells over a picture, with the nodes of cubic B-splines on it. Without cells it
+/// is one constant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplineGrid {
     /// The picture.
@@ -100,7 +101,8 @@ fn cell(coordinate: f64, length: u32, cells: u32) -> (usize, [f64; 4]) {
     let first = along.floor().min(f64::from(cells) - 1.0);
     let t = along - first;
     let (t2, t3) = (t * t, t * t * t);
-    let weights = [(1.0 - t).powi(3), 3.0 * t3 - 6.0 * t2 + 4.0, -3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0, t3];
+    let weights =
+        [(1.0 - t).powi(3), 3.0 * t3 - 6.0 * t2 + 4.0, -3.0 * t3 + 3.0 * t2 + 3.0 * t + 1.0, t3];
     (first as usize, weights.map(|w| w / 6.0))
 }
 
@@ -121,7 +123,12 @@ pub struct DepthCorrection {
 
 impl DepthCorrection {
     /// One that changes nothing yet.
-    pub fn none(quantity: CorrectedQuantity, terms: usize, grid: SplineGrid, seen_m: [f64; 2]) -> Self {
+    pub fn none(
+        quantity: CorrectedQuantity,
+        terms: usize,
+        grid: SplineGrid,
+        seen_m: [f64; 2],
+    ) -> Self {
         Self { quantity, terms, grid, coefficients: vec![0.0; terms * grid.node_count()], seen_m }
     }
 
@@ -140,11 +147,17 @@ impl DepthCorrection {
     pub fn at(&self, pixel: Pixel) -> PixelCorrection {
         let weights = self.grid.weights(pixel);
         let count = self.grid.node_count();
-        let mut at = PixelCorrection { quantity: self.quantity, terms: [0.0; MAX_TERMS], seen_m: self.seen_m };
+        let mut at = PixelCorrection {
+            quantity: self.quantity,
+            terms: [0.0; MAX_TERMS],
+            seen_m: self.seen_m,
+        };
         for (power, term) in at.terms.iter_mut().enumerate().take(self.terms) {
-            let nodes = self.coefficients.get(power * count..(power + 1) * count).unwrap_or_default();
+            let nodes =
+                self.coefficients.get(power * count..(power + 1) * count).unwrap_or_default();
             let used = weights.nodes.iter().zip(&weights.weights).take(weights.len);
-            *term = used.map(|(node, weight)| nodes.get(*node).copied().unwrap_or(0.0) * weight).sum();
+            *term =
+                used.map(|(node, weight)| nodes.get(*node).copied().unwrap_or(0.0) * weight).sum();
         }
         at
     }
@@ -153,8 +166,8 @@ impl DepthCorrection {
 /// No correction has more terms.
 pub const MAX_TERMS: usize = 4;
 
-/// The nearest 1/z to `inverse_depth` among the depths `seen_m` [nearest, farthest], where a correction holds; `inverse_depth` itself
-/// where none were seen (nearest beyond farthest).
+/// The nearest 1/z to `inverse_depth` among the depths `seen_m` [nearest, farthest], where a
+/// correction holds; `inverse_depth` itself where none were seen (nearest beyond farthest).
 pub(crate) fn held_inverse_depth(inverse_depth: f64, seen_m: [f64; 2]) -> f64 {
     let [near, far] = seen_m.map(|depth| 1.0 / depth);
     if far <= near { inverse_depth.clamp(far, near) } else { inverse_depth }
@@ -184,7 +197,8 @@ impl PixelCorrection {
 }
 
 impl PixelCorrection {
-    /// ∂(corrected 1/z)/∂(1/z): what the correction does to small differences, and so to noise; 1 for that of nothing.
+    /// ∂(corrected 1/z)/∂(1/z): what the correction does to small differences, and so to noise; 1
+    /// for that of nothing.
     pub fn gain(&self, inverse_depth: f64) -> f64 {
         let [near, far] = self.seen_m;
         let held = !(inverse_depth * near <= 1.0 && inverse_depth * far >= 1.0);
@@ -216,14 +230,22 @@ mod tests {
     #[test]
     fn weights_add_up_to_one_and_follow_a_plane() {
         let grid = SplineGrid { size: SIZE, cols: 8, rows: 6 };
-        for pixel in
-            [Pixel::new(-0.5, -0.5), Pixel::new(639.5, 479.5), Pixel::new(321.3, 17.0), Pixel::new(900.0, -9.0)]
-        {
+        for pixel in [
+            Pixel::new(-0.5, -0.5),
+            Pixel::new(639.5, 479.5),
+            Pixel::new(321.3, 17.0),
+            Pixel::new(900.0, -9.0),
+        ] {
             let at = grid.weights(pixel);
             assert!((at.weights.iter().sum::<f64>() - 1.0).abs() < 1e-14);
             assert!(at.nodes.iter().all(|node| *node < grid.node_count()));
             // Node i of a uniform cubic B-spline sits at cell i − 1.
-            let x: f64 = at.nodes.iter().zip(&at.weights).map(|(n, w)| ((n % 11) as f64 - 1.0) * 80.0 * w).sum();
+            let x: f64 = at
+                .nodes
+                .iter()
+                .zip(&at.weights)
+                .map(|(n, w)| ((n % 11) as f64 - 1.0) * 80.0 * w)
+                .sum();
             assert!((x - (pixel.x.clamp(-0.5, 639.5) + 0.5)).abs() < 1e-9, "{pixel:?} {x}");
         }
     }
@@ -231,28 +253,37 @@ mod tests {
     #[test]
     fn a_stereo_correction_is_affine_in_inverse_depth_and_held_outside_what_was_seen() {
         let grid = SplineGrid::constant(SIZE);
-        let mut correction = DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 4.0]);
+        let mut correction =
+            DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 4.0]);
         correction.coefficients = vec![0.01, -0.02];
         let pixel = Pixel::new(3.0, 4.0);
         assert!((correction.correct(pixel, 1.0).unwrap() - 0.99).abs() < 1e-15);
         assert!((correction.correct(pixel, 4.0).unwrap() - (4.0 + 0.01 - 0.04)).abs() < 1e-15);
         assert!(correction.has_seen(1.0) && !correction.has_seen(4.0) && !correction.has_seen(0.1));
         correction.quantity = CorrectedQuantity::Depth;
-        assert!((1.0 / correction.correct(pixel, 0.5).unwrap() - (2.0 + 0.01 - 0.04)).abs() < 1e-14);
+        assert!(
+            (1.0 / correction.correct(pixel, 0.5).unwrap() - (2.0 + 0.01 - 0.04)).abs() < 1e-14
+        );
         correction.coefficients = vec![-9.0, 0.0];
         assert_eq!(correction.correct(pixel, 0.5), None);
     }
 
     #[test]
     fn a_correction_of_no_depths_is_held_nowhere() {
-        let none = DepthCorrection::none(CorrectedQuantity::Depth, 1, SplineGrid::constant(SIZE), [f64::INFINITY, 0.0]);
+        let none = DepthCorrection::none(
+            CorrectedQuantity::Depth,
+            1,
+            SplineGrid::constant(SIZE),
+            [f64::INFINITY, 0.0],
+        );
         assert_eq!(none.correct(Pixel::new(3.0, 4.0), 0.5), Some(0.5));
     }
 
     #[test]
     fn the_gain_is_the_slope_of_what_is_corrected() {
         for quantity in [CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth] {
-            let at = PixelCorrection { quantity, terms: [0.01, -0.05, 0.03, 0.01], seen_m: [0.5, 4.0] };
+            let at =
+                PixelCorrection { quantity, terms: [0.01, -0.05, 0.03, 0.01], seen_m: [0.5, 4.0] };
             for inverse in [0.3, 0.9, 1.8, 0.1, 3.0] {
                 let slope = (at.correct(inverse + 1e-6) - at.correct(inverse - 1e-6)) / 2e-6;
                 assert!((at.gain(inverse) - slope).abs() < 1e-8, "{quantity:?} {inverse}: {slope}");

@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Point2, SMatrix, SVector, Vector3};
 
-/// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm and so that points of
-/// the source have a positive third coordinate.
+/// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm
+/// and so that points of the source have a positive third coordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Homography {
     matrix: Matrix3<f64>,
@@ -54,21 +54,26 @@ impl Homography {
         Self::from_matrix(&self.matrix.try_inverse()?)
     }
 
-    /// The normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*, algorithm 4.2): the
-    /// least algebraic error over `pairs` of (source, target).
+    /// The normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*,
+    /// algorithm 4.2): the least algebraic error over `pairs` of (source, target).
     ///
     /// # Errors
-    /// Fewer than 4 pairs, a coordinate that is not finite, or points that do not determine a homography.
+    /// Fewer than 4 pairs, a coordinate that is not finite, or points that do not determine a
+    /// homography.
     pub fn fit(pairs: &[(Point2<f64>, Point2<f64>)]) -> Result<Self, HomographyError> {
         if pairs.len() < 4 {
             return Err(HomographyError::TooFewPoints { points: pairs.len() });
         }
         let finite = |p: &Point2<f64>| p.x.is_finite() && p.y.is_finite();
-        if let Some(index) = pairs.iter().position(|(source, target)| !finite(source) || !finite(target)) {
+        if let Some(index) =
+            pairs.iter().position(|(source, target)| !finite(source) || !finite(target))
+        {
             return Err(HomographyError::NotFinite { index });
         }
-        let source = Normalization::of(pairs.iter().map(|p| p.0)).ok_or(HomographyError::Degenerate)?;
-        let target = Normalization::of(pairs.iter().map(|p| p.1)).ok_or(HomographyError::Degenerate)?;
+        let source =
+            Normalization::of(pairs.iter().map(|p| p.0)).ok_or(HomographyError::Degenerate)?;
+        let target =
+            Normalization::of(pairs.iter().map(|p| p.1)).ok_or(HomographyError::Degenerate)?;
         let normal = dlt_normal_matrix(pairs, source, target);
         let h = smallest_eigenvector(&normal).ok_or(HomographyError::Degenerate)?;
         let normalized = Matrix3::from_row_slice(h.as_slice());
@@ -83,8 +88,8 @@ impl Homography {
         Ok(homography)
     }
 
-    /// [`Self::fit`], then Gauss–Newton on the distance in the target plane (Hartley and Zisserman, section 4.2.3): the
-    /// most likely homography where targets carry equal, independent noise.
+    /// [`Self::fit`], then Gauss–Newton on the distance in the target plane (Hartley and Zisserman,
+    /// section 4.2.3): the most likely homography where targets carry equal, independent noise.
     ///
     /// # Errors
     /// As [`Self::fit`].
@@ -106,26 +111,49 @@ impl Homography {
         Ok(best)
     }
 
-    /// Root mean square distance in the target plane; infinite if a point is mapped beyond infinity.
+    /// Root mean square distance in the target plane; infinite if a point is mapped beyond
+    /// infinity.
     pub fn rms(&self, pairs: &[(Point2<f64>, Point2<f64>)]) -> f64 {
         (self.squared_error(pairs) / pairs.len() as f64).sqrt()
     }
 
     fn squared_error(&self, pairs: &[(Point2<f64>, Point2<f64>)]) -> f64 {
-        pairs.iter().map(|(s, t)| self.apply(*s).map_or(f64::INFINITY, |p| (p - t).norm_squared())).sum()
+        pairs
+            .iter()
+            .map(|(s, t)| self.apply(*s).map_or(f64::INFINITY, |p| (p - t).norm_squared()))
+            .sum()
     }
 
     fn gauss_newton_step(&self, pairs: &[(Point2<f64>, Point2<f64>)]) -> Option<Self> {
-        let (mut normal, mut gradient) = (SMatrix::<f64, 9, 9>::zeros(), SVector::<f64, 9>::zeros());
+        let (mut normal, mut gradient) =
+            (SMatrix::<f64, 9, 9>::zeros(), SVector::<f64, 9>::zeros());
         for (source, target) in pairs {
             let at = Vector3::new(source.x, source.y, 1.0);
             let mapped = self.matrix * at;
             let (x, y) = (mapped.x / mapped.z, mapped.y / mapped.z);
             let a = at / mapped.z;
-            let row_x =
-                SVector::<f64, 9>::from_column_slice(&[a.x, a.y, a.z, 0.0, 0.0, 0.0, -x * a.x, -x * a.y, -x * a.z]);
-            let row_y =
-                SVector::<f64, 9>::from_column_slice(&[0.0, 0.0, 0.0, a.x, a.y, a.z, -y * a.x, -y * a.y, -y * a.z]);
+            let row_x = SVector::<f64, 9>::from_column_slice(&[
+                a.x,
+                a.y,
+                a.z,
+                0.0,
+                0.0,
+                0.0,
+                -x * a.x,
+                -x * a.y,
+                -x * a.z,
+            ]);
+            let row_y = SVector::<f64, 9>::from_column_slice(&[
+                0.0,
+                0.0,
+                0.0,
+                a.x,
+                a.y,
+                a.z,
+                -y * a.x,
+                -y * a.y,
+                -y * a.z,
+            ]);
             normal += row_x * row_x.transpose() + row_y * row_y.transpose();
             gradient += row_x * (x - target.x) + row_y * (y - target.y);
         }
@@ -206,13 +234,14 @@ fn dlt_normal_matrix(
     normal
 }
 
-/// The eigenvector of the smallest eigenvalue of a positive semidefinite matrix, by inverse iteration; `None` where the
-/// smallest eigenvalue is not alone.
+/// The eigenvector of the smallest eigenvalue of a positive semidefinite matrix, by inverse
+/// iteration; `None` where the smallest eigenvalue is not alone.
 pub(crate) fn smallest_eigenvector(matrix: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
     let shift = matrix.trace() * 1e-13;
     let factor = (matrix + SMatrix::<f64, 9, 9>::identity() * shift).cholesky()?;
     let mut vector =
-        SVector::<f64, 9>::from_column_slice(&[0.9, 0.3, 0.4, -0.2, 1.1, 0.5, 0.15, -0.35, 0.7]).normalize();
+        SVector::<f64, 9>::from_column_slice(&[0.9, 0.3, 0.4, -0.2, 1.1, 0.5, 0.15, -0.35, 0.7])
+            .normalize();
     for _ in 0..30 {
         let mut next = factor.solve(&vector);
         next /= next.norm();
@@ -225,7 +254,8 @@ pub(crate) fn smallest_eigenvector(matrix: &SMatrix<f64, 9, 9>) -> Option<SVecto
             return Some(vector);
         }
     }
-    // Two eigenvalues nearly as small as each other: the points do not determine the answer, or hardly.
+    // Two eigenvalues nearly as small as each other: the points do not determine the answer, or
+    // hardly.
     let rest = factor.solve(&vector);
     let change = (rest / rest.norm() - vector).norm();
     (change < 1e-6).then_some(vector)
@@ -240,7 +270,10 @@ mod tests {
     }
 
     fn truth() -> Homography {
-        Homography::from_matrix(&Matrix3::new(900.0, -40.0, 210.0, 60.0, 850.0, 140.0, 0.3, -0.2, 1.0)).unwrap()
+        Homography::from_matrix(&Matrix3::new(
+            900.0, -40.0, 210.0, 60.0, 850.0, 140.0, 0.3, -0.2, 1.0,
+        ))
+        .unwrap()
     }
 
     #[test]
@@ -259,10 +292,15 @@ mod tests {
     #[test]
     fn refinement_lowers_the_distance() {
         let truth = truth();
-        let wobble = |k: usize| Point2::new((k as f64 * 12.9898).sin(), (k as f64 * 78.233).sin()) * 2.0;
-        let pairs: Vec<_> =
-            grid().iter().enumerate().map(|(k, p)| (*p, truth.apply(*p).unwrap() + wobble(k).coords)).collect();
-        let (algebraic, geometric) = (Homography::fit(&pairs).unwrap(), Homography::fit_refined(&pairs).unwrap());
+        let wobble =
+            |k: usize| Point2::new((k as f64 * 12.9898).sin(), (k as f64 * 78.233).sin()) * 2.0;
+        let pairs: Vec<_> = grid()
+            .iter()
+            .enumerate()
+            .map(|(k, p)| (*p, truth.apply(*p).unwrap() + wobble(k).coords))
+            .collect();
+        let (algebraic, geometric) =
+            (Homography::fit(&pairs).unwrap(), Homography::fit_refined(&pairs).unwrap());
         assert!(geometric.rms(&pairs) < algebraic.rms(&pairs));
         assert!(geometric.rms(&pairs) < 2.0);
     }
@@ -272,7 +310,10 @@ mod tests {
         let p = |x: f64, y: f64| Point2::new(x, y);
         let square = [p(0.0, 0.0), p(1.0, 0.0), p(0.0, 1.0), p(1.0, 1.0)];
         let same = |points: &[Point2<f64>]| points.iter().map(|q| (*q, *q)).collect::<Vec<_>>();
-        assert_eq!(Homography::fit(&same(&square[..3])), Err(HomographyError::TooFewPoints { points: 3 }));
+        assert_eq!(
+            Homography::fit(&same(&square[..3])),
+            Err(HomographyError::TooFewPoints { points: 3 })
+        );
         let line: Vec<_> = (0..9).map(|k| p(f64::from(k), 2.0 * f64::from(k))).collect();
         assert_eq!(Homography::fit(&same(&line)), Err(HomographyError::Degenerate));
         let one_place: Vec<_> = grid().into_iter().map(|q| (q, p(640.0, 360.0))).collect();

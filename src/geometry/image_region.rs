@@ -25,7 +25,8 @@ impl std::str::FromStr for ImageRegion {
 
     /// From `left,top,width,height`.
     fn from_str(text: &str) -> Result<Self, RegionTextError> {
-        let numbers: Result<Vec<u32>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+        let numbers: Result<Vec<u32>, _> =
+            text.split(',').map(|number| number.trim().parse()).collect();
         match numbers.as_deref() {
             Ok([left, top, width, height]) => {
                 Ok(Self { left: *left, top: *top, size: ImageSize::new(*width, *height) })
@@ -65,12 +66,18 @@ pub enum RegionError {
     },
 }
 
-/// The lens of images of `to` pixels that show `region` of the images of `from` that `lens` holds for. A pixel's *area* is
-/// scaled, so centres map as x' = (x + ½ − left) · scale − ½; distortion is in normalised coordinates and stays.
+/// The lens of images of `to` pixels that show `region` of the images of `from` that `lens` holds
+/// for. A pixel's *area* is scaled, so centres map as x' = (x + ½ − left) · scale − ½; distortion
+/// is in normalised coordinates and stays.
 ///
 /// # Errors
 /// An empty size, a region outside the image, or a change of shape by more than one pixel.
-pub fn lens_in_region(lens: &Lens, from: ImageSize, region: ImageRegion, to: ImageSize) -> Result<Lens, RegionError> {
+pub fn lens_in_region(
+    lens: &Lens,
+    from: ImageSize,
+    region: ImageRegion,
+    to: ImageSize,
+) -> Result<Lens, RegionError> {
     for size in [from, region.size, to] {
         if size.width == 0 || size.height == 0 {
             return Err(RegionError::Empty(size));
@@ -78,10 +85,15 @@ pub fn lens_in_region(lens: &Lens, from: ImageSize, region: ImageRegion, to: Ima
     }
     let ImageRegion { left, top, size } = region;
     let end = |first: u32, length: u32| u64::from(first) + u64::from(length);
-    if end(left, size.width) > u64::from(from.width) || end(top, size.height) > u64::from(from.height) {
+    if end(left, size.width) > u64::from(from.width)
+        || end(top, size.height) > u64::from(from.height)
+    {
         return Err(RegionError::Outside { region: size, left, top, image: from });
     }
-    let (across, down) = (f64::from(to.width) / f64::from(size.width), f64::from(to.height) / f64::from(size.height));
+    let (across, down) = (
+        f64::from(to.width) / f64::from(size.width),
+        f64::from(to.height) / f64::from(size.height),
+    );
     let expected_height = across * f64::from(size.height);
     if (expected_height - f64::from(to.height)).abs() > 1.0 {
         return Err(RegionError::Stretched { from: size, to });
@@ -120,7 +132,8 @@ mod tests {
         let region = ImageRegion { left: 80, top: 60, size: ImageSize::new(480, 360) };
         let cropped = lens_in_region(&lens, from, region, ImageSize::new(240, 180)).unwrap();
         let point = Point3::new(0.1, -0.2, 1.0);
-        let (whole, part) = (lens.pixel_from_point(&point).unwrap(), cropped.pixel_from_point(&point).unwrap());
+        let (whole, part) =
+            (lens.pixel_from_point(&point).unwrap(), cropped.pixel_from_point(&point).unwrap());
         assert!((part.x - ((whole.x + 0.5 - 80.0) / 2.0 - 0.5)).abs() < 1e-12);
         assert!((part.y - ((whole.y + 0.5 - 60.0) / 2.0 - 0.5)).abs() < 1e-12);
         let doubled = lens_at_size(&lens, from, ImageSize::new(1280, 960)).unwrap();
@@ -129,7 +142,8 @@ mod tests {
 
     #[test]
     fn what_no_crop_or_scale_explains_is_refused() {
-        let lens = Lens::pinhole(CameraMatrix { fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0, skew: 0.0 });
+        let lens =
+            Lens::pinhole(CameraMatrix { fx: 500.0, fy: 500.0, cx: 320.0, cy: 240.0, skew: 0.0 });
         let from = ImageSize::new(640, 480);
         let at = |left, width, to| {
             let region = ImageRegion { left, top: 0, size: ImageSize::new(width, 480) };

@@ -1,11 +1,12 @@
-//! Where light lands ([`Pixel`]) and where it came from ([`Bearing`]): two types, because a pixel that is used as a
-//! direction is the commonest silent error of camera code.
+//! Where light lands ([`Pixel`]) and where it came from ([`Bearing`]): two types, because a pixel
+//! that is used as a direction is the commonest silent error of camera code.
 
 use nalgebra::{Point2, Unit, Vector2, Vector3};
 
 /// A position in an image, in pixels: x right, y down, integer coordinates at pixel *centres*.
 ///
-/// The top-left pixel's centre is (0, 0), so an image of width w spans −0.5 … w − 0.5 (OpenCV's convention).
+/// The top-left pixel's centre is (0, 0), so an image of width w spans −0.5 … w − 0.5 (OpenCV's
+/// convention).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pixel {
     /// Right, in pixels.

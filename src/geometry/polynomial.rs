@@ -8,8 +8,9 @@ pub fn evaluate(coefficients: &[f64], x: f64) -> f64 {
     coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
 }
 
-/// The smallest root in (0, `end`] of the polynomial with `coefficients` (constant term first), between the
-/// roots of its derivative, found the same way. `None` when there is none, or a coefficient is not finite.
+/// The smallest root in (0, `end`] of the polynomial with `coefficients` (constant term first),
+/// between the roots of its derivative, found the same way. `None` when there is none, or a
+/// coefficient is not finite.
 pub fn first_root(coefficients: &[f64], end: f64) -> Option<f64> {
     roots(coefficients, end).first().copied()
 }
@@ -36,8 +37,9 @@ fn roots(coefficients: &[f64], end: f64) -> Vec<f64> {
     found
 }
 
-/// Newton's method, held between two places where the sign differs: where it would leave them, or its
-/// steps do not halve, the way between them is halved, in the logarithm where they are far apart.
+/// Newton's method, held between two places where the sign differs: where it would leave them, or
+/// its steps do not halve, the way between them is halved, in the logarithm where they are far
+/// apart.
 fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
     let sign = evaluate(coefficients, low).signum();
     let middle = |low: f64, high: f64| match low {
@@ -95,9 +97,11 @@ mod tests {
             let polynomial = [1.0, 3.0 * a, 5.0 * b, 7.0 * c];
             let Some(root) = first_root(&polynomial, 328_329.0) else { continue };
             let step = 1e-13 * root;
-            let (before, after) = (evaluate(&polynomial, root - step), evaluate(&polynomial, root + step));
+            let (before, after) =
+                (evaluate(&polynomial, root - step), evaluate(&polynomial, root + step));
             assert!(before * after <= 0.0, "{polynomial:?}: {root}, {before} {after}");
-            let earlier = (1..1000).map(|i| evaluate(&polynomial, root * 0.999 * f64::from(i) / 1000.0));
+            let earlier =
+                (1..1000).map(|i| evaluate(&polynomial, root * 0.999 * f64::from(i) / 1000.0));
             assert!(earlier.into_iter().all(|value| value > 0.0), "{polynomial:?}: {root}");
         }
     }

@@ -1,10 +1,14 @@
-//! Rigid transforms, named for what they map: `a_from_b` takes coordinates in b to coordinates in a.
+//! Rigid transforms, named for what they map: `a_from_b` takes coordinates in b to coordinates in
+//! a.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
+};
 
 /// A rigid transform between two frames. A value is named `a_from_b`, and `p_a = a_from_b * p_b`.
 ///
-/// Translation in metres; the rotation's quaternion is kept with w ≥ 0, so that equal rotations are equal values.
+/// Translation in metres; the rotation's quaternion is kept with w ≥ 0, so that equal rotations are
+/// equal values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
     isometry: Isometry3<f64>,
@@ -20,12 +24,18 @@ impl Pose {
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         let q = rotation.into_inner();
         let q = if q.w < 0.0 { Quaternion::from(-q.coords) } else { q };
-        Self { isometry: Isometry3::from_parts(Translation3::from(translation), UnitQuaternion::new_unchecked(q)) }
+        Self {
+            isometry: Isometry3::from_parts(
+                Translation3::from(translation),
+                UnitQuaternion::new_unchecked(q),
+            ),
+        }
     }
 
     /// From a rotation matrix (orthonormal, determinant +1) and a translation in metres.
     pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
+        let rotation =
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
         Self::new(rotation, translation)
     }
 
@@ -89,8 +99,10 @@ mod tests {
 
     #[test]
     fn composition_inverse_and_sign() {
-        let a_from_b = Pose::from_axis_angle(Vector3::new(0.3, -2.9, 0.4), Vector3::new(1.0, 2.0, -0.5));
-        let b_from_c = Pose::from_axis_angle(Vector3::new(-1.0, 0.2, 2.5), Vector3::new(0.1, 0.0, 3.0));
+        let a_from_b =
+            Pose::from_axis_angle(Vector3::new(0.3, -2.9, 0.4), Vector3::new(1.0, 2.0, -0.5));
+        let b_from_c =
+            Pose::from_axis_angle(Vector3::new(-1.0, 0.2, 2.5), Vector3::new(0.1, 0.0, 3.0));
         let point_in_c = Point3::new(0.2, -0.7, 1.1);
         let twice = a_from_b * (b_from_c * point_in_c);
         assert!((twice - (a_from_b * b_from_c) * point_in_c).norm() < 1e-14);

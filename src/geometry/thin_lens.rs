@@ -1,7 +1,8 @@
-//! The thin lens: what is sharp at which distance, and so where to hold a board and how large it should be.
+//! The thin lens: what is sharp at which distance, and so where to hold a board and how large it
+//! should be.
 //!
-//! 1/f = 1/s + 1/v; a point at distance d in front of a lens focused at s is a disc on the sensor of diameter
-//! A · f/(s − f) · |d − s|/d with the aperture A = f/N (E. Hecht, *Optics*, chapter 5).
+//! 1/f = 1/s + 1/v; a point at distance d in front of a lens focused at s is a disc on the sensor
+//! of diameter A · f/(s − f) · |d − s|/d with the aperture A = f/N (E. Hecht, *Optics*, chapter 5).
 
 /// A lens in front of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +54,8 @@ pub struct DepthOfField {
 pub struct BoardAdvice {
     /// Where to hold it, in metres from the lens.
     pub distance_m: f64,
-    /// The side of one square, in metres, for the board to fill the part of the image that was asked for.
+    /// The side of one square, in metres, for the board to fill the part of the image that was
+    /// asked for.
     pub square_m: f64,
 }
 
@@ -76,7 +78,10 @@ impl ThinLens {
             }
         }
         if self.focus_m < 2.0 * self.focal_m {
-            return Err(ThinLensError::FocusTooNear { focal_m: self.focal_m, focus_m: self.focus_m });
+            return Err(ThinLensError::FocusTooNear {
+                focal_m: self.focal_m,
+                focus_m: self.focus_m,
+            });
         }
         Ok(self)
     }
@@ -95,7 +100,10 @@ impl ThinLens {
         let magnified = self.focal_m / (1.0 - self.focal_m / self.focus_m);
         let apart = blur_px * self.pixel_m / (aperture_m * magnified);
         let (near, far) = (1.0 / self.focus_m + apart, 1.0 / self.focus_m - apart);
-        DepthOfField { near_m: 1.0 / near, far_m: if far > 0.0 { 1.0 / far } else { f64::INFINITY } }
+        DepthOfField {
+            near_m: 1.0 / near,
+            far_m: if far > 0.0 { 1.0 / far } else { f64::INFINITY },
+        }
     }
 
     /// The nearest focus that keeps infinity sharp to `blur_px` pixels: f²/(N c) + f.
@@ -103,14 +111,16 @@ impl ThinLens {
         self.focal_m * self.focal_m / (self.f_number * blur_px * self.pixel_m) + self.focal_m
     }
 
-    /// The focal length in pixels that a calibration should find: the distance from lens to sensor over a pixel's width.
+    /// The focal length in pixels that a calibration should find: the distance from lens to sensor
+    /// over a pixel's width.
     pub fn focal_px(self) -> f64 {
         self.focal_m / (1.0 - self.focal_m / self.focus_m) / self.pixel_m
     }
 
-    /// A board with `squares` squares along the image's side of `side_px` pixels that fills the part `fill` of it, held
-    /// where both the nearest and the farthest corner of the tilted board stay sharp to `blur_px`: in the middle (in
-    /// 1/distance) of what is sharp, at most three times the nearest sharp distance.
+    /// A board with `squares` squares along the image's side of `side_px` pixels that fills the
+    /// part `fill` of it, held where both the nearest and the farthest corner of the tilted board
+    /// stay sharp to `blur_px`: in the middle (in 1/distance) of what is sharp, at most three times
+    /// the nearest sharp distance.
     pub fn board(self, squares: u32, side_px: u32, (fill, blur_px): (f64, f64)) -> BoardAdvice {
         let DepthOfField { near_m, far_m } = self.depth_of_field(blur_px);
         let far_m = far_m.min(3.0 * near_m);
@@ -124,7 +134,8 @@ impl ThinLens {
 mod tests {
     use super::*;
 
-    const LENS: ThinLens = ThinLens { focal_m: 0.008, f_number: 2.0, pixel_m: 3.45e-6, focus_m: 1.0 };
+    const LENS: ThinLens =
+        ThinLens { focal_m: 0.008, f_number: 2.0, pixel_m: 3.45e-6, focus_m: 1.0 };
 
     #[test]
     fn agrees_with_the_textbook_formulas() {
@@ -144,7 +155,9 @@ mod tests {
     fn the_advised_board_is_sharp_and_fills_the_image() {
         let advice = LENS.board(10, 1280, (0.5, 1.0));
         assert!(LENS.blur_px(advice.distance_m) < 1.0);
-        assert!((advice.square_m * 10.0 / advice.distance_m * LENS.focal_px() - 640.0).abs() < 1e-6);
+        assert!(
+            (advice.square_m * 10.0 / advice.distance_m * LENS.focal_px() - 640.0).abs() < 1e-6
+        );
     }
 
     #[test]

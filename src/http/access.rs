@@ -1,4 +1,5 @@
-//! Who may ask: with a token, who knows it; without one, only this machine, and no page of another site in its browser.
+//! Who may ask: with a token, who knows it; without one, only this machine, and no page of another
+//! site in its browser.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -16,7 +17,11 @@ use crate::http::problem::Problem;
 const COOKIE_NAME: &str = "plumb_token";
 
 /// Lets a request through, or refuses it.
-pub(super) async fn check(State(shared): State<Arc<Shared>>, request: Request, next: Next) -> Response {
+pub(super) async fn check(
+    State(shared): State<Arc<Shared>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let path = request.uri().path();
     if path == "/healthz" {
         return next.run(request).await;
@@ -31,12 +36,14 @@ pub(super) async fn check(State(shared): State<Arc<Shared>>, request: Request, n
     if carries(request.headers(), token) {
         return next.run(request).await;
     }
-    let detail = "a token is needed: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN in a browser";
+    let detail =
+        "a token is needed: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN in a browser";
     Problem::unauthorized(detail).into_response()
 }
 
-/// Refuses what a page of another site sends: by its `Origin` for requests that change something, and by a `Host` that
-/// is a foreign name where no token protects (a foreign name that was made to point here).
+/// Refuses what a page of another site sends: by its `Origin` for requests that change something,
+/// and by a `Host` that is a foreign name where no token protects (a foreign name that was made to
+/// point here).
 fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<(), Problem> {
     let host = headers.get(HOST).and_then(|host| host.to_str().ok());
     if !has_token && host.is_some_and(|host| !is_local(host)) {
@@ -47,7 +54,8 @@ fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<()
         return Ok(());
     }
     let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
-    let origin_host = origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
+    let origin_host =
+        origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
     if origin_host.is_some() && origin_host == host {
         return Ok(());
     }
@@ -60,11 +68,14 @@ fn is_local(host: &str) -> bool {
         _ => host,
     };
     let name = without_port.trim_start_matches('[').trim_end_matches(']');
-    name.eq_ignore_ascii_case("localhost") || name.ends_with(".localhost") || name.parse::<IpAddr>().is_ok()
+    name.eq_ignore_ascii_case("localhost")
+        || name.ends_with(".localhost")
+        || name.parse::<IpAddr>().is_ok()
 }
 
 fn carries(headers: &HeaderMap, token: &str) -> bool {
-    let bearer = headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+    let bearer =
+        headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
     let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let cookie = cookies
         .flat_map(|cookies| cookies.split(';'))
@@ -84,7 +95,8 @@ fn with_cookie(token: &str) -> Response {
 /// Compares in a time that does not tell how much was right.
 fn is_same(given: &str, token: &str) -> bool {
     let (given, token) = (given.as_bytes(), token.as_bytes());
-    given.len() == token.len() && given.iter().zip(token).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
+    given.len() == token.len()
+        && given.iter().zip(token).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
 }
 
 #[cfg(test)]
@@ -113,7 +125,11 @@ mod tests {
             if let Some(origin) = origin {
                 headers.insert(ORIGIN, origin.parse().unwrap());
             }
-            assert_eq!(same_site(&method, &headers, false).is_ok(), let_in, "{method} {host} {origin:?}");
+            assert_eq!(
+                same_site(&method, &headers, false).is_ok(),
+                let_in,
+                "{method} {host} {origin:?}"
+            );
         }
         assert!(same_site(&Method::GET, &headers(&[(HOST, "robot.example")]), true).is_ok());
     }

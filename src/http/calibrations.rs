@@ -25,16 +25,18 @@ use crate::http::{Shared, on_a_blocking_thread};
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "describes the query; Parameters reads it")]
 pub(super) struct ExportParameters {
-    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors are); depth (what readings
-    /// mean, corrected).
+    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors
+    /// are); depth (what readings mean, corrected).
     format: Option<String>,
-    /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera; color when left out.
+    /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
+    /// color when left out.
     sensor: Option<String>,
     /// For pictures (or the part of them that `crop` says) scaled to this width.
     width: Option<u32>,
     /// For pictures scaled to this height.
     height: Option<u32>,
-    /// For a part of the pictures, `left,top,width,height` in their pixels; of several sensors' the one that `sensor` says.
+    /// For a part of the pictures, `left,top,width,height` in their pixels; of several sensors' the
+    /// one that `sensor` says.
     crop: Option<String>,
 }
 
@@ -58,7 +60,8 @@ pub(super) async fn current(
     current_of(&shared, &format!("camera `{camera}`"), &camera, &parameters).await
 }
 
-/// The current calibration of the camera or rig `name`, in the format that is asked for; `who` is what to call it.
+/// The current calibration of the camera or rig `name`, in the format that is asked for; `who` is
+/// what to call it.
 pub(super) async fn current_of(
     shared: &Shared,
     who: &str,
@@ -68,7 +71,9 @@ pub(super) async fn current_of(
     let format = format(parameters)?;
     let asked = name.to_owned();
     let found = shared
-        .stored(move |store| store.current_calibration_id(&asked)?.map_or(Ok(None), |id| store.calibration(&id)))
+        .stored(move |store| {
+            store.current_calibration_id(&asked)?.map_or(Ok(None), |id| store.calibration(&id))
+        })
         .await?;
     let none = || {
         Problem::not_found(format!(
@@ -78,7 +83,8 @@ pub(super) async fn current_of(
     written(&for_asked_pictures(&found.ok_or_else(none)?, parameters)?, format, parameters)
 }
 
-/// What the device states of its own sensors, as it left the factory, in any format: as it is stated, without any measurement.
+/// What the device states of its own sensors, as it left the factory, in any format: as it is
+/// stated, without any measurement.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/factory", tag = "calibrations",
     params(("camera" = String, Path, description = "its name in the configuration"), ExportParameters),
     responses(
@@ -119,9 +125,14 @@ pub(super) async fn history(
 }
 
 /// Every calibration of the camera or rig `name`, newest first.
-pub(super) async fn history_of(shared: &Shared, name: String) -> Result<Json<CalibrationsDocument>, Problem> {
+pub(super) async fn history_of(
+    shared: &Shared,
+    name: String,
+) -> Result<Json<CalibrationsDocument>, Problem> {
     let calibrations = shared.stored(move |store| store.calibrations(&name)).await?;
-    Ok(Json(CalibrationsDocument { calibrations: calibrations.iter().map(CalibrationDocument::from).collect() }))
+    Ok(Json(CalibrationsDocument {
+        calibrations: calibrations.iter().map(CalibrationDocument::from).collect(),
+    }))
 }
 
 /// One calibration, approved or not.
@@ -139,7 +150,11 @@ pub(super) async fn one(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     let format = format(&parameters)?;
-    written(&for_asked_pictures(&calibration(&shared, &id).await?, &parameters)?, format, &parameters)
+    written(
+        &for_asked_pictures(&calibration(&shared, &id).await?, &parameters)?,
+        format,
+        &parameters,
+    )
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -163,17 +178,26 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
     let asked = id.to_owned();
     let found = shared.stored(move |store| store.calibration(&asked)).await?;
     found.ok_or_else(|| {
-        Problem::not_found(format!("there is no calibration `{id}`; see GET /v1/cameras/CAMERA/calibrations"))
+        Problem::not_found(format!(
+            "there is no calibration `{id}`; see GET /v1/cameras/CAMERA/calibrations"
+        ))
     })
 }
 
 /// The calibration for pictures of another resolution or a part of them, where that is asked for.
-fn for_asked_pictures(calibration: &Calibration, parameters: &Parameters) -> Result<Calibration, Problem> {
+fn for_asked_pictures(
+    calibration: &Calibration,
+    parameters: &Parameters,
+) -> Result<Calibration, Problem> {
     let size = match (parameters.count("width")?, parameters.count("height")?) {
         (None, None) => None,
         (Some(width), Some(height)) => Some(ImageSize::new(width, height)),
-        (None, _) => return Err(Problem::field("width", "is missing; give both, width and height")),
-        (_, None) => return Err(Problem::field("height", "is missing; give both, width and height")),
+        (None, _) => {
+            return Err(Problem::field("width", "is missing; give both, width and height"));
+        }
+        (_, None) => {
+            return Err(Problem::field("height", "is missing; give both, width and height"));
+        }
     };
     let crop = parameters.text("crop").map(str::parse::<ImageRegion>).transpose();
     let crop = crop.map_err(|error| Problem::field("crop", &error.to_string()))?;
@@ -184,20 +208,26 @@ fn for_asked_pictures(calibration: &Calibration, parameters: &Parameters) -> Res
         PicturesError::Region { .. } if crop.is_some() && size.is_none() => "crop",
         PicturesError::Region { .. } => "width",
     };
-    for_other_pictures(calibration, &other).map_err(|error| Problem::field(field(&error), &error.to_string()))
+    for_other_pictures(calibration, &other)
+        .map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 
 fn format(parameters: &Parameters) -> Result<Format, Problem> {
     Ok(parameters.one_of("format", Format::from_name, FORMATS)?.unwrap_or(Format::Json))
 }
 
-fn written(calibration: &Calibration, format: Format, parameters: &Parameters) -> Result<Response, Problem> {
+fn written(
+    calibration: &Calibration,
+    format: Format,
+    parameters: &Parameters,
+) -> Result<Response, Problem> {
     let options = ExportOptions { sensor: parameters.text("sensor").map(str::to_owned) };
     let field = |error: &ExportError| match error {
         ExportError::SeveralSensors { .. } | ExportError::UnknownSensor { .. } => "sensor",
         _ => "format",
     };
-    let exported = export(calibration, format, &options).map_err(|e| Problem::field(field(&e), &e.to_string()))?;
+    let exported = export(calibration, format, &options)
+        .map_err(|e| Problem::field(field(&e), &e.to_string()))?;
     let Exported { bytes, media_type, file_name, note } = exported;
     let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
     let mut set = |name: HeaderName, value: &str| {

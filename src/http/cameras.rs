@@ -6,7 +6,8 @@ use axum::Json;
 use axum::extract::State;
 
 use crate::document::camera::{
-    CameraDocument, CameraIdentityDocument, CameraSensorDocument, CameraStateName, CamerasDocument, FactoryDocument,
+    CameraDocument, CameraIdentityDocument, CameraSensorDocument, CameraStateName, CamerasDocument,
+    FactoryDocument,
 };
 use crate::http::Shared;
 use crate::http::problem::Problem;

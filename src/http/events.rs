@@ -20,15 +20,18 @@ use crate::http::Shared;
 use crate::http::cameras::camera_document;
 use crate::http::problem::Problem;
 use crate::http::request::Parameters;
-use crate::pipeline::event::{CalibrationEvent, DetectionEvent, Event, EventKind, EventStream, FrameEvent};
+use crate::pipeline::event::{
+    CalibrationEvent, DetectionEvent, Event, EventKind, EventStream, FrameEvent,
+};
 
 /// How long a client waits before it connects again.
 const RETRY: Duration = Duration::from_secs(1);
 /// How often a silent connection is shown to be alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
-/// Server-sent events: `frame`, `detection`, `session`, `calibration`, `camera`, `drift`. Each has an `id`; a client that
-/// sends the last one it saw as `Last-Event-ID` gets what it missed, as far as it is remembered.
+/// Server-sent events: `frame`, `detection`, `session`, `calibration`, `camera`, `drift`. Each has
+/// an `id`; a client that sends the last one it saw as `Last-Event-ID` gets what it missed, as far
+/// as it is remembered.
 #[utoipa::path(get, path = "/v1/events", tag = "events",
     params(
         ("camera" = Option<String>, Query, description = "only this camera's, or this rig's"),
@@ -50,14 +53,21 @@ pub(super) async fn follow(
         shared.fleet.camera(camera)?;
     }
     // An id that is none of ours counts as no id, as the standard's clients expect.
-    let last_seen = headers.get("last-event-id").and_then(|id| id.to_str().ok()?.trim().parse().ok());
-    let stream = futures_util::stream::unfold(shared.fleet.events(last_seen), |mut stream: EventStream| async move {
-        let event = stream.next().await;
-        Some((event, stream))
-    });
-    let wanted =
-        move |event: &Arc<Event>| std::future::ready(camera.as_ref().is_none_or(|camera| *camera == event.camera));
-    let hello = futures_util::stream::once(std::future::ready(Ok(SentEvent::default().retry(RETRY).comment("events"))));
+    let last_seen =
+        headers.get("last-event-id").and_then(|id| id.to_str().ok()?.trim().parse().ok());
+    let stream = futures_util::stream::unfold(
+        shared.fleet.events(last_seen),
+        |mut stream: EventStream| async move {
+            let event = stream.next().await;
+            Some((event, stream))
+        },
+    );
+    let wanted = move |event: &Arc<Event>| {
+        std::future::ready(camera.as_ref().is_none_or(|camera| *camera == event.camera))
+    };
+    let hello = futures_util::stream::once(std::future::ready(Ok(SentEvent::default()
+        .retry(RETRY)
+        .comment("events"))));
     let sent = stream.filter(wanted).map(|event| Ok(sent_event(&event)));
     let sent = hello.chain(sent).take_until(shared.stopped());
     Ok(Sse::new(sent).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
@@ -68,7 +78,9 @@ fn sent_event(event: &Event) -> SentEvent {
         EventKind::Frame(frame) => json(&frame_document(&event.camera, frame)),
         EventKind::Detection(detection) => json(&detection_document(&event.camera, detection)),
         EventKind::Session(record) => json(&SessionDocument::from(record.as_ref())),
-        EventKind::Calibration(calibration) => json(&calibration_document(&event.camera, calibration)),
+        EventKind::Calibration(calibration) => {
+            json(&calibration_document(&event.camera, calibration))
+        }
         EventKind::Camera(status) => json(&camera_document(status)),
         EventKind::Drift(drift) => json(&drift_document(&event.camera, drift)),
     };
@@ -128,7 +140,10 @@ pub(super) struct DetectionEventDocument<'a> {
     elapsed_ms: f64,
 }
 
-fn detection_document<'a>(camera: &'a str, event: &'a DetectionEvent) -> DetectionEventDocument<'a> {
+fn detection_document<'a>(
+    camera: &'a str,
+    event: &'a DetectionEvent,
+) -> DetectionEventDocument<'a> {
     DetectionEventDocument {
         camera,
         session: &event.session,
@@ -161,7 +176,10 @@ pub(super) struct CalibrationEventDocument<'a> {
     uncertainty_px: UncertaintyDocument,
 }
 
-fn calibration_document<'a>(camera: &'a str, event: &'a CalibrationEvent) -> CalibrationEventDocument<'a> {
+fn calibration_document<'a>(
+    camera: &'a str,
+    event: &'a CalibrationEvent,
+) -> CalibrationEventDocument<'a> {
     CalibrationEventDocument {
         camera,
         id: &event.id,
@@ -173,8 +191,8 @@ fn calibration_document<'a>(camera: &'a str, event: &'a CalibrationEvent) -> Cal
     }
 }
 
-/// The current calibration may not hold any more (`drift`): the device's focus, zoom or exposure was moved, or the boards
-/// of a later session are explained worse than they should be.
+/// The current calibration may not hold any more (`drift`): the device's focus, zoom or exposure
+/// was moved, or the boards of a later session are explained worse than they should be.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct DriftEventDocument<'a> {
     /// The camera's name.
@@ -183,8 +201,8 @@ pub(super) struct DriftEventDocument<'a> {
     calibration: &'a str,
     /// What has changed and what to do.
     reason: &'a str,
-    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels; null where the device
-    /// told that it was moved, or its pictures have another size.
+    /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels;
+    /// null where the device told that it was moved, or its pictures have another size.
     rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     expected_px: f64,

@@ -12,8 +12,8 @@ use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::imaging::frame::SensorKind;
 
-/// What a lens keeps sharp, by the thin-lens model: depth of field, hyperfocal distance, and the board size and distance to
-/// use.
+/// What a lens keeps sharp, by the thin-lens model: depth of field, hyperfocal distance, and the
+/// board size and distance to use.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/focus", tag = "cameras",
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
@@ -54,21 +54,28 @@ pub(super) async fn focus(
     let board = match parameters.count("cols")? {
         None => None,
         Some(cols) => {
-            let unseen = || Problem::conflict(format!("camera `{camera}` has given no frame yet to tell its width"));
+            let unseen = || {
+                Problem::conflict(format!(
+                    "camera `{camera}` has given no frame yet to tell its width"
+                ))
+            };
             Some((cols, color.ok_or_else(unseen)?.size.width))
         }
     };
     Ok(Json(FocusDocument::new(&lens, blur_px, board)))
 }
 
-/// The focal length that makes the calibrated one in pixels, at this focus: 1/f = 1/(fx · pixel) + 1/focus.
+/// The focal length that makes the calibrated one in pixels, at this focus: 1/f = 1/(fx · pixel) +
+/// 1/focus.
 async fn calibrated_focal_m(
     shared: &Shared,
     calibration: Option<String>,
     pixel_m: f64,
     focus_m: f64,
 ) -> Result<f64, Problem> {
-    let missing = || Problem::field("focal_mm", "is missing, and the camera has no calibration to take it from");
+    let missing = || {
+        Problem::field("focal_mm", "is missing, and the camera has no calibration to take it from")
+    };
     let id = calibration.ok_or_else(missing)?;
     let calibration = shared.stored(move |store| store.calibration(&id)).await?;
     let lens = calibration.and_then(|calibration| calibration.color).ok_or_else(missing)?.lens;

@@ -43,15 +43,15 @@ struct Look {
 struct LookParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
     sensor: Option<String>,
-    /// Draw the corners that were found, and with `registered=color` the edges of depth over colour. When left out: false for
-    /// a picture, true for the preview.
+    /// Draw the corners that were found, and with `registered=color` the edges of depth over
+    /// colour. When left out: false for a picture, true for the preview.
     overlay: Option<bool>,
     /// Draw where to hold the board next; as `overlay` when left out.
     guidance: Option<bool>,
     /// Through the current calibration; false when left out.
     undistorted: Option<bool>,
-    /// With `sensor=depth`, color: depth in colour's picture; with `sensor=color`, depth: colour in depth's picture. By the
-    /// current calibration.
+    /// With `sensor=depth`, color: depth in colour's picture; with `sensor=color`, depth: colour in
+    /// depth's picture. By the current calibration.
     registered: Option<String>,
 }
 
@@ -97,12 +97,16 @@ pub(super) async fn preview(
     // The newest frame is shown at once, and not only the next one.
     frames.mark_changed();
     let stopped = shared.stopped();
-    let parts =
-        futures_util::stream::unfold((frames, shared, camera), move |(mut frames, shared, camera)| async move {
+    let parts = futures_util::stream::unfold(
+        (frames, shared, camera),
+        move |(mut frames, shared, camera)| async move {
             let part = next_part(&mut frames, &shared, &camera, look).await?;
             Some((Ok::<_, std::convert::Infallible>(part), (frames, shared, camera)))
-        });
-    let first = futures_util::stream::once(std::future::ready(Ok(Bytes::from(format!("--{BOUNDARY}\r\n")))));
+        },
+    );
+    let first = futures_util::stream::once(std::future::ready(Ok(Bytes::from(format!(
+        "--{BOUNDARY}\r\n"
+    )))));
     let body = Body::from_stream(first.chain(parts).take_until(stopped));
     let media_type = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
@@ -120,8 +124,10 @@ async fn next_part(
         let live = frames.borrow_and_update().clone();
         let Some(live) = live else { continue };
         if let Ok(jpeg) = picture(shared, camera, live, look).await {
-            let head = format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
-            // A browser shows a picture when it meets the boundary after it: it is not kept waiting for the next one.
+            let head =
+                format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+            // A browser shows a picture when it meets the boundary after it: it is not kept waiting
+            // for the next one.
             let tail = format!("\r\n--{BOUNDARY}\r\n");
             return Some([head.as_bytes(), &jpeg, tail.as_bytes()].concat().into());
         }
@@ -130,7 +136,8 @@ async fn next_part(
 
 fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
     let overlay = parameters.flag("overlay", overlay)?;
-    let sensor = parameters.one_of("sensor", SensorKind::from_name, "color, infrared, infrared2, depth")?;
+    let sensor =
+        parameters.one_of("sensor", SensorKind::from_name, "color, infrared, infrared2, depth")?;
     let sensor = sensor.unwrap_or(SensorKind::Color);
     Ok(Look {
         sensor,
@@ -143,7 +150,9 @@ fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
 
 /// Whether the sensor is to be shown in the other one's picture.
 fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Problem> {
-    let Some(to) = parameters.one_of("registered", SensorKind::from_name, "color, depth")? else { return Ok(false) };
+    let Some(to) = parameters.one_of("registered", SensorKind::from_name, "color, depth")? else {
+        return Ok(false);
+    };
     match (sensor, to) {
         (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),
         _ => {
@@ -172,15 +181,25 @@ fn wish(shared: &Shared, camera: &str, look: Look) -> Vec<Pixel> {
     record.map(|record| record.guidance.outline_px.clone()).unwrap_or_default()
 }
 
-async fn picture(shared: &Shared, camera: &str, live: Arc<LiveFrame>, look: Look) -> Result<Vec<u8>, Problem> {
+async fn picture(
+    shared: &Shared,
+    camera: &str,
+    live: Arc<LiveFrame>,
+    look: Look,
+) -> Result<Vec<u8>, Problem> {
     if live.frame_set.frame(look.sensor).is_none() {
-        let detail = format!("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", look.sensor.name());
+        let detail = format!(
+            "camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}",
+            look.sensor.name()
+        );
         return Err(Problem::not_found(detail));
     }
     if look.registered {
         let registration = registration(shared, camera).await?;
         let shown = on_a_blocking_thread(move || match look.sensor {
-            SensorKind::Depth => registered::depth_in_color(&registration, &live.frame_set, look.overlay),
+            SensorKind::Depth => {
+                registered::depth_in_color(&registration, &live.frame_set, look.overlay)
+            }
             _ => registered::color_in_depth(&registration, &live.frame_set),
         });
         return Ok(decode::encode_jpeg_rgb(&shown.await??, JPEG_QUALITY));
@@ -199,9 +218,13 @@ fn drawn(
     wish: &[Pixel],
     undistortion: Option<&Undistortion>,
 ) -> Result<Vec<u8>, Problem> {
-    let frame = live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
+    let frame =
+        live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
     if look.sensor == SensorKind::Depth {
-        return Ok(decode::encode_jpeg_rgb(&registered::shaded_depth(&live.frame_set)?, JPEG_QUALITY));
+        return Ok(decode::encode_jpeg_rgb(
+            &registered::shaded_depth(&live.frame_set)?,
+            JPEG_QUALITY,
+        ));
     }
     let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
     let seen = seen.filter(|_| look.overlay && look.sensor == SensorKind::Color);
@@ -209,7 +232,8 @@ fn drawn(
     if plain && frame.format == PixelFormat::Jpeg {
         return Ok(frame.bytes.to_vec());
     }
-    let unreadable = |e: DecodeError| Problem::conflict(format!("the newest frame cannot be read: {e}"));
+    let unreadable =
+        |e: DecodeError| Problem::conflict(format!("the newest frame cannot be read: {e}"));
     let mut picture = decode::rgb(frame).map_err(unreadable)?;
     let pen = Pen::fitting(&picture, draw::WISHED);
     draw::draw_polygon(&mut picture, wish, Pen { width_px: 2.0 * pen.width_px, ..pen });
@@ -218,8 +242,11 @@ fn drawn(
         draw::draw_corners(&mut picture, &corners);
     }
     if let Some(undistortion) = undistortion {
-        let other_size =
-            || Problem::conflict("the current calibration is for pictures of another size; calibrate again");
+        let other_size = || {
+            Problem::conflict(
+                "the current calibration is for pictures of another size; calibrate again",
+            )
+        };
         picture = undistortion.map.rgb(&picture, Interpolation::Bilinear).ok_or_else(other_size)?;
     }
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))

@@ -30,7 +30,11 @@ pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static
         None => format!("{} is {}", camera.name, camera.state.name()),
     });
     let said: Vec<String> = said.collect();
-    let detail = if said.is_empty() { "no camera is configured; add a [[camera]]".into() } else { said.join("; ") };
+    let detail = if said.is_empty() {
+        "no camera is configured; add a [[camera]]".into()
+    } else {
+        said.join("; ")
+    };
     Err(Problem::unavailable(format!("no camera is delivering: {detail}")))
 }
 

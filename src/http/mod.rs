@@ -1,8 +1,9 @@
-//! The daemon's face: routes in [`router`], one file a resource. Uses geometry, imaging, estimation, calibration,
-//! document, export, store and pipeline; never a camera.
+//! The daemon's face: routes in [`router`], one file a resource. Uses geometry, imaging,
+//! estimation, calibration, document, export, store and pipeline; never a camera.
 //!
-//! Every answer is read from the newest state; only a `stop` waits, and only for its solve. Every refusal, of whatever
-//! cause, is a [`problem::Problem`]. A request can be too large, too slow or too many, never fatal.
+//! Every answer is read from the newest state; only a `stop` waits, and only for its solve. Every
+//! refusal, of whatever cause, is a [`problem::Problem`]. A request can be too large, too slow or
+//! too many, never fatal.
 
 mod access;
 mod calibrations;
@@ -46,8 +47,8 @@ pub struct Service {
     pub fleet: Arc<Fleet>,
     /// What has been stored.
     pub store: Arc<Store>,
-    /// The secret that every request must carry; `None` lets everyone in who reaches the address, which must then be a
-    /// loopback one.
+    /// The secret that every request must carry; `None` lets everyone in who reaches the address,
+    /// which must then be a loopback one.
     pub token: Option<String>,
 }
 
@@ -86,6 +87,10 @@ impl Shared {
 }
 
 /// Computes on a thread that may take its time.
-async fn on_a_blocking_thread<T: Send + 'static>(compute: impl FnOnce() -> T + Send + 'static) -> Result<T, Problem> {
-    tokio::task::spawn_blocking(compute).await.map_err(|_| Problem::broken("the computation failed"))
+async fn on_a_blocking_thread<T: Send + 'static>(
+    compute: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(compute)
+        .await
+        .map_err(|_| Problem::broken("the computation failed"))
 }

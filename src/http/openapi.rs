@@ -3,7 +3,8 @@
 use utoipa::OpenApi;
 
 use crate::http::{
-    calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve, uncertainty, views,
+    calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve,
+    uncertainty, views,
 };
 
 #[derive(OpenApi)]

@@ -75,7 +75,10 @@ impl Problem {
     /// 401: no token, or another one.
     pub fn unauthorized(detail: impl Into<String>) -> Self {
         let refusal = Self::new(StatusCode::UNAUTHORIZED, detail);
-        Self { header: Some(Box::new((WWW_AUTHENTICATE, HeaderValue::from_static("Bearer")))), ..refusal }
+        Self {
+            header: Some(Box::new((WWW_AUTHENTICATE, HeaderValue::from_static("Bearer")))),
+            ..refusal
+        }
     }
 
     /// 405: not with this method, but with the `allowed` ones.
@@ -97,7 +100,8 @@ impl IntoResponse for Problem {
             tracing::warn!(status = self.status, detail = self.detail, "a request failed");
         }
         let body = to_json(&self).unwrap_or_default();
-        let mut response = (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response();
+        let mut response =
+            (status, [(CONTENT_TYPE, "application/problem+json")], body).into_response();
         if let Some(header) = self.header {
             response.headers_mut().insert(header.0, header.1);
         }
@@ -150,7 +154,9 @@ impl From<StartError> for Problem {
     fn from(error: StartError) -> Self {
         let detail = error.to_string();
         match error {
-            StartError::UnknownCamera { .. } | StartError::UnknownRig { .. } => Self::not_found(detail),
+            StartError::UnknownCamera { .. } | StartError::UnknownRig { .. } => {
+                Self::not_found(detail)
+            }
             StartError::Busy { .. } => Self::conflict(detail),
             StartError::Store { .. } => Self::broken(detail),
             StartError::Stopping => Self::unavailable(detail),
@@ -195,8 +201,11 @@ mod tests {
             (StartError::Stopping.into(), 503),
             (EndError::UnknownSession { id: session() }.into(), 404),
             (
-                EndError::Over { id: session(), state: crate::calibration::session_record::SessionState::Failed }
-                    .into(),
+                EndError::Over {
+                    id: session(),
+                    state: crate::calibration::session_record::SessionState::Failed,
+                }
+                .into(),
                 409,
             ),
             (DocumentError::Syntax { line: 1, column: 1, problem: "x".into() }.into(), 400),

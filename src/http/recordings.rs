@@ -9,7 +9,9 @@ use axum::http::StatusCode;
 use axum::http::header::LOCATION;
 use axum::response::IntoResponse;
 
-use crate::document::recording::{RecordDocument, RecordingDocument, RecordingStateName, RecordingsDocument};
+use crate::document::recording::{
+    RecordDocument, RecordingDocument, RecordingStateName, RecordingsDocument,
+};
 use crate::document::time;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, SMALL_BODY, document};
@@ -52,7 +54,9 @@ pub(super) async fn start(
 #[utoipa::path(get, path = "/v1/recordings", tag = "recordings",
     responses((status = 200, description = "the recordings", body = RecordingsDocument)))]
 pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<RecordingsDocument> {
-    Json(RecordingsDocument { recordings: shared.fleet.recordings().iter().map(recording_document).collect() })
+    Json(RecordingsDocument {
+        recordings: shared.fleet.recordings().iter().map(recording_document).collect(),
+    })
 }
 
 /// One recording.
@@ -109,7 +113,9 @@ impl From<RecordError> for Problem {
     fn from(error: RecordError) -> Self {
         let detail = error.to_string();
         match error {
-            RecordError::UnknownCamera { .. } | RecordError::UnknownRecording { .. } => Self::not_found(detail),
+            RecordError::UnknownCamera { .. } | RecordError::UnknownRecording { .. } => {
+                Self::not_found(detail)
+            }
             RecordError::Busy { .. } | RecordError::Over { .. } => Self::conflict(detail),
             RecordError::File { .. } => Self::broken(detail),
         }

@@ -31,7 +31,10 @@ pub(super) struct Registration {
 ///
 /// # Errors
 /// 404 for an unknown camera; 409 without a current calibration of colour and depth.
-pub(super) async fn registration(shared: &Shared, camera: &str) -> Result<Arc<Registration>, Problem> {
+pub(super) async fn registration(
+    shared: &Shared,
+    camera: &str,
+) -> Result<Arc<Registration>, Problem> {
     let none = || {
         Problem::conflict(format!(
             "camera `{camera}` has no approved calibration of color and depth to register with; run a session, and approve it"
@@ -42,12 +45,19 @@ pub(super) async fn registration(shared: &Shared, camera: &str) -> Result<Arc<Re
         return Ok(known);
     }
     let asked = id.clone();
-    let calibration = shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
-    let stated = calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+    let calibration =
+        shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
+    let stated =
+        calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
     let color_from_depth = stated.ok_or_else(none)?.target_from_source;
     let (color, depth) = calibration.color.zip(calibration.depth).ok_or_else(none)?;
     let made = on_a_blocking_thread(move || Registration {
-        map: DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth),
+        map: DepthRegistration::new(
+            &depth.camera,
+            &color.lens,
+            color.image_size,
+            &color_from_depth,
+        ),
         invalid: depth.invalid,
         depth_size: depth.camera.image_size,
         color_size: color.image_size,
@@ -68,12 +78,19 @@ pub(super) fn depth_in_color(
     }
     let mut picture = color(registration, frames)?;
     let edges = depth_picture::edges(&nearest, registration.color_size);
-    picture.pixels_mut().zip(edges).filter(|(_, is_edge)| *is_edge).for_each(|(pixel, _)| *pixel = draw::FOUND);
+    picture
+        .pixels_mut()
+        .zip(edges)
+        .filter(|(_, is_edge)| *is_edge)
+        .for_each(|(pixel, _)| *pixel = draw::FOUND);
     Ok(picture)
 }
 
 /// Colour in depth's picture.
-pub(super) fn color_in_depth(registration: &Registration, frames: &FrameSet) -> Result<RgbImage, Problem> {
+pub(super) fn color_in_depth(
+    registration: &Registration,
+    frames: &FrameSet,
+) -> Result<RgbImage, Problem> {
     let depths = depths(registration, frames)?;
     Ok(registration.map.color_in_depth(&depths, &color(registration, frames)?))
 }
@@ -81,7 +98,8 @@ pub(super) fn color_in_depth(registration: &Registration, frames: &FrameSet) -> 
 /// Depth as it comes, near bright and far dark; readings are taken as millimetres.
 pub(super) fn shaded_depth(frames: &FrameSet) -> Result<RgbImage, Problem> {
     let picture = raw_depth(frames)?;
-    let depths: Vec<f32> = picture.readings().iter().map(|reading| f32::from(*reading) * 1e-3).collect();
+    let depths: Vec<f32> =
+        picture.readings().iter().map(|reading| f32::from(*reading) * 1e-3).collect();
     Ok(depth_picture::shaded(&depths, picture.size()))
 }
 
@@ -102,7 +120,11 @@ fn color(registration: &Registration, frames: &FrameSet) -> Result<RgbImage, Pro
     let frame = frames.frame(SensorKind::Color).ok_or_else(|| missing("color"))?;
     let picture = decode::rgb(frame).map_err(|error| unreadable(&error))?;
     let size = registration.color_size;
-    if picture.dimensions() == (size.width, size.height) { Ok(picture) } else { Err(other_size("color")) }
+    if picture.dimensions() == (size.width, size.height) {
+        Ok(picture)
+    } else {
+        Err(other_size("color"))
+    }
 }
 
 fn missing(sensor: &str) -> Problem {
@@ -114,5 +136,7 @@ fn unreadable(error: &DecodeError) -> Problem {
 }
 
 fn other_size(sensor: &str) -> Problem {
-    Problem::conflict(format!("the current calibration is for {sensor} pictures of another size; calibrate again"))
+    Problem::conflict(format!(
+        "the current calibration is for {sensor} pictures of another size; calibrate again"
+    ))
 }

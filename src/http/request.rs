@@ -17,7 +17,8 @@ use crate::http::problem::Problem;
 pub(super) const SMALL_BODY: usize = 1 << 20;
 /// The largest problem to solve, in bytes.
 pub(super) const LARGE_BODY: usize = 64 << 20;
-/// So much of a body that is too large is read and thrown away, so that its sender gets to read the refusal.
+/// So much of a body that is too large is read and thrown away, so that its sender gets to read the
+/// refusal.
 const DRAINED: usize = 256 << 20;
 /// How long a body may take to arrive.
 const BODY_TIME: Duration = Duration::from_secs(60);
@@ -32,7 +33,8 @@ where
 {
     type Rejection = Problem;
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
-        let refused = |error: PathRejection| Problem::not_found(format!("no such address: {error}"));
+        let refused =
+            |error: PathRejection| Problem::not_found(format!("no such address: {error}"));
         Path::from_request_parts(parts, state).await.map(|Path(parts)| Self(parts)).map_err(refused)
     }
 }
@@ -43,9 +45,9 @@ pub(super) struct Parameters(Vec<(String, String)>);
 impl<S: Send + Sync> FromRequestParts<S> for Parameters {
     type Rejection = Problem;
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
-        let Query(pairs) = Query::from_request_parts(parts, state)
-            .await
-            .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, format!("the query cannot be read: {error}")))?;
+        let Query(pairs) = Query::from_request_parts(parts, state).await.map_err(|error| {
+            Problem::new(StatusCode::BAD_REQUEST, format!("the query cannot be read: {error}"))
+        })?;
         Ok(Self(pairs))
     }
 }
@@ -62,21 +64,28 @@ impl Parameters {
             None => Ok(default),
             Some("true" | "1" | "") => Ok(true),
             Some("false" | "0") => Ok(false),
-            Some(other) => Err(Problem::field(name, &format!("`{other}` is neither true nor false"))),
+            Some(other) => {
+                Err(Problem::field(name, &format!("`{other}` is neither true nor false")))
+            }
         }
     }
 
     /// `name` as a positive number.
     pub(super) fn positive(&self, name: &str) -> Result<Option<f64>, Problem> {
-        let number = |text: &str| text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0);
-        let wrong = |text: &str| Problem::field(name, &format!("`{text}` is not a positive number"));
+        let number = |text: &str| {
+            text.parse().ok().filter(|number: &f64| number.is_finite() && *number > 0.0)
+        };
+        let wrong =
+            |text: &str| Problem::field(name, &format!("`{text}` is not a positive number"));
         self.text(name).map(|text| number(text).ok_or_else(|| wrong(text))).transpose()
     }
 
     /// `name` as a count of at least 1.
     pub(super) fn count(&self, name: &str) -> Result<Option<u32>, Problem> {
         let count = |text: &str| text.parse().ok().filter(|count: &u32| *count > 0);
-        let wrong = |text: &str| Problem::field(name, &format!("`{text}` is not a whole number of at least 1"));
+        let wrong = |text: &str| {
+            Problem::field(name, &format!("`{text}` is not a whole number of at least 1"))
+        };
         self.text(name).map(|text| count(text).ok_or_else(|| wrong(text))).transpose()
     }
 
@@ -87,7 +96,9 @@ impl Parameters {
         from_name: impl Fn(&str) -> Option<T>,
         known: &str,
     ) -> Result<Option<T>, Problem> {
-        let unknown = |given: &str| Problem::field(name, &format!("`{given}` is not known; give one of {known}"));
+        let unknown = |given: &str| {
+            Problem::field(name, &format!("`{given}` is not known; give one of {known}"))
+        };
         self.text(name).map(|given| from_name(given).ok_or_else(|| unknown(given))).transpose()
     }
 }
@@ -113,13 +124,20 @@ pub(super) enum BodyRefusals {
 /// The body as a document of at most `limit` bytes.
 ///
 /// # Errors
-/// 415 for another media type than JSON, 413 for more than `limit`, 408 for one that does not come to its end, 400 for
-/// what is not JSON, 422 for a field that cannot be.
-pub(super) async fn document<T: DeserializeOwned>(request: Request, limit: usize) -> Result<T, Problem> {
+/// 415 for another media type than JSON, 413 for more than `limit`, 408 for one that does not come
+/// to its end, 400 for what is not JSON, 422 for a field that cannot be.
+pub(super) async fn document<T: DeserializeOwned>(
+    request: Request,
+    limit: usize,
+) -> Result<T, Problem> {
     json_only(request.headers())?;
     let body = tokio::time::timeout(BODY_TIME, body(request, limit));
-    let too_slow =
-        || Problem::new(StatusCode::REQUEST_TIMEOUT, "the body did not arrive within a minute; send it again");
+    let too_slow = || {
+        Problem::new(
+            StatusCode::REQUEST_TIMEOUT,
+            "the body did not arrive within a minute; send it again",
+        )
+    };
     let body = body.await.map_err(|_| too_slow())??;
     Ok(from_json(&body)?)
 }
@@ -128,10 +146,14 @@ fn json_only(headers: &HeaderMap) -> Result<(), Problem> {
     let Some(given) = headers.get(CONTENT_TYPE) else { return Ok(()) };
     let given = String::from_utf8_lossy(given.as_bytes());
     let essence = given.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
-    if essence == "application/json" || (essence.starts_with("application/") && essence.ends_with("+json")) {
+    if essence == "application/json"
+        || (essence.starts_with("application/") && essence.ends_with("+json"))
+    {
         return Ok(());
     }
-    let detail = format!("the body is `{given}`; send JSON with the header `Content-Type: application/json`");
+    let detail = format!(
+        "the body is `{given}`; send JSON with the header `Content-Type: application/json`"
+    );
     Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail))
 }
 
@@ -140,7 +162,9 @@ async fn body(request: Request, limit: usize) -> Result<Vec<u8>, Problem> {
     let mut body = Vec::new();
     let mut length = 0_usize;
     while let Some(chunk) = chunks.next().await {
-        let cut = |error: axum::Error| Problem::new(StatusCode::BAD_REQUEST, format!("the body was cut off: {error}"));
+        let cut = |error: axum::Error| {
+            Problem::new(StatusCode::BAD_REQUEST, format!("the body was cut off: {error}"))
+        };
         let chunk = chunk.map_err(cut)?;
         length += chunk.len();
         if length <= limit {
@@ -152,7 +176,8 @@ async fn body(request: Request, limit: usize) -> Result<Vec<u8>, Problem> {
         }
     }
     if length > limit {
-        let detail = format!("the body is larger than {limit} bytes, the most that is read here; send less");
+        let detail =
+            format!("the body is larger than {limit} bytes, the most that is read here; send less");
         return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, detail));
     }
     Ok(body)

@@ -37,7 +37,8 @@ pub(super) async fn one(
     Ok(Json(rig_document(shared.fleet.rig(&rig)?)))
 }
 
-/// Starts a session on all cameras of a rig: lenses and where the cameras are, from one board shown to all of them.
+/// Starts a session on all cameras of a rig: lenses and where the cameras are, from one board shown
+/// to all of them.
 #[utoipa::path(post, path = "/v1/rigs/{rig}/sessions", tag = "rigs",
     params(("rig" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,

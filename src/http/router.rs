@@ -13,8 +13,8 @@ use utoipa_swagger_ui::SwaggerUi;
 
 use crate::http::problem::Problem;
 use crate::http::{
-    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, rigs, sessions,
-    solve, uncertainty, views,
+    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page,
+    recordings, rigs, sessions, solve, uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -69,11 +69,14 @@ async fn no_route(uri: Uri) -> Problem {
 }
 
 async fn no_method(method: Method, uri: Uri) -> Problem {
-    Problem::method_not_allowed(format!("{method} cannot be used at {}; /docs lists what can", uri.path()), None)
+    Problem::method_not_allowed(
+        format!("{method} cannot be used at {}; /docs lists what can", uri.path()),
+        None,
+    )
 }
 
-/// Headers that every answer carries: what the daemon says now may be otherwise in a moment, and no other site may show
-/// it in a frame.
+/// Headers that every answer carries: what the daemon says now may be otherwise in a moment, and no
+/// other site may show it in a frame.
 async fn careful(request: axum::extract::Request, next: Next) -> Response {
     let mut response = next.run(request).await;
     let fixed = [

@@ -26,15 +26,23 @@ const FAREWELL: Duration = Duration::from_millis(800);
 /// The pause after an `accept` that failed, as when file descriptors have run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves on `listener` until `stop` resolves; then endless answers end, and the others have 0.8 s to finish.
+/// Serves on `listener` until `stop` resolves; then endless answers end, and the others have 0.8 s
+/// to finish.
 ///
 /// # Errors
-/// None in operation: a connection that fails is its client's matter. The result is for `main`'s comfort.
-pub async fn serve(listener: TcpListener, service: Service, stop: impl Future<Output = ()>) -> io::Result<()> {
+/// None in operation: a connection that fails is its client's matter. The result is for `main`'s
+/// comfort.
+pub async fn serve(
+    listener: TcpListener,
+    service: Service,
+    stop: impl Future<Output = ()>,
+) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
     let Service { fleet, store, token } = service;
-    let (solves, undistortions, registrations) = (Semaphore::new(SOLVES), Kept::default(), Kept::default());
-    let shared = Shared { fleet, store, token, solves, undistortions, registrations, stopping: watched };
+    let (solves, undistortions, registrations) =
+        (Semaphore::new(SOLVES), Kept::default(), Kept::default());
+    let shared =
+        Shared { fleet, store, token, solves, undistortions, registrations, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);
@@ -53,7 +61,8 @@ pub async fn serve(listener: TcpListener, service: Service, stop: impl Future<Ou
             };
             // Events are small and wanted at once.
             let _ = stream.set_nodelay(true);
-            let connection = graceful.watch(http.serve_connection(TokioIo::new(stream), service.clone()));
+            let connection =
+                graceful.watch(http.serve_connection(TokioIo::new(stream), service.clone()));
             tokio::spawn(async move {
                 if let Err(error) = connection.await {
                     tracing::debug!(%error, "a connection ended early");

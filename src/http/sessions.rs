@@ -76,8 +76,8 @@ pub(super) async fn one(
     Ok(Json((&session(&shared, &id).await?).into()))
 }
 
-/// Stops collecting and solves. Waits for the result unless told otherwise. Too few views: the session's state is
-/// `failed`, its `reason` says why, and its views stay.
+/// Stops collecting and solves. Waits for the result unless told otherwise. Too few views: the
+/// session's state is `failed`, its `reason` says why, and its views stay.
 #[utoipa::path(post, path = "/v1/sessions/{id}/stop", tag = "sessions",
     params(
         ("id" = String, Path, description = "the session's"),
@@ -135,7 +135,8 @@ pub(super) async fn session(shared: &Shared, id: &str) -> Result<SessionRecord, 
     stored.ok_or_else(|| EndError::UnknownSession { id: id.to_owned() }.into())
 }
 
-/// The fleet knows the newest session of each camera; an older one is over, which is another refusal than unknown.
+/// The fleet knows the newest session of each camera; an older one is over, which is another
+/// refusal than unknown.
 async fn or_stored(
     shared: &Shared,
     id: &str,

@@ -58,5 +58,8 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
         checks: solved.checks,
         verdict: solved.verdict,
     };
-    Ok(CalibrationDocument { elapsed_ms: Some(elapsed.as_secs_f64() * 1e3), ..CalibrationDocument::from(&calibration) })
+    Ok(CalibrationDocument {
+        elapsed_ms: Some(elapsed.as_secs_f64() * 1e3),
+        ..CalibrationDocument::from(&calibration)
+    })
 }

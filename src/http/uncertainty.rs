@@ -49,8 +49,8 @@ pub(super) async fn numbers(
     Ok(Json(UncertaintyMapDocument::new(&name, distance, &map)))
 }
 
-/// The predicted 1-σ projection uncertainty over the image as a heat map: contours at round values, each with its label in
-/// pixels.
+/// The predicted 1-σ projection uncertainty over the image as a heat map: contours at round values,
+/// each with its label in pixels.
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty.png", tag = "calibrations",
     params(("id" = String, Path, description = "the calibration's"), UncertaintyParameters),
     responses(
@@ -64,7 +64,9 @@ pub(super) async fn picture(
     parameters: Parameters,
 ) -> Result<impl IntoResponse, Problem> {
     let (_, sensor, distance) = asked(&shared, &id, &parameters).await?;
-    let png = on_a_blocking_thread(move || heat_map(&sensor, distance)).await?.ok_or_else(|| unknown(&id))?;
+    let png = on_a_blocking_thread(move || heat_map(&sensor, distance))
+        .await?
+        .ok_or_else(|| unknown(&id))?;
     Ok(([(CONTENT_TYPE, "image/png")], png))
 }
 
@@ -77,17 +79,22 @@ async fn asked(
     let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
     let found = calibration(shared, id).await?;
     let own = ["color", "infrared", "infrared2"];
-    let known: Vec<&str> = own.into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
+    let known: Vec<&str> =
+        own.into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
     let is_known = |name: &str| known.contains(&name).then(|| name.to_owned());
     let asked = parameters.one_of("sensor", is_known, &known.join(", "))?;
     let mut sensors = found.picture_sensors();
     let sensor = sensors.find(|(name, _)| asked.as_ref().is_none_or(|asked| asked == name));
-    let (name, sensor) = sensor.filter(|(_, sensor)| !sensor.lens_covariance.is_empty()).ok_or_else(|| unknown(id))?;
+    let (name, sensor) = sensor
+        .filter(|(_, sensor)| !sensor.lens_covariance.is_empty())
+        .ok_or_else(|| unknown(id))?;
     Ok((name.to_owned(), sensor.clone(), distance))
 }
 
 fn unknown(id: &str) -> Problem {
-    Problem::not_found(format!("calibration {id} tells no covariance of this sensor; solve it again"))
+    Problem::not_found(format!(
+        "calibration {id} tells no covariance of this sensor; solve it again"
+    ))
 }
 
 fn heat_map(sensor: &SensorCalibration, distance: Distance) -> Option<Vec<u8>> {

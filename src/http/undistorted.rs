@@ -1,4 +1,5 @@
-//! Pictures through a camera's current calibration: the maps that undistort them, kept for the next picture.
+//! Pictures through a camera's current calibration: the maps that undistort them, kept for the next
+//! picture.
 
 use std::sync::Arc;
 
@@ -32,7 +33,8 @@ pub(super) async fn undistortion(
         return Ok(known);
     }
     let asked = key.0.clone();
-    let calibration = shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
+    let calibration =
+        shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
     let calibrated = match sensor {
         SensorKind::Color => calibration.color,
         SensorKind::Infrared => calibration.infrared,

@@ -39,11 +39,13 @@ pub(super) async fn list(
     let record = session(&shared, &id).await?;
     let (views, places, calibration) = shared
         .stored(move |store| {
-            let calibration = record.calibration.as_deref().map(|id| store.calibration(id)).transpose()?;
+            let calibration =
+                record.calibration.as_deref().map(|id| store.calibration(id)).transpose()?;
             Ok((store.views(&record.id)?, store.rig_places(&record.id)?, calibration.flatten()))
         })
         .await?;
-    let view = |view: &View| view_document(&id, view, &Place::of(view, &places), calibration.as_ref());
+    let view =
+        |view: &View| view_document(&id, view, &Place::of(view, &places), calibration.as_ref());
     Ok(Json(SessionViewsDocument { views: views.iter().map(view).collect() }))
 }
 
@@ -58,10 +60,16 @@ pub(super) async fn picture(
     State(shared): State<Arc<Shared>>,
     Address((id, name)): Address<(String, String)>,
 ) -> Result<impl IntoResponse, Problem> {
-    let unknown = || Problem::not_found(format!("session {id} has no view `{name}`; see GET /v1/sessions/{id}/views"));
-    let number: u32 = name.strip_suffix(".jpg").and_then(|number| number.parse().ok()).ok_or_else(unknown)?;
+    let unknown = || {
+        Problem::not_found(format!(
+            "session {id} has no view `{name}`; see GET /v1/sessions/{id}/views"
+        ))
+    };
+    let number: u32 =
+        name.strip_suffix(".jpg").and_then(|number| number.parse().ok()).ok_or_else(unknown)?;
     let asked = id.clone();
-    let picture = shared.stored(move |store| store.picture(&asked, number)).await?.ok_or_else(unknown)?;
+    let picture =
+        shared.stored(move |store| store.picture(&asked, number)).await?.ok_or_else(unknown)?;
     let bytes = if picture.media_type == JPEG {
         picture.bytes
     } else {
@@ -72,7 +80,8 @@ pub(super) async fn picture(
 
 fn to_jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     let frame = frame_from_file(SensorKind::Color, bytes);
-    let picture = decode::rgb(&frame).map_err(|e| Problem::broken(format!("the kept picture cannot be read: {e}")))?;
+    let picture = decode::rgb(&frame)
+        .map_err(|e| Problem::broken(format!("the kept picture cannot be read: {e}")))?;
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }
 
@@ -89,14 +98,19 @@ impl<'a> Place<'a> {
         let Some(place) = places.iter().find(|place| place.number == view.number) else {
             return Self { rig: None, number: view.number as usize };
         };
-        let before = |other: &&RigPlace| other.camera == place.camera && other.number < place.number;
+        let before =
+            |other: &&RigPlace| other.camera == place.camera && other.number < place.number;
         Self { rig: Some(place), number: places.iter().filter(before).count() }
     }
 
     /// The sensor that a calibration has for it.
     fn sensor<'c>(&self, calibration: &'c Calibration) -> Option<&'c SensorCalibration> {
         let Some(place) = self.rig else { return calibration.color.as_ref() };
-        calibration.cameras.iter().find(|camera| camera.name == place.camera).map(|camera| &camera.sensor)
+        calibration
+            .cameras
+            .iter()
+            .find(|camera| camera.name == place.camera)
+            .map(|camera| &camera.sensor)
     }
 }
 
@@ -122,8 +136,9 @@ fn view_document(
         used: calibrated.map(|calibrated| calibrated.used),
         reason: calibrated.and_then(|calibrated| calibrated.reason.clone()),
         rms_px: calibrated.and_then(|calibrated| calibrated.rms_px),
-        residuals_px: residuals
-            .and_then(|((sensor, calibrated), target)| residuals_px(view, sensor, calibrated, target)),
+        residuals_px: residuals.and_then(|((sensor, calibrated), target)| {
+            residuals_px(view, sensor, calibrated, target)
+        }),
         camera_from_board: calibrated
             .and_then(|calibrated| calibrated.camera_from_board.as_ref())
             .map(PoseDocument::from),

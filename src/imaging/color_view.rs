@@ -1,4 +1,5 @@
-//! Where the points that a row of depths stands for are in another camera's picture: in single precision and without a branch.
+//! Where the points that a row of depths stands for are in another camera's picture: in single
+//! precision and without a branch.
 
 use nalgebra::{Point3, Vector3};
 
@@ -54,10 +55,16 @@ impl ColorView {
         }
     }
 
-    /// Where the points that a row of depths stands for are, of rays turned to the colour camera's axes; a reading reaches `half`
-    /// pixels to each side where colour is as far as depth.
+    /// Where the points that a row of depths stands for are, of rays turned to the colour camera's
+    /// axes; a reading reaches `half` pixels to each side where colour is as far as depth.
     #[inline(always)]
-    pub(super) fn project(&self, rays_in_color: [&[f32]; 3], depths: &[f32], half: f32, row: &mut SquareRow) {
+    pub(super) fn project(
+        &self,
+        rays_in_color: [&[f32]; 3],
+        depths: &[f32],
+        half: f32,
+        row: &mut SquareRow,
+    ) {
         let ([right, down, ahead], [tx, ty, tz]) = (rays_in_color, self.translation.into());
         let SquareRow { center: [x, y], half: halves, depth: distances, .. } = row;
         let rays = right.iter().zip(down).zip(ahead).zip(depths);
@@ -103,10 +110,12 @@ impl PlaneLens {
     /// See [`crate::geometry::lens::Rational`].
     #[inline(always)]
     fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
-        let ([k1, k2, k3], [k4, k5, k6], [p1, p2]) = (self.numerator, self.denominator, self.tangential);
+        let ([k1, k2, k3], [k4, k5, k6], [p1, p2]) =
+            (self.numerator, self.denominator, self.tangential);
         let (xx, xy, yy) = (x * x, x * y, y * y);
         let r2 = xx + yy;
-        let factor = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+        let factor =
+            (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
         let bent_x = factor * x + 2.0 * p1 * xy + p2 * (r2 + 2.0 * xx);
         let bent_y = factor * y + p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy;
         let ([fx, fy], [cx, cy]) = (self.focal, self.principal);
@@ -115,14 +124,16 @@ impl PlaneLens {
     }
 }
 
-/// A little more than the largest radius that the picture shows, as far as the lens is one-to-one there: beyond it, the formula
-/// gives pixels that no lens does.
+/// A little more than the largest radius that the picture shows, as far as the lens is one-to-one
+/// there: beyond it, the formula gives pixels that no lens does.
 fn radius_limit(lens: &Lens, size: ImageSize) -> f64 {
     let [low, high] = seen(lens, size);
     let shown = low.abs().sup(&high.abs()).norm();
     let bends_on = |radius: f64| {
         let directions = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
-        directions.iter().all(|(x, y)| lens.pixel_from_point(&Point3::new(x * radius, y * radius, 1.0)).is_some())
+        directions.iter().all(|(x, y)| {
+            lens.pixel_from_point(&Point3::new(x * radius, y * radius, 1.0)).is_some()
+        })
     };
     let (mut inside, mut outside) = (0.0, shown);
     if bends_on(shown) {

@@ -1,6 +1,7 @@
 //! From a frame's bytes to luma, colours or depth; and luma to JPEG.
 //!
-//! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per picture.
+//! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per
+//! picture.
 
 use std::io::Cursor;
 
@@ -11,11 +12,12 @@ use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::gray::{GrayImage, GrayView};
 use crate::imaging::jpeg;
 use crate::imaging::pixel_format::{
-    buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes, luma_row_from_yuyv,
-    rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
+    buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes,
+    luma_row_from_yuyv, rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
 };
 
-/// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown to.
+/// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown
+/// to.
 pub const MAX_PIXELS: u64 = 120_000_000;
 
 /// A frame that cannot be decoded.
@@ -28,13 +30,17 @@ pub enum DecodeError {
     #[error("not a picture that Plumb reads: convert it to PNG")]
     NotAPicture,
     /// More pixels than [`MAX_PIXELS`].
-    #[error("a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header")]
+    #[error(
+        "a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header"
+    )]
     TooLarge {
         /// What its header says.
         size: ImageSize,
     },
     /// Its bytes end before its pixels do.
-    #[error("the {format} ends too early, after {bytes} bytes: it was cut off; leave it out or copy it again")]
+    #[error(
+        "the {format} ends too early, after {bytes} bytes: it was cut off; leave it out or copy it again"
+    )]
     Truncated {
         /// The file format.
         format: &'static str,
@@ -50,7 +56,9 @@ pub enum DecodeError {
         reason: String,
     },
     /// An uncompressed buffer too short for its size.
-    #[error("a {size} {format} frame with rows every {stride} bytes needs {needed} bytes, not {bytes}")]
+    #[error(
+        "a {size} {format} frame with rows every {stride} bytes needs {needed} bytes, not {bytes}"
+    )]
     Buffer {
         /// The frame's size.
         size: ImageSize,
@@ -96,7 +104,8 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
 
 /// The 8-bit luma of a frame, into `luma`, whose buffer is used again.
 ///
-/// JPEG: its Y alone, nothing else is decoded. Colours: BT.601, as OpenCV's `cvtColor`. 16-bit grey: the upper byte.
+/// JPEG: its Y alone, nothing else is decoded. Colours: BT.601, as OpenCV's `cvtColor`. 16-bit
+/// grey: the upper byte.
 ///
 /// # Errors
 /// [`DecodeError`], never a panic, whatever the bytes; `luma` then holds nothing of use.
@@ -107,12 +116,18 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
     match frame.format {
         PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
         PixelFormat::Png => luma_from_picture(&decode_png(&frame.bytes)?, luma),
-        PixelFormat::Mono8 | PixelFormat::Nv12 => luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row)),
-        PixelFormat::Mono16 | PixelFormat::Uyvy => luma_from_rows(frame, luma, luma_row_from_upper_bytes),
+        PixelFormat::Mono8 | PixelFormat::Nv12 => {
+            luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row))
+        }
+        PixelFormat::Mono16 | PixelFormat::Uyvy => {
+            luma_from_rows(frame, luma, luma_row_from_upper_bytes)
+        }
         PixelFormat::Yuyv => luma_from_rows(frame, luma, luma_row_from_yuyv),
         PixelFormat::Rgb8 => luma_from_rows(frame, luma, luma_row_from_rgb),
         PixelFormat::Bgr8 => luma_from_rows(frame, luma, luma_row_from_bgr),
-        PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
+        PixelFormat::Depth16 => {
+            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" })
+        }
     }
 }
 
@@ -150,7 +165,9 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
                 pixel.copy_from_slice(&[bgr[2], bgr[1], bgr[0]]);
             }
         }),
-        PixelFormat::Depth16 => Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" }),
+        PixelFormat::Depth16 => {
+            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" })
+        }
     }
 }
 
@@ -168,8 +185,10 @@ pub fn encode_jpeg_rgb(image: &RgbImage, quality: u8) -> Vec<u8> {
 
 fn encode(pixels: &[u8], size: ImageSize, color: image::ExtendedColorType, quality: u8) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let mut encoder = image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100));
-    // Writing to memory cannot fail; what remains is a size of 0 or over 65535, for which there is no JPEG.
+    let mut encoder =
+        image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100));
+    // Writing to memory cannot fail; what remains is a size of 0 or over 65535, for which there is
+    // no JPEG.
     if encoder.encode(pixels, size.width, size.height, color).is_err() {
         bytes.clear();
     }
@@ -192,7 +211,8 @@ fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
     let size = check_size(header.size)?;
     let mut pixels = std::mem::take(luma).into_pixels();
     jpeg::luma(bytes, header, &mut pixels)?;
-    *luma = GrayImage::from_pixels(size.width as usize, size.height as usize, pixels).unwrap_or_default();
+    *luma = GrayImage::from_pixels(size.width as usize, size.height as usize, pixels)
+        .unwrap_or_default();
     Ok(())
 }
 
@@ -201,8 +221,12 @@ pub(crate) fn decode_png(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
         return Err(DecodeError::NotAPicture);
     }
     file_size(bytes)?;
-    let decoder = image::codecs::png::PngDecoder::new(Cursor::new(bytes)).map_err(|error| png_error(&error, bytes))?;
-    let alpha = matches!(decoder.color_type(), ColorType::La8 | ColorType::La16 | ColorType::Rgba8 | ColorType::Rgba16);
+    let decoder = image::codecs::png::PngDecoder::new(Cursor::new(bytes))
+        .map_err(|error| png_error(&error, bytes))?;
+    let alpha = matches!(
+        decoder.color_type(),
+        ColorType::La8 | ColorType::La16 | ColorType::Rgba8 | ColorType::Rgba16
+    );
     let picture = DynamicImage::from_decoder(decoder).map_err(|error| png_error(&error, bytes))?;
     Ok(if alpha { picture.into_rgb8().into() } else { picture })
 }
@@ -213,7 +237,10 @@ fn png_error(error: &image::ImageError, bytes: &[u8]) -> DecodeError {
     if cut {
         DecodeError::Truncated { format: "PNG", bytes: bytes.len() }
     } else {
-        DecodeError::Malformed { format: "PNG", reason: text.lines().next().unwrap_or_default().to_owned() }
+        DecodeError::Malformed {
+            format: "PNG",
+            reason: text.lines().next().unwrap_or_default().to_owned(),
+        }
     }
 }
 
@@ -232,7 +259,11 @@ fn luma_from_picture(picture: &DynamicImage, luma: &mut GrayImage) -> Result<(),
     Ok(())
 }
 
-fn luma_from_rows(frame: &Frame, luma: &mut GrayImage, convert: fn(&[u8], &mut [u8])) -> Result<(), DecodeError> {
+fn luma_from_rows(
+    frame: &Frame,
+    luma: &mut GrayImage,
+    convert: fn(&[u8], &mut [u8]),
+) -> Result<(), DecodeError> {
     let rows = rows_of(frame)?;
     luma.reshape(frame.size.width as usize, frame.size.height as usize);
     let width = luma.width().max(1);
@@ -255,7 +286,9 @@ fn rgb_from_rows(frame: &Frame, convert: fn(&[u8], &mut [u8])) -> Result<RgbImag
 fn rgb_from_nv12(frame: &Frame) -> Result<RgbImage, DecodeError> {
     let (width, height) = (frame.size.width as usize, frame.size.height as usize);
     let mut pixels = vec![0; width * height * 3];
-    for (y, (row, out)) in rows_of(frame)?.zip(pixels.chunks_exact_mut((width * 3).max(1))).enumerate() {
+    for (y, (row, out)) in
+        rows_of(frame)?.zip(pixels.chunks_exact_mut((width * 3).max(1))).enumerate()
+    {
         let chroma = &frame.bytes[(height + y / 2) * frame.stride..];
         rgb_row_from_nv12(row, &chroma[..width.next_multiple_of(2)], out);
     }
@@ -268,7 +301,8 @@ fn rgb_image(size: ImageSize, pixels: Vec<u8>) -> Result<RgbImage, DecodeError> 
 
 /// The rows of an uncompressed frame, without their padding.
 pub(super) fn rows_of(frame: &Frame) -> Result<impl Iterator<Item = &[u8]>, DecodeError> {
-    let wrong_kind = DecodeError::WrongKind { format: frame.format.name(), wanted: "uncompressed rows" };
+    let wrong_kind =
+        DecodeError::WrongKind { format: frame.format.name(), wanted: "uncompressed rows" };
     let bytes_per_pixel = frame.format.bytes_per_pixel().ok_or(wrong_kind)?;
     check_size(frame.size)?;
     let row = frame.size.width as usize * bytes_per_pixel;
@@ -280,10 +314,12 @@ pub(super) fn rows_of(frame: &Frame) -> Result<impl Iterator<Item = &[u8]>, Deco
         _ => buffer_length(frame.size, frame.stride, bytes_per_pixel),
     };
     if frame.stride < row || frame.bytes.len() < needed {
-        let (size, format, stride, bytes) = (frame.size, frame.format.name(), frame.stride, frame.bytes.len());
+        let (size, format, stride, bytes) =
+            (frame.size, frame.format.name(), frame.stride, frame.bytes.len());
         return Err(DecodeError::Buffer { size, format, stride, needed, bytes });
     }
-    Ok((0..frame.size.height as usize).map(move |y| &frame.bytes[y * frame.stride..y * frame.stride + row]))
+    Ok((0..frame.size.height as usize)
+        .map(move |y| &frame.bytes[y * frame.stride..y * frame.stride + row]))
 }
 
 #[cfg(test)]
@@ -307,7 +343,9 @@ mod tests {
     }
 
     fn ramp(width: usize, height: usize) -> GrayImage {
-        let pixels = (0..width * height).map(|k| (40 + 2 * (k % width) + 3 * (k / width)).min(250) as u8).collect();
+        let pixels = (0..width * height)
+            .map(|k| (40 + 2 * (k % width) + 3 * (k / width)).min(250) as u8)
+            .collect();
         GrayImage::from_pixels(width, height, pixels).unwrap()
     }
 
@@ -340,17 +378,27 @@ mod tests {
 
     #[test]
     fn a_picture_has_the_same_luma_whichever_way_it_comes() {
-        let rgb_in = RgbImage::from_fn(6, 2, |x, y| image::Rgb([(40 * x) as u8, (90 * y) as u8, 200]));
-        let expected: Vec<u8> =
-            rgb_in.pixels().map(|p| crate::imaging::pixel_format::luma_from_rgb(p[0], p[1], p[2])).collect();
+        let rgb_in =
+            RgbImage::from_fn(6, 2, |x, y| image::Rgb([(40 * x) as u8, (90 * y) as u8, 200]));
+        let expected: Vec<u8> = rgb_in
+            .pixels()
+            .map(|p| crate::imaging::pixel_format::luma_from_rgb(p[0], p[1], p[2]))
+            .collect();
         let as_png = luma_of(&file(PixelFormat::Png, &png(&rgb_in.clone().into()))).unwrap();
         assert_eq!(as_png.pixels(), expected);
         let with_alpha = DynamicImage::from(rgb_in.clone()).into_rgba8();
-        assert_eq!(luma_of(&file(PixelFormat::Png, &png(&with_alpha.into()))).unwrap().pixels(), expected);
+        assert_eq!(
+            luma_of(&file(PixelFormat::Png, &png(&with_alpha.into()))).unwrap().pixels(),
+            expected
+        );
         let raw = frame(PixelFormat::Rgb8, ImageSize::new(6, 2), 18, rgb_in.as_raw());
         assert_eq!(luma_of(&raw).unwrap().pixels(), expected);
-        let deep = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(2, 1, vec![0x1234, 0xff00]).unwrap();
-        assert_eq!(luma_of(&file(PixelFormat::Png, &png(&deep.into()))).unwrap().pixels(), [0x12, 0xff]);
+        let deep = image::ImageBuffer::<image::Luma<u16>, _>::from_vec(2, 1, vec![0x1234, 0xff00])
+            .unwrap();
+        assert_eq!(
+            luma_of(&file(PixelFormat::Png, &png(&deep.into()))).unwrap().pixels(),
+            [0x12, 0xff]
+        );
     }
 
     #[test]
@@ -375,7 +423,10 @@ mod tests {
         assert_eq!(luma_of(&nv12).unwrap().pixels(), [10, 20, 30, 40, 50, 60]);
         let grey: Vec<u8> = [10, 20, 30, 40, 50, 60].iter().flat_map(|value| [*value; 3]).collect();
         assert_eq!(rgb(&nv12).unwrap().as_raw(), &grey);
-        assert!(matches!(luma_of(&Frame { size: ImageSize::new(3, 3), ..nv12 }), Err(DecodeError::Buffer { .. })));
+        assert!(matches!(
+            luma_of(&Frame { size: ImageSize::new(3, 3), ..nv12 }),
+            Err(DecodeError::Buffer { .. })
+        ));
     }
 
     #[test]
@@ -387,12 +438,18 @@ mod tests {
         }
         let png = png(&ramp_rgb().into());
         for cut in 0..png.len() - 13 {
-            assert!(luma_of(&file(PixelFormat::Png, &png[..cut])).is_err(), "at {cut} of {}", png.len());
+            assert!(
+                luma_of(&file(PixelFormat::Png, &png[..cut])).is_err(),
+                "at {cut} of {}",
+                png.len()
+            );
         }
     }
 
     fn ramp_rgb() -> RgbImage {
-        RgbImage::from_fn(20, 15, |x, y| image::Rgb([(x * 12) as u8, (y * 16) as u8, (x * y) as u8]))
+        RgbImage::from_fn(20, 15, |x, y| {
+            image::Rgb([(x * 12) as u8, (y * 16) as u8, (x * y) as u8])
+        })
     }
 
     #[test]

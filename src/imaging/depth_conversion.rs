@@ -1,5 +1,6 @@
-//! Readings of a whole depth picture to corrected metres: what `DepthCamera::inverse_depth` says pixel by pixel, in single
-//! precision and without a branch, so that it runs at the speed of memory.
+//! Readings of a whole depth picture to corrected metres: what `DepthCamera::inverse_depth` says
+//! pixel by pixel, in single precision and without a branch, so that it runs at the speed of
+//! memory.
 
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection};
@@ -44,19 +45,32 @@ impl DepthConversion {
                 let at = |x: u32| correction.at(Pixel::new(f64::from(x), f64::from(y))).terms;
                 let row: Vec<_> = (0..size.width).map(at).collect();
                 for power in 0..terms {
-                    coefficients.extend(row.iter().map(|terms| terms.get(power).copied().unwrap_or(0.0) as f32));
+                    coefficients.extend(
+                        row.iter().map(|terms| terms.get(power).copied().unwrap_or(0.0) as f32),
+                    );
                 }
             }
-            PixelCorrections { quantity: correction.quantity, terms, coefficients, seen_m: [near, far] }
+            PixelCorrections {
+                quantity: correction.quantity,
+                terms,
+                coefficients,
+                seen_m: [near, far],
+            }
         };
-        let correction = camera.correction.as_ref().map(of_pixels).filter(|corrections| corrections.terms > 0);
+        let correction =
+            camera.correction.as_ref().map(of_pixels).filter(|corrections| corrections.terms > 0);
         Self { reading: camera.reading, width: size.width.max(1) as usize, correction }
     }
 
     /// The depth of each reading in metres; 0 for `invalid` and for what no surface gives.
     pub(super) fn depths_m(&self, readings: &[u16], invalid: Option<u16>) -> Vec<f32> {
         let mut depths = vec![0.0; readings.len()];
-        pulp::Arch::new().dispatch(Rows { conversion: self, readings, invalid, depths: &mut depths });
+        pulp::Arch::new().dispatch(Rows {
+            conversion: self,
+            readings,
+            invalid,
+            depths: &mut depths,
+        });
         depths
     }
 
@@ -72,7 +86,10 @@ impl DepthConversion {
         match self.reading {
             DepthReading::Metric { unit_m } => {
                 let unit_m = unit_m as f32;
-                depths.iter_mut().zip(readings).for_each(|(depth, raw)| *depth = unit_m * f32::from(*raw));
+                depths
+                    .iter_mut()
+                    .zip(readings)
+                    .for_each(|(depth, raw)| *depth = unit_m * f32::from(*raw));
             }
             DepthReading::Disparity { offset, slope } => {
                 let (offset, slope) = (offset as f32, slope as f32);
@@ -104,7 +121,10 @@ impl PixelCorrections {
                 [near, far]
             }
             CorrectedQuantity::InverseDepth => {
-                quantity.iter_mut().zip(depths.iter()).for_each(|(inverse, depth)| *inverse = 1.0 / depth);
+                quantity
+                    .iter_mut()
+                    .zip(depths.iter())
+                    .for_each(|(inverse, depth)| *inverse = 1.0 / depth);
                 [1.0 / far, 1.0 / near]
             }
         };
@@ -127,7 +147,8 @@ impl PixelCorrections {
     }
 }
 
-/// A whole picture. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+/// A whole picture. A struct, not a closure: all of it must be inlined to be compiled for the
+/// processor.
 struct Rows<'a> {
     conversion: &'a DepthConversion,
     readings: &'a [u16],
@@ -174,19 +195,34 @@ mod tests {
                 for terms in 0..=4 {
                     let grid = SplineGrid { size, cols: 3, rows: 2 };
                     let mut correction = DepthCorrection::none(quantity, terms, grid, [0.5, 2.5]);
-                    correction.coefficients.iter_mut().enumerate().for_each(|(k, c)| *c = 0.02 * (k as f64).sin());
+                    correction
+                        .coefficients
+                        .iter_mut()
+                        .enumerate()
+                        .for_each(|(k, c)| *c = 0.02 * (k as f64).sin());
                     let matrix = CameraMatrix { fx: 30.0, fy: 30.0, cx: 15.5, cy: 11.5, skew: 0.0 };
                     let correction = Some(correction);
-                    let camera = DepthCamera { image_size: size, lens: Lens::pinhole(matrix), reading, correction };
+                    let camera = DepthCamera {
+                        image_size: size,
+                        lens: Lens::pinhole(matrix),
+                        reading,
+                        correction,
+                    };
                     let depths = DepthConversion::new(&camera).depths_m(&ramp, invalid);
                     assert_eq!(depths.len(), ramp.len());
                     for (k, (raw, depth)) in ramp.iter().zip(&depths).enumerate() {
                         let pixel = Pixel::new((k % 32) as f64, (k / 32) as f64);
-                        let inverse = camera.inverse_depth(pixel, f64::from(*raw)).filter(|_| Some(*raw) != invalid);
+                        let inverse = camera
+                            .inverse_depth(pixel, f64::from(*raw))
+                            .filter(|_| Some(*raw) != invalid);
                         let expected = inverse.map_or(0.0, |inverse| 1.0 / inverse);
                         // Beyond a kilometre a single-precision 1/z says nothing.
-                        let near = (f64::from(*depth) - expected).abs() <= 2e-5 * expected || expected > 1e3;
-                        assert!(near, "{reading:?} {quantity:?} {terms} at {k}, {raw}: {depth}, expected {expected}");
+                        let near = (f64::from(*depth) - expected).abs() <= 2e-5 * expected
+                            || expected > 1e3;
+                        assert!(
+                            near,
+                            "{reading:?} {quantity:?} {terms} at {k}, {raw}: {depth}, expected {expected}"
+                        );
                     }
                 }
             }

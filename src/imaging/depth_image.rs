@@ -16,7 +16,8 @@ impl DepthImage {
     /// `readings` row by row; `None` unless there are width × height of them.
     pub fn new(size: ImageSize, readings: Vec<u16>) -> Option<Self> {
         let expected = size.width as usize * size.height as usize;
-        (expected > 0 && readings.len() == expected).then_some(Self { width: size.width as usize, readings })
+        (expected > 0 && readings.len() == expected)
+            .then_some(Self { width: size.width as usize, readings })
     }
 
     /// The readings of a frame: 16-bit PNG, or rows of 16 bits.
@@ -46,21 +47,35 @@ impl DepthImage {
         let (needed, bytes) = (buffer_length(size, stride, 2), frame.bytes.len());
         let row_bytes = 2 * size.width as usize;
         if bytes < needed || stride < row_bytes {
-            return Err(DecodeError::Buffer { size, format: frame.format.name(), stride, needed, bytes });
+            return Err(DecodeError::Buffer {
+                size,
+                format: frame.format.name(),
+                stride,
+                needed,
+                bytes,
+            });
         }
-        let rows = (0..size.height as usize).map(|y| &frame.bytes[y * stride..y * stride + row_bytes]);
-        let readings = rows.flat_map(|row| row.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]])));
+        let rows =
+            (0..size.height as usize).map(|y| &frame.bytes[y * stride..y * stride + row_bytes]);
+        let readings = rows
+            .flat_map(|row| row.chunks_exact(2).map(|two| u16::from_le_bytes([two[0], two[1]])));
         Self::new(size, readings.collect()).ok_or(DecodeError::Empty)
     }
 
     /// The picture as a 16-bit grey PNG file.
     pub fn to_png(&self) -> Vec<u8> {
         let size = self.size();
-        let bytes: Vec<u8> = self.readings.iter().flat_map(|reading| reading.to_ne_bytes()).collect();
+        let bytes: Vec<u8> =
+            self.readings.iter().flat_map(|reading| reading.to_ne_bytes()).collect();
         let mut file = Vec::new();
         let encoder = image::codecs::png::PngEncoder::new(&mut file);
-        let written =
-            image::ImageEncoder::write_image(encoder, &bytes, size.width, size.height, image::ExtendedColorType::L16);
+        let written = image::ImageEncoder::write_image(
+            encoder,
+            &bytes,
+            size.width,
+            size.height,
+            image::ExtendedColorType::L16,
+        );
         debug_assert!(written.is_ok(), "a PNG is written to memory");
         file
     }
@@ -99,7 +114,8 @@ mod tests {
     #[test]
     fn what_is_not_depth_is_refused_in_one_line() {
         let grey = frame_from_file(SensorKind::Depth, b"P5 2 1 255\n\x07\xff".to_vec());
-        let mut short = frame_from_file(SensorKind::Depth, b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec());
+        let mut short =
+            frame_from_file(SensorKind::Depth, b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec());
         assert_eq!(DepthImage::from_frame(&short).unwrap().readings(), [0x0102, 0xfffe]);
         short.bytes = short.bytes[..3].into();
         for frame in [grey, short] {

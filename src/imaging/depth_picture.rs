@@ -10,7 +10,8 @@ const NEAR_M: f32 = 0.25;
 const FAR_M: f32 = 8.0;
 /// Depth jumps where it grows by this part from one pixel to the next.
 const JUMP: f32 = 0.04;
-/// So many empty pixels are looked across for what lies behind an edge: a stereo camera measures nothing in its shadow.
+/// So many empty pixels are looked across for what lies behind an edge: a stereo camera measures
+/// nothing in its shadow.
 const GAP: usize = 64;
 
 /// A picture of `size` from depths in metres, row by row; 0 for none.
@@ -25,8 +26,9 @@ pub fn shaded(depths: &[f32], size: ImageSize) -> RgbImage {
     })
 }
 
-/// Whether each pixel is the near side of an edge: what is measured next beside it lies farther away by a jump. A hole in a
-/// surface, the far side of a shadow and the end of what is measured are no edges.
+/// Whether each pixel is the near side of an edge: what is measured next beside it lies farther
+/// away by a jump. A hole in a surface, the far side of a shadow and the end of what is measured
+/// are no edges.
 pub fn edges(depths: &[f32], size: ImageSize) -> Vec<bool> {
     let (width, height) = (size.width as usize, size.height as usize);
     let at = |x: usize, y: usize| depths.get(y * width + x).copied().unwrap_or_default();
@@ -50,7 +52,8 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize::new(40, 30);
 
-    /// A box at 1 m before a wall at 2 m, with a shadow of `shadow` pixels at the box's left and one hole in it.
+    /// A box at 1 m before a wall at 2 m, with a shadow of `shadow` pixels at the box's left and
+    /// one hole in it.
     fn scene(shadow: usize) -> Vec<f32> {
         let depth = |x: usize, y: usize| match (x, y) {
             (20, 15) => 0.0,
@@ -72,8 +75,12 @@ mod tests {
                     assert_eq!(on(x, y), outline, "{x} {y} with a shadow of {shadow}");
                 }
             }
-            let elsewhere = (0..40 * 30).filter(|k| !(15..30).contains(&(k % 40)) || !(10..20).contains(&(k / 40)));
-            assert!(elsewhere.clone().all(|k| !edges[k]), "nothing on the wall with a shadow of {shadow}");
+            let elsewhere = (0..40 * 30)
+                .filter(|k| !(15..30).contains(&(k % 40)) || !(10..20).contains(&(k / 40)));
+            assert!(
+                elsewhere.clone().all(|k| !edges[k]),
+                "nothing on the wall with a shadow of {shadow}"
+            );
         }
     }
 

@@ -1,17 +1,19 @@
-//! A lens as a table: where it maps normalised coordinates, at a small part of the cost of its formula.
+//! A lens as a table: where it maps normalised coordinates, at a small part of the cost of its
+//! formula.
 
 use nalgebra::{Point3, Vector2};
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Pixels by normalised coordinates (x/z, y/z), bilinear between the nodes of a grid: within a hundredth of a pixel of the lens's
-/// own for lenses of up to 100°.
+/// Pixels by normalised coordinates (x/z, y/z), bilinear between the nodes of a grid: within a
+/// hundredth of a pixel of the lens's own for lenses of up to 100°.
 #[derive(Debug, Clone)]
 pub(super) struct DistortionLookup {
     low: [f32; 2],
     per_unit: [f32; 2],
-    /// Of each cell, for x and y of the pixel: at its first corner, what is added along each side, and by both together.
+    /// Of each cell, for x and y of the pixel: at its first corner, what is added along each side,
+    /// and by both together.
     cells: Vec<[[f32; 4]; 2]>,
 }
 
@@ -23,15 +25,24 @@ impl DistortionLookup {
     pub(crate) fn new(lens: &Lens, size: ImageSize) -> Self {
         let [low, high] = seen(lens, size);
         let node = |column: usize, row: usize| {
-            let at = |low: f64, high: f64, index: usize| low + (high - low) * index as f64 / CELLS as f64;
-            let pixel = lens.pixel_from_point(&Point3::new(at(low.x, high.x, column), at(low.y, high.y, row), 1.0));
+            let at = |low: f64, high: f64, index: usize| {
+                low + (high - low) * index as f64 / CELLS as f64
+            };
+            let pixel = lens.pixel_from_point(&Point3::new(
+                at(low.x, high.x, column),
+                at(low.y, high.y, row),
+                1.0,
+            ));
             pixel.map_or([f64::NAN; 2], |pixel| [pixel.x, pixel.y])
         };
         let cell = |k: usize| {
             let (column, row) = (k % CELLS, k / CELLS);
             let (a, b) = (node(column, row), node(column + 1, row));
             let (c, d) = (node(column, row + 1), node(column + 1, row + 1));
-            [0, 1].map(|k| [a[k], b[k] - a[k], c[k] - a[k], a[k] - b[k] - c[k] + d[k]].map(|number| number as f32))
+            [0, 1].map(|k| {
+                [a[k], b[k] - a[k], c[k] - a[k], a[k] - b[k] - c[k] + d[k]]
+                    .map(|number| number as f32)
+            })
         };
         let per_unit = |low: f64, high: f64| (CELLS as f64 / (high - low)) as f32;
         Self {
@@ -50,14 +61,17 @@ impl DistortionLookup {
             return [f32::NAN; 2];
         }
         let ((column, s), (row, t)) = (cell(u), cell(v));
-        let Some([across, down]) = self.cells.get(row * CELLS + column) else { return [f32::NAN; 2] };
+        let Some([across, down]) = self.cells.get(row * CELLS + column) else {
+            return [f32::NAN; 2];
+        };
         let at = |c: &[f32; 4]| c[0] + s * c[1] + t * (c[2] + s * c[3]);
         [at(across), at(down)]
     }
 }
 
-/// The whole part of a `value` from 0 to 2²² and what is left of it; at a whole number either the one before it and 1, or itself
-/// and 0. Added to 2²³ a value has no binary places left, which costs less than a conversion that minds what does not fit.
+/// The whole part of a `value` from 0 to 2²² and what is left of it; at a whole number either the
+/// one before it and 1, or itself and 0. Added to 2²³ a value has no binary places left, which
+/// costs less than a conversion that minds what does not fit.
 #[inline]
 fn cell(value: f32) -> (usize, f32) {
     const BINARY_PLACES: u32 = 23;
@@ -66,14 +80,17 @@ fn cell(value: f32) -> (usize, f32) {
     ((whole.to_bits() & ((1 << BINARY_PLACES) - 1)) as usize, value - (whole - MAGNITUDE))
 }
 
-/// The least and the greatest normalised coordinates of a picture's border, and a little beyond them.
+/// The least and the greatest normalised coordinates of a picture's border, and a little beyond
+/// them.
 pub(super) fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
     let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
     for k in 0..=64 {
         let part = f64::from(k) / 64.0;
         let (x, y) = (part * f64::from(size.width) - 0.5, part * f64::from(size.height) - 0.5);
         let (right, bottom) = (f64::from(size.width) - 0.5, f64::from(size.height) - 0.5);
-        for pixel in [Pixel::new(x, -0.5), Pixel::new(x, bottom), Pixel::new(-0.5, y), Pixel::new(right, y)] {
+        for pixel in
+            [Pixel::new(x, -0.5), Pixel::new(x, bottom), Pixel::new(-0.5, y), Pixel::new(right, y)]
+        {
             if let Some(bearing) = lens.bearing_from_pixel(pixel).filter(|b| b.z > 0.05) {
                 let at = Vector2::new(bearing.x / bearing.z, bearing.y / bearing.z);
                 (low, high) = (low.inf(&at), high.sup(&at));
@@ -94,17 +111,25 @@ mod tests {
 
     #[test]
     fn the_lookup_is_the_lens() {
-        let lens =
-            Lens::from_parameters(LensModel::Brown, &[110.0, 110.0, 63.0, 47.0, 0.0, -0.05, 0.01, 0.0, 0.0, 0.0])
-                .unwrap();
+        let lens = Lens::from_parameters(
+            LensModel::Brown,
+            &[110.0, 110.0, 63.0, 47.0, 0.0, -0.05, 0.01, 0.0, 0.0, 0.0],
+        )
+        .unwrap();
         let lookup = DistortionLookup::new(&lens, ImageSize::new(128, 96));
         for k in 0..500 {
             let pixel = Pixel::new(f64::from(k % 25) * 5.0, f64::from(k / 25) * 4.7);
             let bearing = lens.bearing_from_pixel(pixel).unwrap();
-            let [x, y] = lookup.pixel((bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32);
-            assert!(pixel.distance_px(Pixel::new(f64::from(x), f64::from(y))) < 0.01, "{pixel:?} {x} {y}");
+            let [x, y] =
+                lookup.pixel((bearing.x / bearing.z) as f32, (bearing.y / bearing.z) as f32);
+            assert!(
+                pixel.distance_px(Pixel::new(f64::from(x), f64::from(y))) < 0.01,
+                "{pixel:?} {x} {y}"
+            );
         }
-        for outside in [[-9.0, 0.0], [0.0, 9.0], [f32::NAN, 0.0], [f32::INFINITY, f32::NEG_INFINITY]] {
+        for outside in
+            [[-9.0, 0.0], [0.0, 9.0], [f32::NAN, 0.0], [f32::INFINITY, f32::NEG_INFINITY]]
+        {
             assert!(lookup.pixel(outside[0], outside[1])[0].is_nan(), "{outside:?}");
         }
     }

@@ -1,5 +1,5 @@
-//! Drawing over a picture: what was found in it, and where the board should be next. Edges are smoothed; what lies
-//! outside the picture is left out.
+//! Drawing over a picture: what was found in it, and where the board should be next. Edges are
+//! smoothed; what lies outside the picture is left out.
 
 use image::{Rgb, RgbImage};
 
@@ -15,7 +15,8 @@ pub const FIRST: Color = Rgb([255, 93, 122]);
 /// Where the board should be.
 pub const WISHED: Color = Rgb([255, 216, 77]);
 
-/// From dark to bright in equal steps for the eye, also for one that sees no red or green (after "viridis").
+/// From dark to bright in equal steps for the eye, also for one that sees no red or green (after
+/// "viridis").
 const SHADES: [[u8; 3]; 8] = [
     [68, 1, 84],
     [70, 50, 126],
@@ -50,15 +51,16 @@ pub struct Pen {
 }
 
 impl Pen {
-    /// A pen whose lines are as wide, compared with the picture, as one of 1.5 px is in a picture 640 px wide.
+    /// A pen whose lines are as wide, compared with the picture, as one of 1.5 px is in a picture
+    /// 640 px wide.
     pub fn fitting(picture: &RgbImage, color: Color) -> Self {
         let longer_side = f64::from(picture.width().max(picture.height()));
         Self { color, width_px: (longer_side / 640.0 * 1.5).max(1.0) }
     }
 }
 
-/// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around each, the first one in
-/// another colour and larger. Every corner that is not a number is left out.
+/// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around
+/// each, the first one in another colour and larger. Every corner that is not a number is left out.
 pub fn draw_corners(picture: &mut RgbImage, corners: &[Pixel]) {
     let pen = Pen::fitting(picture, FOUND);
     let thin = Pen { width_px: pen.width_px * 0.6, ..pen };
@@ -90,13 +92,18 @@ pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
     let along = to.to_vector() - from.to_vector();
     let length2 = along.norm_squared();
     let distance = |x: f64, y: f64| {
-        let part = if length2 > 0.0 { ((x - from.x) * along.x + (y - from.y) * along.y) / length2 } else { 0.0 };
+        let part = if length2 > 0.0 {
+            ((x - from.x) * along.x + (y - from.y) * along.y) / length2
+        } else {
+            0.0
+        };
         let part = part.clamp(0.0, 1.0);
         (x - from.x - part * along.x).hypot(y - from.y - part * along.y)
     };
     let reach = pen.width_px / 2.0 + 1.0;
     let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-    // Only the pixels near the line are looked at: row by row for a steep one, column by column for a flat one.
+    // Only the pixels near the line are looked at: row by row for a steep one, column by column for
+    // a flat one.
     let steep = along.y.abs() > along.x.abs();
     let (first, last, limit) = if steep { (from.y, to.y, height) } else { (from.x, to.x, width) };
     let slope = match (steep, length2 > 0.0) {
@@ -108,7 +115,11 @@ pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
     let across = reach * std::f64::consts::SQRT_2;
     for major in range(first.min(last) - reach, first.max(last) + reach, limit) {
         let on_line = f64::from(major).max(first.min(last)).min(first.max(last));
-        let middle = if steep { from.x + slope * (on_line - from.y) } else { from.y + slope * (on_line - from.x) };
+        let middle = if steep {
+            from.x + slope * (on_line - from.y)
+        } else {
+            from.y + slope * (on_line - from.x)
+        };
         for minor in range(middle - across, middle + across, if steep { width } else { height }) {
             let (x, y) = if steep { (minor, major) } else { (major, minor) };
             let coverage = pen.width_px / 2.0 + 0.5 - distance(f64::from(x), f64::from(y));
@@ -135,7 +146,8 @@ pub fn draw_ring(picture: &mut RgbImage, center: Pixel, radius_px: f64, pen: Pen
 
 /// The whole numbers from `first` to `last` that lie in a picture of `length`.
 fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
-    // `max` and `min` pass over what is not a number, as coordinates far outside may make it; `clamp` would panic.
+    // `max` and `min` pass over what is not a number, as coordinates far outside may make it;
+    // `clamp` would panic.
     let first = first.ceil().max(0.0).min(length);
     let last = (last.floor() + 1.0).max(first).min(length);
     first as u32..last as u32
@@ -143,7 +155,9 @@ fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
 
 fn blend(picture: &mut RgbImage, x: u32, y: u32, color: Color, coverage: f64) {
     let coverage = coverage.clamp(0.0, 1.0);
-    let Some(pixel) = picture.get_pixel_mut_checked(x, y).filter(|_| coverage > 0.0) else { return };
+    let Some(pixel) = picture.get_pixel_mut_checked(x, y).filter(|_| coverage > 0.0) else {
+        return;
+    };
     for (channel, wanted) in pixel.0.iter_mut().zip(color.0) {
         let mixed = f64::from(*channel) + (f64::from(wanted) - f64::from(*channel)) * coverage;
         *channel = mixed.round() as u8;
@@ -157,7 +171,11 @@ mod tests {
     const PEN: Pen = Pen { color: Rgb([255, 255, 255]), width_px: 1.0 };
 
     fn lit(picture: &RgbImage) -> Vec<(u32, u32)> {
-        picture.enumerate_pixels().filter(|(_, _, pixel)| pixel.0[0] > 127).map(|(x, y, _)| (x, y)).collect()
+        picture
+            .enumerate_pixels()
+            .filter(|(_, _, pixel)| pixel.0[0] > 127)
+            .map(|(x, y, _)| (x, y))
+            .collect()
     }
 
     #[test]
@@ -180,21 +198,36 @@ mod tests {
     #[test]
     fn a_line_is_the_same_steep_or_flat() {
         let mut flat = RgbImage::new(40, 40);
-        draw_line(&mut flat, Pixel::new(3.0, 5.0), Pixel::new(33.0, 21.0), Pen { width_px: 3.0, ..PEN });
+        draw_line(
+            &mut flat,
+            Pixel::new(3.0, 5.0),
+            Pixel::new(33.0, 21.0),
+            Pen { width_px: 3.0, ..PEN },
+        );
         let mut steep = RgbImage::new(40, 40);
-        draw_line(&mut steep, Pixel::new(5.0, 3.0), Pixel::new(21.0, 33.0), Pen { width_px: 3.0, ..PEN });
+        draw_line(
+            &mut steep,
+            Pixel::new(5.0, 3.0),
+            Pixel::new(21.0, 33.0),
+            Pen { width_px: 3.0, ..PEN },
+        );
         assert!(flat.enumerate_pixels().all(|(x, y, pixel)| steep.get_pixel(y, x) == pixel));
     }
 
     #[test]
     fn what_lies_outside_is_left_out() {
         let mut picture = RgbImage::new(4, 4);
-        let far =
-            [Pixel::new(-1e9, -1e9), Pixel::new(1e9, -7.0), Pixel::new(f64::NAN, 1.0), Pixel::new(2.0, f64::INFINITY)];
+        let far = [
+            Pixel::new(-1e9, -1e9),
+            Pixel::new(1e9, -7.0),
+            Pixel::new(f64::NAN, 1.0),
+            Pixel::new(2.0, f64::INFINITY),
+        ];
         draw_polygon(&mut picture, &far[2..], PEN);
         draw_line(&mut picture, far[0], far[1], PEN);
         draw_corners(&mut picture, &far);
-        let beyond = [Pixel::new(-1e308, 1e308), Pixel::new(1e308, 1e308), Pixel::new(1e308, -1e308)];
+        let beyond =
+            [Pixel::new(-1e308, 1e308), Pixel::new(1e308, 1e308), Pixel::new(1e308, -1e308)];
         draw_polygon(&mut picture, &beyond, PEN);
         draw_ring(&mut picture, beyond[0], 3.0, PEN);
         assert_eq!(lit(&picture), []);

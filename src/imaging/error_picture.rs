@@ -1,4 +1,5 @@
-//! Errors of depth as colours, before and after correction beside each other: blue is too near, red too far, white right.
+//! Errors of depth as colours, before and after correction beside each other: blue is too near, red
+//! too far, white right.
 
 use image::{Rgb, RgbImage};
 
@@ -21,9 +22,14 @@ const TOO_FAR: [f32; 3] = [178.0, 24.0, 43.0];
 /// Colours reach so far that no more than this part of the errors before are beyond.
 const BEYOND: f64 = 0.05;
 
-/// Draws what `before` and `after` (metres, row by row of a picture of `size`; not finite for none) differ from 0 by: the part of
-/// the picture that has errors, on one scale for both, with a label each and the scale below. `None` without errors.
-pub fn draw_errors([before, after]: [&[f32]; 2], size: ImageSize, labels: [&str; 2]) -> Option<RgbImage> {
+/// Draws what `before` and `after` (metres, row by row of a picture of `size`; not finite for none)
+/// differ from 0 by: the part of the picture that has errors, on one scale for both, with a label
+/// each and the scale below. `None` without errors.
+pub fn draw_errors(
+    [before, after]: [&[f32]; 2],
+    size: ImageSize,
+    labels: [&str; 2],
+) -> Option<RgbImage> {
     let (low, high) = bounds(before, size)?;
     let limit_mm = limit_mm(before)?;
     let [wide, tall] = [high[0] - low[0] + 1, high[1] - low[1] + 1];
@@ -48,7 +54,8 @@ pub fn draw_errors([before, after]: [&[f32]; 2], size: ImageSize, labels: [&str;
 /// From too near to too far, with their numbers at both ends.
 fn draw_scale(picture: &mut RgbImage, limit_mm: f32, top: u32) {
     let (near, far) = (format!("-{limit_mm} mm"), format!("{limit_mm} mm"));
-    let ([near_wide, line], far_wide) = (label_size(&near, LETTERING), label_size(&far, LETTERING)[0]);
+    let ([near_wide, line], far_wide) =
+        (label_size(&near, LETTERING), label_size(&far, LETTERING)[0]);
     let (from, to) = (2 * GAP + near_wide, picture.width().saturating_sub(2 * GAP + far_wide));
     for (x, y) in (from..to).flat_map(|x| (top..top + line).map(move |y| (x, y))) {
         let along = (x - from) as f32 / (to - from) as f32;
@@ -70,13 +77,17 @@ fn bounds(errors: &[f32], size: ImageSize) -> Option<([u32; 2], [u32; 2])> {
 
 /// A round number of millimetres that most errors are within.
 fn limit_mm(errors: &[f32]) -> Option<f32> {
-    let mut sizes: Vec<f64> =
-        errors.iter().filter(|error| error.is_finite()).map(|error| 1e3 * f64::from(error.abs())).collect();
+    let mut sizes: Vec<f64> = errors
+        .iter()
+        .filter(|error| error.is_finite())
+        .map(|error| 1e3 * f64::from(error.abs()))
+        .collect();
     sizes.sort_unstable_by(f64::total_cmp);
     let most = *sizes.get(((1.0 - BEYOND) * sizes.len() as f64) as usize)?;
     let decade = 10_f64.powf(most.max(0.01).log10().floor());
     let steps = [1.0, 1.5, 2.0, 3.0, 5.0, 7.0, 10.0];
-    let round = steps.into_iter().map(|step| step * decade).find(|limit| *limit >= (1.0 - ROUNDING) * most);
+    let round =
+        steps.into_iter().map(|step| step * decade).find(|limit| *limit >= (1.0 - ROUNDING) * most);
     Some(round.unwrap_or(10.0 * decade) as f32)
 }
 
@@ -96,9 +107,11 @@ mod tests {
     fn errors_are_drawn_where_they_are_on_one_scale() {
         let size = ImageSize::new(40, 30);
         let on_board = |k: u32| (10..30).contains(&(k % 40)) && (10..20).contains(&(k / 40));
-        let errors =
-            |error: f32| -> Vec<f32> { (0..40 * 30).map(|k| if on_board(k) { error } else { f32::NAN }).collect() };
-        let picture = draw_errors([&errors(0.0042), &errors(-0.0005)], size, ["4.2 mm", "0.5 mm"]).unwrap();
+        let errors = |error: f32| -> Vec<f32> {
+            (0..40 * 30).map(|k| if on_board(k) { error } else { f32::NAN }).collect()
+        };
+        let picture =
+            draw_errors([&errors(0.0042), &errors(-0.0005)], size, ["4.2 mm", "0.5 mm"]).unwrap();
         assert_eq!(picture.width(), 2 * 400 + 3 * GAP, "20 columns of 20 pixels");
         let (y, left) = (picture.height() / 2, GAP + 200);
         let [before, after] = [left, left + 400 + GAP].map(|x| picture.get_pixel(x, y).0);
@@ -109,7 +122,9 @@ mod tests {
 
     #[test]
     fn the_scale_ends_at_a_round_number() {
-        for (error_m, limit) in [(0.0042_f32, 5.0), (0.0101, 15.0), (0.000_7, 0.7), (-0.05, 50.0), (0.0, 0.01)] {
+        for (error_m, limit) in
+            [(0.0042_f32, 5.0), (0.0101, 15.0), (0.000_7, 0.7), (-0.05, 50.0), (0.0, 0.01)]
+        {
             assert_eq!(limit_mm(&[error_m; 9]), Some(limit), "{error_m}");
         }
     }

@@ -1,4 +1,5 @@
-//! What a device states about its own sensors, as it left the factory: kept as stated, beside what Plumb finds.
+//! What a device states about its own sensors, as it left the factory: kept as stated, beside what
+//! Plumb finds.
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -18,7 +19,8 @@ impl FactoryCalibration {
         self.sensors.iter().find(|stated| stated.sensor == sensor)
     }
 
-    /// `to_from_from`: takes coordinates in the frame of `from` to that of `to`, where both are stated against colour.
+    /// `to_from_from`: takes coordinates in the frame of `from` to that of `to`, where both are
+    /// stated against colour.
     pub fn to_from_from(&self, to: SensorKind, from: SensorKind) -> Option<Pose> {
         let color_from_to = self.sensor(to)?.color_from_sensor?;
         let color_from_from = self.sensor(from)?.color_from_sensor?;

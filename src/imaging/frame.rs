@@ -1,4 +1,5 @@
-//! What a camera gives: a [`Frame`] is one image as it came, a [`FrameSet`] the images taken together.
+//! What a camera gives: a [`Frame`] is one image as it came, a [`FrameSet`] the images taken
+//! together.
 
 use std::sync::Arc;
 
@@ -10,7 +11,8 @@ use crate::imaging::timestamp::{DeviceTime, HostTime};
 pub enum SensorKind {
     /// The visible picture.
     Color,
-    /// The infrared picture, taken by the depth camera; of a stereo depth camera the left one, from which depth is measured.
+    /// The infrared picture, taken by the depth camera; of a stereo depth camera the left one, from
+    /// which depth is measured.
     Infrared,
     /// The right infrared picture of a stereo depth camera.
     Infrared2,

@@ -64,11 +64,17 @@ impl GrayImage {
 
     /// A borrowed view of the whole image.
     pub fn view(&self) -> GrayView<'_> {
-        GrayView { width: self.width, height: self.height, stride: self.width, pixels: &self.pixels }
+        GrayView {
+            width: self.width,
+            height: self.height,
+            stride: self.width,
+            pixels: &self.pixels,
+        }
     }
 }
 
-/// A borrowed 8-bit luma image, whose rows may be padded: a camera's buffer is looked at where it lies.
+/// A borrowed 8-bit luma image, whose rows may be padded: a camera's buffer is looked at where it
+/// lies.
 #[derive(Debug, Clone, Copy)]
 pub struct GrayView<'a> {
     width: usize,
@@ -78,10 +84,17 @@ pub struct GrayView<'a> {
 }
 
 impl<'a> GrayView<'a> {
-    /// Rows of `width` pixels every `stride` bytes; `None` if `pixels` is too short or `stride` < `width`.
+    /// Rows of `width` pixels every `stride` bytes; `None` if `pixels` is too short or `stride` <
+    /// `width`.
     pub fn new(width: usize, height: usize, stride: usize, pixels: &'a [u8]) -> Option<Self> {
-        let needed = if height == 0 { 0 } else { stride.checked_mul(height - 1)?.checked_add(width)? };
-        (stride >= width && pixels.len() >= needed).then_some(Self { width, height, stride, pixels })
+        let needed =
+            if height == 0 { 0 } else { stride.checked_mul(height - 1)?.checked_add(width)? };
+        (stride >= width && pixels.len() >= needed).then_some(Self {
+            width,
+            height,
+            stride,
+            pixels,
+        })
     }
 
     /// Columns.
@@ -104,7 +117,8 @@ impl<'a> GrayView<'a> {
         self.stride
     }
 
-    /// The buffer that holds the rows, each starting [`stride`](Self::stride) bytes after the one above.
+    /// The buffer that holds the rows, each starting [`stride`](Self::stride) bytes after the one
+    /// above.
     pub fn bytes(&self) -> &'a [u8] {
         self.pixels
     }

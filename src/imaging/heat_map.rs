@@ -6,7 +6,8 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::draw;
 use crate::imaging::lettering::{draw_label, label_size};
 
-/// A positive quantity on a grid of pixels that spans a picture from corner to corner, row by row; `None` where there is none.
+/// A positive quantity on a grid of pixels that spans a picture from corner to corner, row by row;
+/// `None` where there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GridValues<'a> {
     /// The picture's size.
@@ -21,31 +22,39 @@ pub struct GridValues<'a> {
 
 /// The longer side of the drawing, in pixels.
 const LONGER_SIDE: u32 = 800;
-/// The values of the darkest and the brightest colour: the same for all drawings, so that they can be compared.
+/// The values of the darkest and the brightest colour: the same for all drawings, so that they can
+/// be compared.
 const COLORED: [f64; 2] = [0.01, 2.0];
 /// Where there is no value.
 const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
 const CONTOUR: Rgb<u8> = Rgb([255, 255, 255]);
 const INK: Rgb<u8> = Rgb([0, 0, 0]);
-/// Steps of a decade that contours may lie at: the first with which enough of them cross the picture.
+/// Steps of a decade that contours may lie at: the first with which enough of them cross the
+/// picture.
 const STEPS: [&[f64]; 4] = [
     &[1.0, 2.0, 5.0],
     &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0],
     &[1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0],
-    &[1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.2, 2.4, 2.6, 2.8, 3.0, 3.5, 4.0, 4.5, 5.0, 5.5, 6.0],
+    &[
+        1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.2, 2.4, 2.6, 2.8, 3.0, 3.5, 4.0,
+        4.5, 5.0, 5.5, 6.0,
+    ],
 ];
 const ENOUGH: usize = 4;
 /// Pixels a dot of the labels.
 const LETTERING: u32 = 2;
 
-/// Draws the values: dark for 0.01 and less, bright for 2 and more, in steps of the logarithm between; contours at round values,
-/// each with its label, and below what the values are (`caption`).
+/// Draws the values: dark for 0.01 and less, bright for 2 and more, in steps of the logarithm
+/// between; contours at round values, each with its label, and below what the values are
+/// (`caption`).
 pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let scale = f64::from(LONGER_SIDE) / f64::from(map.size.width.max(map.size.height).max(1));
     let side = |length: u32| ((f64::from(length) * scale).round() as u32).max(1);
     let (width, height) = (side(map.size.width), side(map.size.height));
     let value = |x: u32, y: u32| {
-        let part = |place: u32, length: u32| f64::from(place.min(length - 1)) / f64::from((length - 1).max(1));
+        let part = |place: u32, length: u32| {
+            f64::from(place.min(length - 1)) / f64::from((length - 1).max(1))
+        };
         interpolated(map, part(x, width), part(y, height))
     };
     let levels = levels(map);
@@ -54,7 +63,9 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let mut picture = RgbImage::from_fn(width, height, |x, y| {
         let Some(here) = value(x, y) else { return BLIND };
         let neighbours = [value(x + 1, y), value(x, y + 1)].into_iter().flatten();
-        let Some(other) = neighbours.map(band).find(|other| *other != band(here)) else { return color(here) };
+        let Some(other) = neighbours.map(band).find(|other| *other != band(here)) else {
+            return color(here);
+        };
         crossings[other.max(band(here)) - 1].push((x, y));
         CONTOUR
     });
@@ -86,42 +97,70 @@ fn interpolated(map: &GridValues<'_>, across: f64, down: f64) -> Option<f64> {
 
 /// Round values between the least and the greatest.
 fn levels(map: &GridValues<'_>) -> Vec<f64> {
-    let seen = || map.values.iter().flatten().copied().filter(|value| value.is_finite() && *value > 0.0);
+    let seen =
+        || map.values.iter().flatten().copied().filter(|value| value.is_finite() && *value > 0.0);
     let (least, greatest) = (seen().fold(f64::INFINITY, f64::min), seen().fold(0.0, f64::max));
     if !(least < greatest) {
         return Vec::new();
     }
     let decades = least.log10().floor() as i32..=greatest.log10().floor() as i32;
     let crossing = |steps: &[f64]| -> Vec<f64> {
-        let all = decades.clone().flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
+        let all = decades
+            .clone()
+            .flat_map(|decade| steps.iter().map(move |step| step * 10_f64.powi(decade)));
         all.filter(|level| *level > least && *level <= greatest).collect()
     };
-    STEPS.into_iter().map(crossing).find(|levels| levels.len() >= ENOUGH).unwrap_or_else(|| crossing(STEPS[3]))
+    STEPS
+        .into_iter()
+        .map(crossing)
+        .find(|levels| levels.len() >= ENOUGH)
+        .unwrap_or_else(|| crossing(STEPS[3]))
 }
 
 /// A level without the digits that it has from its powers of ten.
 fn short(level: f64) -> String {
     let digits = (1 - level.log10().floor() as i32).clamp(0, 6) as usize;
     let text = format!("{level:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+    if text.contains('.') {
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        text
+    }
 }
 
-/// Writes a label where its contour is farthest from those that are written already, and wholly inside the picture.
-fn write_on_contour(picture: &mut RgbImage, text: &str, contour: &[(u32, u32)], taken: &mut Vec<(u32, u32)>) {
+/// Writes a label where its contour is farthest from those that are written already, and wholly
+/// inside the picture.
+fn write_on_contour(
+    picture: &mut RgbImage,
+    text: &str,
+    contour: &[(u32, u32)],
+    taken: &mut Vec<(u32, u32)>,
+) {
     let [width, height] = label_size(text, LETTERING);
     let fits = |at: u32, length: u32, of: u32| at >= length / 2 && at - length / 2 + length <= of;
-    let inside = |place: &&(u32, u32)| fits(place.0, width, picture.width()) && fits(place.1, height, picture.height());
+    let inside = |place: &&(u32, u32)| {
+        fits(place.0, width, picture.width()) && fits(place.1, height, picture.height())
+    };
     let apart = |place: &(u32, u32)| {
-        let far = |other: &(u32, u32)| place.0.abs_diff(other.0).pow(2) + place.1.abs_diff(other.1).pow(2);
+        let far = |other: &(u32, u32)| {
+            place.0.abs_diff(other.0).pow(2) + place.1.abs_diff(other.1).pow(2)
+        };
         taken.iter().map(far).min().unwrap_or(u32::MAX)
     };
     // The first of those that are equally far.
     let best = contour.iter().filter(inside).rev().max_by_key(|place| apart(place)).copied();
     let clear = |place: &(u32, u32)| {
-        taken.iter().all(|other| place.0.abs_diff(other.0) > width || place.1.abs_diff(other.1) > height)
+        taken
+            .iter()
+            .all(|other| place.0.abs_diff(other.0) > width || place.1.abs_diff(other.1) > height)
     };
     let Some(place) = best.filter(clear) else { return };
-    draw_label(picture, text, (place.0 - width / 2, place.1 - height / 2), (INK, CONTOUR, LETTERING));
+    draw_label(
+        picture,
+        text,
+        (place.0 - width / 2, place.1 - height / 2),
+        (INK, CONTOUR, LETTERING),
+    );
     taken.push(place);
 }
 
@@ -154,8 +193,15 @@ mod tests {
 
     #[test]
     fn labels_are_as_short_as_their_values() {
-        let table =
-            [(0.02, "0.02"), (0.035, "0.035"), (1.0, "1"), (1.5, "1.5"), (20.0, "20"), (0.1, "0.1"), (300.0, "300")];
+        let table = [
+            (0.02, "0.02"),
+            (0.035, "0.035"),
+            (1.0, "1"),
+            (1.5, "1.5"),
+            (20.0, "20"),
+            (0.1, "0.1"),
+            (300.0, "300"),
+        ];
         for (level, text) in table {
             assert_eq!(short(level), text);
         }
@@ -175,6 +221,11 @@ mod tests {
     #[test]
     fn where_there_is_no_value_there_is_no_color() {
         let picture = draw_heat_map(&map(&[None; 63]), "");
-        assert!(picture.enumerate_pixels().filter(|(_, y, _)| *y < 500).all(|(_, _, pixel)| *pixel == BLIND));
+        assert!(
+            picture
+                .enumerate_pixels()
+                .filter(|(_, y, _)| *y < 500)
+                .all(|(_, _, pixel)| *pixel == BLIND)
+        );
     }
 }

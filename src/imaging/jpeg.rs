@@ -51,11 +51,14 @@ impl Header {
             if marker == EOI {
                 return Err(truncated());
             }
-            let length = usize::from(u16::from_be_bytes([*byte(bytes, at + 2)?, *byte(bytes, at + 3)?]));
+            let length =
+                usize::from(u16::from_be_bytes([*byte(bytes, at + 2)?, *byte(bytes, at + 3)?]));
             match marker {
                 DHT => has_huffman_tables = true,
                 0xc0..=0xcf if !matches!(marker, 0xc8 | 0xcc) => {
-                    let word = |k: usize| Ok(u16::from_be_bytes([*byte(bytes, at + k)?, *byte(bytes, at + k + 1)?]));
+                    let word = |k: usize| {
+                        Ok(u16::from_be_bytes([*byte(bytes, at + k)?, *byte(bytes, at + k + 1)?]))
+                    };
                     let (height, width) = (word(5)?, word(7)?);
                     size = Some(ImageSize::new(u32::from(width), u32::from(height)));
                 }
@@ -64,7 +67,10 @@ impl Header {
             }
             at += 2 + length.max(2);
         }
-        let malformed = || DecodeError::Malformed { format: "JPEG", reason: "no frame header before the scan".into() };
+        let malformed = || DecodeError::Malformed {
+            format: "JPEG",
+            reason: "no frame header before the scan".into(),
+        };
         let size = size.filter(|size| size.width > 0 && size.height > 0).ok_or_else(malformed)?;
         Ok(Self { size, has_huffman_tables })
     }
@@ -77,7 +83,8 @@ fn byte(bytes: &[u8], at: usize) -> Result<&u8, DecodeError> {
 /// The luma of a JPEG, row by row, into `pixels`; the chroma is skipped, not converted.
 pub(super) fn luma(bytes: &[u8], header: Header, pixels: &mut Vec<u8>) -> Result<(), DecodeError> {
     let bytes = with_huffman_tables(bytes, header);
-    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(&*bytes), options(ColorSpace::Luma, true));
+    let mut decoder =
+        JpegDecoder::new_with_options(ZCursor::new(&*bytes), options(ColorSpace::Luma, true));
     decoder.decode_headers().map_err(|error| malformed(&error))?;
     let area = header.size.width as usize * header.size.height as usize;
     if matches!(decoder.input_colorspace(), Some(ColorSpace::Luma | ColorSpace::YCbCr)) {
@@ -98,9 +105,15 @@ pub(super) fn rgb(bytes: &[u8], header: Header) -> Result<Vec<u8>, DecodeError> 
     Ok(pixels)
 }
 
-/// Decodes strictly; a picture with a fault in the middle of its scan, such as the stray bytes that webcams send, is
-/// decoded again as far as it goes, one that ends before its end marker is refused.
-fn decode(bytes: &[u8], colors: ColorSpace, length: usize, pixels: &mut Vec<u8>) -> Result<(), DecodeError> {
+/// Decodes strictly; a picture with a fault in the middle of its scan, such as the stray bytes that
+/// webcams send, is decoded again as far as it goes, one that ends before its end marker is
+/// refused.
+fn decode(
+    bytes: &[u8],
+    colors: ColorSpace,
+    length: usize,
+    pixels: &mut Vec<u8>,
+) -> Result<(), DecodeError> {
     pixels.clear();
     pixels.resize(length, 0);
     let strict = decode_into(bytes, options(colors, true), pixels);
@@ -113,7 +126,11 @@ fn decode(bytes: &[u8], colors: ColorSpace, length: usize, pixels: &mut Vec<u8>)
     decode_into(bytes, options(colors, false), pixels)
 }
 
-fn decode_into(bytes: &[u8], options: DecoderOptions, pixels: &mut [u8]) -> Result<(), DecodeError> {
+fn decode_into(
+    bytes: &[u8],
+    options: DecoderOptions,
+    pixels: &mut [u8],
+) -> Result<(), DecodeError> {
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|error| malformed(&error))?;
     if decoder.output_buffer_size() != Some(pixels.len()) {
@@ -124,16 +141,21 @@ fn decode_into(bytes: &[u8], options: DecoderOptions, pixels: &mut [u8]) -> Resu
 }
 
 fn options(colors: ColorSpace, strict: bool) -> DecoderOptions {
-    let options = DecoderOptions::new_fast().set_strict_mode(strict).jpeg_set_out_colorspace(colors);
+    let options =
+        DecoderOptions::new_fast().set_strict_mode(strict).jpeg_set_out_colorspace(colors);
     options.set_max_width(usize::from(u16::MAX)).set_max_height(usize::from(u16::MAX))
 }
 
 fn malformed(error: &zune_jpeg::errors::DecodeErrors) -> DecodeError {
     let text = format!("{error:?}");
-    DecodeError::Malformed { format: "JPEG", reason: text.lines().next().unwrap_or_default().to_owned() }
+    DecodeError::Malformed {
+        format: "JPEG",
+        reason: text.lines().next().unwrap_or_default().to_owned(),
+    }
 }
 
-/// The picture with the standard's example tables put in where it comes with none, as motion JPEG does.
+/// The picture with the standard's example tables put in where it comes with none, as motion JPEG
+/// does.
 fn with_huffman_tables(bytes: &[u8], header: Header) -> Cow<'_, [u8]> {
     if header.has_huffman_tables {
         return Cow::Borrowed(bytes);
@@ -152,7 +174,8 @@ fn with_huffman_tables(bytes: &[u8], header: Header) -> Cow<'_, [u8]> {
 
 type HuffmanTable = (u8, &'static [u8; 16], &'static [u8]);
 
-/// ITU-T T.81, tables K.3 to K.6: class and destination, how many codes of each length, and their values.
+/// ITU-T T.81, tables K.3 to K.6: class and destination, how many codes of each length, and their
+/// values.
 const STANDARD_TABLES: [HuffmanTable; 4] = [
     (0x00, &[0, 1, 5, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0], &DC_VALUES),
     (0x01, &[0, 3, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0, 0], &DC_VALUES),

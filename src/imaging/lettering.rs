@@ -44,8 +44,9 @@ pub fn label_size(text: &str, scale: u32) -> [u32; 2] {
     [(letters * ADVANCE + 1) * scale, (LETTER[1] + 2) * scale]
 }
 
-/// Writes `text` in `color` on a plate of another one, `scale` pixels a dot, its top left at `(left, top)`. Letters that the face
-/// lacks are left blank, and so is what lies outside the picture.
+/// Writes `text` in `color` on a plate of another one, `scale` pixels a dot, its top left at
+/// `(left, top)`. Letters that the face lacks are left blank, and so is what lies outside the
+/// picture.
 pub fn draw_label(
     picture: &mut RgbImage,
     text: &str,
@@ -63,7 +64,9 @@ pub fn draw_label(
     }
     for (place, letter) in text.chars().enumerate() {
         let Some((_, rows)) = FACE.iter().find(|(known, _)| *known == letter) else { continue };
-        for (x, y) in (0..LETTER[1] * scale).flat_map(|y| (0..LETTER[0] * scale).map(move |x| (x, y))) {
+        for (x, y) in
+            (0..LETTER[1] * scale).flat_map(|y| (0..LETTER[0] * scale).map(move |x| (x, y)))
+        {
             if rows[(y / scale) as usize] >> (LETTER[0] - 1 - x / scale) & 1 == 1 {
                 put(scale + place as u32 * ADVANCE * scale + x, scale + y, color);
             }
@@ -89,7 +92,10 @@ mod tests {
         for (index, (letter, _)) in FACE.iter().enumerate() {
             let this = written(&letter.to_string());
             assert!(this.pixels().any(|pixel| *pixel == ink), "{letter}");
-            assert!(FACE[..index].iter().all(|(other, _)| written(&other.to_string()) != this), "{letter}");
+            assert!(
+                FACE[..index].iter().all(|(other, _)| written(&other.to_string()) != this),
+                "{letter}"
+            );
         }
         assert!(written("?").pixels().all(|pixel| *pixel == plate));
         draw_label(&mut RgbImage::new(3, 3), "0.05 px", (1, 2), (ink, plate, 2));

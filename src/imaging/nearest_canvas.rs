@@ -1,8 +1,9 @@
 //! A picture of the nearest of many depths, each of which covers a small square.
 //!
-//! Neighbouring squares have one of two sides, n and n − 1 pixels, according to where their centres fall. So each is put down as a
-//! single pixel, its first, in one of four planes, by its columns and rows; what all of them cover is then the least value within
-//! those reaches, computed once for the whole picture.
+//! Neighbouring squares have one of two sides, n and n − 1 pixels, according to where their centres
+//! fall. So each is put down as a single pixel, its first, in one of four planes, by its columns
+//! and rows; what all of them cover is then the least value within those reaches, computed once for
+//! the whole picture.
 
 use crate::geometry::pixel::ImageSize;
 
@@ -114,12 +115,21 @@ impl<T: HeldDepth> NearestCanvas<T> {
         let side = ((2.0 * half) as usize + 1).clamp(2, 64);
         let border = side + 2;
         let (stride, rows) = (size.width as usize + 2 * border, size.height as usize + 2 * border);
-        Self { size, side, border, stride, rows, planes: vec![T::NONE; 4 * stride * rows], others: Vec::new() }
+        Self {
+            size,
+            side,
+            border,
+            stride,
+            rows,
+            planes: vec![T::NONE; 4 * stride * rows],
+            others: Vec::new(),
+        }
     }
 
-    /// Puts the depth of each square wherever nothing nearer is, at the pixels whose centres lie within its `half` of its `center`
-    /// along both axes, at least half a pixel and at most one less than the border's width. A `center` that is not a number, or
-    /// beyond the border, covers nothing.
+    /// Puts the depth of each square wherever nothing nearer is, at the pixels whose centres lie
+    /// within its `half` of its `center` along both axes, at least half a pixel and at most one
+    /// less than the border's width. A `center` that is not a number, or beyond the border, covers
+    /// nothing.
     #[inline(always)]
     pub(crate) fn cover(&mut self, row: &mut SquareRow, per_unit: f32) {
         self.place(row);
@@ -133,7 +143,8 @@ impl<T: HeldDepth> NearestCanvas<T> {
         }
     }
 
-    /// Finds in which plane each square of a row is put down, and where: nowhere is the first pixel of all, in the border.
+    /// Finds in which plane each square of a row is put down, and where: nowhere is the first pixel
+    /// of all, in the border.
     #[inline(always)]
     fn place(&self, row: &mut SquareRow) {
         let SquareRow { center: [x, y], half, depth, first } = row;
@@ -144,13 +155,18 @@ impl<T: HeldDepth> NearestCanvas<T> {
         for ((((x, y), half), depth), first) in squares.zip(first) {
             let half = half.max(0.5).min(border - 1.0);
             let (x, y) = (x + border, y + border);
-            let inside = (x > half) & (y > half) & (x < across - half) & (y < down - half) & (*depth > 0.0);
+            let inside =
+                (x > half) & (y > half) & (x < across - half) & (y < down - half) & (*depth > 0.0);
             let [left, top, right, bottom] = [x - half, y - half, x + half, y + half].map(ceil);
             let (columns, rows) = (right.wrapping_sub(left), bottom.wrapping_sub(top));
             let (wide, high) = (columns == side, rows == side);
             let usual = (wide | (columns + 1 == side)) & (high | (rows + 1 == side));
             let of = u32::from(wide) * plane + u32::from(high) * 2 * plane;
-            let place = if usual { top.wrapping_mul(stride).wrapping_add(left).wrapping_add(of) } else { OTHER };
+            let place = if usual {
+                top.wrapping_mul(stride).wrapping_add(left).wrapping_add(of)
+            } else {
+                OTHER
+            };
             *first = if inside { place } else { 0 };
             *depth = if inside { *depth } else { 0.0 };
         }
@@ -160,13 +176,18 @@ impl<T: HeldDepth> NearestCanvas<T> {
     fn cover_other(&mut self, row: &SquareRow, square: usize, held: T) {
         self.others.resize(self.stride * self.rows, T::NONE);
         let border = self.border as f32;
-        let Some(half) = row.half.get(square).map(|half| half.max(0.5).min(border - 1.0)) else { return };
+        let Some(half) = row.half.get(square).map(|half| half.max(0.5).min(border - 1.0)) else {
+            return;
+        };
         let [(left, right), (top, bottom)] = row.center.each_ref().map(|at| {
             let at = at.get(square).copied().unwrap_or(0.0) + border;
             (ceil(at - half) as usize, ceil(at + half) as usize)
         });
         for y in top..bottom {
-            let row = self.others.get_mut(y * self.stride + left..y * self.stride + right).unwrap_or_default();
+            let row = self
+                .others
+                .get_mut(y * self.stride + left..y * self.stride + right)
+                .unwrap_or_default();
             row.iter_mut().for_each(|nearest| *nearest = nearest.nearer(held));
         }
     }
@@ -183,7 +204,9 @@ impl<T: HeldDepth> NearestCanvas<T> {
             all.iter_mut().zip(&most).for_each(|(all, most)| *all = all.nearer(*most));
             // Squares that begin in this row end with it, or up to n − 1 rows below.
             for down in 0..self.side {
-                let Some(y) = (row + down).checked_sub(self.border).filter(|y| *y < height) else { continue };
+                let Some(y) = (row + down).checked_sub(self.border).filter(|y| *y < height) else {
+                    continue;
+                };
                 let into = nearest.get_mut(y * width..(y + 1) * width).unwrap_or_default();
                 let covers = if down + 1 < self.side { &all } else { &most };
                 into.iter_mut().zip(covers).for_each(|(into, covers)| *into = into.nearer(*covers));
@@ -223,8 +246,8 @@ impl<T: HeldDepth> NearestCanvas<T> {
     }
 }
 
-/// A value of 0 to 2²² and 2²³ has no binary places: what is left of the sum's bits is the whole number nearest to the value. It
-/// costs less than a conversion that minds what does not fit.
+/// A value of 0 to 2²² and 2²³ has no binary places: what is left of the sum's bits is the whole
+/// number nearest to the value. It costs less than a conversion that minds what does not fit.
 #[inline(always)]
 fn whole(value: f32) -> u32 {
     const BINARY_PLACES: u32 = 23;
@@ -232,7 +255,8 @@ fn whole(value: f32) -> u32 {
     (value + MAGNITUDE).to_bits() & ((1 << BINARY_PLACES) - 1)
 }
 
-/// The least whole number that is not less than a `value` from 0 to 2²², to within rounding of the value.
+/// The least whole number that is not less than a `value` from 0 to 2²², to within rounding of the
+/// value.
 #[inline(always)]
 fn ceil(value: f32) -> u32 {
     const NEARLY_HALF: f32 = 0.499_999_97;
@@ -250,7 +274,9 @@ mod tests {
         let nearest = |k: u32| {
             let (x, y) = ((k % SIZE.width) as f32, (k / SIZE.width) as f32);
             let covers = |from: f32, half: f32, at: f32| at >= from - half && at < from + half;
-            let here = squares.iter().filter(|(at, half, _)| covers(at[0], *half, x) && covers(at[1], *half, y));
+            let here = squares
+                .iter()
+                .filter(|(at, half, _)| covers(at[0], *half, x) && covers(at[1], *half, y));
             here.map(|(_, _, z)| *z).reduce(f32::min).unwrap_or(0.0)
         };
         (0..SIZE.width * SIZE.height).map(nearest).collect()
@@ -259,7 +285,8 @@ mod tests {
     fn row(squares: &[([f32; 2], f32, f32)]) -> SquareRow {
         let mut row = SquareRow::new(squares.len());
         for (k, (center, half, z)) in squares.iter().enumerate() {
-            (row.center[0][k], row.center[1][k], row.half[k], row.depth[k]) = (center[0], center[1], *half, *z);
+            (row.center[0][k], row.center[1][k], row.half[k], row.depth[k]) =
+                (center[0], center[1], *half, *z);
         }
         row
     }
@@ -272,7 +299,11 @@ mod tests {
                 let k = f32::from(k);
                 let own = half * if k % 7.0 == 0.0 { 1.2 } else { 1.0 };
                 let own = if k % 11.0 == 0.0 { half + 1.1 } else { own };
-                squares.push(([k * 3.7 % 13.0 - 2.03, k * 2.3 % 11.0 - 2.03], own, 1.0 + k * 0.61 % 3.0));
+                squares.push((
+                    [k * 3.7 % 13.0 - 2.03, k * 2.3 % 11.0 - 2.03],
+                    own,
+                    1.0 + k * 0.61 % 3.0,
+                ));
             }
             let expected = expected(&squares);
             let mut canvas = NearestCanvas::<f32>::new(SIZE, half);
@@ -289,14 +320,19 @@ mod tests {
     fn what_lies_outside_covers_nothing() {
         let mut canvas = NearestCanvas::<f32>::new(SIZE, 1.0);
         for far in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e9, -1e9, 40.0, -40.0] {
-            canvas.cover(&mut row(&[([far, 3.0], 1.0, 1.0), ([3.0, far], 1.0, 1.0), ([3.0, 3.0], 1.0, 0.0)]), 1.0);
+            canvas.cover(
+                &mut row(&[([far, 3.0], 1.0, 1.0), ([3.0, far], 1.0, 1.0), ([3.0, 3.0], 1.0, 0.0)]),
+                1.0,
+            );
         }
         assert_eq!(canvas.into_depths(), [0.0; 63]);
     }
 
     #[test]
     fn a_depth_that_does_not_fit_is_none() {
-        for (depth_m, shown) in [(0.0, 0), (0.4, 0), (0.6, 1), (1.0, 1), (65_535.0, 65_535), (65_535.6, 0), (1e30, 0)] {
+        for (depth_m, shown) in
+            [(0.0, 0), (0.4, 0), (0.6, 1), (1.0, 1), (65_535.0, 65_535), (65_535.6, 0), (1e30, 0)]
+        {
             assert_eq!(u16::held(depth_m, 1.0).shown(), shown, "{depth_m}");
             assert_eq!(u16::fits(depth_m, 1.0), depth_m < 65_535.5, "{depth_m}");
         }

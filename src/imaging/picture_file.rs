@@ -11,7 +11,8 @@ use crate::imaging::decode::{MAX_PIXELS, file_size};
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
 /// The endings of files that are taken for pictures, in any case of letters.
-pub const EXTENSIONS: [&str; 10] = ["jpg", "jpeg", "png", "pgm", "ppm", "pnm", "bmp", "tif", "tiff", "webp"];
+pub const EXTENSIONS: [&str; 10] =
+    ["jpg", "jpeg", "png", "pgm", "ppm", "pnm", "bmp", "tif", "tiff", "webp"];
 
 /// Whether `path` is named like a picture.
 pub fn is_picture(path: &Path) -> bool {
@@ -19,11 +20,18 @@ pub fn is_picture(path: &Path) -> bool {
     EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
 }
 
-/// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM, BMP, TIFF and WebP are
-/// unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot be read as any of them becomes a frame all the same, of size 0×0, and
-/// decoding it tells what is wrong: a damaged picture is one bad frame, not the end of a recording.
+/// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,
+/// BMP, TIFF and WebP are unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot
+/// be read as any of them becomes a frame all the same, of size 0×0, and decoding it tells what is
+/// wrong: a damaged picture is one bad frame, not the end of a recording.
 pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
-    let as_it_came = |format, size, bytes: Vec<u8>| Frame { sensor, size, format, stride: 0, bytes: Arc::from(bytes) };
+    let as_it_came = |format, size, bytes: Vec<u8>| Frame {
+        sensor,
+        size,
+        format,
+        stride: 0,
+        bytes: Arc::from(bytes),
+    };
     if bytes.first() == Some(&b'P')
         && let Some(frame) = frame_from_pnm(sensor, &bytes)
     {
@@ -44,24 +52,28 @@ fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
-    (limits.max_image_width, limits.max_image_height) = (Some(MAX_PIXELS as u32), Some(MAX_PIXELS as u32));
+    (limits.max_image_width, limits.max_image_height) =
+        (Some(MAX_PIXELS as u32), Some(MAX_PIXELS as u32));
     limits.max_alloc = Some(MAX_PIXELS * 8);
     reader.limits(limits);
     let picture = reader.decode().ok()?;
     let size = ImageSize::new(picture.width(), picture.height());
     let (format, pixels) = match picture {
-        DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => {
-            (PixelFormat::Depth16, depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect())
+        DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => (
+            PixelFormat::Depth16,
+            depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect(),
+        ),
+        picture if picture.color().has_color() => {
+            (PixelFormat::Rgb8, picture.into_rgb8().into_raw())
         }
-        picture if picture.color().has_color() => (PixelFormat::Rgb8, picture.into_rgb8().into_raw()),
         picture => (PixelFormat::Mono8, picture.into_luma8().into_raw()),
     };
     let stride = size.width as usize * format.bytes_per_pixel()?;
     Some(Frame { sensor, size, format, stride, bytes: Arc::from(pixels) })
 }
 
-/// A binary PGM (P5) or PPM (P6). Brightnesses are scaled by the maximum that it states; depths are kept as they are: they
-/// are numbers.
+/// A binary PGM (P5) or PPM (P6). Brightnesses are scaled by the maximum that it states; depths are
+/// kept as they are: they are numbers.
 fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let channels = match bytes.get(..2)? {
         b"P5" => 1,
@@ -79,9 +91,10 @@ fn frame_from_pnm(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let pixels = &pixels[..length];
     let (format, pixels) = match (channels, deep) {
         (1, false) => (PixelFormat::Mono8, pixels.to_vec()),
-        (1, true) if sensor == SensorKind::Depth => {
-            (PixelFormat::Depth16, pixels.chunks_exact(2).flat_map(|two| [two[1], two[0]]).collect())
-        }
+        (1, true) if sensor == SensorKind::Depth => (
+            PixelFormat::Depth16,
+            pixels.chunks_exact(2).flat_map(|two| [two[1], two[0]]).collect(),
+        ),
         (1, true) => (PixelFormat::Mono8, brightnesses(pixels, maximum)),
         (_, false) => (PixelFormat::Rgb8, pixels.to_vec()),
         (_, true) => (PixelFormat::Rgb8, brightnesses(pixels, maximum)),
@@ -125,19 +138,27 @@ mod tests {
 
     #[test]
     fn portable_maps_are_unpacked() {
-        let grey = frame_from_file(SensorKind::Color, b"P5 # made by hand\n2 1 255\n\x07\xff".to_vec());
-        assert_eq!((grey.format, grey.size, &*grey.bytes), (PixelFormat::Mono8, ImageSize::new(2, 1), &[7, 255][..]));
+        let grey =
+            frame_from_file(SensorKind::Color, b"P5 # made by hand\n2 1 255\n\x07\xff".to_vec());
+        assert_eq!(
+            (grey.format, grey.size, &*grey.bytes),
+            (PixelFormat::Mono8, ImageSize::new(2, 1), &[7, 255][..])
+        );
         let deep = b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec();
         let depth = frame_from_file(SensorKind::Depth, deep.clone());
-        assert_eq!((depth.format, depth.stride, &*depth.bytes), (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..]));
+        assert_eq!(
+            (depth.format, depth.stride, &*depth.bytes),
+            (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..])
+        );
         let picture = frame_from_file(SensorKind::Infrared, deep);
         assert_eq!((picture.format, &*picture.bytes), (PixelFormat::Mono8, &[16, 0xff][..]));
     }
 
     #[test]
     fn bmp_tiff_and_webp_are_unpacked() {
-        let grey =
-            DynamicImage::ImageLuma8(image::GrayImage::from_fn(3, 2, |x, y| image::Luma([(x * 40 + y * 9) as u8])));
+        let grey = DynamicImage::ImageLuma8(image::GrayImage::from_fn(3, 2, |x, y| {
+            image::Luma([(x * 40 + y * 9) as u8])
+        }));
         for format in [ImageFormat::Bmp, ImageFormat::Tiff, ImageFormat::WebP] {
             let mut file = Cursor::new(Vec::new());
             grey.write_to(&mut file, format).unwrap();
@@ -145,7 +166,8 @@ mod tests {
             let frame = frame_from_file(SensorKind::Color, whole.clone());
             let mut luma = crate::imaging::gray::GrayImage::default();
             crate::imaging::decode::luma(&frame, &mut luma).unwrap();
-            let row: Vec<u8> = grey.as_luma8().unwrap().rows().nth(1).unwrap().map(|pixel| pixel.0[0]).collect();
+            let row: Vec<u8> =
+                grey.as_luma8().unwrap().rows().nth(1).unwrap().map(|pixel| pixel.0[0]).collect();
             assert_eq!(luma.view().row(1), row);
             let cut = frame_from_file(SensorKind::Color, whole[..whole.len() / 2].to_vec());
             assert!(crate::imaging::decode::luma(&cut, &mut luma).is_err(), "{format:?}");
@@ -155,13 +177,22 @@ mod tests {
             .write_to(&mut file, ImageFormat::Tiff)
             .unwrap();
         let depth = frame_from_file(SensorKind::Depth, file.into_inner());
-        assert_eq!((depth.format, depth.stride, &*depth.bytes), (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..]));
+        assert_eq!(
+            (depth.format, depth.stride, &*depth.bytes),
+            (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..])
+        );
     }
 
     #[test]
     fn what_is_no_picture_is_a_frame_that_says_so_when_decoded() {
         let huge = b"P5 99999 99999 255\n".to_vec();
-        for bytes in [Vec::new(), b"hello".to_vec(), b"P5 2 2 255\n\x01".to_vec(), huge, vec![0xff, 0xd8, 0xff]] {
+        for bytes in [
+            Vec::new(),
+            b"hello".to_vec(),
+            b"P5 2 2 255\n\x01".to_vec(),
+            huge,
+            vec![0xff, 0xd8, 0xff],
+        ] {
             let frame = frame_from_file(SensorKind::Color, bytes);
             assert_eq!(frame.size, ImageSize::new(0, 0));
             let mut luma = crate::imaging::gray::GrayImage::default();

@@ -1,13 +1,15 @@
 //! Luma of uncompressed pixels, and what a frame's buffer must hold.
 //!
-//! Luma is BT.601's Y = 0.299 R + 0.587 G + 0.114 B, the Y that a JPEG and a YUYV frame carry already, in the fixed-point
-//! form of OpenCV's `cvtColor`: a picture gives the same luma whichever way it came.
+//! Luma is BT.601's Y = 0.299 R + 0.587 G + 0.114 B, the Y that a JPEG and a YUYV frame carry
+//! already, in the fixed-point form of OpenCV's `cvtColor`: a picture gives the same luma whichever
+//! way it came.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::PixelFormat;
 
 impl PixelFormat {
-    /// Bytes from one pixel to the next in a row (of Y, for `Nv12`); `None` for formats that are files.
+    /// Bytes from one pixel to the next in a row (of Y, for `Nv12`); `None` for formats that are
+    /// files.
     pub fn bytes_per_pixel(self) -> Option<usize> {
         match self {
             Self::Mono8 | Self::Nv12 => Some(1),
@@ -45,7 +47,8 @@ impl PixelFormat {
     }
 }
 
-/// How many bytes an uncompressed buffer of `size` with rows every `stride` bytes must have: the last row may end early.
+/// How many bytes an uncompressed buffer of `size` with rows every `stride` bytes must have: the
+/// last row may end early.
 pub fn buffer_length(size: ImageSize, stride: usize, bytes_per_pixel: usize) -> usize {
     let row = size.width as usize * bytes_per_pixel;
     match size.height {
@@ -105,7 +108,8 @@ pub fn rgb_row_from_uyvy(uyvy: &[u8], rgb: &mut [u8]) {
     }
 }
 
-/// As [`rgb_row_from_yuyv`], of a row of Y and the row of interleaved U V that it shares with its neighbour.
+/// As [`rgb_row_from_yuyv`], of a row of Y and the row of interleaved U V that it shares with its
+/// neighbour.
 pub fn rgb_row_from_nv12(luma: &[u8], chroma: &[u8], rgb: &mut [u8]) {
     let chroma = chroma.chunks_exact(2).flat_map(|pair| [pair, pair]);
     for ((y, uv), pixel) in luma.iter().zip(chroma).zip(rgb.chunks_exact_mut(3)) {

@@ -41,7 +41,10 @@ mod tests {
         assert!(String::from_utf8_lossy(&file[..start]).contains("element vertex 2\n"));
         let body = &file[start..];
         assert_eq!(body.len(), 30);
-        assert_eq!((&body[..4], &body[8..15]), (&0.5f32.to_le_bytes()[..], &[0, 0, 0, 64, 1, 2, 3][..]));
+        assert_eq!(
+            (&body[..4], &body[8..15]),
+            (&0.5f32.to_le_bytes()[..], &[0, 0, 0, 64, 1, 2, 3][..])
+        );
         assert_eq!(body[27..], [255, 0, 9]);
     }
 }

@@ -20,7 +20,8 @@ use crate::imaging::point_cloud::CloudPoint;
 pub struct CorrectedDepth {
     /// Readings; 0 = none.
     pub picture: DepthImage,
-    /// Readings whose distance lies outside those that the correction was fitted over: corrected as at the nearest one.
+    /// Readings whose distance lies outside those that the correction was fitted over: corrected as
+    /// at the nearest one.
     pub beyond: usize,
     /// Readings that do not fit 16 bits in the unit asked for; they are 0.
     pub overflowed: usize,
@@ -30,7 +31,8 @@ pub struct CorrectedDepth {
 #[derive(Debug, Clone)]
 pub struct DepthRegistration {
     camera: DepthCamera,
-    /// The ray (x, y, 1) of each pixel, turned to the colour camera's axes; NaN where the lens sees nothing.
+    /// The ray (x, y, 1) of each pixel, turned to the colour camera's axes; NaN where the lens sees
+    /// nothing.
     rays_in_color: [Vec<f32>; 3],
     conversion: DepthConversion,
     color: ColorView,
@@ -38,19 +40,33 @@ pub struct DepthRegistration {
     half: f32,
 }
 
-/// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours leaves no cracks between.
+/// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours
+/// leaves no cracks between.
 const FOOTPRINT: f64 = 1.25;
 /// A point is hidden from the colour camera by what is nearer than this part of its distance.
 const HIDDEN: f32 = 1.03;
 
 impl DepthRegistration {
-    /// For the pictures of `camera`, seen from a colour camera with `color` and pictures of `color_size`.
-    pub fn new(camera: &DepthCamera, color: &Lens, color_size: ImageSize, color_from_depth: &Pose) -> Self {
+    /// For the pictures of `camera`, seen from a colour camera with `color` and pictures of
+    /// `color_size`.
+    pub fn new(
+        camera: &DepthCamera,
+        color: &Lens,
+        color_size: ImageSize,
+        color_from_depth: &Pose,
+    ) -> Self {
         let size = camera.image_size;
-        let pixels =
-            || (0..size.height).flat_map(move |y| (0..size.width).map(move |x| Pixel::new(f64::from(x), f64::from(y))));
+        let pixels = || {
+            (0..size.height).flat_map(move |y| {
+                (0..size.width).map(move |x| Pixel::new(f64::from(x), f64::from(y)))
+            })
+        };
         let rotation = color_from_depth.rotation_matrix();
-        let ray = |pixel: Pixel| match camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0) {
+        let ray = |pixel: Pixel| match camera
+            .lens
+            .bearing_from_pixel(pixel)
+            .filter(|bearing| bearing.z > 0.0)
+        {
             Some(bearing) => (rotation * (bearing.into_inner() / bearing.z)).cast().into(),
             None => [f32::NAN; 3],
         };
@@ -70,20 +86,41 @@ impl DepthRegistration {
     }
 
     /// Corrected depth in `unit_m`, in the depth camera's own picture.
-    pub fn correct(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
+    pub fn correct(
+        &self,
+        picture: &DepthImage,
+        invalid: Option<u16>,
+        unit_m: f64,
+    ) -> CorrectedDepth {
         let depths = self.depths_m(picture, invalid);
-        let seen_m = self.camera.correction.as_ref().map_or([0.0, f32::INFINITY], |c| c.seen_m.map(|m| m as f32));
-        let beyond = |depth: &&f32| **depth > 0.0 && !(**depth >= seen_m[0] && **depth <= seen_m[1]);
+        let seen_m = self
+            .camera
+            .correction
+            .as_ref()
+            .map_or([0.0, f32::INFINITY], |c| c.seen_m.map(|m| m as f32));
+        let beyond =
+            |depth: &&f32| **depth > 0.0 && !(**depth >= seen_m[0] && **depth <= seen_m[1]);
         let beyond = depths.iter().filter(beyond).count();
         let (picture, overflowed) = to_readings(&depths, picture.size(), unit_m);
         CorrectedDepth { picture, beyond, overflowed }
     }
 
-    /// Corrected depth in `unit_m`, as the colour camera would see it: what is behind something nearer is hidden, and what
-    /// the depth camera did not see is 0. Each reading covers what its pixel covers of the colour picture.
-    pub fn register(&self, picture: &DepthImage, invalid: Option<u16>, unit_m: f64) -> CorrectedDepth {
+    /// Corrected depth in `unit_m`, as the colour camera would see it: what is behind something
+    /// nearer is hidden, and what the depth camera did not see is 0. Each reading covers what its
+    /// pixel covers of the colour picture.
+    pub fn register(
+        &self,
+        picture: &DepthImage,
+        invalid: Option<u16>,
+        unit_m: f64,
+    ) -> CorrectedDepth {
         let depths = Depths::Read { readings: picture.readings(), invalid };
-        let work = Registering { registration: self, depths, per_unit: (1.0 / unit_m) as f32, held: PhantomData };
+        let work = Registering {
+            registration: self,
+            depths,
+            per_unit: (1.0 / unit_m) as f32,
+            held: PhantomData,
+        };
         let (readings, overflowed) = pulp::Arch::new().dispatch(work);
         CorrectedDepth {
             picture: DepthImage::new(self.color.size, readings).unwrap_or_default(),
@@ -92,9 +129,9 @@ impl DepthRegistration {
         }
     }
 
-    /// The measured points in the colour camera's frame, row by row of the depth picture; each has the colour that `color`
-    /// shows there, black where the colour camera does not see it (outside its picture, or behind something nearer).
-    /// `depths` are those of [`Self::depths_m`].
+    /// The measured points in the colour camera's frame, row by row of the depth picture; each has
+    /// the colour that `color` shows there, black where the colour camera does not see it (outside
+    /// its picture, or behind something nearer). `depths` are those of [`Self::depths_m`].
     pub fn points(&self, depths: &[f32], color: Option<&RgbImage>) -> Vec<CloudPoint> {
         let nearest = self.nearest_in_color(depths);
         let point = |(pixel, depth): (usize, &f32)| {
@@ -105,8 +142,9 @@ impl DepthRegistration {
         depths.iter().enumerate().filter_map(point).collect()
     }
 
-    /// The colour picture as the depth camera would see it, as far as depth was measured; black elsewhere, and where
-    /// something nearer hides a point from the colour camera. `depths` are those of [`Self::depths_m`].
+    /// The colour picture as the depth camera would see it, as far as depth was measured; black
+    /// elsewhere, and where something nearer hides a point from the colour camera. `depths` are
+    /// those of [`Self::depths_m`].
     pub fn color_in_depth(&self, depths: &[f32], color: &RgbImage) -> RgbImage {
         let nearest = self.nearest_in_color(depths);
         let width = self.camera.image_size.width;
@@ -125,19 +163,23 @@ impl DepthRegistration {
             return None;
         }
         let (x, y) = (x.round().max(0.0) as u32, y.round().max(0.0) as u32);
-        let seen = nearest.get((y * size.width + x) as usize).filter(|_| x < size.width && y < size.height)?;
+        let seen = nearest
+            .get((y * size.width + x) as usize)
+            .filter(|_| x < size.width && y < size.height)?;
         (point.z <= *seen * HIDDEN).then(|| color.get_pixel(x, y).0)
     }
 
-    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0 for none. `depths` are those
-    /// of [`Self::depths_m`].
+    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0
+    /// for none. `depths` are those of [`Self::depths_m`].
     pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
         let depths = Depths::Metres(depths);
-        pulp::Arch::new().dispatch(Registering { registration: self, depths, per_unit: 1.0, held: PhantomData }).0
+        pulp::Arch::new()
+            .dispatch(Registering { registration: self, depths, per_unit: 1.0, held: PhantomData })
+            .0
     }
 
-    /// The point that a depth at the `pixel`-th of the picture stands for, in the colour camera's frame; `None` for no reading,
-    /// and behind the camera.
+    /// The point that a depth at the `pixel`-th of the picture stands for, in the colour camera's
+    /// frame; `None` for no reading, and behind the camera.
     fn point_in_color(&self, pixel: usize, depth: f32) -> Option<Vector3<f32>> {
         let [x, y, z] = &self.rays_in_color;
         let ray = Vector3::new(*x.get(pixel)?, *y.get(pixel)?, *z.get(pixel)?);
@@ -152,8 +194,8 @@ enum Depths<'a> {
     Metres(&'a [f32]),
 }
 
-/// Registering a whole picture, as one depth of each pixel of colour, and how many depths do not fit. A struct, not a closure: all
-/// of it must be inlined to be compiled for the processor.
+/// Registering a whole picture, as one depth of each pixel of colour, and how many depths do not
+/// fit. A struct, not a closure: all of it must be inlined to be compiled for the processor.
 struct Registering<'a, T> {
     registration: &'a DepthRegistration,
     depths: Depths<'a>,
@@ -166,7 +208,8 @@ impl<T: HeldDepth> pulp::NullaryFnOnce for Registering<'_, T> {
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let DepthRegistration { camera, rays_in_color, conversion, color, half } = self.registration;
+        let DepthRegistration { camera, rays_in_color, conversion, color, half } =
+            self.registration;
         let width = camera.image_size.width.max(1) as usize;
         let mut canvas = NearestCanvas::<T>::new(color.size, *half);
         let (mut squares, mut working) = (SquareRow::new(width), ConversionRow::default());
@@ -186,7 +229,8 @@ impl<T: HeldDepth> pulp::NullaryFnOnce for Registering<'_, T> {
             }
             color.project([x, y, z], &depths, *half, &mut squares);
             canvas.cover(&mut squares, self.per_unit);
-            overflowed += squares.depth.iter().filter(|depth| !T::fits(**depth, self.per_unit)).count();
+            overflowed +=
+                squares.depth.iter().filter(|depth| !T::fits(**depth, self.per_unit)).count();
         }
         (canvas.into_depths(), overflowed)
     }
@@ -230,7 +274,11 @@ mod tests {
     }
 
     fn color_lens() -> Lens {
-        Lens::from_parameters(LensModel::Brown, &[110.0, 110.0, 63.0, 47.0, 0.0, -0.05, 0.01, 0.0, 0.0, 0.0]).unwrap()
+        Lens::from_parameters(
+            LensModel::Brown,
+            &[110.0, 110.0, 63.0, 47.0, 0.0, -0.05, 0.01, 0.0, 0.0, 0.0],
+        )
+        .unwrap()
     }
 
     fn registration(correction: Option<DepthCorrection>) -> DepthRegistration {
@@ -248,8 +296,10 @@ mod tests {
         let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
         let registered = registration(None).register(&picture, None, 0.001).picture;
         let middle = registered.row(47);
-        let counts = |low: u16, high: u16| middle.iter().filter(|d| (low..high).contains(d)).count();
-        // 20 pixels at 0.5 m are 38 of colour's; the box moved by 5.5 px against 1.4 px of the wall.
+        let counts =
+            |low: u16, high: u16| middle.iter().filter(|d| (low..high).contains(d)).count();
+        // 20 pixels at 0.5 m are 38 of colour's; the box moved by 5.5 px against 1.4 px of the
+        // wall.
         assert!((36..=40).contains(&counts(480, 520)), "{middle:?}");
         assert!((5..=12).contains(&counts(0, 1)), "{middle:?}");
         assert_eq!(counts(0, 1) + counts(480, 520) + counts(1950, 2050), 128, "{middle:?}");
@@ -279,12 +329,21 @@ mod tests {
         let in_depth = registration.color_in_depth(&depths, &color);
         assert_eq!(in_depth.dimensions(), (64, 48));
         let row: Vec<[u8; 3]> = (0..64).map(|x| in_depth.get_pixel(x, 24).0).collect();
-        let count = |wanted: [u8; 3], from: usize, to: usize| row[from..to].iter().filter(|c| **c == wanted).count();
+        let count = |wanted: [u8; 3], from: usize, to: usize| {
+            row[from..to].iter().filter(|c| **c == wanted).count()
+        };
         assert!(count([255, 0, 0], 20, 40) >= 19, "{row:?}");
-        assert_eq!(count([255, 0, 0], 0, 20) + count([255, 0, 0], 40, 64), 0, "no red beside the box: {row:?}");
+        assert_eq!(
+            count([255, 0, 0], 0, 20) + count([255, 0, 0], 40, 64),
+            0,
+            "no red beside the box: {row:?}"
+        );
         assert_eq!(row[3], [0; 3], "a hole stays one");
         // The box hides a strip of the wall: (25 mm / 0.5 m - 25 mm / 2 m) * 58 px.
-        assert!((2..=4).contains(&count([0; 3], 40, 64)) || (2..=4).contains(&count([0; 3], 10, 20)), "{row:?}");
+        assert!(
+            (2..=4).contains(&count([0; 3], 40, 64)) || (2..=4).contains(&count([0; 3], 10, 20)),
+            "{row:?}"
+        );
 
         let points = registration.points(&depths, Some(&color));
         assert_eq!(points.len(), 63 * 48);
@@ -298,7 +357,9 @@ mod tests {
         correction.coefficients = vec![-0.01];
         let picture = DepthImage::new(
             DEPTH_SIZE,
-            (0..64 * 48).map(|k| if k < 64 { 0 } else { 1000 + (k / 1024) as u16 * 1000 }).collect(),
+            (0..64 * 48)
+                .map(|k| if k < 64 { 0 } else { 1000 + (k / 1024) as u16 * 1000 })
+                .collect(),
         );
         let corrected = registration(Some(correction)).correct(&picture.unwrap(), None, 0.0001);
         assert_eq!(corrected.picture.row(0), [0; 64]);
@@ -306,19 +367,33 @@ mod tests {
         assert_eq!((corrected.beyond, corrected.overflowed), (2048, 0));
     }
 
-    /// Depth in colour by its definition, in double precision, with squares that reach `more` pixels farther to each side.
-    fn by_definition(camera: &DepthCamera, color: &Lens, picture: &DepthImage, more: f64) -> Vec<f64> {
+    /// Depth in colour by its definition, in double precision, with squares that reach `more`
+    /// pixels farther to each side.
+    fn by_definition(
+        camera: &DepthCamera,
+        color: &Lens,
+        picture: &DepthImage,
+        more: f64,
+    ) -> Vec<f64> {
         let color_from_depth = color_from_depth();
         let mut nearest = vec![f64::INFINITY; (COLOR_SIZE.width * COLOR_SIZE.height) as usize];
-        for (k, reading) in picture.readings().iter().enumerate().filter(|(_, reading)| **reading > 0) {
+        for (k, reading) in
+            picture.readings().iter().enumerate().filter(|(_, reading)| **reading > 0)
+        {
             let pixel = Pixel::new((k % 64) as f64, (k / 64) as f64);
-            let Some(point) = camera.point_from_reading(pixel, f64::from(*reading)) else { continue };
+            let Some(point) = camera.point_from_reading(pixel, f64::from(*reading)) else {
+                continue;
+            };
             let in_color = color_from_depth * point;
             let Some(at) = color.pixel_from_point(&in_color) else { continue };
-            let half = 0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx * point.z / in_color.z + more;
+            let half = 0.5 * FOOTPRINT * color.matrix.fx / camera.lens.matrix.fx * point.z
+                / in_color.z
+                + more;
             for (y, row) in nearest.chunks_exact_mut(COLOR_SIZE.width as usize).enumerate() {
                 for (x, nearest) in row.iter_mut().enumerate() {
-                    let covers = |at: f64, pixel: usize| pixel as f64 >= at - half && (pixel as f64) < at + half;
+                    let covers = |at: f64, pixel: usize| {
+                        pixel as f64 >= at - half && (pixel as f64) < at + half
+                    };
                     if covers(at.x, x) && covers(at.y, y) {
                         *nearest = nearest.min(in_color.z);
                     }
@@ -331,8 +406,13 @@ mod tests {
     #[test]
     fn every_pixel_is_as_in_double_precision() {
         let grid = SplineGrid { size: DEPTH_SIZE, cols: 3, rows: 2 };
-        let mut correction = DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 2.5]);
-        correction.coefficients.iter_mut().enumerate().for_each(|(k, c)| *c = 0.02 * (k as f64).sin());
+        let mut correction =
+            DepthCorrection::none(CorrectedQuantity::InverseDepth, 2, grid, [0.5, 2.5]);
+        correction
+            .coefficients
+            .iter_mut()
+            .enumerate()
+            .for_each(|(k, c)| *c = 0.02 * (k as f64).sin());
         let noise = |k: usize| (k * 7919 % 61) as u16;
         let raw = |k: usize| match (k % 64, k / 64) {
             (20..40, 15..35) => 700 + noise(k),
@@ -341,13 +421,19 @@ mod tests {
         };
         let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
         let camera = camera(Some(correction));
-        let fisheye =
-            Lens::from_parameters(LensModel::KannalaBrandt, &[110.0, 110.0, 63.0, 47.0, 0.0, -0.02, 0.003, 0.0, 0.0]);
-        let rational = [110.0, 109.0, 63.0, 47.0, 0.1, 0.3, -0.1, 0.001, -0.002, 0.01, 0.35, -0.05, 0.01];
+        let fisheye = Lens::from_parameters(
+            LensModel::KannalaBrandt,
+            &[110.0, 110.0, 63.0, 47.0, 0.0, -0.02, 0.003, 0.0, 0.0],
+        );
+        let rational =
+            [110.0, 109.0, 63.0, 47.0, 0.1, 0.3, -0.1, 0.001, -0.002, 0.01, 0.35, -0.05, 0.01];
         let rational = Lens::from_parameters(LensModel::Rational, &rational);
         // In pixels: what the formulas and the table of the lens lose in single precision.
-        for (color, slack) in [(color_lens(), 1e-3), (rational.unwrap(), 1e-3), (fisheye.unwrap(), 1e-2)] {
-            let registration = DepthRegistration::new(&camera, &color, COLOR_SIZE, &color_from_depth());
+        for (color, slack) in
+            [(color_lens(), 1e-3), (rational.unwrap(), 1e-3), (fisheye.unwrap(), 1e-2)]
+        {
+            let registration =
+                DepthRegistration::new(&camera, &color, COLOR_SIZE, &color_from_depth());
             let registered = registration.register(&picture, None, 0.0001).picture;
             let most = by_definition(&camera, &color, &picture, slack);
             let least = by_definition(&camera, &color, &picture, -slack);
@@ -355,10 +441,16 @@ mod tests {
             for (k, reading) in registered.readings().iter().enumerate() {
                 let depth = if *reading > 0 { f64::from(*reading) } else { f64::INFINITY };
                 let (low, high) = (most[k] * 1e4 - 0.51, least[k] * 1e4 + 0.51);
-                assert!(depth >= low && depth <= high, "{color:?} at {k}: {depth}, not within {low} to {high}");
+                assert!(
+                    depth >= low && depth <= high,
+                    "{color:?} at {k}: {depth}, not within {low} to {high}"
+                );
                 alike += usize::from(low + 1.1 > high || high.is_infinite() && low.is_infinite());
             }
-            assert!(alike > registered.readings().len() * 95 / 100, "{alike} pixels are told exactly");
+            assert!(
+                alike > registered.readings().len() * 95 / 100,
+                "{alike} pixels are told exactly"
+            );
         }
     }
 }

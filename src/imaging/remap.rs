@@ -11,7 +11,8 @@ pub enum Interpolation {
     /// From the nearest 2×2 pixels: fast, and what previews need.
     #[default]
     Bilinear,
-    /// From the nearest 4×4 pixels, Keys' kernel with a = −1/2 (*Cubic convolution interpolation*, IEEE ASSP 1981): sharp.
+    /// From the nearest 4×4 pixels, Keys' kernel with a = −1/2 (*Cubic convolution interpolation*,
+    /// IEEE ASSP 1981): sharp.
     Bicubic,
 }
 
@@ -37,16 +38,25 @@ struct Entry {
 }
 
 impl PixelMap {
-    /// The map whose pixel at a place of the `target` is what the `source` shows at `source_from_target`(that place), if
-    /// there is such a place inside the source.
-    pub fn new(source: ImageSize, target: ImageSize, source_from_target: impl Fn(Pixel) -> Option<Pixel>) -> Self {
+    /// The map whose pixel at a place of the `target` is what the `source` shows at
+    /// `source_from_target`(that place), if there is such a place inside the source.
+    pub fn new(
+        source: ImageSize,
+        target: ImageSize,
+        source_from_target: impl Fn(Pixel) -> Option<Pixel>,
+    ) -> Self {
         let entry = |at: Pixel| source_from_target(at).and_then(|place| Entry::new(place, source));
         let nowhere = Entry { first: NOWHERE, part: [0; 2] };
         let entries = (0..target.height)
             .flat_map(|y| (0..target.width).map(move |x| Pixel::new(f64::from(x), f64::from(y))))
             .map(|at| entry(at).unwrap_or(nowhere))
             .collect();
-        Self { source, target, entries, cubic: (0..=STEPS).map(|step| keys(step as f32 / STEPS as f32)).collect() }
+        Self {
+            source,
+            target,
+            entries,
+            cubic: (0..=STEPS).map(|step| keys(step as f32 / STEPS as f32)).collect(),
+        }
     }
 
     /// The size of the pictures it is for.
@@ -61,7 +71,9 @@ impl PixelMap {
 
     /// Whether the source shows what is at pixel (`x`, `y`) of the result.
     pub fn is_seen(&self, x: usize, y: usize) -> bool {
-        self.entries.get(y * self.target.width as usize + x).is_some_and(|entry| entry.first != NOWHERE)
+        self.entries
+            .get(y * self.target.width as usize + x)
+            .is_some_and(|entry| entry.first != NOWHERE)
     }
 
     /// The part of the result that the source shows, 0 to 1.
@@ -70,14 +82,15 @@ impl PixelMap {
         seen as f64 / self.entries.len().max(1) as f64
     }
 
-    /// A grey picture through the map, black where the source shows nothing; `None` if `source` has another size than the
-    /// map's.
+    /// A grey picture through the map, black where the source shows nothing; `None` if `source` has
+    /// another size than the map's.
     pub fn gray(&self, source: GrayView<'_>, interpolation: Interpolation) -> Option<GrayImage> {
         let rows: Vec<&[u8]> = (0..source.height()).map(|y| source.row(y)).collect();
         if source.size() != self.source {
             return None;
         }
-        let mut result = GrayImage::filled(self.target.width as usize, self.target.height as usize, 0);
+        let mut result =
+            GrayImage::filled(self.target.width as usize, self.target.height as usize, 0);
         self.apply::<1>(&rows, result.pixels_mut(), interpolation);
         Some(result)
     }
@@ -87,13 +100,19 @@ impl PixelMap {
         if ImageSize::new(source.width(), source.height()) != self.source {
             return None;
         }
-        let rows: Vec<&[u8]> = source.as_raw().chunks_exact(3 * (source.width() as usize).max(1)).collect();
+        let rows: Vec<&[u8]> =
+            source.as_raw().chunks_exact(3 * (source.width() as usize).max(1)).collect();
         let mut result = RgbImage::new(self.target.width, self.target.height);
         self.apply::<3>(&rows, &mut result, interpolation);
         Some(result)
     }
 
-    fn apply<const CHANNELS: usize>(&self, rows: &[&[u8]], out: &mut [u8], interpolation: Interpolation) {
+    fn apply<const CHANNELS: usize>(
+        &self,
+        rows: &[&[u8]],
+        out: &mut [u8],
+        interpolation: Interpolation,
+    ) {
         let width = self.source.width.max(1);
         for (entry, out) in self.entries.iter().zip(out.chunks_exact_mut(CHANNELS)) {
             if entry.first == NOWHERE {
@@ -112,7 +131,8 @@ impl PixelMap {
 }
 
 impl Entry {
-    /// `None` outside the centres of the outermost pixels, where there is nothing to interpolate between.
+    /// `None` outside the centres of the outermost pixels, where there is nothing to interpolate
+    /// between.
     fn new(place: Pixel, source: ImageSize) -> Option<Self> {
         let steps = STEPS as f64;
         let along = |value: f64, length: u32| {
@@ -129,25 +149,40 @@ impl Entry {
     }
 }
 
-fn bilinear<const CHANNELS: usize>(rows: &[&[u8]], [x, y]: [usize; 2], part: [u16; 2], out: &mut [u8]) {
+fn bilinear<const CHANNELS: usize>(
+    rows: &[&[u8]],
+    [x, y]: [usize; 2],
+    part: [u16; 2],
+    out: &mut [u8],
+) {
     let [s, t] = part.map(u32::from);
     let [upper, lower] = [y, y + 1].map(|y| &rows[y][x * CHANNELS..(x + 2) * CHANNELS]);
     let whole = STEPS as u32;
     for (channel, out) in out.iter_mut().enumerate() {
-        let across = |row: &[u8]| u32::from(row[channel]) * (whole - s) + u32::from(row[channel + CHANNELS]) * s;
+        let across = |row: &[u8]| {
+            u32::from(row[channel]) * (whole - s) + u32::from(row[channel + CHANNELS]) * s
+        };
         *out = ((across(upper) * (whole - t) + across(lower) * t + (1 << 15)) >> 16) as u8;
     }
 }
 
-fn bicubic<const CHANNELS: usize>(rows: &[&[u8]], [x, y]: [usize; 2], weights: [[f32; 4]; 2], out: &mut [u8]) {
+fn bicubic<const CHANNELS: usize>(
+    rows: &[&[u8]],
+    [x, y]: [usize; 2],
+    weights: [[f32; 4]; 2],
+    out: &mut [u8],
+) {
     let width = rows[0].len() / CHANNELS;
     let columns: [usize; 4] = std::array::from_fn(|i| (x + i).saturating_sub(1).min(width - 1));
     for (channel, out) in out.iter_mut().enumerate() {
         let mut sum = 0.0;
         for (j, weight) in weights[1].iter().enumerate() {
             let row = rows[(y + j).saturating_sub(1).min(rows.len() - 1)];
-            let across: f32 =
-                columns.iter().zip(weights[0]).map(|(x, weight)| weight * f32::from(row[x * CHANNELS + channel])).sum();
+            let across: f32 = columns
+                .iter()
+                .zip(weights[0])
+                .map(|(x, weight)| weight * f32::from(row[x * CHANNELS + channel]))
+                .sum();
             sum += weight * across;
         }
         *out = sum.round().clamp(0.0, 255.0) as u8;
@@ -167,7 +202,9 @@ mod tests {
 
     fn wavy(size: ImageSize, at: impl Fn(f64, f64) -> f64) -> GrayImage {
         let (width, height) = (size.width as usize, size.height as usize);
-        let pixels = (0..width * height).map(|k| at((k % width) as f64, (k / width) as f64).round() as u8).collect();
+        let pixels = (0..width * height)
+            .map(|k| at((k % width) as f64, (k / width) as f64).round() as u8)
+            .collect();
         GrayImage::from_pixels(width, height, pixels).unwrap()
     }
 
@@ -199,7 +236,10 @@ mod tests {
                     let place = shift(Pixel::new(x as f64, y as f64)).unwrap();
                     let expected = waves(place.x, place.y).round() as u8;
                     let found = result.row(y)[x];
-                    assert!(found.abs_diff(expected) <= most, "{found} not {expected} at {x} {y}, {interpolation:?}");
+                    assert!(
+                        found.abs_diff(expected) <= most,
+                        "{found} not {expected} at {x} {y}, {interpolation:?}"
+                    );
                 }
             }
         }
@@ -213,9 +253,12 @@ mod tests {
             let value = image.row(y as usize)[x as usize];
             image::Rgb([value, 255 - value, 7])
         });
-        let map = PixelMap::new(size, ImageSize::new(25, 10), |p| Some(Pixel::new(p.x - 2.25, p.y)));
-        let (gray, rgb) =
-            (map.gray(image.view(), Interpolation::Bilinear).unwrap(), map.rgb(&rgb, Interpolation::Bilinear));
+        let map =
+            PixelMap::new(size, ImageSize::new(25, 10), |p| Some(Pixel::new(p.x - 2.25, p.y)));
+        let (gray, rgb) = (
+            map.gray(image.view(), Interpolation::Bilinear).unwrap(),
+            map.rgb(&rgb, Interpolation::Bilinear),
+        );
         let rgb = rgb.unwrap();
         for (k, pixel) in rgb.pixels().enumerate() {
             let (x, y) = (k % 25, k / 25);
@@ -225,7 +268,9 @@ mod tests {
                 assert_eq!((pixel.0, gray.row(y)[x]), ([0; 3], 0));
             }
         }
-        assert!(!map.is_seen(2, 0) && map.is_seen(3, 0) && map.is_seen(21, 0) && !map.is_seen(22, 0));
+        assert!(
+            !map.is_seen(2, 0) && map.is_seen(3, 0) && map.is_seen(21, 0) && !map.is_seen(22, 0)
+        );
         assert!(map.gray(GrayImage::filled(9, 9, 1).view(), Interpolation::Bilinear).is_none());
     }
 

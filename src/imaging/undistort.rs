@@ -13,8 +13,9 @@ const WIDEST: f64 = 4.7;
 /// What of the picture to keep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct UndistortOptions {
-    /// 0, the default: every pixel of the result is seen. 1: everything that was seen is in the result. As OpenCV's `alpha`
-    /// of `getOptimalNewCameraMatrix`, but for the focal lengths, whose ratio stays.
+    /// 0, the default: every pixel of the result is seen. 1: everything that was seen is in the
+    /// result. As OpenCV's `alpha` of `getOptimalNewCameraMatrix`, but for the focal lengths, whose
+    /// ratio stays.
     pub balance: f64,
     /// The size of the result; that of the picture unless said.
     pub size: Option<ImageSize>,
@@ -30,8 +31,8 @@ pub struct Undistortion {
 }
 
 impl Undistortion {
-    /// For pictures of `size` taken with `lens`. Takes about 30 ns a pixel, once; each picture is then one pass of
-    /// [`PixelMap::gray`] or [`PixelMap::rgb`].
+    /// For pictures of `size` taken with `lens`. Takes about 30 ns a pixel, once; each picture is
+    /// then one pass of [`PixelMap::gray`] or [`PixelMap::rgb`].
     pub fn new(lens: &Lens, size: ImageSize, options: &UndistortOptions) -> Self {
         let target = options.size.unwrap_or(size);
         let matrix = flat_matrix(lens, size, target, options.balance.clamp(0.0, 1.0));
@@ -61,7 +62,8 @@ struct Field {
 fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) -> CameraMatrix {
     let CameraMatrix { fx, fy, .. } = lens.matrix;
     let (inner, outer) = fields(lens, size);
-    let span = Vector2::new(f64::from(target.width) - 1.0, f64::from(target.height) - 1.0).map(|s| s.max(1.0));
+    let span = Vector2::new(f64::from(target.width) - 1.0, f64::from(target.height) - 1.0)
+        .map(|s| s.max(1.0));
     // Focal lengths, in units of fx, that fill the result with a field along x and along y.
     let scales = |field: Field| {
         let extent = (field.high - field.low).map(|extent| extent.max(1e-9));
@@ -80,7 +82,8 @@ fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) ->
     }
 }
 
-/// The largest field that is seen everywhere (by the picture's sides), and the smallest that holds all that is seen.
+/// The largest field that is seen everywhere (by the picture's sides), and the smallest that holds
+/// all that is seen.
 fn fields(lens: &Lens, size: ImageSize) -> (Field, Field) {
     const STEPS: u32 = 32;
     let [right, bottom] = [f64::from(size.width) - 1.0, f64::from(size.height) - 1.0];
@@ -91,12 +94,15 @@ fn fields(lens: &Lens, size: ImageSize) -> (Field, Field) {
         flat.map(|at| if at.norm() > WIDEST { at * (WIDEST / at.norm()) } else { at })
     };
     let mut inner = Field { low: Vector2::repeat(-WIDEST), high: Vector2::repeat(WIDEST) };
-    let mut outer = Field { low: Vector2::repeat(f64::INFINITY), high: Vector2::repeat(f64::NEG_INFINITY) };
+    let mut outer =
+        Field { low: Vector2::repeat(f64::INFINITY), high: Vector2::repeat(f64::NEG_INFINITY) };
     let mut any = false;
     for step in 0..=STEPS {
         let part = f64::from(step) / f64::from(STEPS);
         let (x, y) = (part * right, part * bottom);
-        for (side, at) in [seen(0.0, y), seen(right, y), seen(x, 0.0), seen(x, bottom)].into_iter().enumerate() {
+        for (side, at) in
+            [seen(0.0, y), seen(right, y), seen(x, 0.0), seen(x, bottom)].into_iter().enumerate()
+        {
             let Some(at) = at else { continue };
             any = true;
             match side {
@@ -124,7 +130,8 @@ mod tests {
     use crate::imaging::remap::Interpolation;
 
     fn lens(model: LensModel, coefficients: &[f64]) -> Lens {
-        let parameters: Vec<f64> = [95.0, 96.0, 82.0, 57.0, 0.0].iter().chain(coefficients).copied().collect();
+        let parameters: Vec<f64> =
+            [95.0, 96.0, 82.0, 57.0, 0.0].iter().chain(coefficients).copied().collect();
         Lens::from_parameters(model, &parameters).unwrap()
     }
 
@@ -142,8 +149,14 @@ mod tests {
         let size = ImageSize::new(160, 120);
         for lens in lenses() {
             let tight = Undistortion::new(&lens, size, &UndistortOptions::default());
-            assert!(tight.map.seen_fraction() > 0.999, "{} of {}", tight.map.seen_fraction(), lens.model());
-            let wide = Undistortion::new(&lens, size, &UndistortOptions { balance: 1.0, size: None });
+            assert!(
+                tight.map.seen_fraction() > 0.999,
+                "{} of {}",
+                tight.map.seen_fraction(),
+                lens.model()
+            );
+            let wide =
+                Undistortion::new(&lens, size, &UndistortOptions { balance: 1.0, size: None });
             for (x, y) in [(0.0, 0.0), (159.0, 0.0), (80.0, 119.0), (0.0, 60.0), (159.0, 119.0)] {
                 let at = wide.flat_from_pixel(&lens, Pixel::new(x, y)).unwrap();
                 let inside = at.x > -0.6 && at.y > -0.6 && at.x < 159.6 && at.y < 119.6;
@@ -160,7 +173,9 @@ mod tests {
             let (a, b, c) = (0.3, 1.0, 0.12);
             let distance = |at: Vector2<f64>| (a * at.x + b * at.y - c) / f64::hypot(a, b);
             let pixels = (0..160 * 120).map(|k| {
-                let ray = lens.bearing_from_pixel(Pixel::new(f64::from(k % 160), f64::from(k / 160))).unwrap();
+                let ray = lens
+                    .bearing_from_pixel(Pixel::new(f64::from(k % 160), f64::from(k / 160)))
+                    .unwrap();
                 let off = distance(Vector2::new(ray.x / ray.z, ray.y / ray.z)) * 95.0;
                 (255.0 * (1.0 - (-0.5 * (off / 1.5).powi(2)).exp())) as u8
             });
@@ -170,13 +185,19 @@ mod tests {
             let matrix = undistortion.lens.matrix;
             for x in (10..150).step_by(10) {
                 let column = (0..120).map(|y| (y as f64, 255.0 - f64::from(flat.row(y)[x])));
-                let (moment, mass) = column.fold((0.0, 0.0), |(m, w), (y, dark)| (m + y * dark, w + dark));
+                let (moment, mass) =
+                    column.fold((0.0, 0.0), |(m, w), (y, dark)| (m + y * dark, w + dark));
                 if mass < 300.0 {
                     continue;
                 }
-                let expected = (c - a * (x as f64 - matrix.cx) / matrix.fx) / b * matrix.fy + matrix.cy;
+                let expected =
+                    (c - a * (x as f64 - matrix.cx) / matrix.fx) / b * matrix.fy + matrix.cy;
                 let near_edge = !(8.0..112.0).contains(&expected);
-                assert!(near_edge || (moment / mass - expected).abs() < 0.05, "at {x}: {} {expected}", moment / mass);
+                assert!(
+                    near_edge || (moment / mass - expected).abs() < 0.05,
+                    "at {x}: {} {expected}",
+                    moment / mass
+                );
             }
         }
     }

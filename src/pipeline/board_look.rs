@@ -1,4 +1,5 @@
-//! Looking for the board in a frame set's picture: decoded to luma, then searched, or followed from the frame before.
+//! Looking for the board in a frame set's picture: decoded to luma, then searched, or followed from
+//! the frame before.
 
 use crate::detection::board_detection::DetectOptions;
 use crate::detection::detector::Detector;
@@ -15,7 +16,8 @@ use crate::pipeline::live_frame::LookError;
 pub(super) enum Manner {
     /// By itself: the answer is the picture's alone, as exact as it can be.
     Searched,
-    /// Where the board was before, else by itself: a fraction of the time, and corners that are good enough to decide on.
+    /// Where the board was before, else by itself: a fraction of the time, and corners that are
+    /// good enough to decide on.
     Followed,
 }
 
@@ -40,9 +42,15 @@ impl BoardLook {
         })
     }
 
-    fn try_look(&mut self, frame_set: &FrameSet, board: BoardSize, manner: Manner) -> Result<Sighting, LookError> {
+    fn try_look(
+        &mut self,
+        frame_set: &FrameSet,
+        board: BoardSize,
+        manner: Manner,
+    ) -> Result<Sighting, LookError> {
         let unreadable = |detail: String| LookError::Unreadable { detail };
-        let frame = picture_of(frame_set).ok_or_else(|| unreadable("there is none in this frame set".to_owned()))?;
+        let frame = picture_of(frame_set)
+            .ok_or_else(|| unreadable("there is none in this frame set".to_owned()))?;
         decode::luma(frame, &mut self.luma).map_err(|error| unreadable(error.to_string()))?;
         let detector = match &mut self.detector {
             Some(detector) if detector.board() == board => detector,
@@ -50,7 +58,9 @@ impl BoardLook {
         };
         let (image, options) = (self.luma.view(), DetectOptions::default());
         Ok(match manner {
-            Manner::Searched => Sighting { detection: detector.find_board(image, &options)?, followed: false },
+            Manner::Searched => {
+                Sighting { detection: detector.find_board(image, &options)?, followed: false }
+            }
             Manner::Followed => detector.track_board(image, &options)?,
         })
     }

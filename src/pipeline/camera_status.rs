@@ -67,11 +67,13 @@ pub struct CameraStatus {
     pub reason: Option<String>,
     /// The sensors of its newest frame set.
     pub sensors: Vec<SensorStatus>,
-    /// Measured frame sets a second, over about the last second of streaming; `None` before there are two.
+    /// Measured frame sets a second, over about the last second of streaming; `None` before there
+    /// are two.
     pub fps: Option<f64>,
     /// Frame sets received since the daemon started.
     pub frames: u64,
-    /// Frame sets lost: gaps in the device's count, and those that a newer one replaced before they were looked at.
+    /// Frame sets lost: gaps in the device's count, and those that a newer one replaced before they
+    /// were looked at.
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentity,

@@ -51,7 +51,11 @@ pub struct FleetOptions {
 
 impl Default for FleetOptions {
     fn default() -> Self {
-        Self { auto_approve: true, supervision: Supervision::default(), admission: AdmissionOptions::default() }
+        Self {
+            auto_approve: true,
+            supervision: Supervision::default(),
+            admission: AdmissionOptions::default(),
+        }
     }
 }
 
@@ -110,7 +114,8 @@ pub(super) fn start_camera(
     };
     let detect = Detect::new(Arc::clone(&camera));
     let solver = Arc::clone(&camera);
-    // Nobody waits for the solve thread: a solve that is cut short is begun again with the next start.
+    // Nobody waits for the solve thread: a solve that is cut short is begun again with the next
+    // start.
     spawn("solve", &camera.name, move || solve_thread::run(&solver, &asked))?;
     let threads = vec![
         spawn("session", &camera.name, move || session.run(received))?,
@@ -128,7 +133,14 @@ pub(super) struct SharedParts {
     pub(super) store: Arc<Store>,
 }
 
-fn spawn(work: &str, camera: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, FleetError> {
+fn spawn(
+    work: &str,
+    camera: &str,
+    run: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, FleetError> {
     let thread = thread::Builder::new().name(format!("{work}-{camera}")).spawn(run);
-    thread.map_err(|error| FleetError::Thread { camera: camera.to_owned(), detail: error.to_string() })
+    thread.map_err(|error| FleetError::Thread {
+        camera: camera.to_owned(),
+        detail: error.to_string(),
+    })
 }

@@ -5,8 +5,8 @@
 //!     └──needs a person──▶ failed (tried again, rarely)
 //! ```
 //!
-//! A replay that waits for its frames to be looked at begins anew with each session, so that every session sees all of
-//! it; while none collects it is shown at its recorded pace, round and round.
+//! A replay that waits for its frames to be looked at begins anew with each session, so that every
+//! session sees all of it; while none collects it is shown at its recorded pace, round and round.
 
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -28,13 +28,15 @@ pub struct Supervision {
     pub first_retry: Duration,
     /// The longest such wait. Default: 5 s.
     pub longest_retry: Duration,
-    /// How often a device is asked whether it still stands as the last session held it. Default: 2 s.
+    /// How often a device is asked whether it still stands as the last session held it. Default: 2
+    /// s.
     pub moved_check: Duration,
     /// The wait before a source that needs a person is tried again. Default: 10 s.
     pub failed_retry: Duration,
     /// A device that falls silent for so long, and for five of its frames, is lost. Default: 1.5 s.
     pub stall: Duration,
-    /// The same for a device that was opened and has given no frame yet: many take a second or two. Default: 4 s.
+    /// The same for a device that was opened and has given no frame yet: many take a second or two.
+    /// Default: 4 s.
     pub first_frame: Duration,
 }
 
@@ -96,7 +98,9 @@ impl Capture {
                     self.retry = (retry * 2).min(self.supervision.longest_retry);
                     self.wait_out(CameraState::Lost, &reason, retry);
                 }
-                End::Failed(reason) => self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry),
+                End::Failed(reason) => {
+                    self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry)
+                }
             }
         }
     }
@@ -116,15 +120,16 @@ impl Capture {
     }
 
     fn introduce(&self, description: &SourceDescription) {
-        let SourceDescription { model, serial, bus, identity, mode, factory, .. } = description.clone();
+        let SourceDescription { model, serial, bus, identity, mode, factory, .. } =
+            description.clone();
         *self.camera.factory.lock().unwrap_or_else(PoisonError::into_inner) = factory.clone();
         if let Some(mode) = mode {
             tracing::info!(camera = self.camera.name, "{mode}");
         }
         let bus = bus.or_else(|| (!identity.is_empty()).then_some(identity));
-        self.camera
-            .status
-            .send_modify(|status| (status.identity, status.factory) = (CameraIdentity { model, serial, bus }, factory));
+        self.camera.status.send_modify(|status| {
+            (status.identity, status.factory) = (CameraIdentity { model, serial, bus }, factory)
+        });
     }
 
     /// Passes frames on until the source has no more.
@@ -165,11 +170,16 @@ impl Capture {
                     if opened.elapsed() > self.supervision.longest_retry {
                         self.retry = self.supervision.first_retry;
                     }
-                    if search.is_none() && held.is_some_and(|since| since.elapsed() >= self.supervision.moved_check) {
+                    if search.is_none()
+                        && held.is_some_and(|since| since.elapsed() >= self.supervision.moved_check)
+                    {
                         self.tell_moved(source);
                         held = Some(Instant::now());
                     }
-                    if description.waits && search.is_none() && self.keep_pace(&mut pace, &frame_set) {
+                    if description.waits
+                        && search.is_none()
+                        && self.keep_pace(&mut pace, &frame_set)
+                    {
                         continue;
                     }
                     if !self.pass_on(frame_set, search, description.waits) {
@@ -182,11 +192,19 @@ impl Capture {
                         return End::Lost(format!("no frame for {:.1} s", silence.as_secs_f64()));
                     }
                 }
-                Err(CaptureError::Ended) if !delivered => return End::Failed("the recording holds no frames".into()),
-                Err(CaptureError::Ended) if description.waits && search.is_none() => return End::Again,
-                Err(CaptureError::Ended) => return End::Ended { search, waits: description.waits, cut },
+                Err(CaptureError::Ended) if !delivered => {
+                    return End::Failed("the recording holds no frames".into());
+                }
+                Err(CaptureError::Ended) if description.waits && search.is_none() => {
+                    return End::Again;
+                }
+                Err(CaptureError::Ended) => {
+                    return End::Ended { search, waits: description.waits, cut };
+                }
                 // A recording that is cut short has ended there.
-                Err(CaptureError::Failed { reason }) if delivered && !self.may_stall && cut.is_none() => {
+                Err(CaptureError::Failed { reason })
+                    if delivered && !self.may_stall && cut.is_none() =>
+                {
                     cut = Some(reason);
                 }
                 Err(CaptureError::Failed { reason }) => return End::Failed(reason),
@@ -203,7 +221,10 @@ impl Capture {
 
     fn hold_still(&self, source: &mut dyn FrameSource, on: bool) {
         if let Err(error) = source.calibrating(on) {
-            tracing::warn!(camera = self.camera.name, "the device does not hold still for a calibration: {error}");
+            tracing::warn!(
+                camera = self.camera.name,
+                "the device does not hold still for a calibration: {error}"
+            );
         }
     }
 
@@ -267,7 +288,11 @@ impl Capture {
             if frame_set.frames.iter().all(|frame| known(frame.size)) {
                 let sensors = frame_set.frames.iter();
                 status.sensors = sensors
-                    .map(|frame| SensorStatus { kind: frame.sensor, size: frame.size, format: frame.format })
+                    .map(|frame| SensorStatus {
+                        kind: frame.sensor,
+                        size: frame.size,
+                        format: frame.format,
+                    })
                     .collect();
             }
         });
@@ -286,8 +311,8 @@ impl Capture {
         let _ = self.camera.messages.try_send(Message::Waited(wait.as_secs_f64()));
     }
 
-    /// After the last frame: waits for another session to begin; a replay that waits is also shown again when the session
-    /// is over.
+    /// After the last frame: waits for another session to begin; a replay that waits is also shown
+    /// again when the session is over.
     fn rest(&self, ended_for: Option<&Arc<Search>>, waits: bool, cut: Option<String>) {
         let cut = cut.map(|cut| format!(": {cut}")).unwrap_or_default();
         let reason = format!("the recording has ended{cut}");
@@ -316,7 +341,8 @@ struct Pace {
 impl Pace {
     fn until_due(&mut self, frame_set: &FrameSet) -> Duration {
         let now_ns = frame_set.host_time.utc_ns;
-        let since_ns = self.last_ns.replace(now_ns).map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
+        let since_ns =
+            self.last_ns.replace(now_ns).map_or(0, |last_ns| now_ns.saturating_sub(last_ns));
         Duration::from_nanos(since_ns.max(0).unsigned_abs()).min(LONGEST_PACE)
     }
 }

@@ -1,4 +1,5 @@
-//! What a camera's other sensors give together with a kept view: the board in infrared, the depth picture.
+//! What a camera's other sensors give together with a kept view: the board in infrared, the depth
+//! picture.
 
 use crate::calibration::second_infrared::{StereoCapture, StereoInput};
 use crate::calibration::session::Session;
@@ -19,11 +20,12 @@ use crate::pipeline::board_look::picture_of;
 use crate::pipeline::view_picture::view_picture;
 use crate::store::{Companion, Picture};
 
-/// Depth in whole millimetres, as ROS has it (REP 118) and most devices, where nobody states another unit.
+/// Depth in whole millimetres, as ROS has it (REP 118) and most devices, where nobody states
+/// another unit.
 const USUAL_UNIT_M: f64 = 0.001;
 
-/// What goes with view `number` besides the picture that was searched; a sensor whose picture is damaged is left out.
-/// `unit_m` is the unit of depth, where the device states it.
+/// What goes with view `number` besides the picture that was searched; a sensor whose picture is
+/// damaged is left out. `unit_m` is the unit of depth, where the device states it.
 pub(super) fn companions_of(
     number: u32,
     frame_set: &FrameSet,
@@ -36,13 +38,27 @@ pub(super) fn companions_of(
         SensorKind::Depth => {
             let depth = DepthImage::from_frame(frame).ok()?;
             let picture = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
-            Some(Companion { number, sensor: frame.sensor, image_size: depth.size(), unit_m, detection: None, picture })
+            Some(Companion {
+                number,
+                sensor: frame.sensor,
+                image_size: depth.size(),
+                unit_m,
+                detection: None,
+                picture,
+            })
         }
         SensorKind::Color | SensorKind::Infrared | SensorKind::Infrared2 => {
             let (media_type, bytes) = view_picture(frame)?;
             let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };
             let detection = look(frame, board);
-            Some(Companion { number, sensor: frame.sensor, image_size: frame.size, unit_m: None, detection, picture })
+            Some(Companion {
+                number,
+                sensor: frame.sensor,
+                image_size: frame.size,
+                unit_m: None,
+                detection,
+                picture,
+            })
         }
     };
     others.filter_map(companion).collect()
@@ -54,8 +70,8 @@ fn look(frame: &Frame, board: BoardSize) -> Option<Detection> {
     Detector::new(board).find_board(luma.view(), &DetectOptions::default()).ok()
 }
 
-/// The joint problem of a session whose views have `companions`, with what the device states of its depth sensor; `None` where
-/// none has depth.
+/// The joint problem of a session whose views have `companions`, with what the device states of its
+/// depth sensor; `None` where none has depth.
 pub(super) fn rgbd_input(
     session: &Session,
     companions: &[Companion],
@@ -75,7 +91,9 @@ pub(super) fn rgbd_input(
             .map_or_else(Vec::new, |infrared| corners(infrared, view, &board)),
         depth: of(view.number, SensorKind::Depth).and_then(|depth| {
             let frame = frame_from_file(SensorKind::Depth, depth.picture.bytes.clone());
-            DepthImage::from_frame(&frame).ok().filter(|picture| picture.size() == first_depth.image_size)
+            DepthImage::from_frame(&frame)
+                .ok()
+                .filter(|picture| picture.size() == first_depth.image_size)
         }),
     };
     let same_camera = |companion: &Companion| companion.image_size == first_depth.image_size;
@@ -84,17 +102,20 @@ pub(super) fn rgbd_input(
     let depth = DepthSensor {
         reading: Some(DepthReading::Metric { unit_m }),
         invalid: Some(0),
-        factory: stated.filter(|stated| stated.image_size == first_depth.image_size).and_then(|stated| {
-            let depth_from_color = stated.color_from_sensor?.inverse();
-            Some((stated.lens?, depth_from_color))
-        }),
+        factory: stated.filter(|stated| stated.image_size == first_depth.image_size).and_then(
+            |stated| {
+                let depth_from_color = stated.color_from_sensor?.inverse();
+                Some((stated.lens?, depth_from_color))
+            },
+        ),
         with_infrared: infrared.is_some_and(same_camera),
     };
     let captures = session.views().iter().map(capture).collect();
     Some(RgbdInput { board, color_size: session.image_size()?, depth, captures })
 }
 
-/// Colour and right infrared of a session whose views have `companions`; `None` where none has the latter.
+/// Colour and right infrared of a session whose views have `companions`; `None` where none has the
+/// latter.
 pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Option<StereoInput> {
     let board = session.record().request.target;
     let infrared2: Vec<&Companion> =
@@ -107,7 +128,8 @@ pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Optio
     let capture = |view: &View| StereoCapture {
         name: view.frame.display_name(),
         color: view.to_board_view(&board).correspondences,
-        infrared2: of_view(view).map_or_else(Vec::new, |companion| corners(companion, view, &board)),
+        infrared2: of_view(view)
+            .map_or_else(Vec::new, |companion| corners(companion, view, &board)),
     };
     let captures = session.views().iter().map(capture).collect();
     Some(StereoInput { board, color_size: session.image_size()?, infrared2_size, captures })

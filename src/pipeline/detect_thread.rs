@@ -1,4 +1,5 @@
-//! Thread `detect-<camera>`: looks for the board while a session collects, and shows each frame with what was seen in it.
+//! Thread `detect-<camera>`: looks for the board while a session collects, and shows each frame
+//! with what was seen in it.
 //!
 //! Only luma is decoded, and only while someone looks for a board.
 
@@ -55,8 +56,9 @@ impl Detect {
         look.map(|(search, look)| Message::Looked { captured, search, look })
     }
 
-    /// A live frame is followed from the one before. A replay that waits for its frames has each searched by itself, so that
-    /// it gives the very bits that the same pictures give anywhere else.
+    /// A live frame is followed from the one before. A replay that waits for its frames has each
+    /// searched by itself, so that it gives the very bits that the same pictures give anywhere
+    /// else.
     fn look(&mut self, captured: &CapturedFrame, search: &Search) -> Look {
         let started = Instant::now();
         let manner = if captured.waits { Manner::Searched } else { Manner::Followed };

@@ -1,5 +1,5 @@
-//! Tells that the camera's current calibration may not hold any more: the device was moved, or the views that a session
-//! keeps do not agree with it.
+//! Tells that the camera's current calibration may not hold any more: the device was moved, or the
+//! views that a session keeps do not agree with it.
 
 use crate::calibration::calibration::SensorCalibration;
 use crate::calibration::drift::{Drift, DriftWatch};
@@ -7,7 +7,8 @@ use crate::pipeline::event::EventKind;
 use crate::pipeline::session_thread::SessionThread;
 
 impl SessionThread {
-    /// What to hold the views of a session against that begins now; `None` before there is a calibration.
+    /// What to hold the views of a session against that begins now; `None` before there is a
+    /// calibration.
     pub(super) fn drift_watch(&self) -> Option<DriftWatch> {
         let (id, sensor) = self.current_calibration()?;
         Some(DriftWatch::new(&id, &sensor))
@@ -26,7 +27,12 @@ impl SessionThread {
     /// The device tells that what a session held still is no longer as it was.
     pub(super) fn tell_moved(&self, what: String) {
         if let Some((calibration, sensor)) = self.current_calibration() {
-            self.publish_drift(Drift { calibration, reason: what, rms_px: None, expected_px: sensor.rms_px });
+            self.publish_drift(Drift {
+                calibration,
+                reason: what,
+                rms_px: None,
+                expected_px: sensor.rms_px,
+            });
         }
     }
 
@@ -39,7 +45,11 @@ impl SessionThread {
     fn current_calibration(&self) -> Option<(String, SensorCalibration)> {
         let id = self.camera.status.borrow().calibration.clone()?;
         let calibration = self.store.calibration(&id).unwrap_or_else(|error| {
-            tracing::error!(camera = self.camera.name, calibration = id, "drift is not watched: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                calibration = id,
+                "drift is not watched: {error}"
+            );
             None
         })?;
         Some((id, calibration.color.or(calibration.infrared)?))

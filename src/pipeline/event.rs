@@ -1,4 +1,5 @@
-//! What happens, as it happens: numbered events that any number of listeners follow, from any point still remembered.
+//! What happens, as it happens: numbered events that any number of listeners follow, from any point
+//! still remembered.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -38,7 +39,8 @@ pub enum EventKind {
     Calibration(CalibrationEvent),
     /// A camera changed its state.
     Camera(Box<CameraStatus>),
-    /// The current calibration may not hold any more: the lens was moved, or explains what is seen worse than it should.
+    /// The current calibration may not hold any more: the lens was moved, or explains what is seen
+    /// worse than it should.
     Drift(Drift),
 }
 
@@ -87,7 +89,8 @@ pub struct DetectionEvent {
     pub corners_px: Vec<Pixel>,
     /// The number of the view it became; `None` if it was not kept.
     pub kept_view: Option<u32>,
-    /// The kind of rejection ([`crate::calibration::admission::Rejection::kind`]); `None` if it was kept.
+    /// The kind of rejection ([`crate::calibration::admission::Rejection::kind`]); `None` if it was
+    /// kept.
     pub rejection: Option<&'static str>,
     /// The rejection in words.
     pub reason: Option<String>,
@@ -135,12 +138,13 @@ pub struct CalibrationEvent {
 }
 
 impl CalibrationEvent {
-    /// What an event tells of `calibration`; of a rig, its least certain camera's figures. `None` if it has no picture
-    /// sensor.
+    /// What an event tells of `calibration`; of a rig, its least certain camera's figures. `None`
+    /// if it has no picture sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
         let own = calibration.color.as_ref().or(calibration.infrared.as_ref());
         let of_rig = calibration.cameras.iter().map(|camera| &camera.sensor);
-        let worst = of_rig.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));
+        let worst =
+            of_rig.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));
         let sensor = own.or(worst)?;
         Some(Self {
             id: calibration.id.clone(),
@@ -158,8 +162,8 @@ const FREQUENT_KEPT: usize = 512;
 /// All other events, as many as are remembered.
 const LASTING_KEPT: usize = 2048;
 
-/// Numbers events, remembers the last of them, wakes who follows them. A listener that falls behind what is remembered
-/// misses events and holds nobody up.
+/// Numbers events, remembers the last of them, wakes who follows them. A listener that falls behind
+/// what is remembered misses events and holds nobody up.
 #[derive(Debug)]
 pub struct EventLog {
     rings: Mutex<Rings>,
@@ -174,9 +178,11 @@ struct Rings {
 }
 
 impl EventLog {
-    /// An empty log whose first event is numbered `first_id` + 1. Given a clock's microseconds, ids grow over restarts.
+    /// An empty log whose first event is numbered `first_id` + 1. Given a clock's microseconds, ids
+    /// grow over restarts.
     pub fn new(first_id: u64) -> Self {
-        let rings = Rings { last_id: first_id, frequent: VecDeque::new(), lasting: VecDeque::new() };
+        let rings =
+            Rings { last_id: first_id, frequent: VecDeque::new(), lasting: VecDeque::new() };
         Self { rings: Mutex::new(rings), newest: watch::Sender::new(first_id) }
     }
 
@@ -187,8 +193,11 @@ impl EventLog {
         let id = rings.last_id;
         let frequent = kind.is_frequent();
         let event = Arc::new(Event { id, camera: camera.to_owned(), kind });
-        let (ring, limit) =
-            if frequent { (&mut rings.frequent, FREQUENT_KEPT) } else { (&mut rings.lasting, LASTING_KEPT) };
+        let (ring, limit) = if frequent {
+            (&mut rings.frequent, FREQUENT_KEPT)
+        } else {
+            (&mut rings.lasting, LASTING_KEPT)
+        };
         if ring.len() == limit {
             ring.pop_front();
         }
@@ -196,8 +205,8 @@ impl EventLog {
         self.newest.send_replace(id);
     }
 
-    /// Follows the events after `last_seen`; from now on, when `None`. An id from the future (of a clock that was set
-    /// back) counts as now.
+    /// Follows the events after `last_seen`; from now on, when `None`. An id from the future (of a
+    /// clock that was set back) counts as now.
     pub fn follow(self: &Arc<Self>, last_seen: Option<u64>) -> EventStream {
         let newest = self.lock().last_id;
         EventStream {
@@ -210,7 +219,9 @@ impl EventLog {
     /// The first remembered event after `id`.
     fn first_after(&self, id: u64) -> Option<Arc<Event>> {
         let rings = self.lock();
-        let first = |ring: &VecDeque<Arc<Event>>| ring.get(ring.partition_point(|event| event.id <= id)).cloned();
+        let first = |ring: &VecDeque<Arc<Event>>| {
+            ring.get(ring.partition_point(|event| event.id <= id)).cloned()
+        };
         match (first(&rings.frequent), first(&rings.lasting)) {
             (Some(a), Some(b)) => Some(if a.id < b.id { a } else { b }),
             (a, b) => a.or(b),
@@ -258,7 +269,12 @@ mod tests {
     use super::*;
 
     fn frame(sequence: u64) -> EventKind {
-        EventKind::Frame(FrameEvent { sequence, host_time_ns: 0, device_time_ns: None, dropped_frames: 0 })
+        EventKind::Frame(FrameEvent {
+            sequence,
+            host_time_ns: 0,
+            device_time_ns: None,
+            dropped_frames: 0,
+        })
     }
 
     fn camera() -> EventKind {

@@ -56,7 +56,9 @@ pub enum FleetError {
 #[derive(Debug, thiserror::Error)]
 pub enum ApproveError {
     /// No such calibration.
-    #[error("there is no calibration `{id}`; see GET /v1/cameras/{{camera}}/calibrations for those there are")]
+    #[error(
+        "there is no calibration `{id}`; see GET /v1/cameras/{{camera}}/calibrations for those there are"
+    )]
     UnknownCalibration {
         /// The id that was asked for.
         id: String,
@@ -114,29 +116,48 @@ impl Fleet {
     ///
     /// # Errors
     /// [`FleetError`].
-    pub fn start(plans: Vec<CameraPlan>, store: Arc<Store>, options: &FleetOptions) -> Result<Self, FleetError> {
-        let metrics = Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
-        // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in JavaScript.
+    pub fn start(
+        plans: Vec<CameraPlan>,
+        store: Arc<Store>,
+        options: &FleetOptions,
+    ) -> Result<Self, FleetError> {
+        let metrics =
+            Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
+        // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in
+        // JavaScript.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
         let shared = SharedParts { events, metrics: Arc::new(metrics), store };
-        let fleet = Self { cameras: RwLock::default(), rigs: RwLock::default(), shared, options: options.clone() };
+        let fleet = Self {
+            cameras: RwLock::default(),
+            rigs: RwLock::default(),
+            shared,
+            options: options.clone(),
+        };
         // A fleet that is dropped half started ends the threads that it has.
         fleet.replace_cameras(&[], plans)?;
         for (record, _) in fleet.shared.store.unfinished_sessions()? {
             if record.members.is_empty() && fleet.link(&record.camera).is_err() {
                 let SessionRecord { id, camera, .. } = record;
-                tracing::warn!(session = id, camera, "unfinished session of a camera that is not configured");
+                tracing::warn!(
+                    session = id,
+                    camera,
+                    "unfinished session of a camera that is not configured"
+                );
             }
         }
         Ok(fleet)
     }
 
-    /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that were left unfinished. The
-    /// others do not notice. Blocks for less than a second.
+    /// Stops the cameras named `stopped` and sets those of `plans` going, with the sessions that
+    /// were left unfinished. The others do not notice. Blocks for less than a second.
     ///
     /// # Errors
     /// [`FleetError`]; cameras before the one that failed are running then.
-    pub fn replace_cameras(&self, stopped: &[String], plans: Vec<CameraPlan>) -> Result<(), FleetError> {
+    pub fn replace_cameras(
+        &self,
+        stopped: &[String],
+        plans: Vec<CameraPlan>,
+    ) -> Result<(), FleetError> {
         let mut cameras = self.cameras.write().unwrap_or_else(PoisonError::into_inner);
         let (leaving, staying): (Vec<_>, Vec<_>) =
             cameras.drain(..).partition(|running| stopped.contains(&running.camera.name));
@@ -152,13 +173,14 @@ impl Fleet {
         Ok(())
     }
 
-    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less than a second: a
-    /// thread that a driver does not let go is left behind.
+    /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less
+    /// than a second: a thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
         // Rigs first: a replay may wait for one.
         let rigs = std::mem::take(&mut *self.rigs.write().unwrap_or_else(PoisonError::into_inner));
         rigs.iter().for_each(|running| running.rig.inbox.close());
-        let leaving = std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
+        let leaving =
+            std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
         stop(&leaving);
         let until = Instant::now() + LAST_WAIT;
         while rigs.iter().any(|running| !running.thread.is_finished()) && Instant::now() < until {
@@ -173,7 +195,10 @@ impl Fleet {
     pub fn approve(&self, id: &str) -> Result<(), ApproveError> {
         let unknown = || ApproveError::UnknownCalibration { id: id.to_owned() };
         let calibration = self.shared.store.calibration(id)?.ok_or_else(unknown)?;
-        let name = calibration.camera.as_ref().ok_or_else(|| ApproveError::NoCamera { id: id.to_owned() })?;
+        let name = calibration
+            .camera
+            .as_ref()
+            .ok_or_else(|| ApproveError::NoCamera { id: id.to_owned() })?;
         self.shared.store.set_current(name, id)?;
         if let Ok(camera) = self.link(name) {
             camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
@@ -190,8 +215,14 @@ impl Fleet {
     ///
     /// # Errors
     /// [`RecordError`].
-    pub fn start_recording(&self, name: &str, limits: RecordingLimits) -> Result<RecordingStatus, RecordError> {
-        let link = self.link(name).map_err(|UnknownCamera { camera }| RecordError::UnknownCamera { camera })?;
+    pub fn start_recording(
+        &self,
+        name: &str,
+        limits: RecordingLimits,
+    ) -> Result<RecordingStatus, RecordError> {
+        let link = self
+            .link(name)
+            .map_err(|UnknownCamera { camera }| RecordError::UnknownCamera { camera })?;
         link.recorder.start(name, &self.shared.store.folder().join("recordings"), limits)
     }
 
@@ -200,11 +231,17 @@ impl Fleet {
     /// # Errors
     /// [`RecordError::UnknownRecording`], [`RecordError::Over`].
     pub fn stop_recording(&self, id: &str) -> Result<RecordingStatus, RecordError> {
-        let of = |running: &&RunningCamera| running.camera.recorder.status().is_some_and(|status| status.id == id);
+        let of = |running: &&RunningCamera| {
+            running.camera.recorder.status().is_some_and(|status| status.id == id)
+        };
         let found = self.running().iter().find(of).map(|running| Arc::clone(&running.camera));
         let camera = found.ok_or_else(|| RecordError::UnknownRecording { id: id.to_owned() })?;
         let over = || RecordError::Over { id: id.to_owned() };
-        camera.recorder.status().filter(|status| status.state == RecordingState::Recording).ok_or_else(over)?;
+        camera
+            .recorder
+            .status()
+            .filter(|status| status.state == RecordingState::Recording)
+            .ok_or_else(over)?;
         camera.recorder.finish().ok_or_else(over)
     }
 
@@ -235,27 +272,41 @@ impl Fleet {
 
     /// Whether any camera delivers.
     pub fn is_ready(&self) -> bool {
-        self.running().iter().any(|running| running.camera.status.borrow().state == CameraState::Streaming)
+        self.running()
+            .iter()
+            .any(|running| running.camera.status.borrow().state == CameraState::Streaming)
     }
 
-    /// A camera's newest frame with what was seen in it, now and as it changes; `None` before the first.
+    /// A camera's newest frame with what was seen in it, now and as it changes; `None` before the
+    /// first.
     ///
     /// # Errors
     /// [`UnknownCamera`].
-    pub fn frames(&self, name: &str) -> Result<watch::Receiver<Option<Arc<LiveFrame>>>, UnknownCamera> {
+    pub fn frames(
+        &self,
+        name: &str,
+    ) -> Result<watch::Receiver<Option<Arc<LiveFrame>>>, UnknownCamera> {
         Ok(self.link(name)?.frames.subscribe())
     }
 
-    /// The newest session of each camera and each rig since the daemon started, running or over. Older ones are in the
-    /// store.
+    /// The newest session of each camera and each rig since the daemon started, running or over.
+    /// Older ones are in the store.
     pub fn live_sessions(&self) -> Vec<Arc<SessionRecord>> {
-        let of_rigs: Vec<_> =
-            self.running_rigs().iter().filter_map(|running| running.rig.session.borrow().clone()).collect();
-        let of_cameras = self.running().iter().filter_map(|running| running.camera.session.borrow().clone()).collect();
+        let of_rigs: Vec<_> = self
+            .running_rigs()
+            .iter()
+            .filter_map(|running| running.rig.session.borrow().clone())
+            .collect();
+        let of_cameras = self
+            .running()
+            .iter()
+            .filter_map(|running| running.camera.session.borrow().clone())
+            .collect();
         [of_cameras, of_rigs].concat()
     }
 
-    /// The session `id`, if it is the newest of its camera or rig since the daemon started. Older ones are in the store.
+    /// The session `id`, if it is the newest of its camera or rig since the daemon started. Older
+    /// ones are in the store.
     pub fn live_session(&self, id: &str) -> Option<Arc<SessionRecord>> {
         self.owner(id).and_then(|owner| owner.session().borrow().clone())
     }
@@ -264,15 +315,24 @@ impl Fleet {
     ///
     /// # Errors
     /// [`StartError`].
-    pub async fn start_session(&self, name: &str, request: SessionRequest) -> Result<SessionRecord, StartError> {
-        let link = self.link(name).map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
+    pub async fn start_session(
+        &self,
+        name: &str,
+        request: SessionRequest,
+    ) -> Result<SessionRecord, StartError> {
+        let link = self
+            .link(name)
+            .map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
         let (reply, answer) = oneshot::channel();
-        link.messages.send(Message::Start(request, reply)).await.map_err(|_| StartError::Stopping)?;
+        link.messages
+            .send(Message::Start(request, reply))
+            .await
+            .map_err(|_| StartError::Stopping)?;
         answer.await.map_err(|_| StartError::Stopping)?
     }
 
-    /// Ends the collecting of session `id` and begins to solve; returns without waiting for the solve, see
-    /// [`Self::session_over`]. A session that solves already is left to it.
+    /// Ends the collecting of session `id` and begins to solve; returns without waiting for the
+    /// solve, see [`Self::session_over`]. A session that solves already is left to it.
     ///
     /// # Errors
     /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
@@ -291,7 +351,8 @@ impl Fleet {
     /// Waits until session `id` has ended.
     ///
     /// # Errors
-    /// [`EndError::UnknownSession`] if it is not, or stops being, the newest of its camera; [`EndError::Stopping`].
+    /// [`EndError::UnknownSession`] if it is not, or stops being, the newest of its camera;
+    /// [`EndError::Stopping`].
     pub async fn session_over(&self, id: &str) -> Result<Arc<SessionRecord>, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
         let mut session = self.owner(id).ok_or_else(unknown)?.session().subscribe();
@@ -316,7 +377,11 @@ impl Fleet {
         let (reply, answer) = oneshot::channel();
         match self.owner(id).ok_or_else(|| EndError::UnknownSession { id: id.to_owned() })? {
             Owner::Camera(camera) => {
-                camera.messages.send(of_camera(id.to_owned(), reply)).await.map_err(|_| EndError::Stopping)?;
+                camera
+                    .messages
+                    .send(of_camera(id.to_owned(), reply))
+                    .await
+                    .map_err(|_| EndError::Stopping)?;
             }
             // One that takes no more messages drops the reply, and so answers.
             Owner::Rig(rig) => drop(rig.inbox.ask(of_rig(id.to_owned(), reply))),
@@ -325,7 +390,12 @@ impl Fleet {
     }
 
     pub(super) fn link(&self, name: &str) -> Result<Arc<LiveCamera>, UnknownCamera> {
-        let found = self.running().iter().map(|running| &running.camera).find(|camera| camera.name == name).cloned();
+        let found = self
+            .running()
+            .iter()
+            .map(|running| &running.camera)
+            .find(|camera| camera.name == name)
+            .cloned();
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
@@ -334,8 +404,19 @@ impl Fleet {
         let has = |session: &watch::Sender<Option<Arc<SessionRecord>>>| {
             session.borrow().as_ref().is_some_and(|record| record.id == id)
         };
-        let camera = self.running().iter().map(|running| &running.camera).find(|camera| has(&camera.session)).cloned();
-        let rig = || self.running_rigs().iter().map(|running| &running.rig).find(|rig| has(&rig.session)).cloned();
+        let camera = self
+            .running()
+            .iter()
+            .map(|running| &running.camera)
+            .find(|camera| has(&camera.session))
+            .cloned();
+        let rig = || {
+            self.running_rigs()
+                .iter()
+                .map(|running| &running.rig)
+                .find(|rig| has(&rig.session))
+                .cloned()
+        };
         camera.map(Owner::Camera).or_else(|| rig().map(Owner::Rig))
     }
 
@@ -361,7 +442,10 @@ fn stop(cameras: &[RunningCamera]) {
         camera.recorder.finish();
     }
     if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
-        tracing::warn!("thread {} is stuck and left behind", stuck.thread().name().unwrap_or("without a name"));
+        tracing::warn!(
+            "thread {} is stuck and left behind",
+            stuck.thread().name().unwrap_or("without a name")
+        );
     }
 }
 

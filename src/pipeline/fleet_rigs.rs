@@ -56,18 +56,24 @@ impl Fleet {
                 board_look: BoardLook::default(),
             };
             let name = rig.plan.name.clone();
-            let thread = std::thread::Builder::new().name(format!("rig-{name}")).spawn(move || thread.run());
-            let thread = thread.map_err(|error| FleetError::Thread { camera: name, detail: error.to_string() })?;
+            let thread =
+                std::thread::Builder::new().name(format!("rig-{name}")).spawn(move || thread.run());
+            let thread = thread
+                .map_err(|error| FleetError::Thread { camera: name, detail: error.to_string() })?;
             if let (Some(record), Ok(cameras)) = (left, self.cameras_of(&rig.plan)) {
                 rig.inbox.ask(RigMessage::Resume(Box::new(record), cameras));
             }
-            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(RunningRig { rig, thread });
+            self.rigs
+                .write()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(RunningRig { rig, thread });
         }
         Ok(())
     }
 
-    /// Ends the rigs named `stopped` and gives their cameras back; a session that collects goes on when a rig of that name
-    /// is started again. Blocks until they have finished what they are computing.
+    /// Ends the rigs named `stopped` and gives their cameras back; a session that collects goes on
+    /// when a rig of that name is started again. Blocks until they have finished what they are
+    /// computing.
     pub fn stop_rigs(&self, stopped: &[String]) {
         let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
         let (leaving, staying): (Vec<_>, Vec<_>) =
@@ -99,10 +105,16 @@ impl Fleet {
     ///
     /// # Errors
     /// [`StartError`], also when one of its cameras is in a session.
-    pub async fn start_rig_session(&self, name: &str, request: SessionRequest) -> Result<SessionRecord, StartError> {
-        let rig = self.rig_link(name).map_err(|UnknownRig { rig }| StartError::UnknownRig { rig })?;
-        let cameras =
-            self.cameras_of(&rig.plan).map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
+    pub async fn start_rig_session(
+        &self,
+        name: &str,
+        request: SessionRequest,
+    ) -> Result<SessionRecord, StartError> {
+        let rig =
+            self.rig_link(name).map_err(|UnknownRig { rig }| StartError::UnknownRig { rig })?;
+        let cameras = self
+            .cameras_of(&rig.plan)
+            .map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
         let (reply, answer) = oneshot::channel();
         if !rig.inbox.ask(RigMessage::Start(request, cameras, reply)) {
             return Err(StartError::Stopping);
@@ -111,7 +123,12 @@ impl Fleet {
     }
 
     pub(super) fn rig_link(&self, name: &str) -> Result<Arc<LiveRig>, UnknownRig> {
-        let found = self.running_rigs().iter().map(|running| &running.rig).find(|rig| rig.plan.name == name).cloned();
+        let found = self
+            .running_rigs()
+            .iter()
+            .map(|running| &running.rig)
+            .find(|rig| rig.plan.name == name)
+            .cloned();
         found.ok_or_else(|| UnknownRig { rig: name.to_owned() })
     }
 

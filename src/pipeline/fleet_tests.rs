@@ -1,10 +1,13 @@
-//! The fleet on sources that do what the test says: deliver, fall silent, vanish, break, panic, end.
+//! The fleet on sources that do what the test says: deliver, fall silent, vanish, break, panic,
+//! end.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use super::*;
-use crate::calibration::calibration::{Calibration, Checks, Grade, ProjectionUncertainty, SensorCalibration, Verdict};
+use crate::calibration::calibration::{
+    Calibration, Checks, Grade, ProjectionUncertainty, SensorCalibration, Verdict,
+};
 use crate::calibration::session_record::SessionState;
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
 use crate::estimation::problem::LensChoice;
@@ -72,7 +75,11 @@ impl FrameSource for Scripted {
     }
 
     fn description(&self) -> SourceDescription {
-        SourceDescription { identity: "camera 7".to_owned(), waits: self.waits, ..SourceDescription::default() }
+        SourceDescription {
+            identity: "camera 7".to_owned(),
+            waits: self.waits,
+            ..SourceDescription::default()
+        }
     }
 
     fn moved_since_calibrating(&self) -> Option<String> {
@@ -98,9 +105,15 @@ fn scripted(name: &str) -> (CameraPlan, Script) {
     let (openings, next) = channel::<Result<Receiver<Step>, CaptureError>>();
     let open = move || {
         let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false }) as Box<dyn FrameSource>)
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false })
+            as Box<dyn FrameSource>)
     };
-    let plan = CameraPlan { name: name.to_owned(), kind: "v4l2".to_owned(), open: Box::new(open), may_stall: true };
+    let plan = CameraPlan {
+        name: name.to_owned(),
+        kind: "v4l2".to_owned(),
+        open: Box::new(open),
+        may_stall: true,
+    };
     (plan, Script { openings })
 }
 
@@ -137,13 +150,18 @@ async fn until<T>(events: &mut EventStream, mut wanted: impl FnMut(&Event) -> Op
 
 async fn until_state(events: &mut EventStream, camera: &str, state: CameraState) -> CameraStatus {
     until(events, |event| match &event.kind {
-        EventKind::Camera(status) if event.camera == camera && status.state == state => Some((**status).clone()),
+        EventKind::Camera(status) if event.camera == camera && status.state == state => {
+            Some((**status).clone())
+        }
         _ => None,
     })
     .await
 }
 
-async fn until_session(events: &mut EventStream, wanted: impl Fn(&SessionRecord) -> bool) -> SessionRecord {
+async fn until_session(
+    events: &mut EventStream,
+    wanted: impl Fn(&SessionRecord) -> bool,
+) -> SessionRecord {
     until(events, |event| match &event.kind {
         EventKind::Session(record) if wanted(record) => Some((**record).clone()),
         _ => None,
@@ -152,7 +170,8 @@ async fn until_session(events: &mut EventStream, wanted: impl Fn(&SessionRecord)
 }
 
 async fn until_frame(events: &mut EventStream, camera: &str) {
-    until(events, |event| (event.camera == camera && event.kind.name() == "frame").then_some(())).await;
+    until(events, |event| (event.camera == camera && event.kind.name() == "frame").then_some(()))
+        .await;
 }
 
 #[tokio::test]
@@ -202,7 +221,9 @@ async fn silence_is_a_loss_and_a_panic_too() {
     feed.send(Step::Panic).unwrap();
     until_state(&mut events, "front", CameraState::Streaming).await;
     until(&mut events, |event| match &event.kind {
-        EventKind::Camera(status) => status.reason.as_ref().filter(|reason| reason.contains("binding broke")).cloned(),
+        EventKind::Camera(status) => {
+            status.reason.as_ref().filter(|reason| reason.contains("binding broke")).cloned()
+        }
         _ => None,
     })
     .await;
@@ -238,8 +259,12 @@ async fn two_cameras_never_hold_each_other_up() {
         let _ = blocked.recv();
         Err(lost("gone"))
     };
-    let stuck =
-        CameraPlan { name: "stuck".to_owned(), kind: "v4l2".to_owned(), open: Box::new(stuck), may_stall: true };
+    let stuck = CameraPlan {
+        name: "stuck".to_owned(),
+        kind: "v4l2".to_owned(),
+        open: Box::new(stuck),
+        may_stall: true,
+    };
     let (plan, script) = scripted("front");
     let feed = script.plug_in();
     let fleet = fleet_of(vec![stuck, plan], &folder, PATIENCE);
@@ -252,7 +277,11 @@ async fn two_cameras_never_hold_each_other_up() {
     assert_eq!(fleet.camera("front").unwrap().frames, 100);
     let id = fleet.start_session("stuck", request()).await.unwrap().id;
     let failed = fleet.stop_session(&id).await.unwrap();
-    assert_eq!(failed.state, SessionState::Failed, "a session can be stopped while its camera hangs");
+    assert_eq!(
+        failed.state,
+        SessionState::Failed,
+        "a session can be stopped while its camera hangs"
+    );
     drop(release);
 }
 
@@ -261,9 +290,15 @@ fn replay(frames: u64) -> CameraPlan {
     let open = move || {
         let (feed, steps) = channel();
         (0..frames).for_each(|_| feed.send(Step::Frame).unwrap());
-        Ok(Box::new(Scripted { steps, sequence: 0, waits: true, moved: false }) as Box<dyn FrameSource>)
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: true, moved: false })
+            as Box<dyn FrameSource>)
     };
-    CameraPlan { name: "front".to_owned(), kind: "recording".to_owned(), open: Box::new(open), may_stall: false }
+    CameraPlan {
+        name: "front".to_owned(),
+        kind: "recording".to_owned(),
+        open: Box::new(open),
+        may_stall: false,
+    }
 }
 
 #[tokio::test]
@@ -274,7 +309,8 @@ async fn every_session_sees_the_whole_of_a_replay() {
     for _ in 0..3 {
         let id = fleet.start_session("front", request()).await.unwrap().id;
         let record = until_session(&mut events, |record| {
-            record.id == id && record.reason.as_ref().is_some_and(|reason| reason.contains("has ended"))
+            record.id == id
+                && record.reason.as_ref().is_some_and(|reason| reason.contains("has ended"))
         })
         .await;
         assert_eq!((record.frames_seen, record.state), (500, SessionState::Collecting));
@@ -293,7 +329,10 @@ async fn an_unfinished_session_goes_on_under_its_id() {
     let mut events = fleet.events(Some(0));
     until_session(&mut events, |record| record.id == id && record.frames_seen >= 10).await;
     let unknown = fleet.stop_session("other").await.unwrap_err();
-    assert_eq!(unknown.to_string(), "there is no session `other`; see GET /v1/sessions for those there are");
+    assert_eq!(
+        unknown.to_string(),
+        "there is no session `other`; see GET /v1/sessions for those there are"
+    );
 }
 
 /// A calibration of camera `front` that is current.
@@ -370,7 +409,8 @@ impl FrameSource for Flood {
         self.signs.recv_timeout(timeout).map_err(|_| CaptureError::TimedOut { waited: timeout })?;
         let bytes = Arc::clone(&self.bytes);
         let format = PixelFormat::Mono8;
-        let frame = Frame { sensor: SensorKind::Color, size: FLOOD_SIZE, format, stride: 2000, bytes };
+        let frame =
+            Frame { sensor: SensorKind::Color, size: FLOOD_SIZE, format, stride: 2000, bytes };
         self.next += 1;
         Ok(FrameSet { frames: vec![frame], ..gray_frame(self.next - 1) })
     }
@@ -380,7 +420,8 @@ impl FrameSource for Flood {
     }
 }
 
-/// A search takes far longer than the next picture: what is not looked at is counted, the last one always is looked at.
+/// A search takes far longer than the next picture: what is not looked at is counted, the last one
+/// always is looked at.
 #[tokio::test]
 async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     const FRAMES: u64 = 200;
@@ -391,8 +432,15 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
         next: 0,
         bytes: (0..2000 * 1500_u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect(),
     });
-    let open = move || source.take().map(|s| Box::new(s) as Box<dyn FrameSource>).ok_or_else(|| lost("gone"));
-    let plan = CameraPlan { name: "front".to_owned(), kind: "v4l2".to_owned(), open: Box::new(open), may_stall: false };
+    let open = move || {
+        source.take().map(|s| Box::new(s) as Box<dyn FrameSource>).ok_or_else(|| lost("gone"))
+    };
+    let plan = CameraPlan {
+        name: "front".to_owned(),
+        kind: "v4l2".to_owned(),
+        open: Box::new(open),
+        may_stall: false,
+    };
     let fleet = fleet_of(vec![plan], &folder, PATIENCE);
     let mut events = fleet.events(Some(0));
     let id = fleet.start_session("front", request()).await.unwrap().id;
@@ -407,9 +455,11 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     .await;
     let searched = looked_at.len() as u64;
     assert!(looked_at.is_sorted() && searched < FRAMES / 4, "{looked_at:?}");
-    // The first picture may have been asked for before the session began: it is taken, but no board is looked for.
+    // The first picture may have been asked for before the session began: it is taken, but no board
+    // is looked for.
     assert!((searched..=searched + 1).contains(&taken), "{taken} taken, {searched} searched");
-    // A frame that takes another's place is counted once it has; the detector may be done with it by then.
+    // A frame that takes another's place is counted once it has; the detector may be done with it
+    // by then.
     let dropped = || fleet.camera("front").unwrap().dropped_frames;
     let began = Instant::now();
     while taken + dropped() < FRAMES && began.elapsed() < PATIENCE {
@@ -422,7 +472,8 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     let told = format!("plumb_frames_dropped_total{{camera=\"front\",why=\"overload\"}} {dropped}");
     assert!(metrics.contains(&told), "{metrics}");
     assert!(
-        metrics.contains(&format!("plumb_frame_latency_seconds_count{{camera=\"front\"}} {searched}")),
+        metrics
+            .contains(&format!("plumb_frame_latency_seconds_count{{camera=\"front\"}} {searched}")),
         "{metrics}"
     );
 }

@@ -1,5 +1,6 @@
-//! The one place between a camera and its detector. A live camera's newest frame wins: whatever the detector has not
-//! taken is replaced, so that it never looks at an old one. A replay that must not skip waits for the place instead.
+//! The one place between a camera and its detector. A live camera's newest frame wins: whatever the
+//! detector has not taken is replaced, so that it never looks at an old one. A replay that must not
+//! skip waits for the place instead.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -90,7 +91,9 @@ mod tests {
     fn whoever_waits_loses_nothing() {
         let slot = Arc::new(FrameSlot::new());
         let taker = Arc::clone(&slot);
-        let taken = std::thread::spawn(move || (0..1000).map(|_| taker.take().unwrap()).collect::<Vec<_>>());
+        let taken = std::thread::spawn(move || {
+            (0..1000).map(|_| taker.take().unwrap()).collect::<Vec<_>>()
+        });
         (0..1000).for_each(|n| slot.put_waiting(n).unwrap());
         assert_eq!(taken.join().unwrap(), (0..1000).collect::<Vec<_>>());
     }

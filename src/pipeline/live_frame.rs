@@ -6,7 +6,8 @@ use crate::detection::board_detection::{Detection, NoBoard};
 use crate::detection::tracking::Sighting;
 use crate::imaging::frame::FrameSet;
 
-/// A frame set with what was seen in it: preview, overlay and picture come from one and the same frame.
+/// A frame set with what was seen in it: preview, overlay and picture come from one and the same
+/// frame.
 #[derive(Debug, Clone)]
 pub struct LiveFrame {
     /// What the camera gave.
@@ -22,14 +23,19 @@ pub struct Look {
     pub outcome: Result<Arc<Detection>, LookError>,
     /// The time that decoding and detection took, in milliseconds.
     pub elapsed_ms: f64,
-    /// The board was found near where it was in the frame before: its corners are exact enough to decide on, not to keep.
+    /// The board was found near where it was in the frame before: its corners are exact enough to
+    /// decide on, not to keep.
     pub followed: bool,
 }
 
 impl Look {
     pub(super) fn of(sighting: Result<Sighting, LookError>, elapsed_ms: f64) -> Self {
         let followed = sighting.as_ref().is_ok_and(|sighting| sighting.followed);
-        Self { outcome: sighting.map(|sighting| Arc::new(sighting.detection)), elapsed_ms, followed }
+        Self {
+            outcome: sighting.map(|sighting| Arc::new(sighting.detection)),
+            elapsed_ms,
+            followed,
+        }
     }
 }
 

@@ -1,6 +1,8 @@
 //! What the daemon counts, in Prometheus's words.
 
-use prometheus::{Encoder, HistogramOpts, HistogramVec, IntCounterVec, IntGaugeVec, Opts, Registry, TextEncoder};
+use prometheus::{
+    Encoder, HistogramOpts, HistogramVec, IntCounterVec, IntGaugeVec, Opts, Registry, TextEncoder,
+};
 
 use crate::pipeline::camera_status::CameraState;
 
@@ -10,7 +12,8 @@ pub(super) struct Metrics {
     registry: Registry,
     /// Frame sets received.
     pub(super) frames: IntCounterVec,
-    /// Frame sets lost, and why: `device` (a gap in its count), `damaged`, `overload` (replaced by a newer one unseen).
+    /// Frame sets lost, and why: `device` (a gap in its count), `damaged`, `overload` (replaced by
+    /// a newer one unseen).
     pub(super) dropped: IntCounterVec,
     /// Frames searched for a board.
     pub(super) searched: IntCounterVec,
@@ -35,7 +38,8 @@ pub(super) struct Metrics {
     pub(super) solve_seconds: HistogramVec,
 }
 
-const FRAME_SECONDS: [f64; 12] = [0.0005, 0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0];
+const FRAME_SECONDS: [f64; 12] =
+    [0.0005, 0.001, 0.002, 0.003, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.3, 1.0];
 const SOLVE_SECONDS: [f64; 9] = [0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
 
 impl Metrics {
@@ -47,7 +51,10 @@ impl Metrics {
             Ok::<_, prometheus::Error>(counter)
         };
         let histogram = |name: &str, help: &str, buckets: &[f64]| {
-            let histogram = HistogramVec::new(HistogramOpts::new(name, help).buckets(buckets.to_vec()), &["camera"])?;
+            let histogram = HistogramVec::new(
+                HistogramOpts::new(name, help).buckets(buckets.to_vec()),
+                &["camera"],
+            )?;
             registry.register(Box::new(histogram.clone()))?;
             Ok::<_, prometheus::Error>(histogram)
         };
@@ -58,14 +65,42 @@ impl Metrics {
         registry.register(Box::new(state.clone()))?;
         Ok(Self {
             frames: counter("plumb_frames_total", "frame sets received", &["camera"])?,
-            dropped: counter("plumb_frames_dropped_total", "frame sets lost, and why", &["camera", "why"])?,
-            searched: counter("plumb_frames_searched_total", "frames searched for a board", &["camera"])?,
-            boards: counter("plumb_boards_found_total", "frames in which the board was found", &["camera"])?,
+            dropped: counter(
+                "plumb_frames_dropped_total",
+                "frame sets lost, and why",
+                &["camera", "why"],
+            )?,
+            searched: counter(
+                "plumb_frames_searched_total",
+                "frames searched for a board",
+                &["camera"],
+            )?,
+            boards: counter(
+                "plumb_boards_found_total",
+                "frames in which the board was found",
+                &["camera"],
+            )?,
             views: counter("plumb_views_kept_total", "views kept by sessions", &["camera"])?,
-            rejected: counter("plumb_frames_rejected_total", "frames not kept by a session", &["camera", "reason"])?,
-            sessions: counter("plumb_sessions_ended_total", "sessions that ended, and how", &["camera", "state"])?,
-            opened: counter("plumb_camera_opened_total", "times that the camera was opened", &["camera"])?,
-            lost: counter("plumb_camera_lost_total", "times that the camera was lost", &["camera"])?,
+            rejected: counter(
+                "plumb_frames_rejected_total",
+                "frames not kept by a session",
+                &["camera", "reason"],
+            )?,
+            sessions: counter(
+                "plumb_sessions_ended_total",
+                "sessions that ended, and how",
+                &["camera", "state"],
+            )?,
+            opened: counter(
+                "plumb_camera_opened_total",
+                "times that the camera was opened",
+                &["camera"],
+            )?,
+            lost: counter(
+                "plumb_camera_lost_total",
+                "times that the camera was lost",
+                &["camera"],
+            )?,
             state,
             detection_seconds: histogram(
                 "plumb_detection_seconds",
@@ -84,7 +119,9 @@ impl Metrics {
 
     /// Makes a camera's counts appear before they first change.
     pub(super) fn introduce(&self, camera: &str) {
-        for counter in [&self.frames, &self.searched, &self.boards, &self.views, &self.opened, &self.lost] {
+        for counter in
+            [&self.frames, &self.searched, &self.boards, &self.views, &self.opened, &self.lost]
+        {
             counter.with_label_values(&[camera]);
         }
         for why in ["device", "damaged", "overload"] {
@@ -102,7 +139,8 @@ impl Metrics {
     /// In the text format, version 0.0.4.
     pub(super) fn text(&self) -> String {
         let mut text = Vec::new();
-        // Writing to memory cannot fail, and what was written before a failure is still worth showing.
+        // Writing to memory cannot fail, and what was written before a failure is still worth
+        // showing.
         let _ = TextEncoder::new().encode(&self.registry.gather(), &mut text);
         String::from_utf8_lossy(&text).into_owned()
     }
@@ -119,8 +157,17 @@ mod tests {
         metrics.set_state("front", CameraState::Streaming);
         let text = metrics.text();
         assert!(text.contains("plumb_frames_total{camera=\"front\"} 0"), "{text}");
-        assert!(text.contains("plumb_frames_dropped_total{camera=\"front\",why=\"overload\"} 0"), "{text}");
-        assert!(text.contains("plumb_camera_state{camera=\"front\",state=\"starting\"} 0"), "{text}");
-        assert!(text.contains("plumb_camera_state{camera=\"front\",state=\"streaming\"} 1"), "{text}");
+        assert!(
+            text.contains("plumb_frames_dropped_total{camera=\"front\",why=\"overload\"} 0"),
+            "{text}"
+        );
+        assert!(
+            text.contains("plumb_camera_state{camera=\"front\",state=\"starting\"} 0"),
+            "{text}"
+        );
+        assert!(
+            text.contains("plumb_camera_state{camera=\"front\",state=\"streaming\"} 1"),
+            "{text}"
+        );
     }
 }

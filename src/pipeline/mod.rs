@@ -1,13 +1,15 @@
 //! Where it becomes live: threads, channels, clocks. Uses every layer below.
 //!
-//! One camera is three threads and two links. `capture-<camera>` owns the device and puts each frame set into a
-//! newest-wins slot (in a replay at full speed, a slot that waits instead); `detect-<camera>` takes it from there, looks
-//! for the board while a session collects, shows the frame with what was seen to the previews, and passes the outcome to
-//! `session-<camera>`, which owns the session, performs its actions and answers requests. Solves run beside them on
+//! One camera is three threads and two links. `capture-<camera>` owns the device and puts each
+//! frame set into a newest-wins slot (in a replay at full speed, a slot that waits instead);
+//! `detect-<camera>` takes it from there, looks for the board while a session collects, shows the
+//! frame with what was seen to the previews, and passes the outcome to `session-<camera>`, which
+//! owns the session, performs its actions and answers requests. Solves run beside them on
 //! `solve-<camera>`, so that no frame waits for one.
 //!
-//! A rig of cameras is one more thread, `rig-<name>`: while its session collects, the detect threads of its cameras hand
-//! over to it what they see, and it puts together what was seen at one moment.
+//! A rig of cameras is one more thread, `rig-<name>`: while its session collects, the detect
+//! threads of its cameras hand over to it what they see, and it puts together what was seen at one
+//! moment.
 //!
 //! [`fleet::Fleet`] is the one object that the layers above talk to.
 

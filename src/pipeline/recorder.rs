@@ -1,4 +1,5 @@
-//! Recording beside everything else: a bounded queue from the capture thread to a thread that writes.
+//! Recording beside everything else: a bounded queue from the capture thread to a thread that
+//! writes.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
@@ -67,7 +68,9 @@ pub enum RecordError {
         camera: String,
     },
     /// One recording a camera.
-    #[error("camera `{camera}` is being recorded already, as {recording}; stop that recording first")]
+    #[error(
+        "camera `{camera}` is being recorded already, as {recording}; stop that recording first"
+    )]
     Busy {
         /// The camera's name.
         camera: String,
@@ -81,7 +84,9 @@ pub enum RecordError {
         detail: String,
     },
     /// No such recording.
-    #[error("there is no recording `{id}`; see GET /v1/recordings for those since the daemon started")]
+    #[error(
+        "there is no recording `{id}`; see GET /v1/recordings for those since the daemon started"
+    )]
     UnknownRecording {
         /// The id that was asked for.
         id: String,
@@ -121,7 +126,8 @@ impl RecorderLink {
             return Err(RecordError::Busy { camera: camera.to_owned(), recording: running.id });
         }
         let failed = |detail: String| RecordError::File { detail };
-        std::fs::create_dir_all(folder).map_err(|e| failed(format!("{}: {e}", folder.display())))?;
+        std::fs::create_dir_all(folder)
+            .map_err(|e| failed(format!("{}: {e}", folder.display())))?;
         let id = ulid::Ulid::generate().to_string();
         let path = folder.join(format!("{id}.mcap"));
         let writer = McapWriter::create(&path, camera).map_err(|e| failed(e.to_string()))?;
@@ -148,14 +154,17 @@ impl RecorderLink {
         Ok(status)
     }
 
-    /// Offers a frame set to the recording, if one goes on; waits for the disk if nothing may be dropped.
+    /// Offers a frame set to the recording, if one goes on; waits for the disk if nothing may be
+    /// dropped.
     pub(super) fn offer(&self, frame_set: &Arc<FrameSet>, waits: bool) {
         let mut link = lock(&self.0);
         let Some(recorder) = link.as_mut() else { return };
         let Some(frames) = &recorder.frames else { return };
         let sent = match waits {
             true => frames.send(Arc::clone(frame_set)).map_err(|_| false),
-            false => frames.try_send(Arc::clone(frame_set)).map_err(|error| matches!(error, TrySendError::Full(_))),
+            false => frames
+                .try_send(Arc::clone(frame_set))
+                .map_err(|error| matches!(error, TrySendError::Full(_))),
         };
         match sent {
             Ok(()) => {}
@@ -216,7 +225,9 @@ fn write_all(
     status.finished_at_ns = Some(utc_now_ns());
     (status.state, status.reason) = match outcome.and_then(|reason| finished.map(|()| reason)) {
         Ok(reason) => (RecordingState::Finished, reason),
-        Err(error) => (RecordingState::Failed, Some(format!("{error}; what was written until then stays"))),
+        Err(error) => {
+            (RecordingState::Failed, Some(format!("{error}; what was written until then stays")))
+        }
     };
 }
 
@@ -249,9 +260,22 @@ mod tests {
         noise.fill_bytes(&mut bytes);
         let bytes: Arc<[u8]> = bytes.into();
         let size = ImageSize::new(640, 480);
-        let frame = Frame { sensor: SensorKind::Color, size, format: PixelFormat::Mono8, stride: 640, bytes };
-        let host_time = HostTime { utc_ns: 1_770_000_000_000_000_000 + sequence as i64 * 100_000_000 };
-        Arc::new(FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] })
+        let frame = Frame {
+            sensor: SensorKind::Color,
+            size,
+            format: PixelFormat::Mono8,
+            stride: 640,
+            bytes,
+        };
+        let host_time =
+            HostTime { utc_ns: 1_770_000_000_000_000_000 + sequence as i64 * 100_000_000 };
+        Arc::new(FrameSet {
+            sequence,
+            host_time,
+            device_time: None,
+            name: None,
+            frames: vec![frame],
+        })
     }
 
     fn read_back(path: &Path) -> Vec<u64> {
@@ -267,9 +291,15 @@ mod tests {
         let started = link.start("front", folder.path(), RecordingLimits::default()).unwrap();
         (1..100).for_each(|sequence| link.offer(&frame_set(sequence), true));
         let busy = link.start("front", folder.path(), RecordingLimits::default()).unwrap_err();
-        assert_eq!(busy, RecordError::Busy { camera: "front".into(), recording: started.id.clone() });
+        assert_eq!(
+            busy,
+            RecordError::Busy { camera: "front".into(), recording: started.id.clone() }
+        );
         let finished = link.finish().unwrap();
-        assert_eq!((finished.state, finished.frame_sets, finished.dropped), (RecordingState::Finished, 99, 0));
+        assert_eq!(
+            (finished.state, finished.frame_sets, finished.dropped),
+            (RecordingState::Finished, 99, 0)
+        );
         assert_eq!(read_back(&finished.path), (1..100).collect::<Vec<_>>());
         link.offer(&frame_set(100), true);
         assert_eq!(link.status(), Some(finished));
@@ -327,7 +357,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();
-        let refused = RecorderLink::default().start("front", &file.join("x"), RecordingLimits::default());
+        let refused =
+            RecorderLink::default().start("front", &file.join("x"), RecordingLimits::default());
         assert!(matches!(refused, Err(RecordError::File { .. })));
     }
 }

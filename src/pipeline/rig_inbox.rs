@@ -1,8 +1,8 @@
-//! Where the cameras of a rig meet: pictures taken at about the same time are put together, and the rig's thread takes them
-//! one moment after the other, between the requests that it gets.
+//! Where the cameras of a rig meet: pictures taken at about the same time are put together, and the
+//! rig's thread takes them one moment after the other, between the requests that it gets.
 //!
-//! A live camera never waits here: one that gives nothing for a while is gone on without. Replays that must not skip wait
-//! for each other, so that they come out the same every time.
+//! A live camera never waits here: one that gives nothing for a while is gone on without. Replays
+//! that must not skip wait for each other, so that they come out the same every time.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -103,13 +103,18 @@ impl RigInbox {
         true
     }
 
-    /// Hands over what the camera at place `member` gave. A frame whose source waits for it waits for room.
+    /// Hands over what the camera at place `member` gave. A frame whose source waits for it waits
+    /// for room.
     pub(super) fn put(&self, session: &str, member: usize, looked: Looked) {
         let mut state = self.lock();
         if looked.captured.waits {
-            let full =
-                |state: &mut State| state.queue(session, member).is_some_and(|queue| queue.frames.len() >= LIMIT);
-            (state, _) = self.changed.wait_timeout_while(state, PATIENCE, full).unwrap_or_else(PoisonError::into_inner);
+            let full = |state: &mut State| {
+                state.queue(session, member).is_some_and(|queue| queue.frames.len() >= LIMIT)
+            };
+            (state, _) = self
+                .changed
+                .wait_timeout_while(state, PATIENCE, full)
+                .unwrap_or_else(PoisonError::into_inner);
         }
         if let Some(queue) = state.queue(session, member) {
             queue.frames.push_back(looked);
@@ -165,16 +170,22 @@ impl State {
 
     /// The oldest frame of all, and of each other camera the frame that was taken with it.
     fn take_moment(&mut self) -> Option<Vec<Option<Looked>>> {
-        let complete = self.queues.iter().all(|queue| !queue.frames.is_empty() || queue.ended.is_some());
+        let complete =
+            self.queues.iter().all(|queue| !queue.frames.is_empty() || queue.ended.is_some());
         if !complete && self.queues.iter().all(|queue| queue.frames.len() <= LIMIT) {
             return None;
         }
         let first_ns = |queue: &Queue| queue.frames.front().map(time_ns);
-        let (oldest, start_ns) =
-            self.queues.iter().enumerate().filter_map(|(k, q)| Some((k, first_ns(q)?))).min_by_key(|(_, ns)| *ns)?;
+        let (oldest, start_ns) = self
+            .queues
+            .iter()
+            .enumerate()
+            .filter_map(|(k, q)| Some((k, first_ns(q)?)))
+            .min_by_key(|(_, ns)| *ns)?;
         let following_ns = self.queues[oldest].frames.get(1).map(time_ns);
         let belongs = |ns: i64| {
-            let nearer = following_ns.is_none_or(|following_ns| ns - start_ns <= (following_ns - ns).abs());
+            let nearer =
+                following_ns.is_none_or(|following_ns| ns - start_ns <= (following_ns - ns).abs());
             ns - start_ns <= TOGETHER_NS && nearer
         };
         let take = |queue: &mut Queue| match first_ns(queue) {
@@ -186,7 +197,9 @@ impl State {
 
     /// Why all cameras have ended, once.
     fn take_end(&mut self) -> Option<String> {
-        if self.queues.is_empty() || self.queues.iter().any(|queue| queue.ended.is_none() || !queue.frames.is_empty()) {
+        if self.queues.is_empty()
+            || self.queues.iter().any(|queue| queue.ended.is_none() || !queue.frames.is_empty())
+        {
             return None;
         }
         let reason = self.queues.first_mut().and_then(|queue| queue.ended.take());
@@ -226,9 +239,15 @@ mod tests {
 
     fn looked(ms: i64, waits: bool) -> Looked {
         let host_time = HostTime { utc_ns: ms * 1_000_000 };
-        let frame_set = FrameSet { sequence: 0, host_time, device_time: None, name: None, frames: Vec::new() };
+        let frame_set =
+            FrameSet { sequence: 0, host_time, device_time: None, name: None, frames: Vec::new() };
         let look = Look::of(Err(LookError::Unreadable { detail: String::new() }), 0.0);
-        let captured = CapturedFrame { frame_set: frame_set.into(), search: None, arrived: Instant::now(), waits };
+        let captured = CapturedFrame {
+            frame_set: frame_set.into(),
+            search: None,
+            arrived: Instant::now(),
+            waits,
+        };
         Looked { captured, look }
     }
 
@@ -236,7 +255,10 @@ mod tests {
     fn moments(inbox: &RigInbox) -> Vec<Vec<Option<i64>>> {
         let mut state = inbox.lock();
         let times = |moment: Vec<Option<Looked>>| {
-            moment.iter().map(|looked| looked.as_ref().map(|looked| time_ns(looked) / 1_000_000)).collect()
+            moment
+                .iter()
+                .map(|looked| looked.as_ref().map(|looked| time_ns(looked) / 1_000_000))
+                .collect()
         };
         std::iter::from_fn(|| state.take_moment()).map(times).collect()
     }
@@ -254,7 +276,11 @@ mod tests {
         // 20 is nearer to 33 than to 0.
         assert_eq!(
             moments(&inbox),
-            [vec![Some(0), None], vec![Some(20), Some(33)].into_iter().rev().collect(), vec![Some(66), Some(53)]]
+            [
+                vec![Some(0), None],
+                vec![Some(20), Some(33)].into_iter().rev().collect(),
+                vec![Some(66), Some(53)]
+            ]
         );
     }
 
@@ -281,7 +307,9 @@ mod tests {
     fn replays_wait_for_each_other() {
         let inbox = Arc::new(inbox(2, &[]));
         let filler = Arc::clone(&inbox);
-        let filling = std::thread::spawn(move || (0..40).for_each(|k| filler.put("s", 0, looked(33 * k, true))));
+        let filling = std::thread::spawn(move || {
+            (0..40).for_each(|k| filler.put("s", 0, looked(33 * k, true)))
+        });
         for k in 0..40 {
             inbox.put("s", 1, looked(33 * k, true));
             let Next::Moment(moment) = inbox.next() else { panic!("no moment") };

@@ -1,4 +1,5 @@
-//! Thread `rig-<name>`: owns a rig's session, borrows its cameras while it collects, performs what it decides.
+//! Thread `rig-<name>`: owns a rig's session, borrows its cameras while it collects, performs what
+//! it decides.
 
 use std::sync::Arc;
 use std::thread;
@@ -54,7 +55,9 @@ impl RigThread {
                 Next::Closed => break,
                 Next::Message(message) => self.take(message),
                 Next::Moment(moment) => self.observe(moment),
-                Next::Ended(reason) => self.tell(|session| session.sources_ended(&reason, utc_now_ns())),
+                Next::Ended(reason) => {
+                    self.tell(|session| session.sources_ended(&reason, utc_now_ns()))
+                }
             }
         }
         if self.current.as_ref().is_some_and(|current| !current.session.record().state.is_over()) {
@@ -80,15 +83,27 @@ impl RigThread {
         }
     }
 
-    fn start(&mut self, request: SessionRequest, cameras: Vec<Arc<LiveCamera>>) -> Result<SessionRecord, StartError> {
+    fn start(
+        &mut self,
+        request: SessionRequest,
+        cameras: Vec<Arc<LiveCamera>>,
+    ) -> Result<SessionRecord, StartError> {
         let rig = self.rig.plan.name.clone();
-        if let Some(running) = self.current.as_ref().filter(|current| !current.session.record().state.is_over()) {
-            return Err(StartError::Busy { camera: rig, session: running.session.record().id.clone() });
+        if let Some(running) =
+            self.current.as_ref().filter(|current| !current.session.record().state.is_over())
+        {
+            return Err(StartError::Busy {
+                camera: rig,
+                session: running.session.record().id.clone(),
+            });
         }
-        let record = SessionRecord::begin(&Ulid::generate().to_string(), &rig, request, utc_now_ns());
+        let record =
+            SessionRecord::begin(&Ulid::generate().to_string(), &rig, request, utc_now_ns());
         let session = RigSession::begin(record, &self.rig.plan.cameras, &self.admission);
         let record = session.record().clone();
-        self.store.begin_session(&record).map_err(|error| StartError::Store { detail: error.to_string() })?;
+        self.store
+            .begin_session(&record)
+            .map_err(|error| StartError::Store { detail: error.to_string() })?;
         if let Err(error) = self.borrow_cameras(&record, &cameras) {
             let refused = SessionRecord {
                 state: SessionState::Failed,
@@ -108,12 +123,21 @@ impl RigThread {
 
     fn resume(&mut self, record: SessionRecord, cameras: Vec<Arc<LiveCamera>>) {
         let views = self.stored_views(&record.id);
-        tracing::info!(rig = self.rig.plan.name, session = record.id, views = views.len(), "session goes on");
-        let (session, actions) = RigSession::resume(record, &self.rig.plan.cameras, views, &self.admission);
+        tracing::info!(
+            rig = self.rig.plan.name,
+            session = record.id,
+            views = views.len(),
+            "session goes on"
+        );
+        let (session, actions) =
+            RigSession::resume(record, &self.rig.plan.cameras, views, &self.admission);
         if session.record().state == SessionState::Collecting
             && let Err(error) = self.borrow_cameras(session.record(), &cameras)
         {
-            tracing::error!(rig = self.rig.plan.name, "the session collects without its cameras: {error}");
+            tracing::error!(
+                rig = self.rig.plan.name,
+                "the session collects without its cameras: {error}"
+            );
         }
         self.current = Some(Current { session, cameras });
         self.perform(actions, &[]);
@@ -121,13 +145,19 @@ impl RigThread {
     }
 
     fn stored_views(&self, session: &str) -> Vec<(RigView, View)> {
-        let read = || Ok::<_, crate::store::StoreError>((self.store.rig_places(session)?, self.store.views(session)?));
+        let read = || {
+            Ok::<_, crate::store::StoreError>((
+                self.store.rig_places(session)?,
+                self.store.views(session)?,
+            ))
+        };
         let (places, views) = read().unwrap_or_else(|error| {
             tracing::error!(rig = self.rig.plan.name, session, "kept views are left out: {error}");
             Default::default()
         });
         let members = &self.rig.plan.cameras;
-        let member = |camera: &str| members.iter().position(|name| name == camera).unwrap_or(members.len());
+        let member =
+            |camera: &str| members.iter().position(|name| name == camera).unwrap_or(members.len());
         let place = |place: &RigPlace| {
             let RigPlace { number, ref camera, moment } = *place;
             RigView { number, member: member(camera), moment, view: 0 }
@@ -137,14 +167,24 @@ impl RigThread {
     }
 
     /// Has every camera search for the session's board, or none of them.
-    fn borrow_cameras(&self, record: &SessionRecord, cameras: &[Arc<LiveCamera>]) -> Result<(), StartError> {
+    fn borrow_cameras(
+        &self,
+        record: &SessionRecord,
+        cameras: &[Arc<LiveCamera>],
+    ) -> Result<(), StartError> {
         self.rig.inbox.collect_for(Some((&record.id, cameras.len())));
         for (member, camera) in cameras.iter().enumerate() {
             let seat = RigSeat { inbox: Arc::clone(&self.rig.inbox), member };
-            let search = Search { session: record.id.clone(), board: record.request.target.size, rig: Some(seat) };
+            let search = Search {
+                session: record.id.clone(),
+                board: record.request.target.size,
+                rig: Some(seat),
+            };
             let (reply, answer) = oneshot::channel();
             let asked = camera.messages.blocking_send(Message::Lend(search, reply)).ok();
-            let lent = asked.and_then(|()| answer.blocking_recv().ok()).unwrap_or(Err(StartError::Stopping));
+            let lent = asked
+                .and_then(|()| answer.blocking_recv().ok())
+                .unwrap_or(Err(StartError::Stopping));
             if let Err(error) = lent {
                 self.give_back(&record.id, &cameras[..member]);
                 return Err(error);
@@ -167,7 +207,11 @@ impl RigThread {
         how: fn(&mut RigSession, i64) -> Result<Vec<RigAction>, SessionOver>,
     ) -> Result<SessionRecord, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
-        let current = self.current.as_mut().filter(|current| current.session.record().id == id).ok_or_else(unknown)?;
+        let current = self
+            .current
+            .as_mut()
+            .filter(|current| current.session.record().id == id)
+            .ok_or_else(unknown)?;
         let actions = how(&mut current.session, utc_now_ns())
             .map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
         self.perform(actions, &[]);
@@ -175,18 +219,21 @@ impl RigThread {
         self.current.as_ref().map(|current| current.session.record().clone()).ok_or_else(unknown)
     }
 
-    /// A followed board decides whether its moment is worth keeping; what is kept is what a search finds.
+    /// A followed board decides whether its moment is worth keeping; what is kept is what a search
+    /// finds.
     fn searched_if_worth(&mut self, mut moment: Vec<Option<Looked>>) -> Vec<Option<Looked>> {
         let Some(Current { session, .. }) = &self.current else { return moment };
         let worth = |(member, looked): (usize, &Option<Looked>)| {
             let (Some(looked), Some(own)) = (looked, session.session(member)) else { return false };
-            let keeps = |detection: &Arc<_>| own.would_keep(&frame_facts(&looked.captured), detection);
+            let keeps =
+                |detection: &Arc<_>| own.would_keep(&frame_facts(&looked.captured), detection);
             looked.look.outcome.as_ref().is_ok_and(keeps)
         };
         if moment.iter().enumerate().any(worth) {
             let board = session.record().request.target.size;
             for looked in moment.iter_mut().flatten().filter(|looked| looked.look.followed) {
-                let sighting = self.board_look.look(&looked.captured.frame_set, board, Manner::Searched);
+                let sighting =
+                    self.board_look.look(&looked.captured.frame_set, board, Manner::Searched);
                 looked.look = Look::of(sighting, looked.look.elapsed_ms);
             }
         }
@@ -196,9 +243,12 @@ impl RigThread {
     fn observe(&mut self, moment: Vec<Option<Looked>>) {
         let moment = self.searched_if_worth(moment);
         let Some(current) = self.current.as_mut() else { return };
-        let sightings: Vec<Option<Sighting>> = moment.iter().map(|looked| looked.as_ref().map(sighting)).collect();
+        let sightings: Vec<Option<Sighting>> =
+            moment.iter().map(|looked| looked.as_ref().map(sighting)).collect();
         let Some(observed) = current.session.observe(&sightings) else { return };
-        for ((camera, looked), admission) in current.cameras.iter().zip(&moment).zip(&observed.admissions) {
+        for ((camera, looked), admission) in
+            current.cameras.iter().zip(&moment).zip(&observed.admissions)
+        {
             if let (Some(looked), Some(admission)) = (looked, admission) {
                 publish_detection(camera, &current.session.record().id, looked, admission);
             }
@@ -240,22 +290,30 @@ impl RigThread {
 
     fn keep(&self, place: &RigView, looked: &Looked) {
         let Some(Current { session, cameras }) = &self.current else { return };
-        let own = session.session(place.member).and_then(|own| own.views().get(place.view as usize));
+        let own =
+            session.session(place.member).and_then(|own| own.views().get(place.view as usize));
         let (Some(view), Some(camera)) = (own, cameras.get(place.member)) else { return };
         camera.metrics.views.with_label_values(&[&camera.name]).inc();
         let id = &session.record().id;
         let picture = picture_of(&looked.captured.frame_set).and_then(view_picture);
         let (media_type, bytes) = picture.unwrap_or(("image/jpeg", Vec::new().into()));
         let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };
-        let kept = RigPlace { number: place.number, camera: camera.name.clone(), moment: place.moment };
+        let kept =
+            RigPlace { number: place.number, camera: camera.name.clone(), moment: place.moment };
         if let Err(error) = self.store.append_rig_view(id, &kept, view, &picture) {
             // The session goes on with the view in memory; only a restart would lose it.
-            tracing::error!(camera = camera.name, session = id, view = place.number, "the view is not stored: {error}");
+            tracing::error!(
+                camera = camera.name,
+                session = id,
+                view = place.number,
+                "the view is not stored: {error}"
+            );
         }
         self.save(session.record());
     }
 
-    /// Made at once, and not beside the frames: where a replay ends must not depend on how fast the machine is.
+    /// Made at once, and not beside the frames: where a replay ends must not depend on how fast the
+    /// machine is.
     fn estimate(&mut self, member: usize) {
         let Some(current) = &mut self.current else { return };
         let Some(own) = current.session.session(member) else { return };
@@ -292,7 +350,9 @@ impl RigThread {
             inbox.ask(RigMessage::Solved { session, solved: calibration });
         };
         // Nobody waits for it: a solve that is cut short is begun again with the next start.
-        if let Err(error) = thread::Builder::new().name(format!("solve-{}", self.rig.plan.name)).spawn(work) {
+        if let Err(error) =
+            thread::Builder::new().name(format!("solve-{}", self.rig.plan.name)).spawn(work)
+        {
             let session = record.id.clone();
             let solved = Err(format!("a thread for the solve could not be started: {error}"));
             self.rig.inbox.ask(RigMessage::Solved { session, solved });
@@ -301,7 +361,8 @@ impl RigThread {
 
     fn finish(&mut self, id: &str, solved: Result<Box<Calibration>, String>) {
         let solving = |current: &&Current| {
-            current.session.record().id == id && current.session.record().state == SessionState::Solving
+            current.session.record().id == id
+                && current.session.record().state == SessionState::Solving
         };
         if self.current.as_ref().filter(solving).is_none() {
             return;
@@ -343,7 +404,9 @@ impl RigThread {
 
     fn close(&self) {
         self.release();
-        let Some(record) = self.current.as_ref().map(|current| current.session.record()) else { return };
+        let Some(record) = self.current.as_ref().map(|current| current.session.record()) else {
+            return;
+        };
         let (rig, state) = (&self.rig.plan.name, record.state.name());
         tracing::info!(rig, session = record.id, state, reason = record.reason, "session over");
         self.save_session();
@@ -359,7 +422,11 @@ impl RigThread {
 
     fn save(&self, record: &SessionRecord) {
         if let Err(error) = self.store.save_session(record) {
-            tracing::error!(rig = self.rig.plan.name, session = record.id, "the session is not stored: {error}");
+            tracing::error!(
+                rig = self.rig.plan.name,
+                session = record.id,
+                "the session is not stored: {error}"
+            );
         }
     }
 
@@ -382,15 +449,26 @@ fn sighting(looked: &Looked) -> Sighting {
     let seen = match &looked.look.outcome {
         Ok(detection) => Ok(detection.as_ref().clone()),
         Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
-        Err(LookError::Unreadable { detail }) => Err(Rejection::Unreadable { detail: detail.clone() }),
+        Err(LookError::Unreadable { detail }) => {
+            Err(Rejection::Unreadable { detail: detail.clone() })
+        }
     };
     Sighting { frame: frame_facts(&looked.captured), seen }
 }
 
-fn publish_detection(camera: &LiveCamera, session: &str, looked: &Looked, admission: &Result<u32, Rejection>) {
+fn publish_detection(
+    camera: &LiveCamera,
+    session: &str,
+    looked: &Looked,
+    admission: &Result<u32, Rejection>,
+) {
     let rejection = admission.as_ref().err();
     if let Some(rejection) = rejection {
         camera.metrics.rejected.with_label_values(&[camera.name.as_str(), rejection.kind()]).inc();
     }
-    camera.publish(EventKind::Detection(DetectionEvent::of((&looked.captured, &looked.look), session, admission)));
+    camera.publish(EventKind::Detection(DetectionEvent::of(
+        (&looked.captured, &looked.look),
+        session,
+        admission,
+    )));
 }

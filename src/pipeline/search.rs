@@ -1,4 +1,5 @@
-//! What a camera's frames are searched for at the moment: the only thing that a session tells the threads before it.
+//! What a camera's frames are searched for at the moment: the only thing that a session tells the
+//! threads before it.
 
 use std::sync::{Arc, Mutex, PoisonError};
 

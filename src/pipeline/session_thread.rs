@@ -1,6 +1,8 @@
-//! Thread `session-<camera>`: owns the camera's session, performs what it decides, and answers requests.
+//! Thread `session-<camera>`: owns the camera's session, performs what it decides, and answers
+//! requests.
 //!
-//! What it is told comes through one bounded queue, in order. A kept view is on disk before the next frame is looked at.
+//! What it is told comes through one bounded queue, in order. A kept view is on disk before the
+//! next frame is looked at.
 
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, PoisonError};
@@ -54,14 +56,21 @@ impl SessionThread {
             self.take(message);
         }
         // The counts since the last view; the views themselves are stored already.
-        if let Some(session) = self.session.take().filter(|session| !session.record().state.is_over()) {
+        if let Some(session) =
+            self.session.take().filter(|session| !session.record().state.is_over())
+        {
             self.save(session.record());
         }
     }
 
     /// Goes on with a session that an earlier run of the daemon left.
     pub(super) fn resume(&mut self, record: SessionRecord, views: Vec<View>) {
-        tracing::info!(camera = self.camera.name, session = record.id, views = views.len(), "session goes on");
+        tracing::info!(
+            camera = self.camera.name,
+            session = record.id,
+            views = views.len(),
+            "session goes on"
+        );
         let (session, actions) = Session::resume(record, views, &self.admission);
         self.begin_search(&session);
         self.drift = self.drift_watch();
@@ -118,8 +127,11 @@ impl SessionThread {
     fn start(&mut self, request: SessionRequest) -> Result<SessionRecord, StartError> {
         let camera = self.camera.name.clone();
         self.is_free()?;
-        let record = SessionRecord::begin(&Ulid::generate().to_string(), &camera, request, utc_now_ns());
-        self.store.begin_session(&record).map_err(|error| StartError::Store { detail: error.to_string() })?;
+        let record =
+            SessionRecord::begin(&Ulid::generate().to_string(), &camera, request, utc_now_ns());
+        self.store
+            .begin_session(&record)
+            .map_err(|error| StartError::Store { detail: error.to_string() })?;
         let session = Session::begin(record.clone(), &self.admission);
         tracing::info!(camera, session = record.id, "session begins");
         self.begin_search(&session);
@@ -133,9 +145,12 @@ impl SessionThread {
 
     /// Whether no session has the camera.
     fn is_free(&self) -> Result<(), StartError> {
-        let own = self.session.as_ref().map(Session::record).filter(|record| !record.state.is_over());
+        let own =
+            self.session.as_ref().map(Session::record).filter(|record| !record.state.is_over());
         match own.map(|record| &record.id).or(self.lent_to.as_ref()) {
-            Some(session) => Err(StartError::Busy { camera: self.camera.name.clone(), session: session.clone() }),
+            Some(session) => {
+                Err(StartError::Busy { camera: self.camera.name.clone(), session: session.clone() })
+            }
             None => Ok(()),
         }
     }
@@ -153,7 +168,8 @@ impl SessionThread {
     fn begin_search(&self, session: &Session) {
         let record = session.record();
         if record.state == SessionState::Collecting {
-            let search = Search { session: record.id.clone(), board: record.request.target.size, rig: None };
+            let search =
+                Search { session: record.id.clone(), board: record.request.target.size, rig: None };
             self.camera.search.set(Some(search));
         }
     }
@@ -164,30 +180,43 @@ impl SessionThread {
         how: fn(&mut Session, i64) -> Result<Vec<Action>, crate::calibration::session::SessionOver>,
     ) -> Result<SessionRecord, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
-        let session = self.session.as_mut().filter(|session| session.record().id == id).ok_or_else(unknown)?;
-        let actions =
-            how(session, utc_now_ns()).map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
+        let session = self
+            .session
+            .as_mut()
+            .filter(|session| session.record().id == id)
+            .ok_or_else(unknown)?;
+        let actions = how(session, utc_now_ns())
+            .map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
         self.perform(actions);
         self.show();
         self.session.as_ref().map(|session| session.record().clone()).ok_or_else(unknown)
     }
 
     fn observe(&mut self, captured: &CapturedFrame, search: &Search, look: Look) {
-        let Some(session) = self.session.as_mut().filter(|session| session.record().id == search.session) else {
+        let Some(session) =
+            self.session.as_mut().filter(|session| session.record().id == search.session)
+        else {
             return;
         };
         let facts = frame_facts(captured);
-        // A followed board decides whether its frame is worth keeping; what is kept is what a search finds in it.
-        let worth = |detection: &Arc<Detection>| look.followed && session.would_keep(&facts, detection);
+        // A followed board decides whether its frame is worth keeping; what is kept is what a
+        // search finds in it.
+        let worth =
+            |detection: &Arc<Detection>| look.followed && session.would_keep(&facts, detection);
         let look = if look.outcome.as_ref().is_ok_and(worth) {
-            Look::of(self.board_look.look(&captured.frame_set, search.board, Manner::Searched), look.elapsed_ms)
+            Look::of(
+                self.board_look.look(&captured.frame_set, search.board, Manner::Searched),
+                look.elapsed_ms,
+            )
         } else {
             look
         };
         let seen = match &look.outcome {
             Ok(detection) => Ok(detection.as_ref()),
             Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
-            Err(LookError::Unreadable { detail }) => Err(Rejection::Unreadable { detail: detail.clone() }),
+            Err(LookError::Unreadable { detail }) => {
+                Err(Rejection::Unreadable { detail: detail.clone() })
+            }
         };
         let Some(observed) = session.observe(&facts, seen) else { return };
         self.publish_detection(captured, search, &look, &observed);
@@ -195,8 +224,8 @@ impl SessionThread {
         for action in observed.actions {
             match action {
                 Action::Keep(number) => self.keep(number, captured),
-                // A replay that waits for its frames waits for this too: how fast the machine is must not decide where
-                // it ends.
+                // A replay that waits for its frames waits for this too: how fast the machine is
+                // must not decide where it ends.
                 Action::Estimate if in_line => self.estimate_in_line(),
                 other => self.perform(vec![other]),
             }
@@ -226,14 +255,29 @@ impl SessionThread {
         let (media_type, bytes) = picture.unwrap_or(("image/jpeg", Vec::new().into()));
         if let Err(error) = self.store.append_view(id, view, media_type, &bytes) {
             // The session goes on with the view in memory; only a restart would lose it.
-            tracing::error!(camera = self.camera.name, session = id, view = number, "the view is not stored: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                session = id,
+                view = number,
+                "the view is not stored: {error}"
+            );
         }
         let unit_m = self.stated_depth().and_then(|stated| stated.depth_unit_m);
-        let companions = companions_of(number, &captured.frame_set, session.record().request.target.size, unit_m);
+        let companions = companions_of(
+            number,
+            &captured.frame_set,
+            session.record().request.target.size,
+            unit_m,
+        );
         if !companions.is_empty()
             && let Err(error) = self.store.append_companions(id, &companions)
         {
-            tracing::error!(camera = self.camera.name, session = id, view = number, "its depth is not stored: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                session = id,
+                view = number,
+                "its depth is not stored: {error}"
+            );
         }
         self.save(session.record());
         self.look_for_drift(number);
@@ -283,7 +327,11 @@ impl SessionThread {
     fn companions_of(&self, session: &Session) -> Vec<Companion> {
         let id = &session.record().id;
         self.store.companions(id).unwrap_or_else(|error| {
-            tracing::error!(camera = self.camera.name, session = id, "depth and infrared are left out: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                session = id,
+                "depth and infrared are left out: {error}"
+            );
             Vec::new()
         })
     }
@@ -295,7 +343,11 @@ impl SessionThread {
     }
 
     fn finish(&mut self, solved: Result<Box<Calibration>, String>) {
-        if self.session.as_ref().is_none_or(|session| session.record().state != SessionState::Solving) {
+        if self
+            .session
+            .as_ref()
+            .is_none_or(|session| session.record().state != SessionState::Solving)
+        {
             return;
         }
         let now_ns = utc_now_ns();
@@ -314,11 +366,16 @@ impl SessionThread {
         self.store.append_calibration(&calibration).map_err(|error| error.to_string())?;
         let mut current = self.auto_approve && calibration.verdict.grade == Grade::Good;
         if current && let Err(error) = self.store.set_current(&self.camera.name, &calibration.id) {
-            tracing::error!(camera = self.camera.name, "the calibration is stored but not approved: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                "the calibration is stored but not approved: {error}"
+            );
             current = false;
         }
         if current {
-            self.camera.status.send_modify(|status| status.calibration = Some(calibration.id.clone()));
+            self.camera
+                .status
+                .send_modify(|status| status.calibration = Some(calibration.id.clone()));
         }
         if let Some(event) = CalibrationEvent::of(&calibration, current) {
             self.camera.publish(EventKind::Calibration(event));
@@ -336,7 +393,11 @@ impl SessionThread {
             reason = record.reason,
             "session over"
         );
-        self.camera.metrics.sessions.with_label_values(&[&self.camera.name, record.state.name()]).inc();
+        self.camera
+            .metrics
+            .sessions
+            .with_label_values(&[&self.camera.name, record.state.name()])
+            .inc();
         self.save_session();
         self.show();
         self.publish_session();
@@ -359,7 +420,11 @@ impl SessionThread {
 
     fn save(&self, record: &SessionRecord) {
         if let Err(error) = self.store.save_session(record) {
-            tracing::error!(camera = self.camera.name, session = record.id, "the session is not stored: {error}");
+            tracing::error!(
+                camera = self.camera.name,
+                session = record.id,
+                "the session is not stored: {error}"
+            );
         }
     }
 
@@ -381,15 +446,28 @@ impl SessionThread {
         }
     }
 
-    fn publish_detection(&self, captured: &CapturedFrame, search: &Search, look: &Look, observed: &Observed) {
+    fn publish_detection(
+        &self,
+        captured: &CapturedFrame,
+        search: &Search,
+        look: &Look,
+        observed: &Observed,
+    ) {
         let rejection = observed.admission.as_ref().err();
         let (name, metrics) = (&self.camera.name, &self.camera.metrics);
         if let Some(rejection) = rejection {
             metrics.rejected.with_label_values(&[name, rejection.kind()]).inc();
         }
         let looked = (captured, look);
-        self.camera.publish(EventKind::Detection(DetectionEvent::of(looked, &search.session, &observed.admission)));
-        metrics.latency_seconds.with_label_values(&[name]).observe(captured.arrived.elapsed().as_secs_f64());
+        self.camera.publish(EventKind::Detection(DetectionEvent::of(
+            looked,
+            &search.session,
+            &observed.admission,
+        )));
+        metrics
+            .latency_seconds
+            .with_label_values(&[name])
+            .observe(captured.arrived.elapsed().as_secs_f64());
     }
 }
 

@@ -40,7 +40,8 @@ pub(super) struct Job {
 impl Job {
     pub(super) fn of(session: &Session, is_final: bool) -> Self {
         let record = session.record();
-        let views = session.views().iter().map(|view| view.to_board_view(&record.request.target)).collect();
+        let views =
+            session.views().iter().map(|view| view.to_board_view(&record.request.target)).collect();
         let image_size = session.image_size().unwrap_or(ImageSize::new(0, 0));
         Self {
             session: record.id.clone(),
@@ -63,7 +64,8 @@ impl Job {
         match guarded(|| estimate_so_far(&self.problem, self.lens, self.going_on.as_ref())) {
             Ok(Ok(estimate)) => {
                 let running = &estimate.running;
-                (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite()).then_some(estimate)
+                (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite())
+                    .then_some(estimate)
             }
             Ok(Err(error)) => {
                 tracing::debug!(session = self.session, "no estimate yet: {error}");
@@ -76,14 +78,17 @@ impl Job {
         }
     }
 
-    /// The calibration, without the names that it gets when it is stored. Another sensor that cannot be calibrated does not
-    /// cost the colour's calibration: the verdict says why it is missing.
+    /// The calibration, without the names that it gets when it is stored. Another sensor that
+    /// cannot be calibrated does not cost the colour's calibration: the verdict says why it is
+    /// missing.
     fn solve(&self) -> Result<Box<Calibration>, String> {
         let options = self.options();
         let calibration = guarded(|| {
             let calibration = match &self.with_depth {
                 Some(input) => match solve_rgbd(input, &options) {
-                    Ok(solved) => Ok(with_depth(self.unnamed(solved.color.clone()), input, &solved)),
+                    Ok(solved) => {
+                        Ok(with_depth(self.unnamed(solved.color.clone()), input, &solved))
+                    }
                     Err(reason) => solve_views(&self.problem, &options)
                         .map(|solved| without_depth(self.unnamed(solved), &reason.to_string())),
                 },

@@ -9,8 +9,9 @@ use crate::imaging::picture_file::{frame_from_file, is_picture};
 use crate::imaging::timestamp::HostTime;
 use crate::recording::{RecordingError, natural_order};
 
-/// Pictures in the natural order of their names; with the subfolders `color/`, `infrared/`, `depth/`, those of equal
-/// names (endings aside) are taken together, and a name may be missing in any of them.
+/// Pictures in the natural order of their names; with the subfolders `color/`, `infrared/`,
+/// `depth/`, those of equal names (endings aside) are taken together, and a name may be missing in
+/// any of them.
 #[derive(Debug)]
 pub struct Folder {
     moments: Vec<Moment>,
@@ -31,7 +32,8 @@ impl Folder {
     /// # Errors
     /// [`RecordingError::NoPictures`], or what the system refused.
     pub fn open(path: &Path, fps: f64) -> Result<Self, RecordingError> {
-        let sensors: Vec<_> = SensorKind::ALL.into_iter().filter(|s| path.join(s.name()).is_dir()).collect();
+        let sensors: Vec<_> =
+            SensorKind::ALL.into_iter().filter(|s| path.join(s.name()).is_dir()).collect();
         let moments = if sensors.is_empty() {
             let files = pictures_in(path)?;
             files.into_iter().map(|file| Moment::of_picture(path.join(file))).collect()
@@ -44,7 +46,8 @@ impl Folder {
         Ok(Self::new(moments, fps))
     }
 
-    /// The pictures `files`, in the order given, as the frames of one colour sensor, `fps` a second.
+    /// The pictures `files`, in the order given, as the frames of one colour sensor, `fps` a
+    /// second.
     pub fn from_files(files: Vec<PathBuf>, fps: f64) -> Self {
         Self::new(files.into_iter().map(Moment::of_picture).collect(), fps)
     }
@@ -56,14 +59,16 @@ impl Folder {
     /// Reads the next files; `None` after the last.
     ///
     /// # Errors
-    /// [`RecordingError::Io`] for a file that cannot be read; the next call goes on with the one after it.
+    /// [`RecordingError::Io`] for a file that cannot be read; the next call goes on with the one
+    /// after it.
     pub fn next_frame_set(&mut self) -> Result<Option<FrameSet>, RecordingError> {
         let Some(moment) = self.moments.get(self.next) else { return Ok(None) };
         let sequence = self.next;
         self.next += 1;
         let mut frames = Vec::with_capacity(moment.files.len());
         for (sensor, path) in &moment.files {
-            let bytes = fs::read(path).map_err(|source| RecordingError::Io { path: path.clone(), source })?;
+            let bytes = fs::read(path)
+                .map_err(|source| RecordingError::Io { path: path.clone(), source })?;
             frames.push(frame_from_file(*sensor, bytes));
         }
         let utc_ns = (sequence as f64 * self.interval_ns).round() as i64;
@@ -98,11 +103,13 @@ fn moments_of_sensors(path: &Path, sensors: &[SensorKind]) -> Result<Vec<Moment>
     for sensor in sensors {
         let folder = path.join(sensor.name());
         for file in pictures_in(&folder)? {
-            let stem = Path::new(&file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let stem =
+                Path::new(&file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
             by_stem.entry(stem).or_default().push((*sensor, folder.join(file)));
         }
     }
-    let mut moments: Vec<_> = by_stem.into_iter().map(|(name, files)| Moment { name, files }).collect();
+    let mut moments: Vec<_> =
+        by_stem.into_iter().map(|(name, files)| Moment { name, files }).collect();
     moments.sort_by(|a, b| natural_order(&a.name, &b.name));
     Ok(moments)
 }
@@ -113,7 +120,9 @@ fn pictures_in(folder: &Path) -> Result<Vec<String>, RecordingError> {
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
-        if let (true, Some(name)) = (is_picture(&path), path.file_name().and_then(|name| name.to_str())) {
+        if let (true, Some(name)) =
+            (is_picture(&path), path.file_name().and_then(|name| name.to_str()))
+        {
             names.push(name.to_owned());
         }
     }
@@ -136,8 +145,14 @@ mod tests {
     #[test]
     fn equal_names_of_the_sensors_are_taken_together() {
         let folder = tempfile::tempdir().unwrap();
-        for name in ["color/2.ppm", "color/10.pgm", "depth/2.pgm", "depth/3.pgm", "infrared/10.pgm", "depth/notes.txt"]
-        {
+        for name in [
+            "color/2.ppm",
+            "color/10.pgm",
+            "depth/2.pgm",
+            "depth/3.pgm",
+            "infrared/10.pgm",
+            "depth/notes.txt",
+        ] {
             write(folder.path(), name);
         }
         let mut recording = Folder::open(folder.path(), 20.0).unwrap();
@@ -146,8 +161,15 @@ mod tests {
             let sensors: Vec<_> = set.frames.iter().map(|frame| frame.sensor.name()).collect();
             seen.push((set.name.unwrap(), set.host_time.utc_ns, sensors.join(" ")));
         }
-        let expected = [("2", 0, "color depth"), ("3", 50_000_000, "depth"), ("10", 100_000_000, "color infrared")];
-        assert_eq!(seen, expected.map(|(name, ns, sensors)| (name.to_owned(), ns, sensors.to_owned())));
+        let expected = [
+            ("2", 0, "color depth"),
+            ("3", 50_000_000, "depth"),
+            ("10", 100_000_000, "color infrared"),
+        ];
+        assert_eq!(
+            seen,
+            expected.map(|(name, ns, sensors)| (name.to_owned(), ns, sensors.to_owned()))
+        );
     }
 
     #[test]

@@ -53,7 +53,8 @@ impl McapReader {
     /// Opens the file at `path`.
     ///
     /// # Errors
-    /// [`RecordingError::NotARecording`] unless it begins as an MCAP file does, and what the system refuses.
+    /// [`RecordingError::NotARecording`] unless it begins as an MCAP file does, and what the system
+    /// refuses.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let refused = |source| RecordingError::Io { path: path.to_owned(), source };
         let not_one = || RecordingError::NotARecording { path: path.to_owned() };
@@ -101,8 +102,8 @@ impl McapReader {
     /// The next frames taken together; `None` after the last.
     ///
     /// # Errors
-    /// [`RecordingError::Cut`] and [`RecordingError::Damaged`] once, after every frame that can be read;
-    /// [`RecordingError::NoFrames`] and [`RecordingError::SeveralCameras`].
+    /// [`RecordingError::Cut`] and [`RecordingError::Damaged`] once, after every frame that can be
+    /// read; [`RecordingError::NoFrames`] and [`RecordingError::SeveralCameras`].
     pub fn next_frame_set(&mut self) -> Result<Option<FrameSet>, RecordingError> {
         while !self.ended {
             let taken = match self.records.next_record() {
@@ -148,7 +149,8 @@ impl McapReader {
             }
             Record::Message { header, data } => match self.topics.get(&header.channel_id) {
                 Some((Topic::Frames { sensor, .. }, schema)) => {
-                    let frame = decode_frame(schema, *sensor, &data).map_err(|reason| self.unreadable(reason))?;
+                    let frame = decode_frame(schema, *sensor, &data)
+                        .map_err(|reason| self.unreadable(reason))?;
                     return Ok(self.gather(frame, &header));
                 }
                 Some((Topic::Calibration { sensor, .. }, _)) => {
@@ -164,13 +166,18 @@ impl McapReader {
     }
 
     fn check_camera(&self, topic: &Topic) -> Result<(), RecordingError> {
-        let other = self.topics.values().map(|(known, _)| known.camera()).find(|camera| *camera != topic.camera());
+        let other = self
+            .topics
+            .values()
+            .map(|(known, _)| known.camera())
+            .find(|camera| *camera != topic.camera());
         let Some(other) = other.map(str::to_owned) else { return Ok(()) };
         let cameras = [other, topic.camera().to_owned()];
         Err(RecordingError::SeveralCameras { path: self.path.clone(), cameras })
     }
 
-    /// Adds a frame to the set it was taken with; gives the set before it if it is the first of a new one.
+    /// Adds a frame to the set it was taken with; gives the set before it if it is the first of a
+    /// new one.
     fn gather(&mut self, frame: Frame, header: &mcap::records::MessageHeader) -> Option<FrameSet> {
         if let Some(gathering) = &mut self.gathering {
             let apart = header.log_time.abs_diff(gathering.log_time) > TOGETHER_NS;
@@ -215,8 +222,12 @@ fn broken(path: &Path, frame_sets: usize, broken: Broken) -> RecordingError {
 /// The metadata record `name` of the MCAP file at `path`; `None` if it has none.
 ///
 /// # Errors
-/// As [`McapReader::open`], and [`RecordingError::Damaged`] for a file that cannot be read to its end.
-pub fn metadata(path: &Path, name: &str) -> Result<Option<BTreeMap<String, String>>, RecordingError> {
+/// As [`McapReader::open`], and [`RecordingError::Damaged`] for a file that cannot be read to its
+/// end.
+pub fn metadata(
+    path: &Path,
+    name: &str,
+) -> Result<Option<BTreeMap<String, String>>, RecordingError> {
     let mut records = McapReader::open(path)?.records;
     while let Some(record) = records.next_record().map_err(|error| broken(path, 0, error))? {
         if let Record::Metadata(record) = record
@@ -237,7 +248,9 @@ fn frame_set_count(records: &mut RecordReader) -> Option<usize> {
     let mut counts = BTreeMap::new();
     while let Some(record) = records.next_record().ok()? {
         match record {
-            Record::Channel(channel) if matches!(Topic::parse(&channel.topic), Some(Topic::Frames { .. })) => {
+            Record::Channel(channel)
+                if matches!(Topic::parse(&channel.topic), Some(Topic::Frames { .. })) =>
+            {
                 of_frames.push(channel.id);
             }
             Record::Statistics(statistics) => counts = statistics.channel_message_counts,
@@ -286,7 +299,9 @@ mod tests {
         for set in sets {
             writer.write(set).unwrap();
         }
-        writer.write_metadata("plumb.truth", BTreeMap::from([("seed".into(), "7".into())])).unwrap();
+        writer
+            .write_metadata("plumb.truth", BTreeMap::from([("seed".into(), "7".into())]))
+            .unwrap();
         writer.finish().unwrap();
     }
 
@@ -320,7 +335,10 @@ mod tests {
         write(&path, &frame_sets());
         let (sets, end) = read(&path);
         assert!(end.is_ok(), "{end:?}");
-        assert_eq!(sets.iter().map(key).collect::<Vec<_>>(), frame_sets().iter().map(key).collect::<Vec<_>>());
+        assert_eq!(
+            sets.iter().map(key).collect::<Vec<_>>(),
+            frame_sets().iter().map(key).collect::<Vec<_>>()
+        );
         assert_eq!(McapReader::open(&path).unwrap().frame_set_count(), Some(20));
         assert_eq!(metadata(&path, "plumb.truth").unwrap().unwrap()["seed"], "7");
         assert_eq!(metadata(&path, "other").unwrap(), None);
@@ -345,7 +363,8 @@ mod tests {
                 assert!(line.contains("walk.mcap") && !line.contains('\n'), "{line}");
             }
             // Depth comes after colour: until the next set begins, a set may lack it.
-            let complete = sets.iter().rev().skip(1).zip(written[..sets.len()].iter().rev().skip(1));
+            let complete =
+                sets.iter().rev().skip(1).zip(written[..sets.len()].iter().rev().skip(1));
             assert!({ complete }.all(|(a, b)| key(a) == key(b)), "at {cut}");
         }
         assert_eq!(most, 6);
@@ -376,12 +395,19 @@ mod tests {
         let mut writer = mcap::Writer::new(std::fs::File::create(&path).unwrap()).unwrap();
         for topic in ["/left/color", "/right/color"] {
             let channel = writer.add_channel(0, topic, "protobuf", &BTreeMap::new()).unwrap();
-            let header =
-                mcap::records::MessageHeader { channel_id: channel, sequence: 0, log_time: 0, publish_time: 0 };
+            let header = mcap::records::MessageHeader {
+                channel_id: channel,
+                sequence: 0,
+                log_time: 0,
+                publish_time: 0,
+            };
             writer.write_to_known_channel(&header, &[]).unwrap();
         }
         writer.finish().unwrap();
         let line = read(&path).1.unwrap_err().to_string();
-        assert!(line.contains("not foxglove.CompressedImage") || line.contains("left and right"), "{line}");
+        assert!(
+            line.contains("not foxglove.CompressedImage") || line.contains("left and right"),
+            "{line}"
+        );
     }
 }

@@ -13,9 +13,11 @@ use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
 use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens};
 
-/// An MCAP file being written: one topic a sensor, chunks of about a megabyte, indexed when finished.
+/// An MCAP file being written: one topic a sensor, chunks of about a megabyte, indexed when
+/// finished.
 ///
-/// Frames are stored as they came; a recording that ends without [`Self::finish`] can be read up to its last whole chunk.
+/// Frames are stored as they came; a recording that ends without [`Self::finish`] can be read up to
+/// its last whole chunk.
 pub struct McapWriter {
     path: PathBuf,
     camera: String,
@@ -24,7 +26,10 @@ pub struct McapWriter {
 
 impl std::fmt::Debug for McapWriter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("McapWriter").field("path", &self.path).field("camera", &self.camera).finish_non_exhaustive()
+        f.debug_struct("McapWriter")
+            .field("path", &self.path)
+            .field("camera", &self.camera)
+            .finish_non_exhaustive()
     }
 }
 
@@ -36,8 +41,9 @@ impl McapWriter {
     pub fn create(path: &Path, camera: &str) -> Result<Self, RecordingError> {
         let refused = |source| RecordingError::Io { path: path.to_owned(), source };
         let file = BufWriter::new(File::create(path).map_err(refused)?);
-        // Lossless, for raw frames and depth; JPEG goes through it unchanged at a hundredth of a core. At the fastest level
-        // and in this thread: recording must not take the processor from detection.
+        // Lossless, for raw frames and depth; JPEG goes through it unchanged at a hundredth of a
+        // core. At the fastest level and in this thread: recording must not take the processor from
+        // detection.
         let options = mcap::WriteOptions::new()
             .compression(Some(mcap::Compression::Zstd))
             .compression_level(1)
@@ -47,16 +53,20 @@ impl McapWriter {
         Ok(Self { path: path.to_owned(), camera: camera.to_owned(), writer })
     }
 
-    /// Appends the frames of `set`: logged at its host time, published at its device time where it has one.
+    /// Appends the frames of `set`: logged at its host time, published at its device time where it
+    /// has one.
     ///
     /// # Errors
     /// [`RecordingError::Io`] when the system refuses, as on a full disk.
     pub fn write(&mut self, set: &FrameSet) -> Result<(), RecordingError> {
         let log_time = set.host_time.utc_ns.max(0).unsigned_abs();
-        let publish_time = set.device_time.map_or(log_time, |time| time.monotonic_ns.max(0).unsigned_abs());
+        let publish_time =
+            set.device_time.map_or(log_time, |time| time.monotonic_ns.max(0).unsigned_abs());
         for frame in &set.frames {
             let topic = Topic::Frames { camera: self.camera.clone(), sensor: frame.sensor };
-            let Some(message) = encode_frame(frame, &self.frame_id(frame.sensor), set.host_time.utc_ns) else {
+            let Some(message) =
+                encode_frame(frame, &self.frame_id(frame.sensor), set.host_time.utc_ns)
+            else {
                 continue;
             };
             self.append(&topic, &message, set.sequence as u32, [log_time, publish_time])?;
@@ -76,7 +86,9 @@ impl McapWriter {
         utc_ns: i64,
     ) -> Result<(), RecordingError> {
         let topic = Topic::Calibration { camera: self.camera.clone(), sensor };
-        let Some(message) = encode_lens(lens, size, &self.frame_id(sensor), utc_ns) else { return Ok(()) };
+        let Some(message) = encode_lens(lens, size, &self.frame_id(sensor), utc_ns) else {
+            return Ok(());
+        };
         self.append(&topic, &message, 0, [utc_ns.max(0).unsigned_abs(); 2])
     }
 
@@ -84,7 +96,11 @@ impl McapWriter {
     ///
     /// # Errors
     /// As [`Self::write`].
-    pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), RecordingError> {
+    pub fn write_metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), RecordingError> {
         let record = mcap::records::Metadata { name: name.to_owned(), metadata };
         self.writer.write_metadata(&record).map_err(|error| write_error(&self.path, error))
     }
@@ -110,8 +126,14 @@ impl McapWriter {
     ) -> Result<(), RecordingError> {
         let path = &self.path;
         let failed = |error| write_error(path, error);
-        let schema = self.writer.add_schema(message.schema, "protobuf", &message.descriptor).map_err(failed)?;
-        let channel = self.writer.add_channel(schema, &topic.name(), "protobuf", &BTreeMap::new()).map_err(failed)?;
+        let schema = self
+            .writer
+            .add_schema(message.schema, "protobuf", &message.descriptor)
+            .map_err(failed)?;
+        let channel = self
+            .writer
+            .add_channel(schema, &topic.name(), "protobuf", &BTreeMap::new())
+            .map_err(failed)?;
         let header = MessageHeader { channel_id: channel, sequence, log_time, publish_time };
         self.writer.write_to_known_channel(&header, &message.bytes).map_err(failed)
     }

@@ -40,7 +40,10 @@ impl Topic {
         }
         if let Some(sensor) = name.strip_suffix("/calibration") {
             let (camera, sensor) = sensor.rsplit_once('/')?;
-            return Some(Self::Calibration { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? });
+            return Some(Self::Calibration {
+                camera: camera.to_owned(),
+                sensor: SensorKind::from_name(sensor)?,
+            });
         }
         let (camera, sensor) = name.rsplit_once('/')?;
         Some(Self::Frames { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? })
@@ -50,7 +53,9 @@ impl Topic {
     pub(super) fn name(&self) -> String {
         match self {
             Self::Frames { camera, sensor } => format!("/{camera}/{}", sensor.name()),
-            Self::Calibration { camera, sensor } => format!("/{camera}/{}/calibration", sensor.name()),
+            Self::Calibration { camera, sensor } => {
+                format!("/{camera}/{}/calibration", sensor.name())
+            }
         }
     }
 
@@ -74,14 +79,23 @@ pub(super) fn encode_frame(frame: &Frame, frame_id: &str, utc_ns: i64) -> Option
         ),
         _ => {
             let ImageSize { width, height } = frame.size;
-            let (encoding, step) = (frame.format.name().to_owned(), u32::try_from(frame.stride).ok()?);
-            encoded(RAW_IMAGE, &RawImage { timestamp, frame_id, width, height, encoding, step, data })
+            let (encoding, step) =
+                (frame.format.name().to_owned(), u32::try_from(frame.stride).ok()?);
+            encoded(
+                RAW_IMAGE,
+                &RawImage { timestamp, frame_id, width, height, encoding, step, data },
+            )
         }
     }
 }
 
 /// The message that says what a device tells of its lens.
-pub(super) fn encode_lens(lens: &Lens, size: ImageSize, frame_id: &str, utc_ns: i64) -> Option<Encoded> {
+pub(super) fn encode_lens(
+    lens: &Lens,
+    size: ImageSize,
+    frame_id: &str,
+    utc_ns: i64,
+) -> Option<Encoded> {
     let m = lens.matrix;
     let distortion_model = match lens.model() {
         LensModel::Pinhole | LensModel::Radial | LensModel::Brown => "plumb_bob",
@@ -107,7 +121,11 @@ pub(super) fn encode_lens(lens: &Lens, size: ImageSize, frame_id: &str, utc_ns: 
 }
 
 /// The frame that a message of `schema` holds; why not, in a few words.
-pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Result<Frame, String> {
+pub(super) fn decode_frame(
+    schema: &str,
+    sensor: SensorKind,
+    bytes: &[u8],
+) -> Result<Frame, String> {
     match schema {
         COMPRESSED_IMAGE => {
             let message = CompressedImage::decode(bytes).map_err(|error| error.to_string())?;
@@ -136,9 +154,17 @@ pub(super) fn decode_frame(schema: &str, sensor: SensorKind, bytes: &[u8]) -> Re
                 }
             };
             let size = ImageSize::new(message.width, message.height);
-            Ok(Frame { sensor, size, format, stride: message.step as usize, bytes: message.data.as_ref().into() })
+            Ok(Frame {
+                sensor,
+                size,
+                format,
+                stride: message.step as usize,
+                bytes: message.data.as_ref().into(),
+            })
         }
-        other => Err(format!("messages of schema {other:?}, not {COMPRESSED_IMAGE} or {RAW_IMAGE}")),
+        other => {
+            Err(format!("messages of schema {other:?}, not {COMPRESSED_IMAGE} or {RAW_IMAGE}"))
+        }
     }
 }
 
@@ -153,8 +179,10 @@ pub(super) fn decode_lens(bytes: &[u8]) -> Option<(ImageSize, Lens)> {
         "" if message.d.iter().all(|d| *d == 0.0) => LensModel::Pinhole,
         _ => return None,
     };
-    let parameters: Vec<f64> = [fx, fy, cx, cy, skew].into_iter().chain(message.d.iter().copied()).collect();
-    let lens = Lens::from_parameters(model, parameters.get(..5 + model.coefficient_names().len())?)?;
+    let parameters: Vec<f64> =
+        [fx, fy, cx, cy, skew].into_iter().chain(message.d.iter().copied()).collect();
+    let lens =
+        Lens::from_parameters(model, parameters.get(..5 + model.coefficient_names().len())?)?;
     (fx > 0.0 && fy > 0.0).then_some((ImageSize::new(message.width, message.height), lens))
 }
 
@@ -192,7 +220,13 @@ mod tests {
             let file = format.bytes_per_pixel().is_none();
             let size = if file { ImageSize::new(0, 0) } else { ImageSize::new(4, 2) };
             let stride = format.bytes_per_pixel().map_or(0, |bytes| 4 * bytes);
-            let frame = Frame { sensor: SensorKind::Infrared, size, format, stride, bytes: [7; 24].as_slice().into() };
+            let frame = Frame {
+                sensor: SensorKind::Infrared,
+                size,
+                format,
+                stride,
+                bytes: [7; 24].as_slice().into(),
+            };
             let message = encode_frame(&frame, "front_infrared", 1).unwrap();
             let back = decode_frame(message.schema, SensorKind::Infrared, &message.bytes).unwrap();
             assert_eq!(format!("{back:?}"), format!("{frame:?}"));

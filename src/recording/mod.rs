@@ -1,8 +1,8 @@
 //! Frames on disk: MCAP files and folders of images. Uses geometry and imaging.
 //!
-//! [`Recording::open`] tells the two apart; reading goes frame set by frame set, with a bounded amount in memory. A
-//! damaged picture is a frame that fails when it is decoded; a recording that was cut off gives all that can be read
-//! before its error.
+//! [`Recording::open`] tells the two apart; reading goes frame set by frame set, with a bounded
+//! amount in memory. A damaged picture is a frame that fails when it is decoded; a recording that
+//! was cut off gives all that can be read before its error.
 
 mod folder;
 mod mcap_reader;
@@ -57,7 +57,8 @@ pub enum RecordingError {
         /// How many frame sets were read.
         frame_sets: usize,
     },
-    /// An MCAP file whose bytes contradict themselves, or that holds images in a form that Plumb does not read.
+    /// An MCAP file whose bytes contradict themselves, or that holds images in a form that Plumb
+    /// does not read.
     #[error("{}: cannot be read after {frame_sets} frames ({reason}): copy or record it again", path.display())]
     Damaged {
         /// The file.
@@ -105,7 +106,8 @@ pub enum Recording {
 }
 
 impl Recording {
-    /// Opens the folder or MCAP file at `path`. Frames of a folder, which tells no times, are `fps` a second.
+    /// Opens the folder or MCAP file at `path`. Frames of a folder, which tells no times, are `fps`
+    /// a second.
     ///
     /// # Errors
     /// [`RecordingError`] when it isn't there or is no recording.

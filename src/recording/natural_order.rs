@@ -2,8 +2,8 @@
 
 use std::cmp::Ordering;
 
-/// Compares names with their runs of digits taken as numbers; equal numbers with different leading zeros, and anything
-/// else equal, are put in the order of their bytes, so that the order is total.
+/// Compares names with their runs of digits taken as numbers; equal numbers with different leading
+/// zeros, and anything else equal, are put in the order of their bytes, so that the order is total.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut rest_a, mut rest_b) = (a.as_bytes(), b.as_bytes());
     loop {
@@ -34,7 +34,8 @@ fn split_digits(text: &[u8]) -> (&[u8], &[u8]) {
 }
 
 fn compare_numbers(a: &[u8], b: &[u8]) -> Ordering {
-    let significant = |digits: &[u8]| digits.iter().position(|digit| *digit != b'0').unwrap_or(digits.len());
+    let significant =
+        |digits: &[u8]| digits.iter().position(|digit| *digit != b'0').unwrap_or(digits.len());
     let (a, b) = (&a[significant(a)..], &b[significant(b)..]);
     a.len().cmp(&b.len()).then(a.cmp(b))
 }
@@ -45,8 +46,10 @@ mod tests {
 
     #[test]
     fn numbers_count_as_numbers() {
-        let sorted =
-            ["1.png", "2.png", "10.png", "a", "a1b2", "a01b2x", "a1b10", "a2", "b", "left01", "left2", "left10"];
+        let sorted = [
+            "1.png", "2.png", "10.png", "a", "a1b2", "a01b2x", "a1b10", "a2", "b", "left01",
+            "left2", "left10",
+        ];
         let mut names = sorted;
         names.reverse();
         names.sort_by(|a, b| natural_order(a, b));
@@ -58,6 +61,9 @@ mod tests {
         assert_eq!(natural_order("a1", "a01"), "a1".cmp("a01"));
         assert_eq!(natural_order("", ""), Ordering::Equal);
         assert_eq!(natural_order("", "0"), Ordering::Less);
-        assert_eq!(natural_order("99999999999999999999999998", "99999999999999999999999999"), Ordering::Less);
+        assert_eq!(
+            natural_order("99999999999999999999999998", "99999999999999999999999999"),
+            Ordering::Less
+        );
     }
 }

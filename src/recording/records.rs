@@ -1,7 +1,9 @@
-//! The records of an MCAP file, one after the other, out of chunks or not: as much as a damaged or unfinished file holds.
+//! The records of an MCAP file, one after the other, out of chunks or not: as much as a damaged or
+//! unfinished file holds.
 //!
-//! Framing is done here and not by the `mcap` crate's reader, whose arithmetic trusts the lengths inside a chunk (of a
-//! compressed one too: a wrong one would ask for all memory there is); a record's own contents are parsed by the crate.
+//! Framing is done here and not by the `mcap` crate's reader, whose arithmetic trusts the lengths
+//! inside a chunk (of a compressed one too: a wrong one would ask for all memory there is); a
+//! record's own contents are parsed by the crate.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -66,7 +68,12 @@ impl RecordReader {
     pub(super) fn seek_to_summary(&mut self) -> Result<bool, std::io::Error> {
         const FOOTER_AND_MAGIC: i64 = 9 + 20 + 8;
         let mut end = [0; FOOTER_AND_MAGIC as usize];
-        if self.file.seek(SeekFrom::End(-FOOTER_AND_MAGIC)).and_then(|_| self.file.read_exact(&mut end)).is_err() {
+        if self
+            .file
+            .seek(SeekFrom::End(-FOOTER_AND_MAGIC))
+            .and_then(|_| self.file.read_exact(&mut end))
+            .is_err()
+        {
             return Ok(false);
         }
         let start = u64::from_le_bytes(std::array::from_fn(|i| end[9 + i]));
@@ -94,7 +101,9 @@ impl RecordReader {
                 opcode => {
                     if let Some(left) = &mut self.chunk_left {
                         let taken = length.saturating_add(RECORD_HEADER);
-                        *left = left.checked_sub(taken).ok_or_else(|| damaged("a record is longer than its chunk"))?;
+                        *left = left
+                            .checked_sub(taken)
+                            .ok_or_else(|| damaged("a record is longer than its chunk"))?;
                     }
                     let body = self.read_vec(length)?;
                     return parsed(opcode, &body).map(Some);
@@ -125,9 +134,13 @@ impl RecordReader {
         let mut rest = chunk.as_slice();
         while !rest.is_empty() {
             let longer = || damaged("a record is longer than its chunk");
-            let (header, after) = rest.split_at_checked(RECORD_HEADER as usize).ok_or_else(longer)?;
+            let (header, after) =
+                rest.split_at_checked(RECORD_HEADER as usize).ok_or_else(longer)?;
             let length = u64::from_le_bytes(std::array::from_fn(|i| header[1 + i]));
-            let length = usize::try_from(length).ok().filter(|length| *length <= after.len()).ok_or_else(longer)?;
+            let length = usize::try_from(length)
+                .ok()
+                .filter(|length| *length <= after.len())
+                .ok_or_else(longer)?;
             let (body, after) = after.split_at(length);
             self.unpacked.push_back(parsed(header[0], body)?);
             rest = after;
@@ -159,8 +172,11 @@ fn unpack(compression: &str, packed: &[u8], length: u64) -> Result<Vec<u8>, Brok
     }
     let mut bytes = Vec::new();
     let read = match compression {
-        "zstd" => zstd::Decoder::with_buffer(packed).and_then(|chunk| chunk.take(length).read_to_end(&mut bytes)),
-        "lz4" => lz4::Decoder::new(packed).and_then(|chunk| chunk.take(length).read_to_end(&mut bytes)),
+        "zstd" => zstd::Decoder::with_buffer(packed)
+            .and_then(|chunk| chunk.take(length).read_to_end(&mut bytes)),
+        "lz4" => {
+            lz4::Decoder::new(packed).and_then(|chunk| chunk.take(length).read_to_end(&mut bytes))
+        }
         other => return Err(damaged(&format!("chunks compressed by {other:?}, not zstd or lz4"))),
     };
     match read {
@@ -171,7 +187,9 @@ fn unpack(compression: &str, packed: &[u8], length: u64) -> Result<Vec<u8>, Brok
 }
 
 fn parsed(opcode: u8, body: &[u8]) -> Result<Record<'static>, Broken> {
-    mcap::parse_record(opcode, body).map(Record::into_owned).map_err(|error| damaged(&error.to_string()))
+    mcap::parse_record(opcode, body)
+        .map(Record::into_owned)
+        .map_err(|error| damaged(&error.to_string()))
 }
 
 fn damaged(reason: &str) -> Broken {

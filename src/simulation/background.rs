@@ -1,5 +1,5 @@
-//! What is behind the board: a wall with a slow gradient and bright and dark rectangles, some with the look of a window or
-//! a shelf, and none of them a chessboard.
+//! What is behind the board: a wall with a slow gradient and bright and dark rectangles, some with
+//! the look of a window or a shelf, and none of them a chessboard.
 
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -43,14 +43,16 @@ impl Background {
         Self { level, slope, patches }
     }
 
-    /// The light that comes along `ray` (any length); that of the wall's edge for rays that do not meet it.
+    /// The light that comes along `ray` (any length); that of the wall's edge for rays that do not
+    /// meet it.
     pub fn light(&self, ray: &Vector3<f64>) -> f64 {
         if !(ray.z > 0.0) {
             return self.level;
         }
         let [x, y] = [ray.x / ray.z, ray.y / ray.z];
         let front = self.patches.iter().rev().find(|patch| patch.holds(x, y));
-        let wall = self.level + self.slope[0] * x.clamp(-2.0, 2.0) + self.slope[1] * y.clamp(-2.0, 2.0);
+        let wall =
+            self.level + self.slope[0] * x.clamp(-2.0, 2.0) + self.slope[1] * y.clamp(-2.0, 2.0);
         front.map_or(wall, |patch| patch.reflectance)
     }
 }

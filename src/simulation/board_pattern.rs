@@ -48,8 +48,9 @@ impl BoardPattern {
         ]
     }
 
-    /// The light returned by the convex quadrilateral `patch`, whose vertices are in squares from the first inner corner,
-    /// and how much of it is board: the pattern's integral over its area, exact to rounding.
+    /// The light returned by the convex quadrilateral `patch`, whose vertices are in squares from
+    /// the first inner corner, and how much of it is board: the pattern's integral over its area,
+    /// exact to rounding.
     pub fn shade(&self, patch: &[[f64; 2]; 4]) -> Shade {
         let [mut low, mut high] = [patch[0], patch[0]];
         for vertex in &patch[1..] {
@@ -66,14 +67,19 @@ impl BoardPattern {
         let within = low[0] >= left && high[0] <= right && low[1] >= top && high[1] <= bottom;
         let cell = [low[0].floor(), low[1].floor()];
         if within && high[0] <= cell[0] + 1.0 && high[1] <= cell[1] + 1.0 {
-            // The rim's outer edge is inside its cell, so a patch of one cell and within the card has one shade.
-            return Shade { light: self.reflectance(cell[0] as i64, cell[1] as i64), coverage: 1.0 };
+            // The rim's outer edge is inside its cell, so a patch of one cell and within the card
+            // has one shade.
+            return Shade {
+                light: self.reflectance(cell[0] as i64, cell[1] as i64),
+                coverage: 1.0,
+            };
         }
         let whole = Polygon { vertices: std::array::from_fn(|i| patch[i.min(3)]), length: 4 };
         self.integral(&whole, low, high)
     }
 
-    /// The one shade of all of a patch, whose sides may bulge by a tenth of it; `None` if it may hold several.
+    /// The one shade of all of a patch, whose sides may bulge by a tenth of it; `None` if it may
+    /// hold several.
     pub(super) fn even_shade(&self, patch: &[[f64; 2]; 4]) -> Option<Shade> {
         let [mut low, mut high] = [patch[0], patch[0]];
         for vertex in &patch[1..] {
@@ -84,7 +90,8 @@ impl BoardPattern {
         }
         let [left, right, top, bottom] = self.edges_in_squares();
         let slack = [0.1 * (high[0] - low[0]), 0.1 * (high[1] - low[1])];
-        let [low, high] = [[low[0] - slack[0], low[1] - slack[1]], [high[0] + slack[0], high[1] + slack[1]]];
+        let [low, high] =
+            [[low[0] - slack[0], low[1] - slack[1]], [high[0] + slack[0], high[1] + slack[1]]];
         if patch.iter().any(|vertex| vertex[0].is_nan()) {
             // All of it looks past the plane, or its edge runs through it.
             return patch.iter().all(|vertex| vertex[0].is_nan()).then(Shade::default);
@@ -95,7 +102,10 @@ impl BoardPattern {
         let within = low[0] >= left && high[0] <= right && low[1] >= top && high[1] <= bottom;
         let cell = [low[0].floor(), low[1].floor()];
         let alone = within && high[0] <= cell[0] + 1.0 && high[1] <= cell[1] + 1.0;
-        alone.then(|| Shade { light: self.reflectance(cell[0] as i64, cell[1] as i64), coverage: 1.0 })
+        alone.then(|| Shade {
+            light: self.reflectance(cell[0] as i64, cell[1] as i64),
+            coverage: 1.0,
+        })
     }
 
     fn integral(&self, whole: &Polygon, low: [f64; 2], high: [f64; 2]) -> Shade {
@@ -108,7 +118,9 @@ impl BoardPattern {
         for col in low[0].max(left).floor() as i64..high[0].min(right).ceil() as i64 {
             let strip = whole.clipped(0, (col as f64).max(left), (col as f64 + 1.0).min(right));
             for row in low[1].max(top).floor() as i64..high[1].min(bottom).ceil() as i64 {
-                let part = strip.clipped(1, (row as f64).max(top), (row as f64 + 1.0).min(bottom)).area() / area;
+                let part =
+                    strip.clipped(1, (row as f64).max(top), (row as f64 + 1.0).min(bottom)).area()
+                        / area;
                 shade.coverage += part;
                 shade.light += part * self.reflectance(col, row);
             }
@@ -116,10 +128,12 @@ impl BoardPattern {
         shade
     }
 
-    /// Of the cell whose first corner is (`col`, `row`): the square outside the first inner corner, (−1, −1), is dark.
+    /// Of the cell whose first corner is (`col`, `row`): the square outside the first inner corner,
+    /// (−1, −1), is dark.
     fn reflectance(&self, col: i64, row: i64) -> f64 {
         let size = self.board.size;
-        let square = (-1..i64::from(size.cols)).contains(&col) && (-1..i64::from(size.rows)).contains(&row);
+        let square =
+            (-1..i64::from(size.cols)).contains(&col) && (-1..i64::from(size.rows)).contains(&row);
         if square && (col + row).rem_euclid(2) == 0 { self.black } else { self.white }
     }
 }
@@ -178,7 +192,8 @@ mod tests {
     fn rotated_square(center: [f64; 2], side: f64, angle: f64) -> [[f64; 2]; 4] {
         let (s, c) = angle.sin_cos();
         let h = 0.5 * side;
-        [[-h, -h], [h, -h], [h, h], [-h, h]].map(|[x, y]| [center[0] + c * x - s * y, center[1] + s * x + c * y])
+        [[-h, -h], [h, -h], [h, h], [-h, h]]
+            .map(|[x, y]| [center[0] + c * x - s * y, center[1] + s * x + c * y])
     }
 
     #[test]
@@ -205,27 +220,39 @@ mod tests {
                 let s = ((i % n) as f64 + 0.5) / n as f64 - 0.5;
                 let t = ((i / n) as f64 + 0.5) / n as f64 - 0.5;
                 let (sin, cos) = angle.sin_cos();
-                let [x, y] = [center[0] + side * (cos * s - sin * t), center[1] + side * (sin * s + cos * t)];
+                let [x, y] = [
+                    center[0] + side * (cos * s - sin * t),
+                    center[1] + side * (sin * s + cos * t),
+                ];
                 let point = pattern.shade(&rotated_square([x, y], 1e-9, 0.0));
                 sum.light += point.light / (n * n) as f64;
                 sum.coverage += point.coverage / (n * n) as f64;
             }
             let shade = pattern.shade(&patch);
             assert!((shade.light - sum.light).abs() < 2e-3, "{shade:?} {sum:?} at {center:?}");
-            assert!((shade.coverage - sum.coverage).abs() < 2e-3, "{shade:?} {sum:?} at {center:?}");
+            assert!(
+                (shade.coverage - sum.coverage).abs() < 2e-3,
+                "{shade:?} {sum:?} at {center:?}"
+            );
         }
     }
 
     #[test]
     fn an_edge_through_a_patch_is_exact() {
         let shade = pattern().shade(&[[-0.3, 0.2], [0.7, 0.2], [0.7, 0.8], [-0.3, 0.8]]);
-        assert!((shade.light - 0.3).abs() < 1e-12 && (shade.coverage - 1.0).abs() < 1e-12, "{shade:?}");
+        assert!(
+            (shade.light - 0.3).abs() < 1e-12 && (shade.coverage - 1.0).abs() < 1e-12,
+            "{shade:?}"
+        );
     }
 
     #[test]
     fn a_patch_that_sees_no_plane_is_empty() {
         assert_eq!(pattern().shade(&[[f64::NAN; 2]; 4]), Shade::default());
         assert_eq!(pattern().shade(&[[0.5; 2]; 4]).coverage, 1.0);
-        assert_eq!(pattern().shade(&[[0.0, 0.5], [1.5, 0.5], [1.5, 0.5], [0.0, 0.5]]), Shade::default());
+        assert_eq!(
+            pattern().shade(&[[0.0, 0.5], [1.5, 0.5], [1.5, 0.5], [0.0, 0.5]]),
+            Shade::default()
+        );
     }
 }

@@ -6,7 +6,8 @@
 //! q' = q · (1 + scale(u, v)) + offset(u, v) + noise,   rounded to steps;   reading = 1/q' in the device's unit, rounded
 //! ```
 //!
-//! so that noise and steps in z grow with z². Both fields are known smooth functions, see [`DepthError`].
+//! so that noise and steps in z grow with z². Both fields are known smooth functions, see
+//! [`DepthError`].
 
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -20,8 +21,9 @@ use crate::imaging::depth_image::DepthImage;
 use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
 
-/// The systematic error of inverse depth: two fields over the picture, each with five coefficients, of
-/// 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are from the picture's middle in half widths.
+/// The systematic error of inverse depth: two fields over the picture, each with five coefficients,
+/// of 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are from the picture's middle in
+/// half widths.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DepthError {
     /// Relative, of q.
@@ -31,13 +33,16 @@ pub struct DepthError {
 }
 
 impl DepthError {
-    /// The inverse depth that is measured, without noise, where the true one is `inverse_depth`, in 1/m.
+    /// The inverse depth that is measured, without noise, where the true one is `inverse_depth`, in
+    /// 1/m.
     pub fn measured(&self, inverse_depth: f64, pixel: Pixel, size: ImageSize) -> f64 {
         let half = 0.5 * f64::from(size.width);
         let center = size.center();
         let [x, y] = [(pixel.x - center.x) / half, (pixel.y - center.y) / half];
         let basis = [1.0, x, y, x * x + y * y, (3.0 * x + 1.0).sin() * (2.5 * y).cos()];
-        let field = |coefficients: &[f64; 5]| coefficients.iter().zip(basis).map(|(c, b)| c * b).sum::<f64>();
+        let field = |coefficients: &[f64; 5]| {
+            coefficients.iter().zip(basis).map(|(c, b)| c * b).sum::<f64>()
+        };
         inverse_depth * (1.0 + field(&self.scale)) + field(&self.offset)
     }
 }
@@ -57,8 +62,9 @@ pub struct DepthSensor {
     pub noise_per_m: f64,
     /// Steps of inverse depth, in 1/m: a matcher's smallest fraction of a pixel.
     pub step_per_m: f64,
-    /// Focal length times baseline, in pixel metres: disparity is this times inverse depth. Nothing is measured in the
-    /// left band that the other eye doesn't see, nor in the shadow left of what stands in front.
+    /// Focal length times baseline, in pixel metres: disparity is this times inverse depth. Nothing
+    /// is measured in the left band that the other eye doesn't see, nor in the shadow left of what
+    /// stands in front.
     pub disparity_px_m: f64,
     /// Patches per picture where matching fails.
     pub holes: usize,
@@ -121,7 +127,8 @@ impl DepthRenderer {
     fn reading(&self, inverse_depth: f64, pixel: Pixel, noise: f64) -> u16 {
         let DepthSensor { error, size, noise_per_m, step_per_m, unit_m, .. } = &self.sensor;
         let measured = error.measured(inverse_depth, pixel, *size) + noise_per_m * noise;
-        let stepped = if *step_per_m > 0.0 { (measured / step_per_m).round() * step_per_m } else { measured };
+        let stepped =
+            if *step_per_m > 0.0 { (measured / step_per_m).round() * step_per_m } else { measured };
         let units = (1.0 / (stepped * unit_m)).round();
         if units >= 1.0 && units <= f64::from(u16::MAX) { units as u16 } else { 0 }
     }
@@ -139,7 +146,8 @@ impl DepthRenderer {
             let board = normal.dot(&Vector3::new(x, y, 1.0)) / height;
             let wall = (1.0 - slope_x * x - slope_y * y) / distance;
             if board > 0.0 {
-                let at = board_from_depth * nalgebra::Point3::new(x / board, y / board, 1.0 / board);
+                let at =
+                    board_from_depth * nalgebra::Point3::new(x / board, y / board, 1.0 / board);
                 let [u, v] = [at.x / side, at.y / side];
                 if board > wall && u > left && u < right && v > top && v < bottom {
                     return (board, true);
@@ -151,7 +159,8 @@ impl DepthRenderer {
         TrueDepth { inverse, on_board }
     }
 
-    /// Where the matcher finds nothing: across edges of the board, in the other eye's shadow, and left of its view.
+    /// Where the matcher finds nothing: across edges of the board, in the other eye's shadow, and
+    /// left of its view.
     fn unmatched(&self, truth: &TrueDepth) -> Vec<bool> {
         const WINDOW: usize = 2;
         let width = self.sensor.size.width as usize;
@@ -170,7 +179,8 @@ impl DepthRenderer {
             }
             for x in 0..width {
                 let there = x as f64 - disparity(x);
-                blind[y * width + x] = there < 0.0 || nearest[there.round() as usize] > disparity(x) + 1.5;
+                blind[y * width + x] =
+                    there < 0.0 || nearest[there.round() as usize] > disparity(x) + 1.5;
             }
         }
         for y in 0..height {
@@ -178,7 +188,9 @@ impl DepthRenderer {
                 let here = truth.on_board[y * width + x];
                 let rows = y.saturating_sub(WINDOW)..(y + WINDOW + 1).min(height);
                 let columns = x.saturating_sub(WINDOW)..(x + WINDOW + 1).min(width);
-                let edge = rows.clone().any(|y| columns.clone().any(|x| truth.on_board[y * width + x] != here));
+                let edge = rows
+                    .clone()
+                    .any(|y| columns.clone().any(|x| truth.on_board[y * width + x] != here));
                 blind[y * width + x] |= edge;
             }
         }
@@ -188,12 +200,14 @@ impl DepthRenderer {
     fn add_holes(&self, blind: &mut [bool], rng: &mut ChaCha8Rng) {
         let (width, height) = (self.sensor.size.width as usize, self.sensor.size.height as usize);
         for _ in 0..self.sensor.holes {
-            let center = [rng.random_range(0.0..width as f64), rng.random_range(0.0..height as f64)];
+            let center =
+                [rng.random_range(0.0..width as f64), rng.random_range(0.0..height as f64)];
             let radius = [rng.random_range(2.0..10.0), rng.random_range(2.0..10.0)];
             let first = [0, 1].map(|axis| (center[axis] - radius[axis]).max(0.0) as usize);
             for y in first[1]..height.min((center[1] + radius[1]) as usize + 1) {
                 for x in first[0]..width.min((center[0] + radius[0]) as usize + 1) {
-                    let [dx, dy] = [(x as f64 - center[0]) / radius[0], (y as f64 - center[1]) / radius[1]];
+                    let [dx, dy] =
+                        [(x as f64 - center[0]) / radius[0], (y as f64 - center[1]) / radius[1]];
                     blind[y * width + x] |= dx * dx + dy * dy < 1.0;
                 }
             }
@@ -223,7 +237,8 @@ mod tests {
     }
 
     fn picture(sensor: DepthSensor, depth_from_board: Pose) -> DepthImage {
-        let pattern = BoardPattern::new(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap());
+        let pattern =
+            BoardPattern::new(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap());
         let scene = DepthScene { pattern: &pattern, depth_from_board, wall: [2.0, 0.0, 0.0] };
         DepthRenderer::new(sensor).picture(&scene, 5, 0)
     }
@@ -239,7 +254,8 @@ mod tests {
         let matrix = sensor().lens.matrix;
         for (x, y) in [(80, 60), (70, 50), (95, 66)] {
             let ray = matrix.normalized_from_pixel(Pixel::new(f64::from(x), f64::from(y)));
-            let z = normal.dot(&tilted().translation()) / normal.dot(&Vector3::new(ray.x, ray.y, 1.0));
+            let z =
+                normal.dot(&tilted().translation()) / normal.dot(&Vector3::new(ray.x, ray.y, 1.0));
             let reading = f64::from(picture.row(y as usize)[x as usize]) * 0.0001;
             assert!((reading - z).abs() < 0.000_06, "{reading} not {z}");
         }
@@ -248,9 +264,13 @@ mod tests {
 
     #[test]
     fn shadows_lie_left_of_the_board_and_of_the_picture() {
-        let picture = picture(sensor(), Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.1, -0.1, 0.7)));
+        let picture = picture(
+            sensor(),
+            Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.1, -0.1, 0.7)),
+        );
         let row = picture.row(60);
-        // The wall's disparity is 3.5 px, the board's 10: six pixels and a half are hidden, and two more are its edge.
+        // The wall's disparity is 3.5 px, the board's 10: six pixels and a half are hidden, and two
+        // more are its edge.
         assert!(row[..3].iter().all(|reading| *reading == 0) && row[5] == 20_000, "{row:?}");
         let first = row.iter().position(|reading| *reading > 0 && *reading < 10_000).unwrap();
         let before = row[..first].iter().rev().take_while(|reading| **reading == 0).count();
@@ -263,18 +283,27 @@ mod tests {
     #[test]
     fn noise_grows_with_the_square_of_depth_and_the_error_is_as_stated() {
         for distance in [0.5, 1.0] {
-            let error = DepthError { scale: [0.01, 0.0, 0.0, 0.0, 0.0], offset: [0.005, 0.0, 0.0, 0.0, 0.0] };
+            let error = DepthError {
+                scale: [0.01, 0.0, 0.0, 0.0, 0.0],
+                offset: [0.005, 0.0, 0.0, 0.0, 0.0],
+            };
             let noisy = DepthSensor { error, noise_per_m: 0.002, unit_m: 0.000_02, ..sensor() };
-            let square_on = Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.16, -0.1, distance));
+            let square_on =
+                Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.16, -0.1, distance));
             let picture = picture(noisy, square_on);
             let values: Vec<f64> = (50..70)
                 .flat_map(|y| picture.row(y)[60..100].to_vec())
                 .map(|reading| f64::from(reading) * 0.000_02)
                 .collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
-            let std = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt();
+            let std = (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>()
+                / values.len() as f64)
+                .sqrt();
             let expected = 1.0 / (1.01 / distance + 0.005);
-            assert!((mean - expected).abs() < 4.0 * std / (values.len() as f64).sqrt(), "{mean} not {expected}");
+            assert!(
+                (mean - expected).abs() < 4.0 * std / (values.len() as f64).sqrt(),
+                "{mean} not {expected}"
+            );
             assert!((std / (0.002 * expected * expected) - 1.0).abs() < 0.1, "{std}");
         }
     }

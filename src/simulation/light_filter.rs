@@ -1,8 +1,10 @@
-//! From light on sub-pixels to light on pixels: the optics' Gaussian blur and the pixel's own area, in one filter.
+//! From light on sub-pixels to light on pixels: the optics' Gaussian blur and the pixel's own area,
+//! in one filter.
 
 use crate::simulation::rays::SUBPIXELS;
 
-/// A separable filter that blurs and reduces by [`SUBPIXELS`]. Applied along one axis it gives one value a pixel.
+/// A separable filter that blurs and reduces by [`SUBPIXELS`]. Applied along one axis it gives one
+/// value a pixel.
 #[derive(Debug, Clone)]
 pub(super) struct LightFilter {
     weights: Vec<f32>,
@@ -25,7 +27,8 @@ impl LightFilter {
         };
         let mut weights: Vec<f64> = (0..length)
             .map(|tap| {
-                let pixel_subs = (0..SUBPIXELS).map(|sub| sub as f64 - 0.5 * (SUBPIXELS as f64 - 1.0));
+                let pixel_subs =
+                    (0..SUBPIXELS).map(|sub| sub as f64 - 0.5 * (SUBPIXELS as f64 - 1.0));
                 pixel_subs.map(|sub| gaussian((tap as f64 - middle - sub) / SUBPIXELS as f64)).sum()
             })
             .collect();
@@ -34,7 +37,8 @@ impl LightFilter {
         Self { weights: weights.into_iter().map(|weight| weight as f32).collect(), reach }
     }
 
-    /// Filters the sub-pixels of a row: `out[i]` is pixel i, whose first tap is `row[i · SUBPIXELS]`.
+    /// Filters the sub-pixels of a row: `out[i]` is pixel i, whose first tap is `row[i ·
+    /// SUBPIXELS]`.
     pub(super) fn reduce_row(&self, row: &[f32], out: &mut [f32]) {
         out.fill(0.0);
         for (tap, weight) in self.weights.iter().enumerate() {
@@ -45,7 +49,11 @@ impl LightFilter {
     }
 
     /// Filters columns: `rows` are as many reduced rows as there are taps, `out` one row of pixels.
-    pub(super) fn reduce_columns<'a>(&self, rows: impl Iterator<Item = &'a [f32]>, out: &mut [f32]) {
+    pub(super) fn reduce_columns<'a>(
+        &self,
+        rows: impl Iterator<Item = &'a [f32]>,
+        out: &mut [f32],
+    ) {
         out.fill(0.0);
         for (row, weight) in rows.zip(&self.weights) {
             for (value, light) in out.iter_mut().zip(row) {
@@ -72,7 +80,10 @@ mod tests {
             let sum: f32 = filter.weights.iter().sum();
             assert!((sum - 1.0).abs() < 1e-6);
             let reversed: Vec<f32> = filter.weights.iter().rev().copied().collect();
-            assert!(filter.weights.iter().zip(&reversed).all(|(a, b)| (a - b).abs() < 1e-7), "symmetric");
+            assert!(
+                filter.weights.iter().zip(&reversed).all(|(a, b)| (a - b).abs() < 1e-7),
+                "symmetric"
+            );
         }
         let mut out = [0.0; 2];
         LightFilter::new(0.0).reduce_row(&[1.0, 3.0, 5.0, 3.0, 0.0, 1.0, 0.0, 1.0], &mut out);

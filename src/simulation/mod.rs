@@ -1,4 +1,5 @@
-//! A rendered world with exact truth: a chessboard that is carried about before one camera or several.
+//! A rendered world with exact truth: a chessboard that is carried about before one camera or
+//! several.
 //!
 //! ```text
 //! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ PictureSensor::develop ──▶ picture
@@ -6,9 +7,10 @@
 //!   └── FrameTruth           ▲ Background, Optics (blur), rays of any Lens
 //! ```
 //!
-//! Every pixel is an integral: the squares over its quarters exactly (polygon areas, no point samples), the optical blur
-//! over a finer grid than the pixels, the exposure over several poses. What is true of a picture is therefore known to about a
-//! thousandth of a pixel, and everything random comes from a seed: same world, same bytes.
+//! Every pixel is an integral: the squares over its quarters exactly (polygon areas, no point
+//! samples), the optical blur over a finer grid than the pixels, the exposure over several poses.
+//! What is true of a picture is therefore known to about a thousandth of a pixel, and everything
+//! random comes from a seed: same world, same bytes.
 
 mod background;
 mod board_pattern;

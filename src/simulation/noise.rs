@@ -1,4 +1,5 @@
-//! Seeded randomness: a stream of its own for every purpose, so that one more draw here changes nothing there.
+//! Seeded randomness: a stream of its own for every purpose, so that one more draw here changes
+//! nothing there.
 
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;

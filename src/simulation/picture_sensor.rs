@@ -32,7 +32,8 @@ pub struct PictureSensor {
 }
 
 impl PictureSensor {
-    /// A good machine-vision camera: blur 0.7 px, 4 ms, 10 000 electrons, 6 e⁻ read noise, gamma 2.2, 25 % vignetting.
+    /// A good machine-vision camera: blur 0.7 px, 4 ms, 10 000 electrons, 6 e⁻ read noise, gamma
+    /// 2.2, 25 % vignetting.
     pub fn new(size: ImageSize, lens: Lens) -> Self {
         Self {
             size,
@@ -47,8 +48,8 @@ impl PictureSensor {
         }
     }
 
-    /// The picture of `light` (a value a pixel, 1 is what a perfect white returns), with the noise of the `index`-th picture
-    /// of `seed`.
+    /// The picture of `light` (a value a pixel, 1 is what a perfect white returns), with the noise
+    /// of the `index`-th picture of `seed`.
     pub fn develop(&self, light: &[f32], seed: u64, index: u64) -> GrayImage {
         let (width, height) = (self.size.width as usize, self.size.height as usize);
         let mut image = GrayImage::filled(width, height, 0);
@@ -59,7 +60,8 @@ impl PictureSensor {
         for (k, (value, light)) in image.pixels_mut().iter_mut().zip(light).enumerate() {
             let [dx, dy] = [(k % width) as f64 - center.x, (k / width) as f64 - center.y];
             let shading = 1.0 - self.vignetting * (dx * dx + dy * dy) / corner2.max(1.0);
-            let electrons = (f64::from(*light) * shading * self.exposure_gain * self.full_well_e).max(0.0);
+            let electrons =
+                (f64::from(*light) * shading * self.exposure_gain * self.full_well_e).max(0.0);
             let sigma = (electrons + self.read_noise_e * self.read_noise_e).sqrt();
             let normal: f64 = rng.sample(StandardNormal);
             *value = tone.value((electrons + sigma * normal) / self.full_well_e);
@@ -77,7 +79,8 @@ impl ToneCurve {
     const STEPS: usize = 4096;
 
     fn new(gamma: f64) -> Self {
-        let value = |step: usize| (255.0 * (step as f64 / Self::STEPS as f64).powf(1.0 / gamma)) as f32;
+        let value =
+            |step: usize| (255.0 * (step as f64 / Self::STEPS as f64).powf(1.0 / gamma)) as f32;
         Self { table: (0..=Self::STEPS).map(value).collect() }
     }
 

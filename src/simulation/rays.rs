@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Sub-pixels along a side of a pixel. Light is integrated exactly over each and then taken to lie at its middle: with four, an
-/// edge is within about 0.0005 px of where it is.
+/// Sub-pixels along a side of a pixel. Light is integrated exactly over each and then taken to lie
+/// at its middle: with four, an edge is within about 0.0005 px of where it is.
 pub(super) const SUBPIXELS: usize = 4;
 
 /// The rays through the corners of all pixels of an image and of `pad` pixels around it.
@@ -37,7 +37,8 @@ impl RayTable {
         Self { columns, rows, pad, nodes }
     }
 
-    /// The rays through the upper corners of pixel row `row`; those of `rows` are the lower corners of the last.
+    /// The rays through the upper corners of pixel row `row`; those of `rows` are the lower corners
+    /// of the last.
     pub(super) fn node_row(&self, row: usize) -> &[Vector3<f64>] {
         let width = self.columns + 1;
         &self.nodes[row * width..(row + 1) * width]

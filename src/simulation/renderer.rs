@@ -37,14 +37,25 @@ impl Renderer {
         let filter = LightFilter::new(sensor.blur_px);
         let rays = RayTable::new(&sensor.lens, sensor.size, filter.reach);
         let inside = |sub: usize| ((sub % SUBPIXELS) as f64 + 0.5) / SUBPIXELS as f64;
-        let ray = |i: usize, j: usize| rays.ray_inside([i / SUBPIXELS, j / SUBPIXELS], [inside(i), inside(j)]);
+        let ray = |i: usize, j: usize| {
+            rays.ray_inside([i / SUBPIXELS, j / SUBPIXELS], [inside(i), inside(j)])
+        };
         let background: Vec<f32> = (0..rays.rows * SUBPIXELS)
             .flat_map(|j| (0..rays.columns * SUBPIXELS).map(move |i| (i, j)))
             .map(|(i, j)| background.light(&ray(i, j)) as f32)
             .collect();
         let scene = background.clone();
-        let mut renderer = Self { background_on_pixels: Vec::new(), background, sensor, pattern, filter, rays, scene };
-        let mut light = vec![0.0; renderer.sensor.size.width as usize * renderer.sensor.size.height as usize];
+        let mut renderer = Self {
+            background_on_pixels: Vec::new(),
+            background,
+            sensor,
+            pattern,
+            filter,
+            rays,
+            scene,
+        };
+        let mut light =
+            vec![0.0; renderer.sensor.size.width as usize * renderer.sensor.size.height as usize];
         renderer.filter_area(renderer.whole(), &mut light);
         renderer.background_on_pixels = light;
         renderer
@@ -60,12 +71,14 @@ impl Renderer {
         &self.pattern
     }
 
-    /// Light on each pixel, row by row, for a board that stood at each of the poses `camera_from_board` for an equal part of
-    /// the exposure.
+    /// Light on each pixel, row by row, for a board that stood at each of the poses
+    /// `camera_from_board` for an equal part of the exposure.
     pub fn light(&mut self, camera_from_board: &[Pose]) -> Vec<f32> {
         let mut light = self.background_on_pixels.clone();
-        let areas: Vec<_> =
-            camera_from_board.iter().map(|camera_from_board| self.board_area(camera_from_board)).collect();
+        let areas: Vec<_> = camera_from_board
+            .iter()
+            .map(|camera_from_board| self.board_area(camera_from_board))
+            .collect();
         let Some(union) = areas.iter().copied().reduce(Area::union) else { return light };
         let share = 1.0 / camera_from_board.len() as f32;
         for (camera_from_board, area) in camera_from_board.iter().zip(areas) {
@@ -80,26 +93,32 @@ impl Renderer {
         light
     }
 
-    /// How far the board's image moves between two poses at most, in pixels; infinite when it leaves the lens's view.
+    /// How far the board's image moves between two poses at most, in pixels; infinite when it
+    /// leaves the lens's view.
     pub fn motion_px(&self, camera_from_board: [&Pose; 2]) -> f64 {
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
-        let seen = |camera_from_board: &Pose, x: f64, y: f64| self.pixel_of(camera_from_board, x, y);
+        let seen =
+            |camera_from_board: &Pose, x: f64, y: f64| self.pixel_of(camera_from_board, x, y);
         [(left, top), (right, top), (right, bottom), (left, bottom)]
             .into_iter()
-            .map(|(x, y)| match camera_from_board.map(|camera_from_board| seen(camera_from_board, x, y)) {
-                [Some(before), Some(after)] => before.distance_px(after),
-                _ => f64::INFINITY,
+            .map(|(x, y)| {
+                match camera_from_board.map(|camera_from_board| seen(camera_from_board, x, y)) {
+                    [Some(before), Some(after)] => before.distance_px(after),
+                    _ => f64::INFINITY,
+                }
             })
             .fold(0.0, f64::max)
     }
 
     fn pixel_of(&self, camera_from_board: &Pose, x_squares: f64, y_squares: f64) -> Option<Pixel> {
         let side = self.pattern.board.square_m;
-        let point_in_camera = *camera_from_board * nalgebra::Point3::new(x_squares * side, y_squares * side, 0.0);
+        let point_in_camera =
+            *camera_from_board * nalgebra::Point3::new(x_squares * side, y_squares * side, 0.0);
         self.sensor.lens.pixel_from_point(&point_in_camera)
     }
 
-    /// The padded pixels that the board may touch: all of them when part of its edge is out of the lens's view.
+    /// The padded pixels that the board may touch: all of them when part of its edge is out of the
+    /// lens's view.
     fn board_area(&self, camera_from_board: &Pose) -> Area {
         const STEPS: usize = 24;
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
@@ -108,8 +127,11 @@ impl Renderer {
             let part = step as f64 / STEPS as f64;
             let [x, y] = [left + part * (right - left), top + part * (bottom - top)];
             for [x, y] in [[x, top], [x, bottom], [left, y], [right, y]] {
-                let Some(pixel) = self.pixel_of(camera_from_board, x, y) else { return self.whole() };
-                let at = [pixel.x + 0.5 + self.rays.pad as f64, pixel.y + 0.5 + self.rays.pad as f64];
+                let Some(pixel) = self.pixel_of(camera_from_board, x, y) else {
+                    return self.whole();
+                };
+                let at =
+                    [pixel.x + 0.5 + self.rays.pad as f64, pixel.y + 0.5 + self.rays.pad as f64];
                 low = [low[0].min(at[0]), low[1].min(at[1])];
                 high = [high[0].max(at[0]), high[1].max(at[1])];
             }
@@ -120,7 +142,10 @@ impl Renderer {
             let clamped = |value: f64| value.clamp(0.0, end as f64) as usize;
             [clamped(low - slack), clamped((high + slack).ceil())]
         };
-        Area { x: range(low[0], high[0], self.rays.columns), y: range(low[1], high[1], self.rays.rows) }
+        Area {
+            x: range(low[0], high[0], self.rays.columns),
+            y: range(low[1], high[1], self.rays.rows),
+        }
     }
 
     /// Puts the board into the scene for `share` of the exposure.
@@ -157,10 +182,17 @@ impl Renderer {
     }
 
     /// Puts the pattern on a pixel with these `corners`, in homogeneous board coordinates.
-    fn add_uneven_pixel(&mut self, [x, y]: [usize; 2], corners: &[Vector3<f64>; 4], lit: f32, share: f32) {
+    fn add_uneven_pixel(
+        &mut self,
+        [x, y]: [usize; 2],
+        corners: &[Vector3<f64>; 4],
+        lit: f32,
+        share: f32,
+    ) {
         let part = |sub: usize| sub as f64 / SUBPIXELS as f64;
         let nodes: [[[f64; 2]; SUBPIXELS + 1]; SUBPIXELS + 1] = std::array::from_fn(|j| {
-            let (left, right) = (corners[0].lerp(&corners[3], part(j)), corners[1].lerp(&corners[2], part(j)));
+            let (left, right) =
+                (corners[0].lerp(&corners[3], part(j)), corners[1].lerp(&corners[2], part(j)));
             std::array::from_fn(|i| on_board(left.lerp(&right, part(i))))
         });
         for j in 0..SUBPIXELS {
@@ -174,7 +206,8 @@ impl Renderer {
         }
     }
 
-    /// Maps a ray to homogeneous board coordinates in squares; the third is positive before the camera.
+    /// Maps a ray to homogeneous board coordinates in squares; the third is positive before the
+    /// camera.
     fn squares_from_ray(&self, camera_from_board: &Pose) -> Matrix3<f64> {
         let rotation = camera_from_board.rotation_matrix();
         let side = self.pattern.board.square_m;
@@ -202,7 +235,8 @@ impl Renderer {
         let reached = |[low, high]: [usize; 2], end: u32| {
             low.saturating_sub(2 * self.rays.pad).min(end as usize)..high.min(end as usize)
         };
-        let (x, y) = (reached(from.x, self.sensor.size.width), reached(from.y, self.sensor.size.height));
+        let (x, y) =
+            (reached(from.x, self.sensor.size.width), reached(from.y, self.sensor.size.height));
         if x.is_empty() || y.is_empty() {
             return;
         }
@@ -264,11 +298,13 @@ mod tests {
         sum * 2.0 / std::f64::consts::PI.sqrt()
     }
 
-    /// The mean over [x − 1/2, x + 1/2] of an edge at `edge` blurred by `sigma`: the part of light right of the edge.
+    /// The mean over [x − 1/2, x + 1/2] of an edge at `edge` blurred by `sigma`: the part of light
+    /// right of the edge.
     fn blurred_edge(x: f64, edge: f64, sigma: f64) -> f64 {
         let integral = |t: f64| {
             let z = t / (sigma * std::f64::consts::SQRT_2);
-            0.5 * (t * (1.0 + erf(z)) + sigma * (2.0 / std::f64::consts::PI).sqrt() * (-z * z).exp())
+            0.5 * (t * (1.0 + erf(z))
+                + sigma * (2.0 / std::f64::consts::PI).sqrt() * (-z * z).exp())
         };
         integral(x + 0.5 - edge) - integral(x - 0.5 - edge)
     }
@@ -277,8 +313,10 @@ mod tests {
     fn an_edge_has_the_light_of_its_exact_integral() {
         let mut renderer = renderer(Lens::pinhole(matrix()), 0.8);
         for shift in [0.0, 0.003, 0.017] {
-            // Upright at 2 m: squares of 4 px. Along the middle of a dark square of row −1 … an edge at board x = 0.
-            let camera_from_board = Pose::from_axis_angle(Vector3::zeros(), Vector3::new(shift, 0.0, 0.4));
+            // Upright at 2 m: squares of 4 px. Along the middle of a dark square of row −1 … an
+            // edge at board x = 0.
+            let camera_from_board =
+                Pose::from_axis_angle(Vector3::zeros(), Vector3::new(shift, 0.0, 0.4));
             let lit = renderer.illumination(&camera_from_board);
             let light = renderer.light(&[camera_from_board]);
             let edge = 47.5 + 80.0 * shift / 0.4;
@@ -287,30 +325,40 @@ mod tests {
                 // Right of the first corner, below it: dark.
                 let expected = lit * (1.0 - blurred_edge(x as f64, edge, 0.8));
                 let found = f64::from(light[row * 96 + x]);
-                assert!((found - expected).abs() < 1.5e-3, "at {x}: {found} not {expected}, edge {edge}");
+                assert!(
+                    (found - expected).abs() < 1.5e-3,
+                    "at {x}: {found} not {expected}, edge {edge}"
+                );
             }
         }
     }
 
     #[test]
     fn a_blurred_corner_stays_where_it_is_under_every_lens() {
-        let fisheye = Distortion::KannalaBrandt(KannalaBrandt::from_coefficients([0.05, -0.01, 0.0, 0.0]));
+        let fisheye =
+            Distortion::KannalaBrandt(KannalaBrandt::from_coefficients([0.05, -0.01, 0.0, 0.0]));
         for lens in [Lens::pinhole(matrix()), Lens { matrix: matrix(), distortion: fisheye }] {
             let mut renderer = renderer(lens, 0.7);
-            let camera_from_board =
-                Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.2), Vector3::new(-0.17, -0.13, 0.5));
+            let camera_from_board = Pose::from_axis_angle(
+                Vector3::new(0.4, -0.3, 0.2),
+                Vector3::new(-0.17, -0.13, 0.5),
+            );
             let light = renderer.light(&[camera_from_board]);
             let corner = renderer.pixel_of(&camera_from_board, 2.0, 1.0).unwrap();
-            // A half turn about the corner leaves a chessboard corner as it is: so does the picture, to second order.
+            // A half turn about the corner leaves a chessboard corner as it is: so does the
+            // picture, to second order.
             let value = |x: f64, y: f64| {
                 let (i, j) = (x.floor(), y.floor());
                 let (s, t) = (x - i, y - j);
-                let at = |dx: usize, dy: usize| f64::from(light[(j as usize + dy) * 96 + i as usize + dx]);
+                let at = |dx: usize, dy: usize| {
+                    f64::from(light[(j as usize + dy) * 96 + i as usize + dx])
+                };
                 let upper = at(0, 0) * (1.0 - s) + at(1, 0) * s;
                 upper * (1.0 - t) + (at(0, 1) * (1.0 - s) + at(1, 1) * s) * t
             };
             for (dx, dy) in [(1.0, 0.3), (0.2, 1.4), (-1.1, 0.8)] {
-                let [there, opposite] = [value(corner.x + dx, corner.y + dy), value(corner.x - dx, corner.y - dy)];
+                let [there, opposite] =
+                    [value(corner.x + dx, corner.y + dy), value(corner.x - dx, corner.y - dy)];
                 assert!((there - opposite).abs() < 0.03, "{there} {opposite} at {dx} {dy}");
             }
         }

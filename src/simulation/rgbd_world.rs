@@ -28,29 +28,49 @@ pub struct RgbdOptions {
     pub depth: DepthSensor,
     /// Where the depth and infrared camera is.
     pub color_from_depth: Pose,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in seconds.
+    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// seconds.
     pub time_offset_s: f64,
-    /// The wall behind the board in the depth camera's frame: its distance on the axis in metres, its slopes against x and y.
+    /// The wall behind the board in the depth camera's frame: its distance on the axis in metres,
+    /// its slopes against x and y.
     pub wall: [f64; 3],
 }
 
 impl RgbdOptions {
-    /// A stereo depth camera beside the colour camera of `color`: 25 mm and a degree apart, 640 × 480, with an error of some per
-    /// cent; lens, pose and error follow from the seed.
+    /// A stereo depth camera beside the colour camera of `color`: 25 mm and a degree apart, 640 ×
+    /// 480, with an error of some per cent; lens, pose and error follow from the seed.
     pub fn new(color: WorldOptions) -> Self {
         let mut rng = stream(color.seed, Purpose::Rig, 0);
         let size = ImageSize::new(640, 480);
         let mut around = |middle: f64, spread: f64| middle + rng.random_range(-spread..spread);
         let fx = around(575.0, 15.0);
-        let matrix =
-            CameraMatrix { fx, fy: fx * around(1.0, 0.002), cx: around(319.5, 5.0), cy: around(239.5, 5.0), skew: 0.0 };
-        let brown = Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
+        let matrix = CameraMatrix {
+            fx,
+            fy: fx * around(1.0, 0.002),
+            cx: around(319.5, 5.0),
+            cy: around(239.5, 5.0),
+            skew: 0.0,
+        };
+        let brown =
+            Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
         let lens = Lens { matrix, distortion: Distortion::Brown(brown) };
         let turn = Vector3::new(around(0.0, 0.01), around(0.0, 0.015), around(0.0, 0.006));
         let shift = Vector3::new(around(0.025, 0.003), around(0.0, 0.001), around(0.001, 0.001));
         let error = DepthError {
-            scale: [around(0.006, 0.002), around(0.0, 0.002), around(0.0, 0.002), around(0.004, 0.002), 0.0],
-            offset: [around(0.004, 0.002), around(0.003, 0.001), around(-0.002, 0.001), around(0.006, 0.002), 0.004],
+            scale: [
+                around(0.006, 0.002),
+                around(0.0, 0.002),
+                around(0.0, 0.002),
+                around(0.004, 0.002),
+                0.0,
+            ],
+            offset: [
+                around(0.004, 0.002),
+                around(0.003, 0.001),
+                around(-0.002, 0.001),
+                around(0.006, 0.002),
+                0.004,
+            ],
         };
         let depth = DepthSensor {
             size,
@@ -72,7 +92,14 @@ impl RgbdOptions {
             ..PictureSensor::new(size, lens)
         };
         let color_from_depth = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
-        Self { color, infrared, depth, color_from_depth, time_offset_s: 0.0, wall: [1.8, 0.06, -0.03] }
+        Self {
+            color,
+            infrared,
+            depth,
+            color_from_depth,
+            time_offset_s: 0.0,
+            wall: [1.8, 0.06, -0.03],
+        }
     }
 }
 
@@ -126,11 +153,17 @@ impl RgbdWorld {
         let depth_from_color = self.options.color_from_depth.inverse();
         let start_s = color.truth.time_s + self.options.time_offset_s;
         let walk = self.color.walk_mut();
-        let exposure = exposed(&mut self.infrared, start_s, |time_s| depth_from_color * walk.camera_from_board(time_s));
+        let exposure = exposed(&mut self.infrared, start_s, |time_s| {
+            depth_from_color * walk.camera_from_board(time_s)
+        });
         let seed = self.options.color.seed;
         let infrared = self.infrared.sensor().develop(&exposure.light, seed, INFRARED + index);
         let pattern = self.infrared.pattern();
-        let scene = DepthScene { pattern, depth_from_board: exposure.camera_from_board, wall: self.options.wall };
+        let scene = DepthScene {
+            pattern,
+            depth_from_board: exposure.camera_from_board,
+            wall: self.options.wall,
+        };
         let depth = self.depth.picture(&scene, seed, index);
         let infrared_from_board = exposure.camera_from_board;
         RgbdFrame { color: color.image, infrared, depth, truth: color.truth, infrared_from_board }
@@ -152,10 +185,15 @@ mod tests {
         for index in 0..4 {
             let (late, frame) = (world.frame(index), together.frame(index));
             let through_rig = options.color_from_depth * frame.infrared_from_board;
-            let apart = (through_rig.translation() - frame.truth.camera_from_board.translation()).norm();
-            assert!(apart < 1e-12 && through_rig.angle_to(&frame.truth.camera_from_board) < 1e-7, "{apart}");
+            let apart =
+                (through_rig.translation() - frame.truth.camera_from_board.translation()).norm();
+            assert!(
+                apart < 1e-12 && through_rig.angle_to(&frame.truth.camera_from_board) < 1e-7,
+                "{apart}"
+            );
             assert_eq!((&late.color, late.truth), (&frame.color, frame.truth));
-            let shift = late.infrared_from_board.translation() - frame.infrared_from_board.translation();
+            let shift =
+                late.infrared_from_board.translation() - frame.infrared_from_board.translation();
             moved = moved.max(shift.norm());
             let seen = frame.depth.readings().iter().filter(|reading| **reading > 0).count();
             assert!(seen * 10 > frame.depth.readings().len() * 7, "{seen} readings");

@@ -1,4 +1,5 @@
-//! How the board is carried about: from one place to the next, held still there for a moment, and on.
+//! How the board is carried about: from one place to the next, held still there for a moment, and
+//! on.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,7 +23,8 @@ pub struct WalkOptions {
     pub tilt: f64,
     /// The largest turn about the optical axis, in radians; 25° unless said.
     pub roll: f64,
-    /// The card's width over the image's at the farthest and the nearest place; 0.38 and 0.8 unless said.
+    /// The card's width over the image's at the farthest and the nearest place; 0.38 and 0.8 unless
+    /// said.
     pub width: [f64; 2],
     /// Part of the places where a part of the board is outside the picture; 0 unless said.
     pub leaving: f64,
@@ -58,7 +60,13 @@ pub struct Walk {
 
 impl Walk {
     /// The walk of `seed` before a camera with `lens` and images of `size`.
-    pub fn new(seed: u64, pattern: BoardPattern, lens: Lens, size: ImageSize, options: &WalkOptions) -> Self {
+    pub fn new(
+        seed: u64,
+        pattern: BoardPattern,
+        lens: Lens,
+        size: ImageSize,
+        options: &WalkOptions,
+    ) -> Self {
         Self { seed, options: *options, pattern, lens, size, near: None }
     }
 
@@ -72,7 +80,8 @@ impl Walk {
         // Speed rises and falls without a jolt: 3 p² − 2 p³.
         let part = part * part * (3.0 - 2.0 * part);
         let [from, to] = self.places_around(place);
-        let rotation = from.rotation().try_slerp(&to.rotation(), part, 1e-9).unwrap_or_else(|| to.rotation());
+        let rotation =
+            from.rotation().try_slerp(&to.rotation(), part, 1e-9).unwrap_or_else(|| to.rotation());
         let translation = from.translation().lerp(&to.translation(), part);
         let wave = |frequency_hz: f64, phase: f64| (TAU * frequency_hz * time_s + phase).sin();
         let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * tremor[0];
@@ -83,7 +92,9 @@ impl Walk {
     fn places_around(&mut self, place: u64) -> [Pose; 2] {
         match self.near {
             Some((near, poses)) if near == place => poses,
-            Some((near, [_, to])) if near + 1 == place => self.keep(place, [to, self.place(place + 1)]),
+            Some((near, [_, to])) if near + 1 == place => {
+                self.keep(place, [to, self.place(place + 1)])
+            }
             _ => self.keep(place, [self.place(place), self.place(place + 1)]),
         }
     }
@@ -93,8 +104,8 @@ impl Walk {
         poses
     }
 
-    /// The `index`-th place. Positions in the picture and tilts follow low-discrepancy sequences, so that any run of places
-    /// covers the picture and every tilt evenly.
+    /// The `index`-th place. Positions in the picture and tilts follow low-discrepancy sequences,
+    /// so that any run of places covers the picture and every tilt evenly.
     fn place(&self, index: u64) -> Pose {
         // The powers of the plastic number's inverse: Roberts' R2 and R3 sequences.
         let spread = |step: f64, start: f64| (start + step * (index as f64 + 1.0)).fract();
@@ -103,7 +114,10 @@ impl Walk {
         let leaving = rng.random_bool(self.options.leaving.clamp(0.0, 1.0));
         // Denser toward the picture's edges, where lenses differ most.
         let toward_edges = |part: f64| 0.5 - 0.5 * (PI * part).cos();
-        let at = [toward_edges(spread(0.754_877_666, start)), toward_edges(spread(0.569_840_291, start))];
+        let at = [
+            toward_edges(spread(0.754_877_666, start)),
+            toward_edges(spread(0.569_840_291, start)),
+        ];
         let tilt = self.options.tilt * spread(0.618_033_989, start).sqrt();
         let axis: f64 = TAU * spread(0.414_213_562, start) + rng.random_range(-0.3..0.3);
         let roll = rng.random_range(-1.0..1.0) * self.options.roll;
@@ -118,26 +132,38 @@ impl Walk {
         self.placed(rotation, distance, at, slack_px)
     }
 
-    /// Puts the card so that its bounding box in the picture, `slack_px` inside the edges, lies at the part `at` of the room
-    /// that is left; farther away where there is none.
-    fn placed(&self, rotation: UnitQuaternion<f64>, distance: f64, at: [f64; 2], slack_px: f64) -> Pose {
+    /// Puts the card so that its bounding box in the picture, `slack_px` inside the edges, lies at
+    /// the part `at` of the room that is left; farther away where there is none.
+    fn placed(
+        &self,
+        rotation: UnitQuaternion<f64>,
+        distance: f64,
+        at: [f64; 2],
+        slack_px: f64,
+    ) -> Pose {
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
         let side = self.pattern.board.square_m;
         let middle = Vector3::new(0.5 * (left + right), 0.5 * (top + bottom), 0.0) * side;
         let mut distance = distance;
         let mut target = self.size.center();
-        let mut camera_from_board = Pose::new(rotation, Vector3::z() * distance - rotation * middle);
+        let mut camera_from_board =
+            Pose::new(rotation, Vector3::z() * distance - rotation * middle);
         for _ in 0..12 {
             let Some(ray) = self.lens.bearing_from_pixel(target) else { break };
-            let here = Pose::new(rotation, ray.into_inner() * (distance / ray.z.max(0.1)) - rotation * middle);
+            let here = Pose::new(
+                rotation,
+                ray.into_inner() * (distance / ray.z.max(0.1)) - rotation * middle,
+            );
             let Some([low, high]) = self.bounding_box(&here) else {
                 distance *= 1.2;
                 continue;
             };
             camera_from_board = here;
             let room = |low: f64, high: f64, end: f64| end - 1.0 - 2.0 * slack_px - (high - low);
-            let rooms =
-                [room(low.x, high.x, f64::from(self.size.width)), room(low.y, high.y, f64::from(self.size.height))];
+            let rooms = [
+                room(low.x, high.x, f64::from(self.size.width)),
+                room(low.y, high.y, f64::from(self.size.height)),
+            ];
             if rooms[0] < 0.0 || rooms[1] < 0.0 {
                 distance *= 1.12;
                 continue;
@@ -151,8 +177,10 @@ impl Walk {
     fn bounding_box(&self, camera_from_board: &Pose) -> Option<[Pixel; 2]> {
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
         let side = self.pattern.board.square_m;
-        let (mut low, mut high) =
-            (Pixel::new(f64::INFINITY, f64::INFINITY), Pixel::new(f64::NEG_INFINITY, f64::NEG_INFINITY));
+        let (mut low, mut high) = (
+            Pixel::new(f64::INFINITY, f64::INFINITY),
+            Pixel::new(f64::NEG_INFINITY, f64::NEG_INFINITY),
+        );
         for step in 0..=8 {
             let part = f64::from(step) / 8.0;
             let [x, y] = [left + part * (right - left), top + part * (bottom - top)];

@@ -39,29 +39,41 @@ pub struct WorldOptions {
 }
 
 impl WorldOptions {
-    /// An ordinary camera with images of `size`, whose lens depends on the seed, at 15 frames a second, and a board of 9×6 inner
-    /// corners with squares of 25 mm.
+    /// An ordinary camera with images of `size`, whose lens depends on the seed, at 15 frames a
+    /// second, and a board of 9×6 inner corners with squares of 25 mm.
     pub fn new(seed: u64, size: ImageSize) -> Self {
         let board = Chessboard { size: BoardSize { cols: 9, rows: 6 }, square_m: 0.025 };
         let sensor = PictureSensor::new(size, ordinary_lens(seed, size));
-        Self { seed, fps: 15.0, sensor, board, walk: WalkOptions::default(), clutter: 24, seat: None }
+        Self {
+            seed,
+            fps: 15.0,
+            sensor,
+            board,
+            walk: WalkOptions::default(),
+            clutter: 24,
+            seat: None,
+        }
     }
 }
 
 impl WorldOptions {
-    /// As [`Self::new`] for the `number`-th camera of the rig of `seed`, which has a lens of its own. Number 0 is the camera
-    /// of [`Self::new`].
+    /// As [`Self::new`] for the `number`-th camera of the rig of `seed`, which has a lens of its
+    /// own. Number 0 is the camera of [`Self::new`].
     pub fn on_rig(seed: u64, size: ImageSize, number: u32) -> Self {
         let first = Self::new(seed, size);
         if number == 0 {
             return first;
         }
-        let own = PictureSensor::new(size, ordinary_lens(seed.wrapping_add(u64::from(number) << 32), size));
+        let own = PictureSensor::new(
+            size,
+            ordinary_lens(seed.wrapping_add(u64::from(number) << 32), size),
+        );
         Self { seat: Some(Seat::on_rig(seed, number, first.sensor.lens)), sensor: own, ..first }
     }
 }
 
-/// A lens as cheap cameras have it: some 60° wide, barrel distortion, a principal point a few pixels off.
+/// A lens as cheap cameras have it: some 60° wide, barrel distortion, a principal point a few
+/// pixels off.
 fn ordinary_lens(seed: u64, size: ImageSize) -> Lens {
     let mut rng = stream(seed, Purpose::Lens, 0);
     let width = f64::from(size.width);
@@ -161,7 +173,10 @@ impl World {
         let pose = |time_s| seen_from(*seat, walk.camera_from_board(time_s));
         let Exposure { light, camera_from_board, motion_px } = exposed(renderer, time_s, pose);
         let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
-        SimulatedFrame { image: self.sensor().develop(&light, self.seed, self.picture_number(index)), truth }
+        SimulatedFrame {
+            image: self.sensor().develop(&light, self.seed, self.picture_number(index)),
+            truth,
+        }
     }
 
     /// No two cameras of a rig draw the same noise.
@@ -174,11 +189,15 @@ impl World {
         &mut self.walk
     }
 
-    /// Where the board's inner corners are in a picture, row by row; `None` for those outside the lens's view.
+    /// Where the board's inner corners are in a picture, row by row; `None` for those outside the
+    /// lens's view.
     pub fn corners(&self, truth: &FrameTruth) -> Vec<Option<Pixel>> {
         let corners = self.board().corners_in_board();
         let lens = &self.sensor().lens;
-        corners.iter().map(|corner| lens.pixel_from_point(&(truth.camera_from_board * *corner))).collect()
+        corners
+            .iter()
+            .map(|corner| lens.pixel_from_point(&(truth.camera_from_board * *corner)))
+            .collect()
     }
 }
 
@@ -211,11 +230,20 @@ pub(super) fn exposed(
     let exposure_s = renderer.sensor().exposure_s;
     let times = (0..steps).map(|step| start_s + exposure_s * (step as f64 + 0.5) / steps as f64);
     let camera_from_board: Vec<Pose> = times.map(camera_from_board).collect();
-    Exposure { light: renderer.light(&camera_from_board), camera_from_board: middle_from_board, motion_px }
+    Exposure {
+        light: renderer.light(&camera_from_board),
+        camera_from_board: middle_from_board,
+        motion_px,
+    }
 }
 
-/// The board's pose in the middle of the exposure that begins at `start_s`, and how far its image moves meanwhile.
-fn motion(renderer: &Renderer, start_s: f64, mut camera_from_board: impl FnMut(f64) -> Pose) -> (Pose, f64) {
+/// The board's pose in the middle of the exposure that begins at `start_s`, and how far its image
+/// moves meanwhile.
+fn motion(
+    renderer: &Renderer,
+    start_s: f64,
+    mut camera_from_board: impl FnMut(f64) -> Pose,
+) -> (Pose, f64) {
     let half_s = 0.5 * renderer.sensor().exposure_s;
     let [before, middle_from_board, after] =
         [0.0, half_s, 2.0 * half_s].map(|since_s| camera_from_board(start_s + since_s));

@@ -11,10 +11,18 @@ impl Store {
     /// Writes a new calibration down; it never changes after that.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`] for one with a number that is none.
+    /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`] for one with a
+    /// number that is none.
     pub fn append_calibration(&self, calibration: &Calibration) -> Result<(), StoreError> {
-        let document = json::write(&CalibrationDocument::from(calibration), || row_name(&calibration.id))?;
-        let row = params![calibration.id, calibration.camera, calibration.session, calibration.created_at_ns, document];
+        let document =
+            json::write(&CalibrationDocument::from(calibration), || row_name(&calibration.id))?;
+        let row = params![
+            calibration.id,
+            calibration.camera,
+            calibration.session,
+            calibration.created_at_ns,
+            document
+        ];
         let sql = "INSERT INTO calibrations (id, camera, session, created_at_ns, document) VALUES (?1, ?2, ?3, ?4, ?5)";
         self.connection().execute(sql, row).map_err(|e| self.failed(&e))?;
         Ok(())
@@ -25,7 +33,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
     pub fn calibration(&self, id: &str) -> Result<Option<Calibration>, StoreError> {
-        let found = self.select_calibrations("SELECT id, document FROM calibrations WHERE id = ?1", &[&id])?;
+        let found = self
+            .select_calibrations("SELECT id, document FROM calibrations WHERE id = ?1", &[&id])?;
         Ok(found.into_iter().next())
     }
 
@@ -48,7 +57,9 @@ impl Store {
         }
         let sql = "INSERT INTO current_calibrations (camera, calibration) VALUES (?1, ?2)
             ON CONFLICT (camera) DO UPDATE SET calibration = excluded.calibration";
-        self.connection().execute(sql, params![camera, calibration_id]).map_err(|e| self.failed(&e))?;
+        self.connection()
+            .execute(sql, params![camera, calibration_id])
+            .map_err(|e| self.failed(&e))?;
         Ok(())
     }
 
@@ -58,10 +69,17 @@ impl Store {
     /// [`StoreError::Failed`].
     pub fn current_calibration_id(&self, camera: &str) -> Result<Option<String>, StoreError> {
         let sql = "SELECT calibration FROM current_calibrations WHERE camera = ?1";
-        self.connection().query_row(sql, [camera], |row| row.get(0)).optional().map_err(|e| self.failed(&e))
+        self.connection()
+            .query_row(sql, [camera], |row| row.get(0))
+            .optional()
+            .map_err(|e| self.failed(&e))
     }
 
-    fn select_calibrations(&self, sql: &str, values: &[&dyn ToSql]) -> Result<Vec<Calibration>, StoreError> {
+    fn select_calibrations(
+        &self,
+        sql: &str,
+        values: &[&dyn ToSql],
+    ) -> Result<Vec<Calibration>, StoreError> {
         let rows = || {
             let connection = self.connection();
             let mut statement = connection.prepare(sql)?;
@@ -79,7 +97,8 @@ fn row_name(id: &str) -> String {
 
 fn read(id: &str, document: &str) -> Result<Calibration, StoreError> {
     let document: CalibrationDocument = json::read(document, || row_name(id))?;
-    Calibration::try_from(&document).map_err(|e| StoreError::Unreadable { row: row_name(id), detail: e.to_string() })
+    Calibration::try_from(&document)
+        .map_err(|e| StoreError::Unreadable { row: row_name(id), detail: e.to_string() })
 }
 
 #[cfg(test)]
@@ -128,7 +147,10 @@ pub(super) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         store.append_calibration(&calibration("c1", 1)).unwrap();
-        assert!(matches!(store.append_calibration(&calibration("c1", 2)), Err(StoreError::Failed { .. })));
+        assert!(matches!(
+            store.append_calibration(&calibration("c1", 2)),
+            Err(StoreError::Failed { .. })
+        ));
         assert_eq!(store.calibration("c1").unwrap(), Some(calibration("c1", 1)));
     }
 }

@@ -28,15 +28,22 @@ pub struct Companion {
 }
 
 impl Store {
-    /// Writes down what other sensors gave together with views that are stored already, all or none.
+    /// Writes down what other sensors gave together with views that are stored already, all or
+    /// none.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also for a view that is not there; [`StoreError::Unstorable`] for a detection with a number
-    /// that is none.
-    pub fn append_companions(&self, session_id: &str, companions: &[Companion]) -> Result<(), StoreError> {
+    /// [`StoreError::Failed`], also for a view that is not there; [`StoreError::Unstorable`] for a
+    /// detection with a number that is none.
+    pub fn append_companions(
+        &self,
+        session_id: &str,
+        companions: &[Companion],
+    ) -> Result<(), StoreError> {
         let stored = |companion: &Companion| {
             let detection = companion.detection.as_ref().map(DetectionDocument::from);
-            detection.map(|detection| json::write(&detection, || row_name(session_id, companion))).transpose()
+            detection
+                .map(|detection| json::write(&detection, || row_name(session_id, companion)))
+                .transpose()
         };
         let detections = companions.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
         let mut connection = self.connection();
@@ -66,7 +73,8 @@ impl Store {
         inserted.map_err(|e| self.failed(&e))
     }
 
-    /// What other sensors gave together with a session's views, view by view; nothing for a camera with one sensor.
+    /// What other sensors gave together with a session's views, view by view; nothing for a camera
+    /// with one sensor.
     ///
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
@@ -114,8 +122,10 @@ impl StoredCompanion {
         let Self { number, sensor, image_size, unit_m, detection, picture } = self;
         let row = || format!("{sensor} of view {number} of session {session_id}");
         let unreadable = |detail: String| StoreError::Unreadable { row: row(), detail };
-        let kind = SensorKind::from_name(&sensor).ok_or_else(|| unreadable("no such sensor".to_owned()))?;
-        let document: Option<DetectionDocument> = detection.map(|text| json::read(&text, row)).transpose()?;
+        let kind = SensorKind::from_name(&sensor)
+            .ok_or_else(|| unreadable("no such sensor".to_owned()))?;
+        let document: Option<DetectionDocument> =
+            detection.map(|text| json::read(&text, row)).transpose()?;
         let detection = document.map(|document| Detection::try_from(&document)).transpose();
         let detection = detection.map_err(|e| unreadable(e.to_string()))?;
         Ok(Companion { number, sensor: kind, image_size, unit_m, detection, picture })
@@ -131,13 +141,23 @@ mod tests {
 
     fn companion(number: u32, sensor: SensorKind, detection: Option<Detection>) -> Companion {
         let picture = Picture { media_type: "image/png".to_owned(), bytes: vec![number as u8; 5] };
-        Companion { number, sensor, image_size: ImageSize::new(64, 48), unit_m: Some(0.1 / 3.0), detection, picture }
+        Companion {
+            number,
+            sensor,
+            image_size: ImageSize::new(64, 48),
+            unit_m: Some(0.1 / 3.0),
+            detection,
+            picture,
+        }
     }
 
     #[test]
     fn companions_come_back_to_the_bit_over_a_restart() {
         let folder = tempfile::tempdir().unwrap();
-        let first = [companion(0, SensorKind::Depth, None), companion(0, SensorKind::Infrared, Some(example()))];
+        let first = [
+            companion(0, SensorKind::Depth, None),
+            companion(0, SensorKind::Infrared, Some(example())),
+        ];
         let second = [companion(1, SensorKind::Depth, None)];
         {
             let store = Store::open(folder.path()).unwrap();
@@ -158,8 +178,12 @@ mod tests {
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();
         store.append_view("s1", &view(0), "image/jpeg", b"first").unwrap();
-        let companions = [companion(0, SensorKind::Depth, None), companion(7, SensorKind::Depth, None)];
-        assert!(matches!(store.append_companions("s1", &companions), Err(StoreError::Failed { .. })));
+        let companions =
+            [companion(0, SensorKind::Depth, None), companion(7, SensorKind::Depth, None)];
+        assert!(matches!(
+            store.append_companions("s1", &companions),
+            Err(StoreError::Failed { .. })
+        ));
         assert_eq!(store.companions("s1").unwrap(), []);
     }
 }

@@ -6,8 +6,8 @@ use serde::de::DeserializeOwned;
 use crate::document::reading;
 use crate::store::error::StoreError;
 
-/// `document` as JSON, after making sure that it reads back equal. JSON has no number for NaN or infinity: a document
-/// that holds one is refused here, and not found unreadable later.
+/// `document` as JSON, after making sure that it reads back equal. JSON has no number for NaN or
+/// infinity: a document that holds one is refused here, and not found unreadable later.
 ///
 /// # Errors
 /// [`StoreError::Unstorable`].
@@ -18,13 +18,21 @@ where
     let unstorable = |detail: String| StoreError::Unstorable { row: row(), detail };
     let json = reading::to_json(document).map_err(|e| unstorable(e.to_string()))?;
     let back: T = reading::from_json(json.as_bytes()).map_err(|e| unstorable(e.to_string()))?;
-    if back == *document { Ok(json) } else { Err(unstorable("it does not read back as it is".into())) }
+    if back == *document {
+        Ok(json)
+    } else {
+        Err(unstorable("it does not read back as it is".into()))
+    }
 }
 
 /// The document in a column.
 ///
 /// # Errors
 /// [`StoreError::Unreadable`].
-pub(super) fn read<T: DeserializeOwned>(json: &str, row: impl Fn() -> String) -> Result<T, StoreError> {
-    reading::from_json(json.as_bytes()).map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })
+pub(super) fn read<T: DeserializeOwned>(
+    json: &str,
+    row: impl Fn() -> String,
+) -> Result<T, StoreError> {
+    reading::from_json(json.as_bytes())
+        .map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })
 }

@@ -1,10 +1,10 @@
-//! The record of every session and calibration: one SQLite database in one folder. Uses geometry, imaging, detection,
-//! calibration and document.
+//! The record of every session and calibration: one SQLite database in one folder. Uses geometry,
+//! imaging, detection, calibration and document.
 //!
-//! What a call wrote is on disk when it returns: a process killed at any moment finds on its next start everything that
-//! was acknowledged, and nothing half. Kept pictures live in the database with their views, so neither is ever without
-//! the other. One process at a time: a second one is refused. Rows are added and sessions updated; a calibration never
-//! changes.
+//! What a call wrote is on disk when it returns: a process killed at any moment finds on its next
+//! start everything that was acknowledged, and nothing half. Kept pictures live in the database
+//! with their views, so neither is ever without the other. One process at a time: a second one is
+//! refused. Rows are added and sessions updated; a calibration never changes.
 
 mod calibrations;
 pub mod companions;
@@ -36,10 +36,12 @@ pub struct Store {
 }
 
 impl Store {
-    /// Opens the store in `folder`, makes it if it is not there, and brings an older one up to date.
+    /// Opens the store in `folder`, makes it if it is not there, and brings an older one up to
+    /// date.
     ///
     /// # Errors
-    /// [`StoreError::Folder`], [`StoreError::InUse`], [`StoreError::Newer`], [`StoreError::Damaged`].
+    /// [`StoreError::Folder`], [`StoreError::InUse`], [`StoreError::Newer`],
+    /// [`StoreError::Damaged`].
     pub fn open(folder: &Path) -> Result<Self, StoreError> {
         let unusable = |detail: String| StoreError::Folder { path: folder.to_owned(), detail };
         std::fs::create_dir_all(folder).map_err(|e| unusable(e.to_string()))?;
@@ -109,8 +111,13 @@ mod tests {
             garbage,
             "store DIR/plumb.sqlite: damaged or not a plumb store: file is not a database; move it away, or restore it from a copy"
         );
-        let foreign = refusal(|path| Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap());
-        assert!(foreign.contains("not a plumb store: it is another program's database"), "{foreign}");
+        let foreign = refusal(|path| {
+            Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap()
+        });
+        assert!(
+            foreign.contains("not a plumb store: it is another program's database"),
+            "{foreign}"
+        );
         let newer = refusal(|path| {
             drop(Store::open(path.parent().unwrap()).unwrap());
             Connection::open(path).unwrap().pragma_update(None, "user_version", 1000).unwrap();

@@ -19,7 +19,8 @@ pub struct RigPlace {
 }
 
 impl Store {
-    /// Writes a kept view of a rig down with its picture and its place, all or none; `view.number` is the place's.
+    /// Writes a kept view of a rig down with its picture and its place, all or none; `view.number`
+    /// is the place's.
     ///
     /// # Errors
     /// As [`Store::append_view`].
@@ -36,22 +37,26 @@ impl Store {
         let mut write = || {
             let transaction = connection.transaction()?;
             insert(&transaction)?;
-            let sql = "INSERT INTO rig_views (session, number, camera, moment) VALUES (?1, ?2, ?3, ?4)";
-            transaction.execute(sql, params![session_id, place.number, place.camera, place.moment])?;
+            let sql =
+                "INSERT INTO rig_views (session, number, camera, moment) VALUES (?1, ?2, ?3, ?4)";
+            transaction
+                .execute(sql, params![session_id, place.number, place.camera, place.moment])?;
             transaction.commit()
         };
         write().map_err(|e| self.failed(&e))
     }
 
-    /// Where the views of a rig's session belong, in the order they were kept; nothing for one camera's session.
+    /// Where the views of a rig's session belong, in the order they were kept; nothing for one
+    /// camera's session.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
     pub fn rig_places(&self, session_id: &str) -> Result<Vec<RigPlace>, StoreError> {
         let rows = || {
             let connection = self.connection();
-            let mut statement = connection
-                .prepare("SELECT number, camera, moment FROM rig_views WHERE session = ?1 ORDER BY number")?;
+            let mut statement = connection.prepare(
+                "SELECT number, camera, moment FROM rig_views WHERE session = ?1 ORDER BY number",
+            )?;
             let place = |row: &rusqlite::Row<'_>| {
                 Ok(RigPlace { number: row.get(0)?, camera: row.get(1)?, moment: row.get(2)? })
             };
@@ -82,7 +87,10 @@ mod tests {
             for place in &places {
                 store.append_rig_view("s1", place, &view(0), &picture).unwrap();
             }
-            assert!(store.append_rig_view("s1", &places[0], &view(0), &picture).is_err(), "the number is taken");
+            assert!(
+                store.append_rig_view("s1", &places[0], &view(0), &picture).is_err(),
+                "the number is taken"
+            );
         }
         let store = Store::open(folder.path()).unwrap();
         assert_eq!(store.rig_places("s1").unwrap(), places);

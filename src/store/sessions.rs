@@ -33,7 +33,8 @@ impl Store {
     /// Writes down where a session stands now.
     ///
     /// # Errors
-    /// [`StoreError::Missing`] for one that was never begun; [`StoreError::Failed`], [`StoreError::Unstorable`].
+    /// [`StoreError::Missing`] for one that was never begun; [`StoreError::Failed`],
+    /// [`StoreError::Unstorable`].
     pub fn save_session(&self, record: &SessionRecord) -> Result<(), StoreError> {
         let row = params![record.id, record.state.name(), record.collecting_s, document(record)?];
         let sql = "UPDATE sessions SET state = ?2, collecting_s = ?3, document = ?4 WHERE id = ?1";
@@ -64,8 +65,8 @@ impl Store {
         self.select_sessions(&format!("{COLUMNS} ORDER BY started_at_ns DESC, id DESC"))
     }
 
-    /// The sessions that were collecting or solving, oldest first, each with its views in order: what a process that was
-    /// killed goes on with.
+    /// The sessions that were collecting or solving, oldest first, each with its views in order:
+    /// what a process that was killed goes on with.
     ///
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
@@ -76,7 +77,11 @@ impl Store {
             SessionState::Solving.name()
         ))?;
         let with_views = |record: SessionRecord| Ok((self.views(&record.id)?, record));
-        records.into_iter().map(with_views).map(|pair| pair.map(|(views, record)| (record, views))).collect()
+        records
+            .into_iter()
+            .map(with_views)
+            .map(|pair| pair.map(|(views, record)| (record, views)))
+            .collect()
     }
 
     fn select_sessions(&self, sql: &str) -> Result<Vec<SessionRecord>, StoreError> {
@@ -130,7 +135,10 @@ pub(super) mod tests {
     /// A session in the middle of its work, with every field filled in.
     pub(in crate::store) fn record(id: &str) -> SessionRecord {
         let third = 1.0 / 3.0;
-        let lens = Lens::from_parameters(LensModel::Radial, &[500.0 + third, 501.0, 320.0, 240.0, 0.0, -0.1 * third]);
+        let lens = Lens::from_parameters(
+            LensModel::Radial,
+            &[500.0 + third, 501.0, 320.0, 240.0, 0.0, -0.1 * third],
+        );
         SessionRecord {
             id: id.into(),
             camera: "front".into(),
@@ -138,7 +146,11 @@ pub(super) mod tests {
             request: SessionRequest {
                 target: Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.1 * third).unwrap(),
                 lens: LensRequest::Brown.into(),
-                finish: Some(Finish { uncertainty_px: Some(third), min_views: Some(12), max_seconds: None }),
+                finish: Some(Finish {
+                    uncertainty_px: Some(third),
+                    min_views: Some(12),
+                    max_seconds: None,
+                }),
             },
             state: SessionState::Collecting,
             reason: None,
@@ -150,7 +162,10 @@ pub(super) mod tests {
             rejected: Rejections::from_counts([("blurred", 3), ("too_similar", 46)]),
             collecting_s: 10.0 * third,
             coverage: Coverage::from_cells(vec![vec![0, 1], vec![2, 3]]).unwrap(),
-            guidance: Guidance { message: "tilt it".into(), outline_px: vec![Pixel::new(third, 2.0 * third)] },
+            guidance: Guidance {
+                message: "tilt it".into(),
+                outline_px: vec![Pixel::new(third, 2.0 * third)],
+            },
             estimate: Some(RunningEstimate {
                 lens: lens.unwrap(),
                 rms_px: third,
@@ -184,12 +199,20 @@ pub(super) mod tests {
         let store = Store::open(folder.path()).unwrap();
         for (i, state) in SessionState::ALL.into_iter().enumerate() {
             let started_at_ns = i as i64;
-            store.begin_session(&SessionRecord { state, started_at_ns, ..record(state.name()) }).unwrap();
+            store
+                .begin_session(&SessionRecord { state, started_at_ns, ..record(state.name()) })
+                .unwrap();
         }
-        let ids = |records: Vec<SessionRecord>| records.into_iter().map(|record| record.id).collect::<Vec<_>>();
-        let unfinished = store.unfinished_sessions().unwrap().into_iter().map(|(record, _)| record).collect();
+        let ids = |records: Vec<SessionRecord>| {
+            records.into_iter().map(|record| record.id).collect::<Vec<_>>()
+        };
+        let unfinished =
+            store.unfinished_sessions().unwrap().into_iter().map(|(record, _)| record).collect();
         assert_eq!(ids(unfinished), ["collecting", "solving"]);
-        assert_eq!(ids(store.sessions().unwrap()), ["aborted", "failed", "finished", "solving", "collecting"]);
+        assert_eq!(
+            ids(store.sessions().unwrap()),
+            ["aborted", "failed", "finished", "solving", "collecting"]
+        );
     }
 
     #[test]

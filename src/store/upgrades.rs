@@ -1,4 +1,5 @@
-//! The schema, version by version. A new version is a new file here and one line below; what was released never changes.
+//! The schema, version by version. A new version is a new file here and one line below; what was
+//! released never changes.
 
 use std::path::Path;
 
@@ -24,10 +25,13 @@ const APPLICATION_ID: i64 = 0x506c_6d62;
 pub(super) fn bring_up_to_date(connection: &mut Connection, path: &Path) -> Result<(), StoreError> {
     let damaged = |detail: String| StoreError::Damaged { path: path.to_owned(), detail };
     let broken = |error: rusqlite::Error| damaged(error.to_string());
-    let found: i64 = connection.pragma_query_value(None, "user_version", |row| row.get(0)).map_err(broken)?;
-    let application: i64 = connection.pragma_query_value(None, "application_id", |row| row.get(0)).map_err(broken)?;
-    let tables: i64 =
-        connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0)).map_err(broken)?;
+    let found: i64 =
+        connection.pragma_query_value(None, "user_version", |row| row.get(0)).map_err(broken)?;
+    let application: i64 =
+        connection.pragma_query_value(None, "application_id", |row| row.get(0)).map_err(broken)?;
+    let tables: i64 = connection
+        .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))
+        .map_err(broken)?;
     if application != APPLICATION_ID && tables > 0 {
         return Err(damaged("it is another program's database".into()));
     }
@@ -35,7 +39,8 @@ pub(super) fn bring_up_to_date(connection: &mut Connection, path: &Path) -> Resu
     if found > known {
         return Err(StoreError::Newer { path: path.to_owned(), found, known });
     }
-    let verdict: String = connection.pragma_query_value(None, "quick_check", |row| row.get(0)).map_err(broken)?;
+    let verdict: String =
+        connection.pragma_query_value(None, "quick_check", |row| row.get(0)).map_err(broken)?;
     if verdict != "ok" {
         return Err(damaged(verdict.lines().next().unwrap_or_default().to_owned()));
     }
@@ -77,9 +82,13 @@ mod tests {
         older.pragma_update(None, "application_id", APPLICATION_ID).unwrap();
         older.pragma_update(None, "user_version", version as i64).unwrap();
         drop(older);
-        newest.execute("ATTACH ?1 AS older", [folder.join("older.sqlite").to_str().unwrap()]).unwrap();
+        newest
+            .execute("ATTACH ?1 AS older", [folder.join("older.sqlite").to_str().unwrap()])
+            .unwrap();
         for table in ["sessions", "views", "calibrations"] {
-            newest.execute_batch(&format!("INSERT INTO older.{table} SELECT * FROM main.{table}")).unwrap();
+            newest
+                .execute_batch(&format!("INSERT INTO older.{table} SELECT * FROM main.{table}"))
+                .unwrap();
         }
         newest.execute_batch("DETACH older").unwrap();
         drop(newest);
@@ -105,10 +114,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         older_store(folder.path(), 1);
         let path = folder.path().join("plumb.sqlite");
-        Connection::open(&path).unwrap().execute_batch("CREATE TABLE current_calibrations (other)").unwrap();
+        Connection::open(&path)
+            .unwrap()
+            .execute_batch("CREATE TABLE current_calibrations (other)")
+            .unwrap();
         assert!(Store::open(folder.path()).is_err());
-        let version: i64 =
-            Connection::open(&path).unwrap().pragma_query_value(None, "user_version", |row| row.get(0)).unwrap();
+        let version: i64 = Connection::open(&path)
+            .unwrap()
+            .pragma_query_value(None, "user_version", |row| row.get(0))
+            .unwrap();
         assert_eq!(version, 1);
     }
 }

@@ -76,7 +76,9 @@ pub(super) fn insert_view<'a>(
     media_type: &'a str,
     picture: &'a [u8],
 ) -> Result<impl Fn(&Connection) -> Result<usize, rusqlite::Error> + 'a, StoreError> {
-    let detection = json::write(&DetectionDocument::from(&view.detection), || row_name(session_id, view.number))?;
+    let detection = json::write(&DetectionDocument::from(&view.detection), || {
+        row_name(session_id, view.number)
+    })?;
     let frame = &view.frame;
     Ok(move |connection: &Connection| {
         let row = params![
@@ -125,7 +127,8 @@ impl StoredView {
         let row = || row_name(session_id, self.number);
         let document: DetectionDocument = json::read(&self.detection, row)?;
         let detection = Detection::try_from(&document);
-        let detection = detection.map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })?;
+        let detection =
+            detection.map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })?;
         Ok(View { number: self.number, frame: self.frame, detection })
     }
 }
@@ -160,7 +163,10 @@ pub(super) mod tests {
         let store = Store::open(folder.path()).unwrap();
         assert_eq!(store.views("s1").unwrap(), [view(0), view(1)]);
         let picture = store.picture("s1", 1).unwrap().unwrap();
-        assert_eq!((picture.media_type.as_str(), picture.bytes.as_slice()), ("image/png", b"second".as_slice()));
+        assert_eq!(
+            (picture.media_type.as_str(), picture.bytes.as_slice()),
+            ("image/png", b"second".as_slice())
+        );
         assert_eq!(store.picture("s1", 2).unwrap(), None);
         assert_eq!(store.views("s2").unwrap(), []);
     }
@@ -185,12 +191,21 @@ pub(super) mod tests {
     fn what_cannot_come_back_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
-        assert!(matches!(store.append_view("s1", &view(0), "image/jpeg", b""), Err(StoreError::Failed { .. })));
+        assert!(matches!(
+            store.append_view("s1", &view(0), "image/jpeg", b""),
+            Err(StoreError::Failed { .. })
+        ));
         store.begin_session(&record("s1")).unwrap();
         let mut nan = view(0);
         nan.detection.corners[0].std_px = f64::NAN;
-        assert!(matches!(store.append_view("s1", &nan, "image/jpeg", b""), Err(StoreError::Unstorable { .. })));
+        assert!(matches!(
+            store.append_view("s1", &nan, "image/jpeg", b""),
+            Err(StoreError::Unstorable { .. })
+        ));
         store.append_view("s1", &view(0), "image/jpeg", b"").unwrap();
-        assert!(matches!(store.append_view("s1", &view(0), "image/jpeg", b""), Err(StoreError::Failed { .. })));
+        assert!(matches!(
+            store.append_view("s1", &view(0), "image/jpeg", b""),
+            Err(StoreError::Failed { .. })
+        ));
     }
 }

@@ -24,7 +24,9 @@ impl Daemon {
         let _ = fs::remove_dir_all(&folder);
         fs::create_dir_all(&folder).unwrap();
         let config = format!("{folder}/plumb.toml");
-        let text = format!("[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"{folder}/store\"\n{cameras}");
+        let text = format!(
+            "[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"{folder}/store\"\n{cameras}"
+        );
         fs::write(&config, text).unwrap();
         let child = Command::new(env!("CARGO_BIN_EXE_plumb"))
             .args(["serve", "--config", &config])
@@ -51,7 +53,11 @@ impl Daemon {
 
     pub fn post(&self, path: &str, body: &Value) -> Value {
         let answer = ureq::post(&url(path)).send_json(body);
-        answer.unwrap_or_else(|error| panic!("POST {path}: {error}")).body_mut().read_json().unwrap()
+        answer
+            .unwrap_or_else(|error| panic!("POST {path}: {error}"))
+            .body_mut()
+            .read_json()
+            .unwrap()
     }
 
     pub fn camera(&self, name: &str) -> Value {
@@ -65,7 +71,8 @@ impl Daemon {
         let mut last_look = None;
         for line in BufReader::new(events).lines() {
             let line = line.unwrap();
-            let due = last_look.is_none_or(|last: Instant| last.elapsed() > Duration::from_millis(200));
+            let due =
+                last_look.is_none_or(|last: Instant| last.elapsed() > Duration::from_millis(200));
             if !due || line.is_empty() {
                 continue;
             }
@@ -80,17 +87,22 @@ impl Daemon {
 
     /// What is told of the camera from the daemon's start on.
     pub fn camera_events(&self, camera: &str) -> CameraEvents {
-        let request = ureq::get(&url(&format!("/v1/events?camera={camera}"))).header("Last-Event-ID", "0");
+        let request =
+            ureq::get(&url(&format!("/v1/events?camera={camera}"))).header("Last-Event-ID", "0");
         let body: Box<dyn Read> = Box::new(request.call().unwrap().into_body().into_reader());
         CameraEvents(BufReader::new(body).lines())
     }
 
     /// Open files and threads, besides those of connections and requests, which come and go.
     pub fn footprint(&self) -> (usize, usize) {
-        let entries = |folder: &str| fs::read_dir(format!("/proc/{}/{folder}", self.0.id())).unwrap().flatten();
+        let entries = |folder: &str| {
+            fs::read_dir(format!("/proc/{}/{folder}", self.0.id())).unwrap().flatten()
+        };
         let is_file = |link: &PathBuf| !link.to_string_lossy().starts_with("socket:");
-        let files = entries("fd").filter_map(|entry| fs::read_link(entry.path()).ok()).filter(is_file);
-        let names = entries("task").filter_map(|entry| fs::read_to_string(entry.path().join("comm")).ok());
+        let files =
+            entries("fd").filter_map(|entry| fs::read_link(entry.path()).ok()).filter(is_file);
+        let names =
+            entries("task").filter_map(|entry| fs::read_to_string(entry.path().join("comm")).ok());
         (files.count(), names.filter(|name| name.trim() != "http").count())
     }
 
@@ -100,7 +112,9 @@ impl Daemon {
     }
 
     pub fn wait_for_state(&self, camera: &str, state: &str) -> Value {
-        self.wait_for(&format!("{camera} is {state}"), || Some(self.camera(camera)).filter(|now| now["state"] == state))
+        self.wait_for(&format!("{camera} is {state}"), || {
+            Some(self.camera(camera)).filter(|now| now["state"] == state)
+        })
     }
 }
 
@@ -108,7 +122,8 @@ impl Daemon {
 pub struct CameraEvents(Lines<BufReader<Box<dyn Read>>>);
 
 impl CameraEvents {
-    /// Waits until the camera is said to be in this state for a reason with these words in it; the reason.
+    /// Waits until the camera is said to be in this state for a reason with these words in it; the
+    /// reason.
     pub fn until(&mut self, state: &str, words: &str) -> String {
         let began = Instant::now();
         let mut is_camera = false;

@@ -18,14 +18,19 @@ pub fn every_camera_is_listed_with_its_names_and_formats() -> String {
     assert_eq!(vivid[0]["bus"], "platform/vivid.0");
     assert_eq!(vivid[0]["name"], "vivid-000-vid-cap");
     let formats = vivid[0]["formats"].as_array().unwrap();
-    let read: Vec<&str> =
-        formats.iter().filter(|f| f["read"] == true).map(|format| format["name"].as_str().unwrap()).collect();
+    let read: Vec<&str> = formats
+        .iter()
+        .filter(|f| f["read"] == true)
+        .map(|format| format["name"].as_str().unwrap())
+        .collect();
     assert_eq!(read, ["YUYV", "UYVY", "NV12", "GREY", "Y10", "Y12", "Y16", "RGB3", "BGR3"]);
     let yuyv = formats[0]["sizes"].as_array().unwrap();
     let small = yuyv.iter().find(|size| size["size"] == serde_json::json!([640, 360])).unwrap();
     assert!(small["fps"].as_array().unwrap().iter().any(|fps| fps == 30.0), "{small}");
     let controls = vivid[0]["controls"].as_array().unwrap();
-    assert!(controls.iter().any(|control| control["name"] == "brightness" && control["value"] == 128));
+    assert!(
+        controls.iter().any(|control| control["name"] == "brightness" && control["value"] == 128)
+    );
     let text = Command::new(plumb).arg("devices").output().unwrap();
     assert!(String::from_utf8(text.stdout).unwrap().contains("device = \"/dev/video0\""));
     format!(

@@ -12,7 +12,8 @@ pub fn a_camera_in_use_is_told_with_its_holder() -> String {
     let mut holder = Command::new("v4l2-ctl");
     holder.args(["-d", VIVID, "--stream-mmap", "--stream-count=100000"]);
     let mut holder = holder.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
-    // It writes one of these for each frame; tried before, this program may take the device from it.
+    // It writes one of these for each frame; tried before, this program may take the device from
+    // it.
     let mut progress = holder.stderr.take().unwrap().bytes();
     assert!(progress.any(|byte| byte.unwrap() == b'<'), "v4l2-ctl did not stream");
     let mut waiting = camera(options(VIVID, Some("YUYV")));
@@ -29,7 +30,9 @@ pub fn a_camera_in_use_is_told_with_its_holder() -> String {
 /// Each of vivid's faults: what is told, and that the camera gives frames again afterwards.
 pub fn each_injected_fault_is_told_and_survived() -> String {
     let mut told = Vec::new();
-    for at_start in ["inject_vidioc_reqbufs_error", "inject_vidioc_qbuf_error", "inject_vidioc_streamon_error"] {
+    for at_start in
+        ["inject_vidioc_reqbufs_error", "inject_vidioc_qbuf_error", "inject_vidioc_streamon_error"]
+    {
         let mut camera = camera(options(VIVID, Some("YUYV")));
         press(VIVID, &format!("{at_start}=1"));
         let error = camera.open().map(|_| ()).unwrap_err();
@@ -86,5 +89,9 @@ pub fn a_stalled_device_never_blocks() -> String {
     let (elapsed, busy) = (began.elapsed(), processor_time("self") - busy);
     assert!(elapsed < PATIENCE, "10 waits of 50 ms took {elapsed:?}");
     assert!(busy < elapsed / 2, "{busy:?} of {elapsed:?} were spent computing");
-    format!("10 waits of 50 ms: {} ms, of which {} ms computing", elapsed.as_millis(), busy.as_millis())
+    format!(
+        "10 waits of 50 ms: {} ms, of which {} ms computing",
+        elapsed.as_millis(),
+        busy.as_millis()
+    )
 }

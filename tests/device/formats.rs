@@ -17,7 +17,8 @@ const COLOR_BARS: i64 = 0;
 
 /// The same still picture in every format.
 pub fn every_format_gives_the_same_picture() -> String {
-    let bars: Vec<(GrayImage, RgbImage)> = FORMATS.iter().map(|format| still_picture(format, COLOR_BARS)).collect();
+    let bars: Vec<(GrayImage, RgbImage)> =
+        FORMATS.iter().map(|format| still_picture(format, COLOR_BARS)).collect();
     let luma = |k: usize| bars[k].0.pixels();
     assert_eq!(luma(0), luma(1), "UYVY is YUYV in another order");
     assert_eq!(luma(0), luma(2), "NV12 has the same luma");
@@ -27,13 +28,23 @@ pub fn every_format_gives_the_same_picture() -> String {
     for k in [4, 5, 6] {
         assert_eq!(luma(3), luma(k), "{} is GREY with more bits", FORMATS[k]);
     }
-    let ramps: Vec<GrayImage> = FORMATS.iter().map(|format| still_picture(format, GREY_RAMP).0).collect();
+    let ramps: Vec<GrayImage> =
+        FORMATS.iter().map(|format| still_picture(format, GREY_RAMP).0).collect();
     for (format, ramp) in FORMATS.iter().zip(&ramps) {
         // Luma beside chroma has the range 16 to 235, alone it has the whole.
-        let full = |value: u8| if ["YUYV", "UYVY", "NV12"].contains(format) { stretched(value) } else { value };
-        let differing = ramp.pixels().iter().zip(ramps[3].pixels()).filter(|(a, b)| full(**a).abs_diff(**b) > 2);
+        let full = |value: u8| {
+            if ["YUYV", "UYVY", "NV12"].contains(format) { stretched(value) } else { value }
+        };
+        let differing = ramp
+            .pixels()
+            .iter()
+            .zip(ramps[3].pixels())
+            .filter(|(a, b)| full(**a).abs_diff(**b) > 2);
         assert_eq!(differing.count(), 0, "{format}");
-        assert!(ramp.pixels().iter().max() > Some(&200) && ramp.pixels().iter().min() < Some(&40), "{format}");
+        assert!(
+            ramp.pixels().iter().max() > Some(&200) && ramp.pixels().iter().min() < Some(&40),
+            "{format}"
+        );
     }
     format!("{} formats", FORMATS.len())
 }
@@ -60,7 +71,9 @@ fn still_picture(format: &str, pattern: i64) -> (GrayImage, RgbImage) {
 }
 
 pub fn what_cannot_be_had_is_told() -> String {
-    let refused = |format: &str| camera(options(VIVID, Some(format))).open().map(|_| ()).unwrap_err().to_string();
+    let refused = |format: &str| {
+        camera(options(VIVID, Some(format))).open().map(|_| ()).unwrap_err().to_string()
+    };
     let message = refused("MJPG");
     assert!(message.contains("no format MJPG; it offers GREY, NV12, YUYV"), "{message}");
     let mut odd = options(VIVID, Some("YUYV"));
@@ -79,7 +92,8 @@ pub fn what_cannot_be_had_is_told() -> String {
 
 pub fn controls_are_set_held_and_given_back() -> String {
     let mut with_controls = options(VIVID, Some("GREY"));
-    with_controls.controls = BTreeMap::from([("brightness".to_owned(), 90), ("gain_auto".to_owned(), 1)]);
+    with_controls.controls =
+        BTreeMap::from([("brightness".to_owned(), 90), ("gain_auto".to_owned(), 1)]);
     with_controls.lock = true;
     let value = |control: &str| {
         let listing = plumb::capture::v4l2::list_devices();

@@ -20,7 +20,11 @@ pub const VIVID: &str = "/dev/video0";
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
 pub fn options(device: &str, format: Option<&str>) -> CameraOptions {
-    let mode = ModeRequest { size: Some(ImageSize::new(640, 360)), format: format.map(str::to_owned), fps: Some(30.0) };
+    let mode = ModeRequest {
+        size: Some(ImageSize::new(640, 360)),
+        format: format.map(str::to_owned),
+        fps: Some(30.0),
+    };
     CameraOptions { device: device.into(), mode, ..CameraOptions::default() }
 }
 
@@ -68,8 +72,9 @@ pub fn plug_in() {
 
 /// The node of the device with this name, once the system has made it.
 pub fn node_of(name: &str) -> PathBuf {
-    let named =
-        |folder: &fs::DirEntry| fs::read_to_string(folder.path().join("name")).is_ok_and(|found| found.trim() == name);
+    let named = |folder: &fs::DirEntry| {
+        fs::read_to_string(folder.path().join("name")).is_ok_and(|found| found.trim() == name)
+    };
     let deadline = Instant::now() + PATIENCE;
     loop {
         let folders = fs::read_dir("/sys/class/video4linux").into_iter().flatten().flatten();

@@ -1,4 +1,5 @@
-//! A live device of the library's, without a camera: its streams and options, several by serial number, one that stops.
+//! A live device of the library's, without a camera: its streams and options, several by serial
+//! number, one that stops.
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -28,8 +29,11 @@ use crate::{POLL, described, pictures, walk_pictures};
 
 /// Longer than anything asked for here takes, on a busy machine too.
 const PATIENCE: Duration = Duration::from_secs(120);
-const SETTABLE: [(Rs2Option, f32); 3] =
-    [(Rs2Option::VisualPreset, 0.0), (Rs2Option::EmitterEnabled, 1.0), (Rs2Option::EmitterOnOff, 0.0)];
+const SETTABLE: [(Rs2Option, f32); 3] = [
+    (Rs2Option::VisualPreset, 0.0),
+    (Rs2Option::EmitterEnabled, 1.0),
+    (Rs2Option::EmitterOnOff, 0.0),
+];
 
 fn truth() -> Value {
     serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap()
@@ -58,11 +62,13 @@ impl Showing {
         let (ends, shown) = (Arc::default(), Arc::default());
         let work = {
             let (device, is_on) = (Arc::clone(&device), Arc::clone(&is_on));
-            let (ends, shown): (Arc<AtomicBool>, Arc<AtomicUsize>) = (Arc::clone(&ends), Arc::clone(&shown));
+            let (ends, shown): (Arc<AtomicBool>, Arc<AtomicUsize>) =
+                (Arc::clone(&ends), Arc::clone(&shown));
             move || {
                 while !ends.load(Ordering::Relaxed) {
                     let at = shown.load(Ordering::Relaxed);
-                    // Switched off and on under the same lock: off means that nothing comes any more.
+                    // Switched off and on under the same lock: off means that nothing comes any
+                    // more.
                     let mut device = device.lock().unwrap();
                     if is_on.load(Ordering::Relaxed) {
                         device.show(&sets[at % sets.len()]);
@@ -109,21 +115,33 @@ fn every_sensor_of_a_live_device_comes_in_one_frame_set() {
     let context = context();
     let fed = walk_pictures(4);
     let live = LiveDevice::plug_in(&context, &device("000000054321", &[]));
-    let mut source = Camera::in_context(CameraOptions::default(), Arc::clone(&context)).open().unwrap();
+    let mut source =
+        Camera::in_context(CameraOptions::default(), Arc::clone(&context)).open().unwrap();
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("000000054321"));
-    let right = description.factory.sensor(SensorKind::Infrared2).unwrap().color_from_sensor.unwrap();
-    assert!((right.translation().x - 0.075).abs() < 1e-6, "{right:?}: 50 mm right of the depth sensor");
+    let right =
+        description.factory.sensor(SensorKind::Infrared2).unwrap().color_from_sensor.unwrap();
+    assert!(
+        (right.translation().x - 0.075).abs() < 1e-6,
+        "{right:?}: 50 mm right of the depth sensor"
+    );
     let showing = Showing::start(live, fed.clone(), Duration::from_millis(40));
     let mut whole = 0;
     let mut last = None;
     while whole < 10 {
         let set = next(source.as_mut());
         let time = set.device_time.unwrap().monotonic_ns;
-        assert!(last.is_none_or(|(sequence, before)| set.sequence > sequence && time > before), "{last:?}");
+        assert!(
+            last.is_none_or(|(sequence, before)| set.sequence > sequence && time > before),
+            "{last:?}"
+        );
         last = Some((set.sequence, time));
         if set.frames.len() == 4 {
-            assert!(fed.contains(&pictures(&set)), "frame set {} is none of those shown", set.sequence);
+            assert!(
+                fed.contains(&pictures(&set)),
+                "frame set {} is none of those shown",
+                set.sequence
+            );
             whole += 1;
         }
     }
@@ -136,8 +154,9 @@ fn every_sensor_of_a_live_device_comes_in_one_frame_set() {
 
 #[test]
 fn the_emitter_and_the_preset_are_set_and_given_back() {
-    let emitter =
-        |showing: &LiveDevice| [Rs2Option::EmitterEnabled, Rs2Option::EmitterOnOff].map(|o| showing.option(o));
+    let emitter = |showing: &LiveDevice| {
+        [Rs2Option::EmitterEnabled, Rs2Option::EmitterOnOff].map(|o| showing.option(o))
+    };
     let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(true) };
     let options = CameraOptions { settings, ..CameraOptions::default() };
 
@@ -146,7 +165,11 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
     let mut source = Camera::in_context(options.clone(), alternates).open().unwrap();
     assert_eq!((live.option(Rs2Option::VisualPreset), emitter(&live)), (3.0, [1.0, 0.0]));
     source.calibrating(true).unwrap();
-    assert_eq!(emitter(&live), [1.0, 1.0], "on in every other frame: the board is seen, and depth goes on");
+    assert_eq!(
+        emitter(&live),
+        [1.0, 1.0],
+        "on in every other frame: the board is seen, and depth goes on"
+    );
     source.calibrating(false).unwrap();
     assert_eq!(emitter(&live), [1.0, 0.0]);
     source.calibrating(true).unwrap();
@@ -181,20 +204,36 @@ fn several_devices_are_told_apart_by_their_serial_numbers() {
         })
         .collect();
     let open = |origin: Origin| {
-        Camera::in_context(CameraOptions { origin, ..CameraOptions::default() }, Arc::clone(&context)).open()
+        Camera::in_context(
+            CameraOptions { origin, ..CameraOptions::default() },
+            Arc::clone(&context),
+        )
+        .open()
     };
     let error = open(Origin::OnlyDevice).map(|_| ()).unwrap_err().to_string();
-    assert!(error.starts_with("several RealSense cameras are plugged in: write serial = one of 0000000000"), "{error}");
+    assert!(
+        error.starts_with(
+            "several RealSense cameras are plugged in: write serial = one of 0000000000"
+        ),
+        "{error}"
+    );
     let mut sources = serials.map(|serial| open(Origin::Serial(serial.to_owned())).unwrap());
     for (source, shown) in sources.iter_mut().zip(&sets) {
-        let whole = std::iter::repeat_with(|| next(source.as_mut())).find(|set| set.frames.len() == 4).unwrap();
+        let whole = std::iter::repeat_with(|| next(source.as_mut()))
+            .find(|set| set.frames.len() == 4)
+            .unwrap();
         assert!(pictures(&whole) == *shown);
     }
-    let error = open(Origin::Serial("000000000033".to_owned())).map(|_| ()).unwrap_err().to_string();
+    let error =
+        open(Origin::Serial("000000000033".to_owned())).map(|_| ()).unwrap_err().to_string();
     assert!(error.contains("it is not plugged in; 0000000000"), "{error}");
 }
 
-fn fleet(context: &Arc<Mutex<Context>>, folder: &tempfile::TempDir, supervision: Supervision) -> (Fleet, Arc<Store>) {
+fn fleet(
+    context: &Arc<Mutex<Context>>,
+    folder: &tempfile::TempDir,
+    supervision: Supervision,
+) -> (Fleet, Arc<Store>) {
     let store = Arc::new(Store::open(folder.path()).unwrap());
     let camera = Camera::in_context(CameraOptions::default(), Arc::clone(context));
     let (name, kind) = ("front".to_owned(), "realsense".to_owned());
@@ -216,7 +255,9 @@ async fn until<T>(events: &mut EventStream, mut wanted: impl FnMut(&EventKind) -
 
 async fn until_state(events: &mut EventStream, state: CameraState) -> String {
     until(events, |event| match event {
-        EventKind::Camera(status) if status.state == state => Some(status.reason.clone().unwrap_or_default()),
+        EventKind::Camera(status) if status.state == state => {
+            Some(status.reason.clone().unwrap_or_default())
+        }
         _ => None,
     })
     .await
@@ -230,7 +271,8 @@ async fn until_views(events: &mut EventStream, count: u64) {
     .await;
 }
 
-/// As the daemon has it by default: told within 2 s, taken up again by its serial number, and the session goes on.
+/// As the daemon has it by default: told within 2 s, taken up again by its serial number, and the
+/// session goes on.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let (context, folder) = (context(), tempfile::tempdir().unwrap());
@@ -243,7 +285,8 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let mut events = fleet.events(Some(0));
     until_state(&mut events, CameraState::Streaming).await;
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap();
-    let request = SessionRequest { target, lens: LensChoice::Model(LensModel::Brown), finish: None };
+    let request =
+        SessionRequest { target, lens: LensChoice::Model(LensModel::Brown), finish: None };
     let id = fleet.start_session("front", request).await.unwrap().id;
     until_views(&mut events, 4).await;
     assert_eq!(showing.option(Rs2Option::EmitterOnOff), 1.0, "while the board is looked for");
@@ -252,13 +295,19 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let stopped = Instant::now();
     let reason = until_state(&mut events, CameraState::Lost).await;
     let told = stopped.elapsed();
-    assert!(told < Duration::from_secs(2) && reason.starts_with("no frame for 1."), "{reason}, told after {told:?}");
+    assert!(
+        told < Duration::from_secs(2) && reason.starts_with("no frame for 1."),
+        "{reason}, told after {told:?}"
+    );
     assert_eq!(fleet.live_session(&id).unwrap().state, SessionState::Collecting);
 
     showing.switch(true);
     let before = showing.shown.load(Ordering::Relaxed);
     until_state(&mut events, CameraState::Streaming).await;
-    until(&mut events, |_| (showing.shown.load(Ordering::Relaxed) >= before + count + 3).then_some(())).await;
+    until(&mut events, |_| {
+        (showing.shown.load(Ordering::Relaxed) >= before + count + 3).then_some(())
+    })
+    .await;
     fleet.stop_session(&id).await.unwrap();
     let session = fleet.session_over(&id).await.unwrap();
     assert_eq!(session.state, SessionState::Finished, "{:?}", session.reason);
@@ -266,14 +315,18 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let calibration = store.calibration(session.calibration.as_ref().unwrap()).unwrap().unwrap();
     is_true(&calibration);
     let views = session.views_kept;
-    eprintln!("live: told {told:?} after the last frame: {reason}; {views} views, {:?}", calibration.verdict);
+    eprintln!(
+        "live: told {told:?} after the last frame: {reason}; {views} views, {:?}",
+        calibration.verdict
+    );
 }
 
-/// Holds a calibration against what the pictures were made of; the right infrared ones are the left ones turned by half a
-/// turn, so that their camera is the left one, turned.
+/// Holds a calibration against what the pictures were made of; the right infrared ones are the left
+/// ones turned by half a turn, so that their camera is the left one, turned.
 fn is_true(calibration: &Calibration) {
     let truth = truth();
-    let number = |sensor: &str, name: &str| truth["sensors"][sensor]["lens"][name].as_f64().unwrap();
+    let number =
+        |sensor: &str, name: &str| truth["sensors"][sensor]["lens"][name].as_f64().unwrap();
     let sensors: Vec<&str> = calibration.picture_sensors().map(|(name, _)| name).collect();
     assert_eq!(sensors, ["color", "infrared", "infrared2"], "{:?}", calibration.verdict);
     for (name, sensor) in calibration.picture_sensors() {
@@ -284,18 +337,25 @@ fn is_true(calibration: &Calibration) {
             _ => number(name, parameter),
         };
         let matrix = sensor.lens.matrix;
-        for ((parameter, found), std) in
-            ["fx", "fy", "cx", "cy"].into_iter().zip([matrix.fx, matrix.fy, matrix.cx, matrix.cy]).zip(&sensor.lens_std)
+        for ((parameter, found), std) in ["fx", "fy", "cx", "cy"]
+            .into_iter()
+            .zip([matrix.fx, matrix.fy, matrix.cx, matrix.cy])
+            .zip(&sensor.lens_std)
         {
             let off = found - of(parameter);
             assert!(off.abs() < 4.5 * std, "{name} {parameter}: off by {off:.3} ± {std:.3}");
         }
     }
-    let pose = |name: &str| calibration.extrinsics.iter().find(|known| known.name == name).unwrap().target_from_source;
+    let pose = |name: &str| {
+        calibration.extrinsics.iter().find(|known| known.name == name).unwrap().target_from_source
+    };
     let (left, right) = (pose("color_from_infrared"), pose("color_from_infrared2"));
     let apart_m = (left.translation() - right.translation()).norm();
     let turn = left.angle_to(&right).to_degrees();
-    assert!(apart_m < 2e-3 && (turn - 180.0).abs() < 0.1, "{apart_m} m and {turn}° between both infrared sensors");
+    assert!(
+        apart_m < 2e-3 && (turn - 180.0).abs() < 0.1,
+        "{apart_m} m and {turn}° between both infrared sensors"
+    );
     assert!(calibration.depth.is_some());
 }
 
@@ -306,12 +366,18 @@ async fn a_device_that_never_gives_anything_is_reset_in_the_end() {
     let showing = Showing::start(live, walk_pictures(1), Duration::from_millis(40));
     showing.switch(false);
     let soon = Duration::from_millis(10);
-    let supervision =
-        Supervision { first_retry: soon, longest_retry: soon, first_frame: POLL, ..Supervision::default() };
+    let supervision = Supervision {
+        first_retry: soon,
+        longest_retry: soon,
+        first_frame: POLL,
+        ..Supervision::default()
+    };
     let (fleet, _) = fleet(&context, &folder, supervision);
     let mut events = fleet.events(Some(0));
     let reset = until(&mut events, |event| match event {
-        EventKind::Camera(status) => status.reason.clone().filter(|reason| reason.contains("reset")),
+        EventKind::Camera(status) => {
+            status.reason.clone().filter(|reason| reason.contains("reset"))
+        }
         _ => None,
     })
     .await;

@@ -22,7 +22,10 @@ pub struct Feeder(Child);
 impl Feeder {
     pub fn start(device: &str, format: &str, recording: &str, fps: &str) -> Self {
         let program = std::env::current_exe().unwrap();
-        let child = Command::new(program).args([FEED, device, format, recording, fps]).stdout(Stdio::null()).spawn();
+        let child = Command::new(program)
+            .args([FEED, device, format, recording, fps])
+            .stdout(Stdio::null())
+            .spawn();
         Self(child.unwrap())
     }
 }

@@ -1,7 +1,14 @@
-//! Real devices: this machine boots a small one with a real V4L2 stack, which runs the scenarios below and tells what it
-//! measured. `cargo test --test device [NAME…]`; with names, only the scenarios whose names contain one of them.
+//! Real devices: this machine boots a small one with a real V4L2 stack, which runs the scenarios
+//! below and tells what it measured. `cargo test --test device [NAME…]`; with names, only the
+//! scenarios whose names contain one of them.
 
-#![allow(missing_docs, clippy::unwrap_used, clippy::print_stdout, clippy::exit, reason = "a test program")]
+#![allow(
+    missing_docs,
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::exit,
+    reason = "a test program"
+)]
 
 mod daemon;
 mod enumeration;
@@ -46,7 +53,8 @@ fn main() -> ExitCode {
         loopback::feed(device, format, Path::new(recording), fps.parse().unwrap());
         return ExitCode::SUCCESS;
     }
-    let names: Vec<String> = std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
+    let names: Vec<String> =
+        std::env::args().skip(1).filter(|argument| !argument.starts_with('-')).collect();
     if std::env::args().any(|argument| argument == "--list") {
         return ExitCode::SUCCESS;
     }
@@ -54,8 +62,9 @@ fn main() -> ExitCode {
         return small_machine::run_this_program(&names);
     }
     let mut failed = 0;
-    for (name, scenario) in
-        SCENARIOS.iter().filter(|(name, _)| names.is_empty() || names.iter().any(|n| name.contains(n)))
+    for (name, scenario) in SCENARIOS
+        .iter()
+        .filter(|(name, _)| names.is_empty() || names.iter().any(|n| name.contains(n)))
     {
         let began = Instant::now();
         let outcome = catch_unwind(scenario);

@@ -1,5 +1,6 @@
-//! The RealSense library itself, without a camera: recordings, what is wrong with files, and no device.
-//! `eval "$(tests/device/realsense_library.sh)" && cargo test --features realsense --test realsense`
+//! The RealSense library itself, without a camera: recordings, what is wrong with files, and no
+//! device. `eval "$(tests/device/realsense_library.sh)" && cargo test --features realsense --test
+//! realsense`
 
 #![allow(
     missing_docs,
@@ -56,11 +57,17 @@ fn a_recording_tells_its_factory_calibration_as_the_file_states_it() {
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("728612070259"));
     assert_eq!(description.model.as_deref(), Some("Intel RealSense D435"));
-    assert!(description.mode.as_ref().is_some_and(|mode| mode.contains("firmware 05.09.14.00")), "{description:?}");
+    assert!(
+        description.mode.as_ref().is_some_and(|mode| mode.contains("firmware 05.09.14.00")),
+        "{description:?}"
+    );
     let depth = description.factory.sensor(SensorKind::Depth).unwrap();
     assert_eq!(depth.depth_unit_m, Some(0.001));
     let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
-    assert!(near(depth.stated.focal_px[0], 390.43145752) && near(depth.stated.principal_px[1], 242.18734741));
+    assert!(
+        near(depth.stated.focal_px[0], 390.43145752)
+            && near(depth.stated.principal_px[1], 242.18734741)
+    );
     let color = description.factory.sensor(SensorKind::Color).unwrap();
     let lens = color.lens.unwrap();
     assert_eq!(lens.model(), LensModel::Pinhole, "every coefficient is zero");
@@ -71,7 +78,9 @@ fn a_recording_tells_its_factory_calibration_as_the_file_states_it() {
     for (read, stated) in [rotation.i, rotation.j, rotation.k, rotation.w].into_iter().zip(stated) {
         assert!(near(read, stated), "{rotation}");
     }
-    for (read, stated) in color_from_depth.translation().iter().zip([0.01431131, 0.00060231, 0.00061080]) {
+    for (read, stated) in
+        color_from_depth.translation().iter().zip([0.01431131, 0.00060231, 0.00061080])
+    {
         assert!(near(*read, stated), "{color_from_depth:?}");
     }
     let mut frames = Vec::new();
@@ -99,17 +108,29 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
     let path = folder.join("single_depth_color_640x480.bag").display().to_string();
     let source = format!("{{ kind = \"realsense\", path = {path:?} }}");
     let own = tempfile::tempdir().unwrap();
-    let served = Served::start(own.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served =
+        Served::start(own.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
     let mut events = served.events("", Some("0"));
-    events.until(|event| event.name == "camera" && event.data["identity"]["serial"] == "728612070259");
+    events.until(|event| {
+        event.name == "camera" && event.data["identity"]["serial"] == "728612070259"
+    });
     let camera = served.get("/v1/cameras/front").json();
     let factory = &camera["factory"];
     let lens = |sensor: &str| {
-        ["fx", "fy", "cx", "cy"].map(|name| factory["sensors"][sensor]["lens"][name].as_f64().unwrap_or(f64::NAN))
+        ["fx", "fy", "cx", "cy"]
+            .map(|name| factory["sensors"][sensor]["lens"][name].as_f64().unwrap_or(f64::NAN))
     };
-    let near = |read: [f64; 4], stated: [f64; 4]| read.iter().zip(stated).all(|(a, b)| (a - b).abs() < 1e-5);
-    assert!(near(lens("depth"), [390.43145752, 390.43145752, 331.38787842, 242.18734741]), "{camera}");
-    assert!(near(lens("color"), [613.20367432, 613.41931152, 319.93884277, 239.18299866]), "{camera}");
+    let near = |read: [f64; 4], stated: [f64; 4]| {
+        read.iter().zip(stated).all(|(a, b)| (a - b).abs() < 1e-5)
+    };
+    assert!(
+        near(lens("depth"), [390.43145752, 390.43145752, 331.38787842, 242.18734741]),
+        "{camera}"
+    );
+    assert!(
+        near(lens("color"), [613.20367432, 613.41931152, 319.93884277, 239.18299866]),
+        "{camera}"
+    );
     assert_eq!(factory["sensors"]["depth"]["unit_m"], 0.001, "{camera}");
     let shift = translation(named(&factory["extrinsics"], "color_from_depth"));
     assert!((shift - Vector3::new(0.01431131, 0.00060231, 0.00061080)).norm() < 1e-6, "{camera}");
@@ -132,7 +153,12 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
         ("tf", "0.0143113"),
     ] {
         let answer = served.get(&format!("/v1/cameras/front/factory?format={asked}"));
-        assert!(answer.status == 200 && answer.text().contains(number), "{asked}: {} {}", answer.status, answer.text());
+        assert!(
+            answer.status == 200 && answer.text().contains(number),
+            "{asked}: {} {}",
+            answer.status,
+            answer.text()
+        );
     }
 }
 
@@ -163,7 +189,10 @@ fn what_is_wrong_with_a_file_is_told_at_once() {
 
 #[test]
 fn without_a_device_that_is_told_at_once() {
-    assert_eq!(refusal(Origin::OnlyDevice), "the RealSense camera was lost: no RealSense camera is plugged in");
+    assert_eq!(
+        refusal(Origin::OnlyDevice),
+        "the RealSense camera was lost: no RealSense camera is plugged in"
+    );
     let error = refusal(Origin::Serial("012345".to_owned()));
     assert!(error.starts_with("012345 was lost: it is not plugged in"), "{error}");
     let listing = list_devices();
@@ -181,7 +210,8 @@ fn pictures(set: &FrameSet) -> Pictures {
     let mut infrared = GrayImage::default();
     decode::luma(frame(SensorKind::Infrared), &mut infrared).unwrap();
     let color = decode::rgb(frame(SensorKind::Color)).unwrap().into_raw();
-    // What is read back has a right infrared picture; what is shown has none of its own, and shows the left one reversed.
+    // What is read back has a right infrared picture; what is shown has none of its own, and shows
+    // the left one reversed.
     let mut infrared2 = GrayImage::default();
     let infrared2 = match set.frame(SensorKind::Infrared2) {
         Some(frame) => {
@@ -191,7 +221,12 @@ fn pictures(set: &FrameSet) -> Pictures {
         None => infrared.pixels().iter().rev().copied().collect(),
     };
     let infrared = infrared.pixels().to_vec();
-    [(Stream::Depth, depth), (Stream::Infrared, infrared), (Stream::Infrared2, infrared2), (Stream::Color, color)]
+    [
+        (Stream::Depth, depth),
+        (Stream::Infrared, infrared),
+        (Stream::Infrared2, infrared2),
+        (Stream::Color, color),
+    ]
 }
 
 /// A camera that states what it is not: a hundredth off, as factories are off after years.
@@ -227,7 +262,8 @@ fn described(serial: &'static str, truth: &Value) -> Device {
 
 /// The same as the library records it; and what is true of it.
 fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
-    let truth: Value = serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
+    let truth: Value =
+        serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
     let sets = walk_pictures(count);
     let device = described("000000012345", &truth);
     let path = folder.join("walk.bag");
@@ -244,13 +280,20 @@ fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
     let mut source = open(Origin::Bag(path)).unwrap();
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("000000012345"));
-    assert!(description.mode.as_ref().is_some_and(|mode| mode.contains("firmware 5.16.0.1")), "{description:?}");
+    assert!(
+        description.mode.as_ref().is_some_and(|mode| mode.contains("firmware 5.16.0.1")),
+        "{description:?}"
+    );
     let mut whole = 0;
     let error = loop {
         match source.next_frame(POLL) {
             Ok(set) if set.frames.len() == 4 => {
                 let seen = pictures(&set);
-                assert!(fed.contains(&seen), "frame set {} is none of those recorded", set.sequence);
+                assert!(
+                    fed.contains(&seen),
+                    "frame set {} is none of those recorded",
+                    set.sequence
+                );
                 whole += 1;
             }
             Ok(_) | Err(CaptureError::TimedOut { .. }) => {}
@@ -275,13 +318,15 @@ fn named<'a>(extrinsics: &'a Value, name: &str) -> &'a Value {
     extrinsics.as_array().unwrap().iter().find(|pose| pose["name"] == name).unwrap()
 }
 
-/// The product on the library: a session over HTTP on the recorded walk; and a device that stops, told within 2 s.
+/// The product on the library: a session over HTTP on the recorded walk; and a device that stops,
+/// told within 2 s.
 #[test]
 fn a_made_walk_is_calibrated_by_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
     let (path, truth) = made_bag(folder.path(), usize::MAX);
     let source = format!("{{ kind = \"realsense\", path = {:?} }}", path.display().to_string());
-    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served =
+        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
     let mut events = served.events("", Some("0"));
     let request = json!({"target": truth["target"], "lens": "brown"});
     let started = served.post("/v1/cameras/front/sessions", &request);
@@ -305,7 +350,9 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
     assert!(camera["reason"].as_str().unwrap().starts_with("the recording has ended"), "{camera}");
     let session = served.post_nothing(&format!("/v1/sessions/{id}/stop")).json();
     assert_eq!(session["state"], "finished", "{session}");
-    let calibration = served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+    let calibration = served
+        .get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap()))
+        .json();
 
     let sensors = &calibration["sensors"];
     for sensor in ["infrared", "infrared2"] {
@@ -317,13 +364,24 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
             let number = |of: &Value| of[name].as_f64().unwrap();
             let off = number(&sensors[sensor]["lens"]) - number(&truth["sensors"][sensor]["lens"]);
             let sigmas = off.abs() / number(&sensors[sensor]["lens_std"]);
-            assert!(sigmas < 4.5, "{sensor} {name}: off by {off:.3}, {sigmas:.1} standard deviations");
+            assert!(
+                sigmas < 4.5,
+                "{sensor} {name}: off by {off:.3}, {sigmas:.1} standard deviations"
+            );
         }
     }
     let found = named(&calibration["extrinsics"], "color_from_depth");
     let truly = named(&truth["extrinsics"], "color_from_depth");
     let apart_m = (translation(found) - translation(truly)).norm();
     let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
-    assert!(apart_m < 1e-3 && apart_deg < 0.05, "{apart_m} m, {apart_deg}°; {}", calibration["verdict"]);
-    eprintln!("colour from depth: off by {:.2} mm and {apart_deg:.4}°; {}", apart_m * 1e3, calibration["verdict"]);
+    assert!(
+        apart_m < 1e-3 && apart_deg < 0.05,
+        "{apart_m} m, {apart_deg}°; {}",
+        calibration["verdict"]
+    );
+    eprintln!(
+        "colour from depth: off by {:.2} mm and {apart_deg:.4}°; {}",
+        apart_m * 1e3,
+        calibration["verdict"]
+    );
 }

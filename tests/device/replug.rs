@@ -4,11 +4,14 @@ use plumb::capture::{CaptureError, SourceOpener};
 
 use plumb::geometry::pixel::ImageSize;
 
-use crate::guest::{PATIENCE, camera, footprint, frames_until_error, node_of, options, plug_in, unplug};
+use crate::guest::{
+    PATIENCE, camera, footprint, frames_until_error, node_of, options, plug_in, unplug,
+};
 
 const ROUNDS: usize = 200;
 
-/// Unplugged while it streams and plugged in again, under whatever number: found by what it is, and nothing is left over.
+/// Unplugged while it streams and plugged in again, under whatever number: found by what it is, and
+/// nothing is left over.
 pub fn two_hundred_rounds_leave_nothing_behind() -> String {
     let name = "vivid-001-vid-cap";
     let mut options = options(node_of(name).to_str().unwrap(), Some("GREY"));

@@ -1,8 +1,8 @@
-//! The library's software device, fed with frames: recorded by the library's own recorder, or live in a context of the
-//! library's.
+//! The library's software device, fed with frames: recorded by the library's own recorder, or live
+//! in a context of the library's.
 //!
-//! The functions are those of `rs_internal.h`, `rs_record_playback.h` and their like; realsense-sys has no bindings of the
-//! first.
+//! The functions are those of `rs_internal.h`, `rs_record_playback.h` and their like; realsense-sys
+//! has no bindings of the first.
 #![allow(unsafe_code, reason = "the library's C interface")]
 
 use std::ffi::{CStr, CString, c_char, c_int, c_void};
@@ -116,11 +116,30 @@ unsafe extern "C" {
     fn free(memory: *mut c_void);
     fn rs2_get_error_message(error: Handle) -> *const c_char;
     fn rs2_create_software_device(error: *mut Handle) -> Handle;
-    fn rs2_software_device_register_info(device: Handle, info: c_int, text: *const c_char, error: *mut Handle);
-    fn rs2_software_device_add_sensor(device: Handle, name: *const c_char, error: *mut Handle) -> Handle;
+    fn rs2_software_device_register_info(
+        device: Handle,
+        info: c_int,
+        text: *const c_char,
+        error: *mut Handle,
+    );
+    fn rs2_software_device_add_sensor(
+        device: Handle,
+        name: *const c_char,
+        error: *mut Handle,
+    ) -> Handle;
     fn rs2_software_device_create_matcher(device: Handle, matcher: c_int, error: *mut Handle);
-    fn rs2_software_sensor_add_video_stream_ex(s: Handle, v: VideoStream, d: c_int, error: *mut Handle) -> Handle;
-    fn rs2_software_sensor_add_read_only_option(sensor: Handle, option: c_int, value: f32, error: *mut Handle);
+    fn rs2_software_sensor_add_video_stream_ex(
+        s: Handle,
+        v: VideoStream,
+        d: c_int,
+        error: *mut Handle,
+    ) -> Handle;
+    fn rs2_software_sensor_add_read_only_option(
+        sensor: Handle,
+        option: c_int,
+        value: f32,
+        error: *mut Handle,
+    );
     fn rs2_software_sensor_add_option(
         sensor: Handle,
         option: c_int,
@@ -141,8 +160,18 @@ unsafe extern "C" {
     );
     fn rs2_delete_device_list(devices: Handle);
     fn rs2_software_sensor_on_video_frame(sensor: Handle, frame: VideoFrame, error: *mut Handle);
-    fn rs2_register_extrinsics(from: Handle, to: Handle, extrinsics: Extrinsics, error: *mut Handle);
-    fn rs2_create_record_device_ex(device: Handle, file: *const c_char, compress: c_int, e: *mut Handle) -> Handle;
+    fn rs2_register_extrinsics(
+        from: Handle,
+        to: Handle,
+        extrinsics: Extrinsics,
+        error: *mut Handle,
+    );
+    fn rs2_create_record_device_ex(
+        device: Handle,
+        file: *const c_char,
+        compress: c_int,
+        e: *mut Handle,
+    ) -> Handle;
     fn rs2_query_sensors(device: Handle, error: *mut Handle) -> Handle;
     fn rs2_get_sensors_count(sensors: Handle, error: *mut Handle) -> c_int;
     fn rs2_create_sensor(sensors: Handle, index: c_int, error: *mut Handle) -> Handle;
@@ -170,7 +199,8 @@ extern "C" fn release(pixels: *mut c_void) {
 macro_rules! call {
     ($function:ident ( $($argument:expr),* )) => {{
         let mut error: Handle = null_mut();
-        // SAFETY: the arguments are as the library's header asks for them, and live as long as the call.
+        // SAFETY: the arguments are as the library's header asks for them, and live as long as the
+        // call.
         let answer = unsafe { $function($($argument,)* &mut error) };
         if !error.is_null() {
             // SAFETY: the library made the error with its message, and it is still there.
@@ -203,7 +233,8 @@ pub fn record(path: &Path, device: &Device, pace: Duration, frame_sets: &[Pictur
             let sensor = call!(rs2_create_sensor(sensors, index));
             let list = call!(rs2_get_stream_profiles(sensor));
             let count = call!(rs2_get_stream_profiles_count(list));
-            let mut profiles: Vec<Handle> = (0..count).map(|k| call!(rs2_get_stream_profile(list, k))).collect();
+            let mut profiles: Vec<Handle> =
+                (0..count).map(|k| call!(rs2_get_stream_profile(list, k))).collect();
             call!(rs2_open_multiple(sensor, profiles.as_mut_ptr(), count));
             call!(rs2_start_queue(sensor, queue));
             (sensor, list)
@@ -253,9 +284,21 @@ fn make(described: &Device) -> SoftwareDevice {
         let sensor = if stream == Stream::Color { color_sensor } else { depth_sensor };
         call!(rs2_software_sensor_add_video_stream_ex(sensor, video_stream(described, stream), 1))
     });
-    call!(rs2_software_sensor_add_read_only_option(depth_sensor, OPTION_DEPTH_UNITS, described.depth_unit_m));
+    call!(rs2_software_sensor_add_read_only_option(
+        depth_sensor,
+        OPTION_DEPTH_UNITS,
+        described.depth_unit_m
+    ));
     for (option, value) in &described.options {
-        call!(rs2_software_sensor_add_option(depth_sensor, *option as c_int, 0.0, 10.0, 1.0, *value, 1));
+        call!(rs2_software_sensor_add_option(
+            depth_sensor,
+            *option as c_int,
+            0.0,
+            10.0,
+            1.0,
+            *value,
+            1
+        ));
     }
     call!(rs2_software_device_create_matcher(device, MATCHER_DEPTH_LEFT_RIGHT_COLOR));
     let (rotation, translation) = described.color_from_depth;
@@ -329,7 +372,8 @@ fn feed(made: &SoftwareDevice, device: &Device, stream: Stream, number: usize, p
 pub struct LiveDevice {
     made: SoftwareDevice,
     device: Device,
-    /// What keeps it listed: the context itself remembers the device only as long as someone else does.
+    /// What keeps it listed: the context itself remembers the device only as long as someone else
+    /// does.
     listed: Handle,
     shown: usize,
 }
@@ -392,7 +436,8 @@ impl Drop for LiveDevice {
 
 /// Keeps the list of what was added, and so what is in it; once.
 extern "C" fn keep_added(removed: Handle, added: Handle, user: *mut c_void) {
-    // SAFETY: `user` is the pointer that was registered, which lives for ever; both lists are given away to this function.
+    // SAFETY: `user` is the pointer that was registered, which lives for ever; both lists are given
+    // away to this function.
     unsafe {
         rs2_delete_device_list(removed);
         let kept = &*user.cast::<AtomicPtr<c_void>>();

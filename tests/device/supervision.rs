@@ -1,4 +1,5 @@
-//! The daemon beside a camera that goes wrong: which state it tells, with which reason, and that a session goes on.
+//! The daemon beside a camera that goes wrong: which state it tells, with which reason, and that a
+//! session goes on.
 
 use std::fs;
 use std::process::{Command, Stdio};
@@ -28,11 +29,36 @@ const REFUSED: &str = "the driver answers: ";
 
 const FAULTS: [Fault; 7] = [
     Fault { name: "fatal error", begin: || press(VIVID, FATAL), told: REFUSED, end: || {} },
-    Fault { name: "disconnect", begin: || press(VIVID, "disconnect=1"), told: "it was unplugged", end: || {} },
-    Fault { name: "reqbufs", begin: || refuse_next_start("reqbufs"), told: "Invalid argument", end: || {} },
-    Fault { name: "qbuf", begin: || refuse_next_start("qbuf"), told: "Invalid argument", end: || {} },
-    Fault { name: "streamon", begin: || refuse_next_start("streamon"), told: "Invalid argument", end: || {} },
-    Fault { name: "silence", begin: || drop_frames(100), told: "no frame for ", end: || drop_frames(0) },
+    Fault {
+        name: "disconnect",
+        begin: || press(VIVID, "disconnect=1"),
+        told: "it was unplugged",
+        end: || {},
+    },
+    Fault {
+        name: "reqbufs",
+        begin: || refuse_next_start("reqbufs"),
+        told: "Invalid argument",
+        end: || {},
+    },
+    Fault {
+        name: "qbuf",
+        begin: || refuse_next_start("qbuf"),
+        told: "Invalid argument",
+        end: || {},
+    },
+    Fault {
+        name: "streamon",
+        begin: || refuse_next_start("streamon"),
+        told: "Invalid argument",
+        end: || {},
+    },
+    Fault {
+        name: "silence",
+        begin: || drop_frames(100),
+        told: "no frame for ",
+        end: || drop_frames(0),
+    },
     Fault { name: "unbind", begin: unplug, told: "it is not plugged in", end: plug_in },
 ];
 
@@ -54,12 +80,14 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
     }
     let daemon = Daemon::start(CAMERAS);
     let mut events = daemon.camera_events("vivid");
-    let mut told = vec![events.until("lost", &format!("in use by v4l2-ctl (process {})", holder.id()))];
+    let mut told =
+        vec![events.until("lost", &format!("in use by v4l2-ctl (process {})", holder.id()))];
     holder.kill().unwrap();
     holder.wait().unwrap();
     events.until("streaming", "");
     let target = json!({"target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025}, "lens": "brown"});
-    let session = daemon.post("/v1/cameras/vivid/sessions", &target)["id"].as_str().unwrap().to_owned();
+    let session =
+        daemon.post("/v1/cameras/vivid/sessions", &target)["id"].as_str().unwrap().to_owned();
     let session = || daemon.get(&format!("/v1/sessions/{session}"));
 
     let mut before = None;
@@ -68,8 +96,15 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
         (fault.begin)();
         told.push(format!("{}: {}", fault.name, events.until("lost", fault.told)));
         let waiting = session();
-        assert!(waiting["state"] == "collecting" && frames(&waiting) >= seen, "{}: {waiting}", fault.name);
-        assert!(waiting["reason"].as_str().is_some_and(|r| r.starts_with("waits for the camera: ")), "{waiting}");
+        assert!(
+            waiting["state"] == "collecting" && frames(&waiting) >= seen,
+            "{}: {waiting}",
+            fault.name
+        );
+        assert!(
+            waiting["reason"].as_str().is_some_and(|r| r.starts_with("waits for the camera: ")),
+            "{waiting}"
+        );
         if fault.name == "unbind" {
             told.push(costs_nothing(&daemon));
         }
@@ -78,7 +113,12 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
         daemon.wait_for("frames after the fault", || (frames(&session()) > seen).then_some(()));
         // The first fault fills what is kept for ever.
         let footprint = daemon.footprint();
-        assert_eq!(*before.get_or_insert(footprint), footprint, "{}: descriptors and threads", fault.name);
+        assert_eq!(
+            *before.get_or_insert(footprint),
+            footprint,
+            "{}: descriptors and threads",
+            fault.name
+        );
     }
     let (descriptors, threads) = before.unwrap();
     format!("{}; {descriptors} descriptors and {threads} threads after each", told.join("; "))
@@ -100,5 +140,6 @@ fn frames(session: &Value) -> u64 {
 
 fn is_open(process: u32, path: &str) -> bool {
     let open = fs::read_dir(format!("/proc/{process}/fd")).into_iter().flatten().flatten();
-    open.filter_map(|entry| fs::read_link(entry.path()).ok()).any(|target| target.to_str() == Some(path))
+    open.filter_map(|entry| fs::read_link(entry.path()).ok())
+        .any(|target| target.to_str() == Some(path))
 }

@@ -38,7 +38,9 @@ fn listed() -> ListedDevice {
     let deadline = Instant::now() + PATIENCE;
     loop {
         let listing = plumb::capture::v4l2::list_devices();
-        if let Some(device) = listing.devices.into_iter().find(|device| device.serial.as_deref() == Some(SERIAL)) {
+        if let Some(device) =
+            listing.devices.into_iter().find(|device| device.serial.as_deref() == Some(SERIAL))
+        {
             return device;
         }
         assert!(Instant::now() < deadline, "the camera has no node");
@@ -55,27 +57,43 @@ fn options(format: &str) -> CameraOptions {
 pub fn a_usb_camera_streams_holds_still_and_comes_back() -> String {
     let plugged = plug_in();
     let device = listed();
-    assert_eq!((device.name.as_str(), device.driver.as_deref()), ("Software camera", Some("uvcvideo")));
+    assert_eq!(
+        (device.name.as_str(), device.driver.as_deref()),
+        ("Software camera", Some("uvcvideo"))
+    );
     let formats: Vec<&str> = device.formats.iter().map(|format| format.name.as_str()).collect();
     assert_eq!(formats, ["MJPG", "YUYV"]);
     let node = device.paths.last().unwrap().clone();
 
-    let mut walk =
-        Replay::open(Path::new(WALK), &ReplayOptions { pace: Pace::Fastest, ..ReplayOptions::default() }).unwrap();
+    let mut walk = Replay::open(
+        Path::new(WALK),
+        &ReplayOptions { pace: Pace::Fastest, ..ReplayOptions::default() },
+    )
+    .unwrap();
     let shown: Vec<_> = std::iter::from_fn(|| walk.next_frame(Duration::ZERO).ok()).collect();
     let mut yuyv = camera(options("YUYV")).open().unwrap();
     let seen = luma_of(&yuyv.next_frame(PATIENCE).unwrap());
-    assert!(shown.iter().any(|set| luma_of(set).pixels() == seen.pixels()), "a picture that was not shown");
+    assert!(
+        shown.iter().any(|set| luma_of(set).pixels() == seen.pixels()),
+        "a picture that was not shown"
+    );
     drop(yuyv);
 
     let mut opener = camera(options("MJPG"));
     let mut source = opener.open().unwrap();
     assert_eq!(source.description().serial.as_deref(), Some(SERIAL));
     let seen = source.next_frame(PATIENCE).unwrap();
-    assert!(shown.iter().any(|set| set.frames[0].bytes == seen.frames[0].bytes), "JPEG is passed on as it came");
+    assert!(
+        shown.iter().any(|set| set.frames[0].bytes == seen.frames[0].bytes),
+        "JPEG is passed on as it came"
+    );
     let value = |name: &str| {
         let controls = listed().controls;
-        controls.iter().find(|control| control.name == name).and_then(|control| control.value).unwrap()
+        controls
+            .iter()
+            .find(|control| control.name == name)
+            .and_then(|control| control.value)
+            .unwrap()
     };
     let names: Vec<String> = device.controls.iter().map(|control| control.name.clone()).collect();
     let [exposure, focus] = ["exposure_auto", "focus_auto"];
@@ -92,7 +110,11 @@ pub fn a_usb_camera_streams_holds_still_and_comes_back() -> String {
 
     drop(plugged);
     let (_, error) = frames_until_error(&mut *source);
-    assert!(matches!(error, CaptureError::Lost { .. }) && error.to_string().ends_with("it was unplugged"), "{error}");
+    assert!(
+        matches!(error, CaptureError::Lost { .. })
+            && error.to_string().ends_with("it was unplugged"),
+        "{error}"
+    );
     drop(source);
     let absent = opener.open().map(|_| ()).unwrap_err();
     assert!(matches!(absent, CaptureError::Lost { .. }), "{absent}");

@@ -1,8 +1,10 @@
-//! A USB camera made of software: the kernel's own USB core and `uvcvideo` see it on the virtual bus of USB/IP (vhci-hcd).
+//! A USB camera made of software: the kernel's own USB core and `uvcvideo` see it on the virtual
+//! bus of USB/IP (vhci-hcd).
 //!
-//! A gadget on dummy_hcd cannot be one: a UVC gadget streams isochronously, and dummy_hcd refuses such transfers. This
-//! camera streams in bulk, which the UVC class knows too (USB Video Class 1.0, section 2.4.3). The kernel is given one end
-//! of a socket pair; the other is answered here, request by request (Documentation/usb/usbip_protocol.rst).
+//! A gadget on dummy_hcd cannot be one: a UVC gadget streams isochronously, and dummy_hcd refuses
+//! such transfers. This camera streams in bulk, which the UVC class knows too (USB Video Class 1.0,
+//! section 2.4.3). The kernel is given one end of a socket pair; the other is answered here,
+//! request by request (Documentation/usb/usbip_protocol.rst).
 
 use std::collections::VecDeque;
 use std::fs;
@@ -46,7 +48,10 @@ pub struct UsbCamera(UnixStream);
 
 impl UsbCamera {
     /// Plugs it in. `picture` makes its frames, one after the other.
-    pub fn plug_in(model: CameraModel, picture: impl FnMut(Picture) -> Vec<u8> + Send + 'static) -> Self {
+    pub fn plug_in(
+        model: CameraModel,
+        picture: impl FnMut(Picture) -> Vec<u8> + Send + 'static,
+    ) -> Self {
         let (ours, kernels) = UnixStream::pair().unwrap();
         let link = Arc::new(Link::default());
         let streaming = (ours.try_clone().unwrap(), Arc::clone(&link), model.fps);
@@ -96,7 +101,9 @@ struct Request {
 fn read_request(stream: &mut UnixStream) -> Option<Request> {
     let mut header = [0; 48];
     stream.read_exact(&mut header).ok()?;
-    let word = |k: usize| u32::from_be_bytes([header[4 * k], header[4 * k + 1], header[4 * k + 2], header[4 * k + 3]]);
+    let word = |k: usize| {
+        u32::from_be_bytes([header[4 * k], header[4 * k + 1], header[4 * k + 2], header[4 * k + 3]])
+    };
     let (command, inward) = (word(0), word(3) == 1);
     let length = if command == SUBMIT { word(6) } else { word(5) };
     let mut data = vec![0; if command == SUBMIT && !inward { length as usize } else { 0 }];
@@ -105,7 +112,14 @@ fn read_request(stream: &mut UnixStream) -> Option<Request> {
     Some(Request { command, sequence: word(1), inward, endpoint: word(4), length, setup, data })
 }
 
-fn reply(mut stream: &UnixStream, command: u32, sequence: u32, status: i32, length: usize, data: &[u8]) {
+fn reply(
+    mut stream: &UnixStream,
+    command: u32,
+    sequence: u32,
+    status: i32,
+    length: usize,
+    data: &[u8],
+) {
     let mut message = Vec::with_capacity(48 + data.len());
     for word in [command, sequence, 0, 0, 0, status as u32, length as u32, 0, 0, 0, 0, 0] {
         message.extend(word.to_be_bytes());
@@ -132,11 +146,17 @@ fn answer_all(mut stream: UnixStream, link: &Link, model: &CameraModel) {
                     None => reply(&stream, RETURNED, request.sequence, STALL, 0, &[]),
                 }
             }
-            SUBMIT => link.state.lock().unwrap().waiting.push_back((request.sequence, request.length as usize)),
+            SUBMIT => link
+                .state
+                .lock()
+                .unwrap()
+                .waiting
+                .push_back((request.sequence, request.length as usize)),
             UNLINK => {
                 let mut state = link.state.lock().unwrap();
                 let at = state.waiting.iter().position(|(sequence, _)| *sequence == request.length);
-                let status = at.and_then(|at| state.waiting.remove(at)).map_or(0, |_| CONNECTION_RESET);
+                let status =
+                    at.and_then(|at| state.waiting.remove(at)).map_or(0, |_| CONNECTION_RESET);
                 reply(&stream, UNLINKED, request.sequence, status, 0, &[]);
             }
             other => panic!("the kernel asks for {other}"),
@@ -204,14 +224,20 @@ struct CameraControl {
 
 impl Controls {
     fn new(model: &CameraModel) -> Self {
-        let control = |selector, bytes, limits: [u32; 4]| CameraControl { selector, bytes, limits, value: limits[3] };
+        let control = |selector, bytes, limits: [u32; 4]| CameraControl {
+            selector,
+            bytes,
+            limits,
+            value: limits[3],
+        };
         Self {
             device: device_descriptor(),
             configuration: configuration_descriptor(model),
             strings: ["Plumb", "Software camera", model.serial],
             probe: probe_of(1, model.size, model.fps),
             streams: None,
-            // Exposure mode (a resolution that is the set of modes: manual and automatic), exposure, focus, autofocus.
+            // Exposure mode (a resolution that is the set of modes: manual and automatic),
+            // exposure, focus, autofocus.
             camera: [
                 control(0x02, 1, [1, 8, 9, 8]),
                 control(0x04, 4, [1, 10_000, 1, 156]),
@@ -243,7 +269,9 @@ impl Controls {
             (0x00..=0x02, _) => Some(Vec::new()),
             (0x81, 10) => Some(vec![0]),
             (0x21 | 0xa1, _) if index_low == 1 => self.streaming(code, value_high, &request.data),
-            (0x21 | 0xa1, _) if index_high == 1 => self.camera_control(code, value_high, &request.data),
+            (0x21 | 0xa1, _) if index_high == 1 => {
+                self.camera_control(code, value_high, &request.data)
+            }
             _ => None,
         }
     }
@@ -318,7 +346,8 @@ fn device_descriptor() -> Vec<u8> {
     vec![18, 1, 0, 2, 0xef, 2, 1, 64, 0x6b, 0x1d, 0x02, 0x01, 0, 1, 1, 2, 3, 1]
 }
 
-/// One camera terminal, one output, one streaming interface with MJPG and YUY2 over one bulk endpoint.
+/// One camera terminal, one output, one streaming interface with MJPG and YUY2 over one bulk
+/// endpoint.
 fn configuration_descriptor(model: &CameraModel) -> Vec<u8> {
     let mut control = vec![13, 0x24, 1, 0, 1, 40, 0, 0x80, 0x8d, 0x5b, 0, 1, 1];
     control.extend([18, 0x24, 2, 1, 0x01, 0x02, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0x2a, 0, 0x02]);

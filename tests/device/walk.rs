@@ -1,4 +1,5 @@
-//! The product on real devices: a rendered board, walked in front of two cameras, calibrated over HTTP.
+//! The product on real devices: a rendered board, walked in front of two cameras, calibrated over
+//! HTTP.
 
 use std::fs;
 
@@ -20,7 +21,8 @@ source = { kind = "v4l2", device = "/dev/video21" }
 name = "vivid"
 source = { kind = "v4l2", device = "/dev/video0", width = 320, height = 180, format = "GREY", fps = 5 }
 "#;
-/// The shipped recording of a board that is walked about, and what is true of it; the guest sees the host's files.
+/// The shipped recording of a board that is walked about, and what is true of it; the guest sees
+/// the host's files.
 pub const WALK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
 const WALK_TRUTH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.truth.json");
 const FPS: &str = "6";
@@ -36,12 +38,15 @@ pub fn a_walk_is_calibrated_over_http() -> String {
     }
     let start = json!({"target": truth["target"], "lens": "brown"});
     let session = |camera: &str| daemon.post(&format!("/v1/cameras/{camera}/sessions"), &start);
-    let sessions = ["walk", "street", "vivid"].map(|camera| session(camera)["id"].as_str().unwrap().to_owned());
+    let sessions = ["walk", "street", "vivid"]
+        .map(|camera| session(camera)["id"].as_str().unwrap().to_owned());
     let now = |k: usize| daemon.get(&format!("/v1/sessions/{}", sessions[k]));
     let count = |k: usize, field: &str| now(k)[field].as_u64().unwrap();
 
-    // The cable is pulled in the middle of a session: what fed the first camera dies, the third loses its device.
-    let views = daemon.wait_for("views", || Some(count(0, "views_kept")).filter(|views| *views >= 4));
+    // The cable is pulled in the middle of a session: what fed the first camera dies, the third
+    // loses its device.
+    let views =
+        daemon.wait_for("views", || Some(count(0, "views_kept")).filter(|views| *views >= 4));
     drop(yuyv);
     unplug();
     let lost = daemon.wait_for_state("vivid", "lost");
@@ -53,12 +58,17 @@ pub fn a_walk_is_calibrated_over_http() -> String {
         assert_eq!(now(k)["state"], "collecting");
     }
     let street = count(1, "frames_seen");
-    daemon.wait_for("two cameras never hold each other up", || (count(1, "frames_seen") > street).then_some(()));
+    daemon.wait_for("two cameras never hold each other up", || {
+        (count(1, "frames_seen") > street).then_some(())
+    });
     plug_in();
     let _yuyv = Feeder::start("/dev/video20", "YUYV", WALK, FPS);
     daemon.wait_for_state("vivid", "streaming");
-    daemon.wait_for("the third session goes on", || (count(2, "frames_seen") > frames).then_some(()));
-    daemon.wait_for("enough views", || [0, 1].iter().all(|k| count(*k, "views_kept") >= ENOUGH_VIEWS).then_some(()));
+    daemon
+        .wait_for("the third session goes on", || (count(2, "frames_seen") > frames).then_some(()));
+    daemon.wait_for("enough views", || {
+        [0, 1].iter().all(|k| count(*k, "views_kept") >= ENOUGH_VIEWS).then_some(())
+    });
     assert!(count(0, "views_kept") > views, "what was gathered before is still there");
 
     let mut told = Vec::new();
@@ -87,5 +97,8 @@ fn compared(format: &str, calibration: &Value, truth: &Value) -> String {
     }
     let views = found["views"].as_array().unwrap().len();
     let (fx, rms) = (&found["lens"]["fx"], found["rms_px"].as_f64().unwrap());
-    format!("{format}: {views} views, rms {rms:.3} px, fx {fx} (true {}), at most {worst:.1} σ off", true_lens["fx"])
+    format!(
+        "{format}: {views} views, rms {rms:.3} px, fx {fx} (true {}), at most {worst:.1} σ off",
+        true_lens["fx"]
+    )
 }

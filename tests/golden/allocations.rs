@@ -52,8 +52,10 @@ fn asked(work: impl FnOnce()) -> u64 {
 fn pictures() -> Vec<GrayImage> {
     let board = "9x6".parse().unwrap();
     let nuisances = [(false, false), (true, false), (false, true)];
-    let scenes = (0..12).flat_map(|seed| nuisances.map(|(covered, cropped)| (seed, Nuisance { covered, cropped })));
-    let mut pictures: Vec<_> = scenes.map(|(seed, nuisance)| Scene::new(seed, board, nuisance).image).collect();
+    let scenes = (0..12)
+        .flat_map(|seed| nuisances.map(|(covered, cropped)| (seed, Nuisance { covered, cropped })));
+    let mut pictures: Vec<_> =
+        scenes.map(|(seed, nuisance)| Scene::new(seed, board, nuisance).image).collect();
     let stripes = (0..240 * 180).map(|i| if i % 240 / 7 % 2 == 0 { 40 } else { 200 }).collect();
     pictures.push(GrayImage::from_pixels(240, 180, stripes).unwrap());
     pictures.push(GrayImage::filled(240, 180, 99));
@@ -82,7 +84,10 @@ fn a_warm_detector_asks_for_no_memory() {
             let twice = pictures.iter().flat_map(|picture| [picture, picture]);
             twice.filter(|picture| look(detector, picture, tracking)).count()
         };
-        assert!(asked(|| assert!(round(&mut detector) > 20)) > 0, "the first round fills the buffers");
+        assert!(
+            asked(|| assert!(round(&mut detector) > 20)) > 0,
+            "the first round fills the buffers"
+        );
         assert_eq!(asked(|| assert!(round(&mut detector) > 20)), 0, "tracking: {tracking}");
     }
 }

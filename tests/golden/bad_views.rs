@@ -3,7 +3,9 @@
 use plumb::calibration::solve::solve_views;
 use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use plumb::estimation::problem::{CameraProblem, LensChoice};
-use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use plumb::estimation::view_fault::{GridLine, ViewFault};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::Pixel;
@@ -30,9 +32,11 @@ fn problem() -> (SeededCamera, CameraProblem) {
 fn worst_difference_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
     let grid = PixelGrid::over(estimate.image_size, 12);
     let predicted =
-        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity)
+            .unwrap();
     let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
-    let pairs = seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
+    let pairs =
+        seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
     pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }
 
@@ -55,7 +59,8 @@ fn a_tenth_of_the_corners_twenty_pixels_off_change_nothing() {
         let sigmas = worst_difference_in_sigmas(&camera.lens, &estimate);
         assert!(sigmas < 3.0, "{part} of the corners {offset_px} px off: {sigmas} sigma");
         assert!((estimate.noise - camera.noise_px).abs() < 0.005, "noise {}", estimate.noise);
-        let unused = estimate.views.iter().flat_map(|view| &view.used).filter(|used| !**used).count();
+        let unused =
+            estimate.views.iter().flat_map(|view| &view.used).filter(|used| !**used).count();
         assert!(unused >= wrong && unused <= wrong + 2, "{unused} rejected of {wrong} wrong ones");
     }
 }
@@ -64,13 +69,24 @@ fn a_tenth_of_the_corners_twenty_pixels_off_change_nothing() {
 fn a_wrong_view_is_named_and_changes_nothing() {
     let (camera, clean) = problem();
     let grid = |place: &dyn Fn(usize, usize) -> (usize, usize)| -> Vec<usize> {
-        (0..COLS * ROWS).map(|k| place(k % COLS, k / COLS)).map(|(col, row)| row * COLS + col).collect()
+        (0..COLS * ROWS)
+            .map(|k| place(k % COLS, k / COLS))
+            .map(|(col, row)| row * COLS + col)
+            .collect()
     };
     let listed = |k: usize| k % ROWS * COLS + k / ROWS;
     let relabelled: [(&str, Vec<usize>, Option<ViewFault>); 6] = [
         ("mirrored", grid(&|c, r| (COLS - 1 - c, r)), Some(ViewFault::Mirrored)),
-        ("shifted by a column", grid(&|c, r| ((c + 1) % COLS, r)), Some(ViewFault::Shifted(GridLine::Column))),
-        ("shifted by a row", grid(&|c, r| (c, (r + ROWS - 1) % ROWS)), Some(ViewFault::Shifted(GridLine::Row))),
+        (
+            "shifted by a column",
+            grid(&|c, r| ((c + 1) % COLS, r)),
+            Some(ViewFault::Shifted(GridLine::Column)),
+        ),
+        (
+            "shifted by a row",
+            grid(&|c, r| (c, (r + ROWS - 1) % ROWS)),
+            Some(ViewFault::Shifted(GridLine::Row)),
+        ),
         ("transposed", (0..COLS * ROWS).map(listed).collect(), Some(ViewFault::Transposed)),
         ("turned by half", grid(&|c, r| (COLS - 1 - c, ROWS - 1 - r)), None),
         ("shuffled", (0..COLS * ROWS).map(|k| k * 31 % (COLS * ROWS)).collect(), None),
@@ -88,11 +104,18 @@ fn a_wrong_view_is_named_and_changes_nothing() {
             _ => assert_eq!(found, fault, "{name}"),
         }
         let others = solved.estimate.views.iter().enumerate().filter(|(index, _)| *index != 7);
-        assert!(others.into_iter().all(|(_, view)| view.fault.is_none()), "{name}: another view was blamed");
+        assert!(
+            others.into_iter().all(|(_, view)| view.fault.is_none()),
+            "{name}: another view was blamed"
+        );
         let sigmas = worst_difference_in_sigmas(&camera.lens, &solved.estimate);
         assert!(sigmas < 3.0, "{name}: {sigmas} sigma");
         if found.is_some() {
-            assert!(solved.verdict.reasons.iter().any(|reason| reason.contains("`view 7`")), "{:?}", solved.verdict);
+            assert!(
+                solved.verdict.reasons.iter().any(|reason| reason.contains("`view 7`")),
+                "{:?}",
+                solved.verdict
+            );
         }
     }
 }

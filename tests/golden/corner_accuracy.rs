@@ -1,8 +1,10 @@
-//! Refined corners of rendered boards: no bias, scatter as predicted, and near what the noise allows.
+//! Refined corners of rendered boards: no bias, scatter as predicted, and near what the noise
+//! allows.
 //!
-//! Each condition renders views of a board, develops each several times with other noise, and refines from guesses up to a
-//! pixel (or a seventh of a cell) off. The mean over the noise of one corner's error shows the bias that the blur, the tilt
-//! or the lens leave; error over predicted standard deviation shows whether that is honest.
+//! Each condition renders views of a board, develops each several times with other noise, and
+//! refines from guesses up to a pixel (or a seventh of a cell) off. The mean over the noise of one
+//! corner's error shows the bias that the blur, the tilt or the lens leave; error over predicted
+//! standard deviation shows whether that is honest.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumb::detection::board_detection::GridIndex;
@@ -73,11 +75,13 @@ impl Condition {
         let azimuth = random(std::f64::consts::PI);
         let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * self.tilt_deg.to_radians();
         let roll = Vector3::z() * random(0.6);
-        let rotation = UnitQuaternion::from_scaled_axis(tilt) * UnitQuaternion::from_scaled_axis(roll);
+        let rotation =
+            UnitQuaternion::from_scaled_axis(tilt) * UnitQuaternion::from_scaled_axis(roll);
         let distance_m = board.square_m * self.lens.matrix.fx / self.cell_px;
         let aim = Vector3::new(random(0.05), random(0.05), 1.0) * distance_m;
         let size = board.size;
-        let middle = Vector3::new(f64::from(size.cols - 1), f64::from(size.rows - 1), 0.0) * (board.square_m / 2.0);
+        let middle = Vector3::new(f64::from(size.cols - 1), f64::from(size.rows - 1), 0.0)
+            * (board.square_m / 2.0);
         Pose::new(rotation, aim - rotation * middle)
     }
 }
@@ -104,7 +108,8 @@ impl Figures {
         let scatter = (squares - count * (mean[0] * mean[0] + mean[1] * mean[1])) / (count - 1.0);
         self.corners += count;
         self.squares += squares;
-        self.normalized_squares += errors.iter().map(|[x, y, std]| (x * x + y * y) / (2.0 * std * std)).sum::<f64>();
+        self.normalized_squares +=
+            errors.iter().map(|[x, y, std]| (x * x + y * y) / (2.0 * std * std)).sum::<f64>();
         let predicted = errors.iter().map(|[_, _, std]| 2.0 * std * std).sum::<f64>() / count;
         self.scatter += scatter / predicted;
         self.bias_squares += mean[0] * mean[0] + mean[1] * mean[1] - scatter / count;
@@ -134,7 +139,12 @@ pub(crate) fn board() -> Chessboard {
 }
 
 /// Guesses of the corners that lie well inside the image, each moved by up to `reach_px`.
-fn guesses(truth: &[Pixel], size: BoardSize, reach_px: f64, rng: &mut ChaCha8Rng) -> Vec<(usize, GridCorner)> {
+fn guesses(
+    truth: &[Pixel],
+    size: BoardSize,
+    reach_px: f64,
+    rng: &mut ChaCha8Rng,
+) -> Vec<(usize, GridCorner)> {
     let moved: Vec<Option<Pixel>> = truth
         .iter()
         .map(|pixel| {
@@ -163,7 +173,8 @@ fn guesses(truth: &[Pixel], size: BoardSize, reach_px: f64, rng: &mut ChaCha8Rng
 fn measure(condition: &Condition) -> Figures {
     let board = board();
     let sensor = condition.sensor();
-    let mut renderer = Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 0));
+    let mut renderer =
+        Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 0));
     let (mut refiner, mut refined) = (Refiner::new(), Vec::new());
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut figures = Figures::default();
@@ -185,7 +196,11 @@ fn measure(condition: &Condition) -> Figures {
             for (slot, refined) in slots.iter().zip(&refined) {
                 match refined {
                     Some(RefinedCorner { pixel, std_px, .. }) => {
-                        errors[*slot].push([pixel.x - seen[*slot].x, pixel.y - seen[*slot].y, *std_px]);
+                        errors[*slot].push([
+                            pixel.x - seen[*slot].x,
+                            pixel.y - seen[*slot].y,
+                            *std_px,
+                        ]);
                     }
                     None => figures.missing += 1,
                 }
@@ -243,7 +258,8 @@ fn places_between_corners_are_refused() {
     let board = board();
     let condition = ordinary("between", 0.0);
     let sensor = condition.sensor();
-    let mut renderer = Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 12));
+    let mut renderer =
+        Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 12));
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let camera_from_board = condition.pose(&board, &mut rng);
     let image = sensor.develop(&renderer.light(&[camera_from_board]), 3, 0);
@@ -255,8 +271,10 @@ fn places_between_corners_are_refused() {
             .iter()
             .map(|p| condition.lens.pixel_from_point(&(camera_from_board * (*p + step))).unwrap())
             .collect::<Vec<_>>();
-        let corners: Vec<GridCorner> =
-            guesses(&places, board.size, 0.5, &mut rng).into_iter().map(|(_, corner)| corner).collect();
+        let corners: Vec<GridCorner> = guesses(&places, board.size, 0.5, &mut rng)
+            .into_iter()
+            .map(|(_, corner)| corner)
+            .collect();
         refiner.refine(image.view(), &corners, &mut refined);
         let taken = refined.iter().flatten().count();
         assert_eq!(

@@ -1,8 +1,9 @@
-//! Boards with something in front of them: what is answered beside a cover is as certain as it says.
+//! Boards with something in front of them: what is answered beside a cover is as certain as it
+//! says.
 //!
-//! A cover ends beside a corner, crosses its window or hides a part of it. Its edge may be taken for one of the corner's own,
-//! and it darkens or brightens what the window sees: such corners must be left out or told to be uncertain, and must mislead
-//! no other.
+//! A cover ends beside a corner, crosses its window or hides a part of it. Its edge may be taken
+//! for one of the corner's own, and it darkens or brightens what the window sees: such corners must
+//! be left out or told to be uncertain, and must mislead no other.
 
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;
@@ -39,7 +40,13 @@ impl Cover {
             1 => 0.85,
             _ => rng.random_range(0.05..0.85),
         };
-        Self { middle, along, half, value, softness_px: 3.0 * (blur_px * blur_px + 1.0 / 12.0).sqrt() }
+        Self {
+            middle,
+            along,
+            half,
+            value,
+            softness_px: 3.0 * (blur_px * blur_px + 1.0 / 12.0).sqrt(),
+        }
     }
 
     /// How far within it a pixel is, along it and across; negative outside.
@@ -55,8 +62,10 @@ impl Cover {
 
     fn shade(&self, light: &mut [f32]) {
         for (k, light) in light.iter_mut().enumerate() {
-            let pixel = Pixel::new((k % SIZE.width as usize) as f64, (k / SIZE.width as usize) as f64);
-            let [along, across] = self.depths_px(pixel).map(|depth| (0.5 + depth / self.softness_px).clamp(0.0, 1.0));
+            let pixel =
+                Pixel::new((k % SIZE.width as usize) as f64, (k / SIZE.width as usize) as f64);
+            let [along, across] =
+                self.depths_px(pixel).map(|depth| (0.5 + depth / self.softness_px).clamp(0.0, 1.0));
             *light += (along * across * (self.value - f64::from(*light))) as f32;
         }
     }
@@ -84,7 +93,8 @@ impl Figures {
             .iter()
             .map(|p| condition.lens.pixel_from_point(&(camera_from_board * *p)).unwrap())
             .collect();
-        let mut renderer = Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(seed, 4));
+        let mut renderer =
+            Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(seed, 4));
         let bare = renderer.light(&[camera_from_board]);
         let mut detector = Detector::new(board.size);
         for index in 0..COVERS {
@@ -94,7 +104,8 @@ impl Figures {
             cover.shade(&mut light);
             let image = sensor.develop(&light, seed, index);
             let options = DetectOptions { allow_partial: true };
-            let visible: Vec<bool> = truth.iter().map(|corner| cover.is_clear_of(*corner)).collect();
+            let visible: Vec<bool> =
+                truth.iter().map(|corner| cover.is_clear_of(*corner)).collect();
             self.visible += visible.iter().filter(|&&visible| visible).count();
             let Ok(detection) = detector.find_board(image.view(), &options) else { continue };
             for corner in &detection.corners {
@@ -124,8 +135,13 @@ fn no_corner_beside_a_cover_is_far_off_and_nearly_all_are_seen() {
     }
     let Figures { visible, seen, answered, squares, worst } = figures;
     let rms = (squares / answered as f64).sqrt();
-    println!("{answered} corners, {seen} of {visible} visible ones; error/std {rms:.3}, at worst {worst:.2}");
+    println!(
+        "{answered} corners, {seen} of {visible} visible ones; error/std {rms:.3}, at worst {worst:.2}"
+    );
     assert!(worst < 5.0, "at worst {worst:.2} standard deviations off");
     assert!((0.85..1.15).contains(&rms), "error/std {rms:.3}");
-    assert!(seen as f64 > 0.97 * visible as f64 && visible > 3000, "{seen} of {visible} visible corners");
+    assert!(
+        seen as f64 > 0.97 * visible as f64 && visible > 3000,
+        "{seen} of {visible} visible corners"
+    );
 }

@@ -1,6 +1,7 @@
-//! Never a wrong label: more than four thousand small seeded pictures of boards, whole, covered, cropped, both at once, turned and
-//! inverted, and of boards of another size, with noise and blur. A board may be missed, within the rates below, which may only
-//! tighten; what is answered is right.
+//! Never a wrong label: more than four thousand small seeded pictures of boards, whole, covered,
+//! cropped, both at once, turned and inverted, and of boards of another size, with noise and blur.
+//! A board may be missed, within the rates below, which may only tighten; what is answered is
+//! right.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -17,7 +18,8 @@ use rand_distr::{Distribution, Normal};
 
 const WIDTH: usize = 240;
 const HEIGHT: usize = 180;
-/// What is answered lies this near to the truth, in parts of the shortest step of the board in the picture.
+/// What is answered lies this near to the truth, in parts of the shortest step of the board in the
+/// picture.
 const TOLERANCE: f64 = 0.3;
 
 /// What is done to a picture.
@@ -31,7 +33,8 @@ pub(crate) struct Nuisance {
 pub(crate) struct Scene {
     pub(crate) image: GrayImage,
     pub(crate) board: BoardSize,
-    /// Row by row, in an order whose first corner has a dark outer diagonal square unless `inverted`.
+    /// Row by row, in an order whose first corner has a dark outer diagonal square unless
+    /// `inverted`.
     pub(crate) corners: Vec<[f64; 2]>,
     pub(crate) inverted: bool,
 }
@@ -55,7 +58,9 @@ impl Scene {
         (light, inverted): (&Light, bool),
     ) -> Self {
         let corners = (0..board.rows * board.cols)
-            .map(|k| project(pixel_from_board, f64::from(k % board.cols), f64::from(k / board.cols)))
+            .map(|k| {
+                project(pixel_from_board, f64::from(k % board.cols), f64::from(k / board.cols))
+            })
             .collect();
         let image = render(rng, pixel_from_board, board, cover, light);
         Self { image, board, corners, inverted }
@@ -67,13 +72,14 @@ impl Scene {
         let apart = |a: usize, b: usize| {
             (self.corners[a][0] - self.corners[b][0]).hypot(self.corners[a][1] - self.corners[b][1])
         };
-        let along = (0..self.corners.len()).filter(|k| k % cols + 1 < cols).map(|k| apart(k, k + 1));
+        let along =
+            (0..self.corners.len()).filter(|k| k % cols + 1 < cols).map(|k| apart(k, k + 1));
         let down = (0..self.corners.len() - cols).map(|k| apart(k, k + cols));
         along.chain(down).fold(f64::MAX, f64::min)
     }
 
-    /// How far the answer is from the truth at worst, if index (0, 0) of the answer is the truth's `(col, row)` and the
-    /// answer's axes are turned by `turns` quarter turns.
+    /// How far the answer is from the truth at worst, if index (0, 0) of the answer is the truth's
+    /// `(col, row)` and the answer's axes are turned by `turns` quarter turns.
     fn worst_px(&self, found: &Detection, first: (i32, i32), turns: u8) -> f64 {
         let size = (self.board.cols as i32, self.board.rows as i32);
         found.corners.iter().fold(0.0, |worst: f64, corner| {
@@ -90,20 +96,23 @@ impl Scene {
 
     /// Whether every corner of `found` is where it says and which it says.
     pub(crate) fn is_right(&self, found: &Detection) -> bool {
-        let near = |first, turns| self.worst_px(found, first, turns) < TOLERANCE * self.shortest_step_px();
+        let near =
+            |first, turns| self.worst_px(found, first, turns) < TOLERANCE * self.shortest_step_px();
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         if !found.position_known {
             let everywhere = (-rows.max(cols)..2 * rows.max(cols))
                 .flat_map(|r| (-rows.max(cols)..2 * rows.max(cols)).map(move |c| (c, r)));
             return everywhere.into_iter().any(|first| (0..4).any(|turns| near(first, turns)));
         }
-        let starts = [((0, 0), 0), ((cols - 1, 0), 1), ((cols - 1, rows - 1), 2), ((0, rows - 1), 3)];
+        let starts =
+            [((0, 0), 0), ((cols - 1, 0), 1), ((cols - 1, rows - 1), 2), ((0, rows - 1), 3)];
         let canonical = |turns: u8| match (self.board.orientation_ambiguous(), cols == rows) {
             (true, true) => true,
             (true, false) => turns.is_multiple_of(2),
             (false, _) => turns == if self.inverted { 2 } else { 0 },
         };
-        let answered = starts.into_iter().find(|&(first, turns)| canonical(turns) && near(first, turns));
+        let answered =
+            starts.into_iter().find(|&(first, turns)| canonical(turns) && near(first, turns));
         let Some((first, turns)) = answered else { return false };
         if !found.orientation_ambiguous || found.partial {
             return true;
@@ -112,8 +121,10 @@ impl Scene {
             let [x, y] = self.corners[(r * cols + c) as usize];
             x * x + y * y
         };
-        let nearest =
-            starts.into_iter().filter(|s| canonical(s.1)).all(|s| from_top_left(first) <= from_top_left(s.0) + 1.0);
+        let nearest = starts
+            .into_iter()
+            .filter(|s| canonical(s.1))
+            .all(|s| from_top_left(first) <= from_top_left(s.0) + 1.0);
         nearest && canonical(turns)
     }
 }
@@ -136,7 +147,11 @@ impl Light {
         Self {
             squares,
             margin: squares[1],
-            behind: [rng.random_range(20.0..200.0), rng.random_range(-0.3..0.3), rng.random_range(-0.3..0.3)],
+            behind: [
+                rng.random_range(20.0..200.0),
+                rng.random_range(-0.3..0.3),
+                rng.random_range(-0.3..0.3),
+            ],
             slope: [rng.random_range(-0.001..0.001), rng.random_range(-0.001..0.001)],
             blur_px: rng.random_range(0.5..1.1),
             noise: rng.random_range(0.5..6.0),
@@ -171,22 +186,36 @@ impl Cover {
 }
 
 /// A pinhole camera before a tilted board, all of it in the picture unless `cropped`.
-pub(crate) fn pixel_from_board(rng: &mut ChaCha8Rng, board: BoardSize, cropped: bool) -> Matrix3<f64> {
+pub(crate) fn pixel_from_board(
+    rng: &mut ChaCha8Rng,
+    board: BoardSize,
+    cropped: bool,
+) -> Matrix3<f64> {
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     loop {
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..std::f64::consts::TAU));
-        let axis =
-            Rotation3::from_axis_angle(&Vector3::z_axis(), rng.random_range(0.0..std::f64::consts::TAU)) * Vector3::x();
+        let turn = Rotation3::from_axis_angle(
+            &Vector3::z_axis(),
+            rng.random_range(0.0..std::f64::consts::TAU),
+        );
+        let axis = Rotation3::from_axis_angle(
+            &Vector3::z_axis(),
+            rng.random_range(0.0..std::f64::consts::TAU),
+        ) * Vector3::x();
         let tilt = Rotation3::new(axis * rng.random_range(0.0..0.9));
         let rotation = tilt * turn;
         let focal = 220.0;
         let distance = focal * cols.max(rows) / rng.random_range(110.0..230.0);
         let middle = rotation * Vector3::new((cols - 1.0) / 2.0, (rows - 1.0) / 2.0, 0.0);
-        let aside = [rng.random_range(-0.2..0.2) * distance, rng.random_range(-0.15..0.15) * distance];
+        let aside =
+            [rng.random_range(-0.2..0.2) * distance, rng.random_range(-0.15..0.15) * distance];
         let shift = Vector3::new(aside[0], aside[1], distance) - middle;
         let camera = Matrix3::new(focal, 0.0, 119.5, 0.0, focal, 89.5, 0.0, 0.0, 1.0);
         let matrix = camera
-            * Matrix3::from_columns(&[rotation.matrix().column(0).into(), rotation.matrix().column(1).into(), shift]);
+            * Matrix3::from_columns(&[
+                rotation.matrix().column(0).into(),
+                rotation.matrix().column(1).into(),
+                shift,
+            ]);
         let inside = |c: f64, r: f64| {
             let [x, y] = project(&matrix, c, r);
             (5.0..234.0).contains(&x) && (5.0..174.0).contains(&y)
@@ -228,7 +257,9 @@ fn render(
             return Part::Cover;
         }
         let [c, r] = project(&board_from_pixel, x, y);
-        let within = |edge: f64| (-edge..cols - 1.0 + edge).contains(&c) && (-edge..rows - 1.0 + edge).contains(&r);
+        let within = |edge: f64| {
+            (-edge..cols - 1.0 + edge).contains(&c) && (-edge..rows - 1.0 + edge).contains(&r)
+        };
         match () {
             () if within(1.0) => Part::Square(c.floor() as i32, r.floor() as i32),
             () if within(1.8) => Part::Margin,
@@ -241,12 +272,16 @@ fn render(
             Part::Cover => cover.map_or(0.0, |cover| cover.value),
             Part::Square(c, r) => shade * light.squares[(c + r).rem_euclid(2) as usize],
             Part::Margin => shade * light.margin,
-            Part::Behind => light.behind[0] + light.behind[1] * (x - 120.0) + light.behind[2] * (y - 90.0),
+            Part::Behind => {
+                light.behind[0] + light.behind[1] * (x - 120.0) + light.behind[2] * (y - 90.0)
+            }
         }
     };
     let noise = Normal::new(0.0, light.noise).unwrap();
     let spread = (light.blur_px * light.blur_px + 1.0 / 12.0).sqrt() * 1.2247 * 0.58;
-    let points = || (-2..=2).flat_map(|j| (-2..=2).map(move |i| [f64::from(i) * spread, f64::from(j) * spread]));
+    let points = || {
+        (-2..=2).flat_map(|j| (-2..=2).map(move |i| [f64::from(i) * spread, f64::from(j) * spread]))
+    };
     let mut pixels = Vec::with_capacity(WIDTH * HEIGHT);
     for (y, x) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (y as f64, x as f64))) {
         let middle = part_at(x, y);
@@ -255,7 +290,8 @@ fn render(
         let mean = if ends.into_iter().all(|[dx, dy]| part_at(x + dx, y + dy) == middle) {
             value(middle, x, y)
         } else {
-            points().map(|[dx, dy]| value(part_at(x + dx, y + dy), x + dx, y + dy)).sum::<f64>() / 25.0
+            points().map(|[dx, dy]| value(part_at(x + dx, y + dy), x + dx, y + dy)).sum::<f64>()
+                / 25.0
         };
         pixels.push((mean + noise.sample(rng)).clamp(0.0, 255.0) as u8);
     }
@@ -273,8 +309,8 @@ enum Outcome {
     Wrong(String),
 }
 
-/// The answers of `look` for the numbers below `count`, in their order, worked at by as many threads as there are processors.
-/// Each thread begins with `begin`.
+/// The answers of `look` for the numbers below `count`, in their order, worked at by as many
+/// threads as there are processors. Each thread begins with `begin`.
 fn in_parallel<S, T: Send>(
     count: usize,
     begin: impl Fn() -> S + Sync,
@@ -312,7 +348,9 @@ fn outcome(detectors: &mut [Detector], number: usize, nuisance: Nuisance) -> Out
         return Outcome::TooSmall;
     }
     let options = DetectOptions { allow_partial: true };
-    let Ok(found) = detectors[kind].find_board(scene.image.view(), &options) else { return Outcome::Missed };
+    let Ok(found) = detectors[kind].find_board(scene.image.view(), &options) else {
+        return Outcome::Missed;
+    };
     if !scene.is_right(&found) {
         return Outcome::Wrong(format!("board {board}, seed {seed}: {found:?}"));
     }
@@ -333,8 +371,9 @@ struct Rates {
 /// Looks for each of the boards in `count` pictures of each.
 fn rates(count: usize, nuisance: Nuisance) -> Rates {
     let detectors = || BOARDS.map(|board| Detector::new(board.parse().unwrap()));
-    let outcomes =
-        in_parallel(count * BOARDS.len(), detectors, |detectors, number| outcome(detectors, number, nuisance));
+    let outcomes = in_parallel(count * BOARDS.len(), detectors, |detectors, number| {
+        outcome(detectors, number, nuisance)
+    });
     let (mut seen, mut answered, mut whole, mut wrong) = (0, 0, 0, Vec::new());
     for outcome in outcomes {
         seen += u32::from(!matches!(outcome, Outcome::TooSmall));
@@ -342,7 +381,11 @@ fn rates(count: usize, nuisance: Nuisance) -> Rates {
         whole += u32::from(matches!(outcome, Outcome::Whole));
         wrong.extend(if let Outcome::Wrong(what) = outcome { Some(what) } else { None });
     }
-    Rates { answered: f64::from(answered) / f64::from(seen), whole: f64::from(whole) / f64::from(seen), wrong }
+    Rates {
+        answered: f64::from(answered) / f64::from(seen),
+        whole: f64::from(whole) / f64::from(seen),
+        wrong,
+    }
 }
 
 #[test]
@@ -384,23 +427,33 @@ fn boards_of_three_by_three_up_to_thirty_by_twenty_are_found() {
         (20, 30, 15.0, (640, 640)),
     ] {
         let middle = (size.0 as f64 / 2.0, size.1 as f64 / 2.0);
-        let picture = Straight { size, corners: (cols, rows), middle, ..Straight::new(square_px) }.picture();
+        let picture =
+            Straight { size, corners: (cols, rows), middle, ..Straight::new(square_px) }.picture();
         let board = BoardSize { cols, rows };
-        let found = Detector::new(board).find_board(picture.view(), &DetectOptions { allow_partial: false });
-        let found = found.unwrap_or_else(|reason| panic!("{board} with squares of {square_px} px: {reason}"));
+        let found = Detector::new(board)
+            .find_board(picture.view(), &DetectOptions { allow_partial: false });
+        let found = found
+            .unwrap_or_else(|reason| panic!("{board} with squares of {square_px} px: {reason}"));
         for corner in &found.corners {
-            let ahead = found
-                .corners
-                .iter()
-                .find(|other| (other.index.col, other.index.row) == (corner.index.col + 1, corner.index.row));
-            assert!(ahead.is_none_or(|ahead| (corner.pixel.distance_px(ahead.pixel) - square_px).abs() < 0.2));
+            let ahead = found.corners.iter().find(|other| {
+                (other.index.col, other.index.row) == (corner.index.col + 1, corner.index.row)
+            });
+            assert!(ahead.is_none_or(|ahead| {
+                (corner.pixel.distance_px(ahead.pixel) - square_px).abs() < 0.2
+            }));
         }
         assert_eq!(found.corners.len(), board.corner_count());
     }
 }
 
-/// Looks for a 9×6 board, or a part of one, in 60 pictures of each of `others`; none may be answered.
-fn none_is_taken_for_nine_by_six(others: &[&str], first_seed: u64, nuisance: Nuisance, allow_partial: bool) {
+/// Looks for a 9×6 board, or a part of one, in 60 pictures of each of `others`; none may be
+/// answered.
+fn none_is_taken_for_nine_by_six(
+    others: &[&str],
+    first_seed: u64,
+    nuisance: Nuisance,
+    allow_partial: bool,
+) {
     let look = |detector: &mut Detector, number: usize| {
         let (other, index) = (others[number % others.len()], number / others.len());
         let seed = first_seed + (1000 * (number % others.len()) + index) as u64;
@@ -414,14 +467,24 @@ fn none_is_taken_for_nine_by_six(others: &[&str], first_seed: u64, nuisance: Nui
 #[test]
 fn a_board_of_another_size_is_not_the_one_looked_for() {
     let others = ["7x5", "5x4", "8x6", "9x7", "10x6"];
-    none_is_taken_for_nine_by_six(&others, 500_000, Nuisance { covered: false, cropped: false }, false);
+    none_is_taken_for_nine_by_six(
+        &others,
+        500_000,
+        Nuisance { covered: false, cropped: false },
+        false,
+    );
 }
 
 /// Cut off by the picture's border, a small board looks as a part of a larger one does.
 #[test]
 fn a_small_board_cut_off_is_no_part_of_the_one_looked_for() {
     let others = ["4x4", "5x4", "6x3", "5x3"];
-    none_is_taken_for_nine_by_six(&others, 600_000, Nuisance { covered: false, cropped: true }, true);
+    none_is_taken_for_nine_by_six(
+        &others,
+        600_000,
+        Nuisance { covered: false, cropped: true },
+        true,
+    );
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! One camera: exact data gives exact answers, noisy data errors as predicted, bad data refusals that say what to do.
+//! One camera: exact data gives exact answers, noisy data errors as predicted, bad data refusals
+//! that say what to do.
 
 use plumb::calibration::solve::solve_views;
 use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
@@ -20,7 +21,8 @@ fn seeded(camera: &SeededCamera, views: usize, seed: u64) -> CameraProblem {
 }
 
 fn worst_parameter_in_sigmas(camera: &SeededCamera, estimate: &CameraEstimate) -> f64 {
-    let (found, truth, std) = (estimate.lens.parameters(), camera.lens.parameters(), estimate.lens_std());
+    let (found, truth, std) =
+        (estimate.lens.parameters(), camera.lens.parameters(), estimate.lens_std());
     let sigmas = found.iter().zip(truth).zip(std).filter(|(_, std)| *std > 0.0);
     sigmas.map(|((found, truth), std)| (found - truth).abs() / std).fold(0.0, f64::max)
 }
@@ -50,21 +52,28 @@ fn every_lens_model_is_recovered_exactly_from_exact_corners() {
     ];
     for mut camera in cameras {
         camera.noise_px = 0.0;
-        let estimate = calibrate_camera(&seeded(&camera, 15, 1), &with(camera.lens.model())).unwrap();
+        let estimate =
+            calibrate_camera(&seeded(&camera, 15, 1), &with(camera.lens.model())).unwrap();
         let model = camera.lens.model();
         assert!(estimate.rms_px < 1e-6, "{model}: rms {}", estimate.rms_px);
         if model != LensModel::Rational {
             let error = (estimate.lens.matrix.fx - camera.lens.matrix.fx).abs();
             assert!(error < 1e-4, "{model}: fx off by {error}");
         }
-        let unused = estimate.views.iter().find(|view| view.fault.is_some() || view.used.contains(&false));
+        let unused =
+            estimate.views.iter().find(|view| view.fault.is_some() || view.used.contains(&false));
         assert!(unused.is_none(), "{model}: {:?}", unused.map(|view| (&view.name, view.fault)));
     }
 }
 
 #[test]
 fn noisy_corners_give_errors_as_predicted() {
-    for camera in [SeededCamera::ordinary(), SeededCamera::wide(), SeededCamera::fisheye(), SeededCamera::narrow()] {
+    for camera in [
+        SeededCamera::ordinary(),
+        SeededCamera::wide(),
+        SeededCamera::fisheye(),
+        SeededCamera::narrow(),
+    ] {
         let solved = solve_views(&seeded(&camera, 25, 2), &with(camera.lens.model())).unwrap();
         let sigmas = worst_parameter_in_sigmas(&camera, &solved.estimate);
         assert!(sigmas < 3.5, "{}: {sigmas} sigma", camera.lens.model());
@@ -88,14 +97,18 @@ fn what_cannot_be_calibrated_is_refused_with_what_to_do() {
     let two = refused(&|problem| problem.views.truncate(2));
     assert!(matches!(two, EstimationError::TooFewViews { usable: 2, needed: 3, .. }), "{two}");
     let nan = refused(&|problem| problem.views[4].correspondences[7].pixel.x = f64::NAN);
-    assert!(nan.to_string().contains("view `view 4`, point 7: the pixel is not a finite number"), "{nan}");
+    assert!(
+        nan.to_string().contains("view `view 4`, point 7: the pixel is not a finite number"),
+        "{nan}"
+    );
     let spot = refused(&|problem| {
         for view in &mut problem.views[..8] {
             view.correspondences.iter_mut().for_each(|c| c.pixel = Pixel::new(320.0, 240.0));
         }
     });
     assert!(
-        spot.to_string().contains("view `view 0`: its corners were all seen on one line or in one place"),
+        spot.to_string()
+            .contains("view `view 0`: its corners were all seen on one line or in one place"),
         "{spot}"
     );
     let one = refused(&|problem| problem.views.truncate(1));
@@ -105,7 +118,10 @@ fn what_cannot_be_calibrated_is_refused_with_what_to_do() {
         .map(|k| {
             let (a, b) = ((1.3 * f64::from(k)).sin(), (2.1 * f64::from(k)).cos());
             let middle = nalgebra::Vector3::new(3.0 * a, 2.0 * b, 11.0);
-            plumb::geometry::pose::Pose::from_axis_angle(nalgebra::Vector3::new(0.6 * b, 0.6 * a, 0.2 * a), middle)
+            plumb::geometry::pose::Pose::from_axis_angle(
+                nalgebra::Vector3::new(0.6 * b, 0.6 * a, 0.2 * a),
+                middle,
+            )
         })
         .collect();
     let tiny = refusal(&camera.problem(&tiny, &mut SeededCamera::rng(5)));
@@ -119,7 +135,11 @@ fn what_cannot_be_calibrated_is_refused_with_what_to_do() {
         .map(|k| {
             plumb::geometry::pose::Pose::from_axis_angle(
                 nalgebra::Vector3::new(0.0, 0.0, 0.1 * f64::from(k)),
-                nalgebra::Vector3::new(-0.1, -0.08 + 0.005 * f64::from(k), 0.4 + 0.02 * f64::from(k)),
+                nalgebra::Vector3::new(
+                    -0.1,
+                    -0.08 + 0.005 * f64::from(k),
+                    0.4 + 0.02 * f64::from(k),
+                ),
             )
         })
         .collect();

@@ -1,5 +1,5 @@
-//! Boards close before a full fisheye, whose steps shrink by a third from one to the next towards its rim: found, and never
-//! mislabelled.
+//! Boards close before a full fisheye, whose steps shrink by a third from one to the next towards
+//! its rim: found, and never mislabelled.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use plumb::detection::board_detection::DetectOptions;
@@ -30,8 +30,8 @@ fn camera_from_board(rng: &mut ChaCha8Rng, board: BoardSize) -> Matrix3<f64> {
         let aside = Rotation3::new(Vector3::new(angle(0.8), angle(0.8), 0.0));
         let rotation = aside * tilt * turn;
         let away = cols.max(rows) * rng.random_range(0.35..0.7);
-        let first =
-            rotation * Vector3::new(-(cols - 1.0) / 2.0, -(rows - 1.0) / 2.0, 0.0) + aside * Vector3::z() * away;
+        let first = rotation * Vector3::new(-(cols - 1.0) / 2.0, -(rows - 1.0) / 2.0, 0.0)
+            + aside * Vector3::z() * away;
         let axes = rotation.matrix();
         let matrix = Matrix3::from_columns(&[axes.column(0).into(), axes.column(1).into(), first]);
         let ends = [(0.0, 0.0), (cols - 1.0, 0.0), (0.0, rows - 1.0), (cols - 1.0, rows - 1.0)];
@@ -39,7 +39,8 @@ fn camera_from_board(rng: &mut ChaCha8Rng, board: BoardSize) -> Matrix3<f64> {
             let p = matrix * Vector3::new(c, r, 1.0);
             p.xy().norm().atan2(p.z) < 80f64.to_radians()
         };
-        let from_front = axes.column(2).dot(&(matrix * Vector3::new(cols / 2.0, rows / 2.0, 1.0))) > 0.0;
+        let from_front =
+            axes.column(2).dot(&(matrix * Vector3::new(cols / 2.0, rows / 2.0, 1.0))) > 0.0;
         if from_front && ends.into_iter().all(within) {
             return matrix;
         }
@@ -82,14 +83,22 @@ fn scene(seed: u64, board: BoardSize) -> Scene {
     let spread = rng.random_range(0.35..0.6);
     let mut pixels = Vec::with_capacity(SIDE * SIDE);
     for (y, x) in (0..SIDE).flat_map(|y| (0..SIDE).map(move |x| (y as f64, x as f64))) {
-        let points = (-1..=1).flat_map(|j| (-1..=1).map(move |i| (f64::from(i) * spread, f64::from(j) * spread)));
-        let mean = points.map(|(dx, dy)| light(&board_from_camera, board, x + dx, y + dy)).sum::<f64>() / 9.0;
+        let points = (-1..=1)
+            .flat_map(|j| (-1..=1).map(move |i| (f64::from(i) * spread, f64::from(j) * spread)));
+        let mean =
+            points.map(|(dx, dy)| light(&board_from_camera, board, x + dx, y + dy)).sum::<f64>()
+                / 9.0;
         pixels.push((mean + noise.sample(&mut rng)).clamp(0.0, 255.0) as u8);
     }
     let corners = (0..board.rows * board.cols)
         .map(|k| project(&camera_from_board, f64::from(k % board.cols), f64::from(k / board.cols)))
         .collect();
-    Scene { image: GrayImage::from_pixels(SIDE, SIDE, pixels).unwrap(), board, corners, inverted: false }
+    Scene {
+        image: GrayImage::from_pixels(SIDE, SIDE, pixels).unwrap(),
+        board,
+        corners,
+        inverted: false,
+    }
 }
 
 #[test]
@@ -104,12 +113,17 @@ fn boards_in_a_full_fisheye_are_found_and_never_mislabelled() {
                 continue;
             }
             seen += 1;
-            if let Ok(found) = detector.find_board(scene.image.view(), &DetectOptions { allow_partial: true }) {
+            if let Ok(found) =
+                detector.find_board(scene.image.view(), &DetectOptions { allow_partial: true })
+            {
                 assert!(scene.is_right(&found), "board {board}, seed {seed}: {found:?}");
                 answered += 1;
                 whole += u32::from(!found.partial);
             }
         }
     }
-    assert!(seen >= 60 && answered * 100 >= 95 * seen && whole * 100 >= 95 * seen, "{whole} of {answered} of {seen}");
+    assert!(
+        seen >= 60 && answered * 100 >= 95 * seen && whole * 100 >= 95 * seen,
+        "{whole} of {answered} of {seen}"
+    );
 }

@@ -1,7 +1,9 @@
 //! `auto` finds the model that made the pictures, and none with more parameters than they show.
 
 use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
-use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::ImageSize;
 
@@ -19,29 +21,40 @@ fn auto_finds_the_true_model() {
     for camera in cameras {
         let mut rng = SeededCamera::rng(31);
         let poses = camera.poses(30, &mut rng);
-        let estimate = calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default()).unwrap();
+        let estimate =
+            calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default()).unwrap();
         assert_eq!(estimate.lens.model(), camera.lens.model(), "{:?}", estimate.compared);
         assert!(estimate.compared.len() >= 3, "{:?}", estimate.compared);
     }
 }
 
-/// The largest error of a projection over the image, in the standard deviations that are predicted there.
+/// The largest error of a projection over the image, in the standard deviations that are predicted
+/// there.
 fn worst_error_in_sigmas(truth: &Lens, estimate: &CameraEstimate) -> f64 {
     let grid = PixelGrid::over(estimate.image_size, 12);
     let predicted =
-        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity)
+            .unwrap();
     let seen = projection_difference(&estimate.lens, truth, grid, &predicted.weights);
-    let pairs = seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
+    let pairs =
+        seen.iter().zip(&predicted.std_px).filter_map(|(seen, std)| Some(((*seen)?, (*std)?)));
     pairs.map(|([x, y], std)| x.hypot(y) / std).fold(0.0, f64::max)
 }
 
 #[test]
 fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
     let size = ImageSize::new(640, 480);
-    let rational = [560.0, 555.0, 328.0, 235.0, 0.0, 0.3, -0.1, 0.0008, -0.0005, 0.01, 0.52, -0.05, 0.02];
+    let rational =
+        [560.0, 555.0, 328.0, 235.0, 0.0, 0.3, -0.1, 0.0008, -0.0005, 0.01, 0.52, -0.05, 0.02];
     let cameras = [
-        ("pinhole", SeededCamera::new(LensModel::Pinhole, size, &[560.0, 555.0, 328.0, 235.0, 0.0])),
-        ("radial", SeededCamera::new(LensModel::Radial, size, &[560.0, 555.0, 328.0, 235.0, 0.0, -0.2])),
+        (
+            "pinhole",
+            SeededCamera::new(LensModel::Pinhole, size, &[560.0, 555.0, 328.0, 235.0, 0.0]),
+        ),
+        (
+            "radial",
+            SeededCamera::new(LensModel::Radial, size, &[560.0, 555.0, 328.0, 235.0, 0.0, -0.2]),
+        ),
         ("ordinary", SeededCamera::ordinary()),
         ("narrow", SeededCamera::narrow()),
         ("wide", SeededCamera::wide()),
@@ -52,7 +65,9 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
         for (views, seed) in [(12, 0), (12, 1), (20, 2), (20, 3), (40, 4)] {
             let mut rng = SeededCamera::rng(4100 + seed);
             let poses = camera.poses(views, &mut rng);
-            let estimate = calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default()).unwrap();
+            let estimate =
+                calibrate_camera(&camera.problem(&poses, &mut rng), &CameraOptions::default())
+                    .unwrap();
             let case = format!("{name}, {views} views, seed {seed}: {:?}", estimate.compared);
             let (found, truth) = (estimate.lens.parameters().len(), camera.lens.parameters().len());
             assert!(found <= truth, "{found} parameters of {truth}: {case}");

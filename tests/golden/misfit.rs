@@ -4,7 +4,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 use plumb::calibration::solve::{SolvedCamera, solve_views};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::problem::{CameraProblem, LensChoice};
-use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pose::Pose;
 use rand_distr::{Distribution, Normal};
@@ -19,8 +21,8 @@ fn says(solved: &SolvedCamera, word: &str) -> bool {
     solved.verdict.reasons.iter().any(|reason| reason.contains(word))
 }
 
-/// A camera that reads its rows one after another while the board moves at random, each view otherwise: per picture's
-/// height by `shift_m` along each axis and `turn` about each.
+/// A camera that reads its rows one after another while the board moves at random, each view
+/// otherwise: per picture's height by `shift_m` along each axis and `turn` about each.
 fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamera, CameraProblem) {
     let camera = SeededCamera::ordinary();
     let mut rng = SeededCamera::rng(seed);
@@ -28,7 +30,8 @@ fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamer
     let mut problem = camera.problem(&poses, &mut rng);
     let normal = Normal::new(0.0, 1.0).unwrap();
     for (view, pose) in problem.views.iter_mut().zip(&poses) {
-        let [shift, turn] = [shift_m, turn].map(|scale| Vector3::from_fn(|_, _| scale * normal.sample(&mut rng)));
+        let [shift, turn] =
+            [shift_m, turn].map(|scale| Vector3::from_fn(|_, _| scale * normal.sample(&mut rng)));
         for corner in &mut view.correspondences {
             let still = camera.lens.pixel_from_point(&(*pose * corner.point_in_board)).unwrap();
             let mut seen = still;
@@ -47,7 +50,8 @@ fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamer
 
 #[test]
 fn a_rolling_shutter_is_named() {
-    // Shears along rows and along columns differ by a turn alone: a view or two seen from the front may not tell.
+    // Shears along rows and along columns differ by a turn alone: a view or two seen from the front
+    // may not tell.
     let mut named = 0;
     for seed in 0..8 {
         let (_, problem) = rolling(14, seed, (0.002, 0.006));
@@ -65,7 +69,13 @@ fn what_moves_whole_views_is_in_the_uncertainty() {
         let (camera, problem) = rolling(20, 100 + seed, (0.002, 0.006));
         let estimate = solve_views(&problem, &brown()).unwrap().estimate;
         let grid = PixelGrid::over(camera.size, 10);
-        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        let map = projection_uncertainty(
+            &estimate.lens,
+            &estimate.lens_covariance,
+            grid,
+            Distance::Infinity,
+        )
+        .unwrap();
         let difference = projection_difference(&camera.lens, &estimate.lens, grid, &map.weights);
         let seen: Vec<_> = difference.into_iter().flatten().collect();
         observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
@@ -73,8 +83,14 @@ fn what_moves_whole_views_is_in_the_uncertainty() {
         alone += map.mean_square_px2() / estimate.shared_error;
     }
     let (ratio, naive) = (f64::sqrt(observed / predicted), f64::sqrt(observed / alone));
-    assert!((0.5..1.6).contains(&ratio), "observed over predicted {ratio}; corner by corner {naive}");
-    assert!(naive > 2.0, "the test means to have views that differ more than their corners' scatter: {naive}");
+    assert!(
+        (0.5..1.6).contains(&ratio),
+        "observed over predicted {ratio}; corner by corner {naive}"
+    );
+    assert!(
+        naive > 2.0,
+        "the test means to have views that differ more than their corners' scatter: {naive}"
+    );
 }
 
 #[test]
@@ -87,16 +103,21 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
         for (view, pose) in problem.views.iter_mut().zip(&poses) {
             for corner in &mut view.correspondences {
                 let mut point = corner.point_in_board;
-                // A twist: half a millimetre up at two corners of the board, as much down at the others.
+                // A twist: half a millimetre up at two corners of the board, as much down at the
+                // others.
                 point.z = 0.0005 * (point.x / 0.12 - 1.0) * (point.y / 0.075 - 1.0);
-                let [flat, bent] =
-                    [corner.point_in_board, point].map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
+                let [flat, bent] = [corner.point_in_board, point]
+                    .map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
                 corner.pixel.x += bent.x - flat.x;
                 corner.pixel.y += bent.y - flat.y;
             }
         }
         let solved = solve_views(&problem, &brown()).unwrap();
-        assert!(says(&solved, "uneven by 1.") || says(&solved, "uneven by 0.9"), "seed {seed}: {:?}", solved.verdict);
+        assert!(
+            says(&solved, "uneven by 1.") || says(&solved, "uneven by 0.9"),
+            "seed {seed}: {:?}",
+            solved.verdict
+        );
         assert!(!says(&solved, "rolling shutter"), "seed {seed}: {:?}", solved.verdict);
     }
 }

@@ -1,4 +1,5 @@
-//! Real photographs through `plumb calibrate`, against what OpenCV reaches on them with `cornerSubPix`.
+//! Real photographs through `plumb calibrate`, against what OpenCV reaches on them with
+//! `cornerSubPix`.
 
 use std::process::Command;
 
@@ -11,10 +12,12 @@ fn calibrate(name: &str, pattern: &str, board: &str, square: &str) -> Option<Val
     Some(calibration(name, pattern, board, square)?["sensors"]["color"].take())
 }
 
-/// Calibrates from `pattern` (a glob pattern inside the folder `name` of the real pictures); `None` where there are none.
+/// Calibrates from `pattern` (a glob pattern inside the folder `name` of the real pictures); `None`
+/// where there are none.
 fn calibration(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
     let source = shared_data(name)?.join(pattern).display().to_string();
-    let arguments = ["calibrate", "--json", "--lens", "brown", "--board", board, "--square", square, &source];
+    let arguments =
+        ["calibrate", "--json", "--lens", "brown", "--board", board, "--square", square, &source];
     let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     Some(serde_json::from_slice(&output.stdout).unwrap())
@@ -24,7 +27,11 @@ fn calibration(name: &str, pattern: &str, board: &str, square: &str) -> Option<V
 fn expect(sensor: &Value, views: usize, rms_px: f64) {
     let listed = sensor["views"].as_array().unwrap();
     let unused: Vec<&Value> = listed.iter().filter(|view| view["used"] != true).collect();
-    assert!(listed.len() == views && unused.is_empty(), "{} views, not used: {unused:?}", listed.len());
+    assert!(
+        listed.len() == views && unused.is_empty(),
+        "{} views, not used: {unused:?}",
+        listed.len()
+    );
     let found_px = sensor["rms_px"].as_f64().unwrap();
     assert!(found_px <= rms_px, "{found_px} px, at most {rms_px}");
 }
@@ -44,7 +51,9 @@ fn the_left_camera_of_opencv_s_samples() {
 
 #[test]
 fn the_right_camera_of_opencv_s_samples() {
-    let Some(sensor) = calibrate("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm") else { return };
+    let Some(sensor) = calibrate("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm") else {
+        return;
+    };
     expect(&sensor, 13, 0.207);
 }
 
@@ -73,8 +82,12 @@ fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
         let Some(calibration) = calibration(name, pattern, board, square) else { return };
         let ratio = calibration["checks"]["split_half_ratio"].as_f64().unwrap();
         let reasons = calibration["verdict"]["reasons"].as_array().unwrap();
-        let says = |word: &str| reasons.iter().any(|reason| reason.as_str().unwrap().contains(word));
-        assert!(ratio < 2.5 || says("two halves of the views differ"), "{name}: {ratio}, {reasons:?}");
+        let says =
+            |word: &str| reasons.iter().any(|reason| reason.as_str().unwrap().contains(word));
+        assert!(
+            ratio < 2.5 || says("two halves of the views differ"),
+            "{name}: {ratio}, {reasons:?}"
+        );
         assert!(ratio < 3.0 && says(cause), "{name}: {ratio}, {reasons:?}");
     }
 }

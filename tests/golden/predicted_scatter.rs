@@ -3,7 +3,9 @@
 use plumb::calibration::solve::solve_views;
 use plumb::estimation::camera::{CameraOptions, CameraStart, calibrate_camera};
 use plumb::estimation::problem::LensChoice;
-use plumb::estimation::uncertainty::{Distance, PixelGrid, projection_difference, projection_uncertainty};
+use plumb::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use plumb::geometry::lens::LensModel;
 
 use crate::seeded_camera::SeededCamera;
@@ -36,13 +38,21 @@ fn scatter(camera: &SeededCamera, views: usize) -> Scatter {
     for run in 0..RUNS {
         let problem = camera.problem(&poses, &mut SeededCamera::rng(1000 + run));
         let estimate = calibrate_camera(&problem, &with(camera.lens.model())).unwrap();
-        let map = projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, Distance::Infinity).unwrap();
+        let map = projection_uncertainty(
+            &estimate.lens,
+            &estimate.lens_covariance,
+            grid,
+            Distance::Infinity,
+        )
+        .unwrap();
         let difference = projection_difference(&camera.lens, &estimate.lens, grid, &map.weights);
         let seen: Vec<_> = difference.into_iter().flatten().collect();
         observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
         predicted += map.mean_square_px2();
-        for ((sums, truth), (found, std)) in
-            squares.iter_mut().zip(&truth).zip(estimate.lens.parameters().iter().zip(estimate.lens_std()))
+        for ((sums, truth), (found, std)) in squares
+            .iter_mut()
+            .zip(&truth)
+            .zip(estimate.lens.parameters().iter().zip(estimate.lens_std()))
         {
             let error = found - truth;
             *sums = [sums[0] + error, sums[1] + error * error, sums[2] + std * std];
@@ -56,7 +66,10 @@ fn scatter(camera: &SeededCamera, views: usize) -> Scatter {
     let estimated: Vec<_> = squares.iter().filter(|sums| sums[2] > 0.0).collect();
     Scatter {
         projection: (observed / predicted).sqrt(),
-        parameters: estimated.iter().map(|[_, square, predicted]| (square / predicted).sqrt()).collect(),
+        parameters: estimated
+            .iter()
+            .map(|[_, square, predicted]| (square / predicted).sqrt())
+            .collect(),
         bias: estimated.iter().map(|[sum, _, predicted]| sum / predicted.sqrt()).collect(),
         within: within.map(|n| n / count * 100.0),
     }
@@ -76,12 +89,18 @@ fn predicted_and_observed_scatter_agree() {
         println!(
             "{name}: projection {projection:.3}, within {within:.1?} %, bias {bias:.2?}, parameters {parameters:.3?}"
         );
-        assert!((0.85..1.15).contains(&projection), "{name}: observed/predicted projection error {projection}");
+        assert!(
+            (0.85..1.15).contains(&projection),
+            "{name}: observed/predicted projection error {projection}"
+        );
         for (ratio, bias) in parameters.iter().zip(&bias) {
             assert!((0.85..1.15).contains(ratio), "{name}: observed/predicted {parameters:?}");
             assert!(bias.abs() < 3.5, "{name}: bias in its standard deviations {bias:?}");
         }
-        assert!((within[0] - 68.3).abs() < 4.0 && (within[1] - 95.4).abs() < 4.0, "{name}: {within:?} %");
+        assert!(
+            (within[0] - 68.3).abs() < 4.0 && (within[1] - 95.4).abs() < 4.0,
+            "{name}: {within:?} %"
+        );
     }
 }
 
@@ -94,12 +113,19 @@ fn a_wrong_model_is_named() {
     let right = solve_views(&problem, &with(LensModel::KannalaBrandt)).unwrap();
     let ratio = right.checks.split_half_ratio.unwrap();
     assert!((0.3..2.0).contains(&ratio), "split-half ratio {ratio} with the right model");
-    assert!(!right.verdict.reasons.iter().any(|reason| reason.contains("does not fit")), "{:?}", right.verdict);
+    assert!(
+        !right.verdict.reasons.iter().any(|reason| reason.contains("does not fit")),
+        "{:?}",
+        right.verdict
+    );
     for model in [LensModel::Pinhole, LensModel::Radial] {
         // A refusal is as good an answer.
         let Ok(wrong) = solve_views(&problem, &with(model)) else { continue };
         let reasons = &wrong.verdict.reasons;
-        assert!(reasons.iter().any(|reason| reason.contains("the model does not fit")), "{model}: {reasons:?}");
+        assert!(
+            reasons.iter().any(|reason| reason.contains("the model does not fit")),
+            "{model}: {reasons:?}"
+        );
     }
 }
 
@@ -115,7 +141,9 @@ fn going_on_from_an_estimate_gives_the_same_answer() {
     let start: CameraStart = calibrate_camera(&earlier, &options).unwrap().to_start();
     let anew = calibrate_camera(&all, &options).unwrap();
     let warm = calibrate_camera(&all, &CameraOptions { start: Some(start), ..options }).unwrap();
-    for ((warm, anew), std) in warm.lens.parameters().iter().zip(anew.lens.parameters()).zip(anew.lens_std()) {
+    for ((warm, anew), std) in
+        warm.lens.parameters().iter().zip(anew.lens.parameters()).zip(anew.lens_std())
+    {
         assert!((warm - anew).abs() <= 0.01 * std, "{warm} {anew} ± {std}");
     }
 }
@@ -132,17 +160,26 @@ fn a_bent_board_is_named_and_its_bow_can_be_estimated() {
         for corner in &mut view.correspondences {
             let mut point = corner.point_in_board;
             point.z = 0.002 * (1.0 - ((point.x - half_m) / half_m).powi(2));
-            let [flat, bent] =
-                [corner.point_in_board, point].map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
+            let [flat, bent] = [corner.point_in_board, point]
+                .map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
             corner.pixel.x += bent.x - flat.x;
             corner.pixel.y += bent.y - flat.y;
         }
     }
     let flat = solve_views(&problem, &with(LensModel::Brown)).unwrap();
-    assert!(flat.verdict.reasons.iter().any(|reason| reason.contains("bent")), "{:?}", flat.verdict);
-    let bowed = solve_views(&problem, &CameraOptions { warp: true, ..with(LensModel::Brown) }).unwrap();
+    assert!(
+        flat.verdict.reasons.iter().any(|reason| reason.contains("bent")),
+        "{:?}",
+        flat.verdict
+    );
+    let bowed =
+        solve_views(&problem, &CameraOptions { warp: true, ..with(LensModel::Brown) }).unwrap();
     let [x, y] = bowed.estimate.warp_m.unwrap();
     assert!((x - 0.002).abs() < 1e-4 && y.abs() < 1e-4, "bow of {x} {y} m");
     assert!((bowed.estimate.noise - 0.1).abs() < 0.005, "noise {}", bowed.estimate.noise);
-    assert!(!bowed.verdict.reasons.iter().any(|reason| reason.contains("bent")), "{:?}", bowed.verdict);
+    assert!(
+        !bowed.verdict.reasons.iter().any(|reason| reason.contains("bent")),
+        "{:?}",
+        bowed.verdict
+    );
 }

@@ -14,7 +14,11 @@ use plumb::imaging::picture_file::frame_from_file;
 use crate::shared_data::shared_data;
 
 /// What `detector` answers of the picture at `path`.
-pub fn look(detector: &mut Detector, path: &Path, allow_partial: bool) -> Result<Detection, NoBoard> {
+pub fn look(
+    detector: &mut Detector,
+    path: &Path,
+    allow_partial: bool,
+) -> Result<Detection, NoBoard> {
     let mut image = GrayImage::default();
     luma(&frame_from_file(SensorKind::Color, std::fs::read(path).unwrap()), &mut image).unwrap();
     detector.find_board(image.view(), &DetectOptions { allow_partial })
@@ -23,7 +27,8 @@ pub fn look(detector: &mut Detector, path: &Path, allow_partial: bool) -> Result
 /// The pictures in the folder `name`, in the order of their names; there must be `count`.
 pub fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(shared_data(name)?).unwrap().map(|entry| entry.unwrap().path());
-    let is_picture = |path: &PathBuf| path.extension().is_some_and(|kind| kind == "jpg" || kind == "png");
+    let is_picture =
+        |path: &PathBuf| path.extension().is_some_and(|kind| kind == "jpg" || kind == "png");
     let mut paths: Vec<PathBuf> = entries.filter(is_picture).collect();
     paths.sort();
     assert_eq!(paths.len(), count, "{name}");
@@ -31,11 +36,15 @@ pub fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
 }
 
 fn at(found: &Detection, col: i32, row: i32) -> Option<Pixel> {
-    found.corners.iter().find(|corner| (corner.index.col, corner.index.row) == (col, row)).map(|corner| corner.pixel)
+    found
+        .corners
+        .iter()
+        .find(|corner| (corner.index.col, corner.index.row) == (col, row))
+        .map(|corner| corner.pixel)
 }
 
-/// Every square keeps the way round that boards have, and no step along a line is twice the one before: a line that was
-/// skipped or counted twice would break that, whatever the lens.
+/// Every square keeps the way round that boards have, and no step along a line is twice the one
+/// before: a line that was skipped or counted twice would break that, whatever the lens.
 fn assert_even_grid(found: &Detection, path: &Path) {
     let minus = |p: Pixel, q: Pixel| (p.x - q.x, p.y - q.y);
     let mut squares = 0;
@@ -47,9 +56,15 @@ fn assert_even_grid(found: &Detection, path: &Path) {
             squares += 1;
         }
         for (dc, dr) in [(1, 0), (0, 1)] {
-            if let (Some(q), Some(r)) = (at(found, col + dc, row + dr), at(found, col - dc, row - dr)) {
+            if let (Some(q), Some(r)) =
+                (at(found, col + dc, row + dr), at(found, col - dc, row - dr))
+            {
                 let ratio = p.distance_px(q) / p.distance_px(r);
-                assert!((0.55..1.8).contains(&ratio), "{}: step at {col}, {row}: {ratio}", path.display());
+                assert!(
+                    (0.55..1.8).contains(&ratio),
+                    "{}: step at {col}, {row}: {ratio}",
+                    path.display()
+                );
             }
         }
     }
@@ -62,8 +77,14 @@ fn assert_all_whole(folder: &str, count: usize, board: &str) {
     let board: BoardSize = board.parse().unwrap();
     let mut detector = Detector::new(board);
     for path in &paths {
-        let found = look(&mut detector, path, true).unwrap_or_else(|reason| panic!("{}: {reason}", path.display()));
-        assert!(!found.partial && found.position_known, "{}: {} corners", path.display(), found.corners.len());
+        let found = look(&mut detector, path, true)
+            .unwrap_or_else(|reason| panic!("{}: {reason}", path.display()));
+        assert!(
+            !found.partial && found.position_known,
+            "{}: {} corners",
+            path.display(),
+            found.corners.len()
+        );
         assert_eq!(found.corners.len(), board.corner_count());
         assert_even_grid(&found, path);
     }

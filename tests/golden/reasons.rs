@@ -7,7 +7,8 @@ use plumb::imaging::gray::GrayImage;
 
 const BOARD: BoardSize = BoardSize { cols: 9, rows: 6 };
 
-/// A board of `cols` × `rows` inner corners, seen straight on, with the middle of its squares at `middle`.
+/// A board of `cols` × `rows` inner corners, seen straight on, with the middle of its squares at
+/// `middle`.
 pub(crate) struct Straight {
     pub(crate) size: (usize, usize),
     pub(crate) corners: (u32, u32),
@@ -31,7 +32,9 @@ impl Straight {
 
     pub(crate) fn picture(&self) -> GrayImage {
         let (width, height) = self.size;
-        let pixels = (0..width * height).map(|at| self.light((at % width) as f64, (at / width) as f64) as u8).collect();
+        let pixels = (0..width * height)
+            .map(|at| self.light((at % width) as f64, (at / width) as f64) as u8)
+            .collect();
         GrayImage::from_pixels(width, height, pixels).unwrap()
     }
 
@@ -46,7 +49,9 @@ impl Straight {
     /// 1 and −1 by turns from square to square, and 1 from the first to the last.
     fn wave(&self, at: f64, corners: u32) -> (f64, f64) {
         let last = corners + 1;
-        let rise = |k: u32| step((at - (f64::from(k) - f64::from(last) / 2.0) * self.square_px) / self.blur_px);
+        let rise = |k: u32| {
+            step((at - (f64::from(k) - f64::from(last) / 2.0) * self.square_px) / self.blur_px)
+        };
         let sign = |k: u32| if k.is_multiple_of(2) { 1.0 } else { -1.0 };
         let inner: f64 = (1..last).map(|k| 2.0 * sign(k) * rise(k)).sum();
         (rise(0) + inner + sign(last) * rise(last), rise(0) - rise(last))
@@ -75,7 +80,11 @@ fn the_board_itself_is_found() {
 #[test]
 fn a_flat_picture_has_too_little_contrast() {
     let flat = Straight { colours: [100.0, 104.0], ..Straight::new(24.0) };
-    assert!(matches!(reason(&flat), NoBoard::LowContrast { range } if range <= 4), "{}", reason(&flat));
+    assert!(
+        matches!(reason(&flat), NoBoard::LowContrast { range } if range <= 4),
+        "{}",
+        reason(&flat)
+    );
 }
 
 #[test]
@@ -101,7 +110,10 @@ fn a_board_beyond_the_border_is_cut_off() {
     for middle in [(90.0, 120.0), (160.0, 60.0), (240.0, 150.0)] {
         let cut = Straight { middle, ..Straight::new(24.0) };
         let reason = reason(&cut);
-        assert!(matches!(reason, NoBoard::CutOff { seen, .. } if (20..54).contains(&seen)), "{middle:?}: {reason}");
+        assert!(
+            matches!(reason, NoBoard::CutOff { seen, .. } if (20..54).contains(&seen)),
+            "{middle:?}: {reason}"
+        );
         let part = look(&cut.picture(), true).unwrap();
         assert!(part.partial);
     }
@@ -115,7 +127,10 @@ fn a_covered_board_is_incomplete() {
     }
     let covered = GrayImage::from_pixels(320, 240, pixels).unwrap();
     let reason = look(&covered, false).expect_err("covered");
-    assert!(matches!(reason, NoBoard::Incomplete { seen, .. } if (30..54).contains(&seen)), "{reason}");
+    assert!(
+        matches!(reason, NoBoard::Incomplete { seen, .. } if (30..54).contains(&seen)),
+        "{reason}"
+    );
 }
 
 #[test]
@@ -127,6 +142,7 @@ fn a_picture_too_small_for_the_board_says_so() {
 #[test]
 fn a_picture_without_a_board_has_no_corners_of_one() {
     let stripes = (0..320 * 240).map(|at| if at % 320 / 16 % 2 == 0 { 40 } else { 200 }).collect();
-    let reason = look(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");
+    let reason =
+        look(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");
     assert!(matches!(reason, NoBoard::NoCorners | NoBoard::NoGrid { .. }), "{reason}");
 }

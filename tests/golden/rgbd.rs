@@ -1,5 +1,5 @@
-//! Colour and depth together: the predicted uncertainty is the scatter that is observed, depth's error goes away, and what
-//! the factory states stays where it is as good.
+//! Colour and depth together: the predicted uncertainty is the scatter that is observed, depth's
+//! error goes away, and what the factory states stays where it is as good.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -17,12 +17,14 @@ use crate::seeded_rgbd::SeededRgbd;
 
 const RUNS: u64 = 100;
 
-/// Of each run with the same poses and other noise, where depth is found to be off, in predicted standard deviations.
+/// Of each run with the same poses and other noise, where depth is found to be off, in predicted
+/// standard deviations.
 fn scatter(rig: &SeededRgbd, views: usize) -> Vec<Vector6<f64>> {
     let poses = rig.poses(views, &mut SeededCamera::rng(31));
     let truth = rig.depth_from_color.inverse();
     let run = |run: u64| {
-        let found = calibrate_rgbd(&rig.problem(&poses, &mut SeededCamera::rng(500 + run))).unwrap();
+        let found =
+            calibrate_rgbd(&rig.problem(&poses, &mut SeededCamera::rng(500 + run))).unwrap();
         let turn = (found.color_from_depth.rotation() * truth.rotation().inverse()).scaled_axis();
         let shift = found.color_from_depth.translation() - truth.translation();
         let std = |k: usize| found.color_from_depth_covariance[(k, k)].sqrt();
@@ -33,12 +35,16 @@ fn scatter(rig: &SeededRgbd, views: usize) -> Vec<Vector6<f64>> {
 
 /// Each of the six numbers within a fifth of what is predicted, and no run further off than chance.
 fn expect_predicted(name: &str, runs: &[Vector6<f64>]) {
-    let rms = |k: usize| (runs.iter().map(|run| run[k] * run[k]).sum::<f64>() / runs.len() as f64).sqrt();
+    let rms =
+        |k: usize| (runs.iter().map(|run| run[k] * run[k]).sum::<f64>() / runs.len() as f64).sqrt();
     let each: Vec<f64> = (0..6).map(rms).collect();
     let all = (each.iter().map(|rms| rms * rms).sum::<f64>() / 6.0).sqrt();
     let worst = runs.iter().map(nalgebra::Matrix::amax).fold(0.0, f64::max);
     println!("{name}: observed over predicted {all:.3}, each {each:.2?}, worst {worst:.2} sigma");
-    assert!(each.iter().all(|rms| (0.8..1.2).contains(rms)) && worst < 4.5, "{name}: each {each:.2?}, worst {worst}");
+    assert!(
+        each.iter().all(|rms| (0.8..1.2).contains(rms)) && worst < 4.5,
+        "{name}: each {each:.2?}, worst {worst}"
+    );
 }
 
 #[test]
@@ -64,16 +70,25 @@ fn against_factory(rig: &SeededRgbd, depth_from_color: Pose) -> FactoryCheck {
 
 #[test]
 fn the_factory_s_calibration_is_kept_where_it_is_as_good_and_replaced_where_ours_is_better() {
-    let right = SeededRgbd { error: DepthError { scale: [0.0; 5], offset: [0.0; 5] }, ..SeededRgbd::new() };
+    let right =
+        SeededRgbd { error: DepthError { scale: [0.0; 5], offset: [0.0; 5] }, ..SeededRgbd::new() };
     let kept = against_factory(&right, right.depth_from_color);
     let estimate = kept.kept.as_ref().unwrap();
     assert!((estimate.depth.lens, estimate.depth.correction.is_none()) == (right.depth.lens, true));
-    assert!(estimate.color_from_depth == right.depth_from_color.inverse() && kept.line().contains("is kept"));
-    let bumped =
-        right.depth_from_color * Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.0, 0.0, 0.004));
-    for (rig, depth_from_color) in [(&SeededRgbd::new(), right.depth_from_color), (&right, bumped)] {
+    assert!(
+        estimate.color_from_depth == right.depth_from_color.inverse()
+            && kept.line().contains("is kept")
+    );
+    let bumped = right.depth_from_color
+        * Pose::from_axis_angle(Vector3::new(0.0, 0.01, 0.0), Vector3::new(0.0, 0.0, 0.004));
+    for (rig, depth_from_color) in [(&SeededRgbd::new(), right.depth_from_color), (&right, bumped)]
+    {
         let replaced = against_factory(rig, depth_from_color);
-        assert!(replaced.kept.is_none() && replaced.own < 0.5 * replaced.factory, "{}", replaced.line());
+        assert!(
+            replaced.kept.is_none() && replaced.own < 0.5 * replaced.factory,
+            "{}",
+            replaced.line()
+        );
         assert!(replaced.line().contains("is replaced") && replaced.views == 12);
     }
 }
@@ -88,7 +103,8 @@ fn a_square_board_is_labelled_alike_by_both_sensors() {
     let mut input = rig.input(&poses, &mut SeededCamera::rng(9));
     let middle = Point3::new(0.09, 0.09, 0.0);
     for (index, capture) in input.captures.iter_mut().enumerate() {
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2 * ((index * 7) % 4) as f64);
+        let turn =
+            Rotation3::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2 * ((index * 7) % 4) as f64);
         for corner in &mut capture.infrared {
             corner.point_in_board = middle + turn * (corner.point_in_board - middle);
         }
@@ -99,12 +115,16 @@ fn a_square_board_is_labelled_alike_by_both_sensors() {
     let turn = joint.color_from_depth.angle_to(&truth);
     println!("{shift:?} m, {turn} rad");
     for k in 0..3 {
-        assert!(shift[k].abs() < 4.0 * joint.color_from_depth_covariance[(k + 3, k + 3)].sqrt(), "{shift:?}");
+        assert!(
+            shift[k].abs() < 4.0 * joint.color_from_depth_covariance[(k + 3, k + 3)].sqrt(),
+            "{shift:?}"
+        );
     }
     assert!(turn < 1e-3 && shift.norm() < 5e-4, "{turn} rad, {shift:?} m");
 }
 
-/// Mean over the picture of |bias| before and after correction and of a reading's σ at 1/z, in metres: exact, without noise.
+/// Mean over the picture of |bias| before and after correction and of a reading's σ at 1/z, in
+/// metres: exact, without noise.
 fn left_at(rig: &SeededRgbd, solved: &SolvedRgbd, z_m: f64) -> [f64; 3] {
     let (size, mut sums, mut count) = (rig.depth.size, [0.0; 3], 0.0);
     for (x, y) in (3..30).flat_map(|x| (3..22).map(move |y| (10 * x, 10 * y))) {
@@ -130,7 +150,15 @@ fn the_error_of_depth_goes_away_at_every_distance_seen() {
     for part in [0.1, 0.3, 0.5, 0.7, 0.9] {
         let z_m = near + part * (far - near);
         let [before, after, noise] = left_at(&rig, &solved, z_m);
-        println!("{z_m:.2} m: {:.2} mm before, {:.3} mm after, noise {:.2} mm", 1e3 * before, 1e3 * after, 1e3 * noise);
-        assert!(after <= 0.1 * before && after <= 0.3 * noise, "{z_m} m: {before} to {after}, noise {noise}");
+        println!(
+            "{z_m:.2} m: {:.2} mm before, {:.3} mm after, noise {:.2} mm",
+            1e3 * before,
+            1e3 * after,
+            1e3 * noise
+        );
+        assert!(
+            after <= 0.1 * before && after <= 0.3 * noise,
+            "{z_m} m: {before} to {after}, noise {noise}"
+        );
     }
 }

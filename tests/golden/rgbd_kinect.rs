@@ -1,6 +1,7 @@
-//! A real Kinect (raw disparity and colour), judged by planes on views that were not fitted to, beside the published calibration
-//! (D. Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color camera calibration with distortion correction*, PAMI 2012),
-//! computed with its own colour lens, extrinsics and distortion map on the same pixels.
+//! A real Kinect (raw disparity and colour), judged by planes on views that were not fitted to,
+//! beside the published calibration (D. Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color
+//! camera calibration with distortion correction*, PAMI 2012), computed with its own colour lens,
+//! extrinsics and distortion map on the same pixels.
 
 use std::path::Path;
 use std::process::Command;
@@ -29,8 +30,8 @@ use serde_json::Value;
 use crate::seeded_rgbd::SeededRgbd;
 use crate::shared_data::shared_data;
 
-/// A view by distance, and what the published calibration of ten views leaves of it: the mean distance from colour's plane, with
-/// its sign, and the root mean square, in mm.
+/// A view by distance, and what the published calibration of ten views leaves of it: the mean
+/// distance from colour's plane, with its sign, and the root mean square, in mm.
 struct Published {
     view: usize,
     /// It is one of the ten.
@@ -56,16 +57,22 @@ const UP_TO_1_45_M: [Published; 11] = [
     published(8, true, 0.43, 5.12),
     published(31, true, -0.89, 3.77),
 ];
-const UP_TO_2_2_M: [Published; 3] =
-    [published(10, false, -0.46, 8.65), published(33, false, -6.51, 8.71), published(22, false, 5.44, 7.49)];
+const UP_TO_2_2_M: [Published; 3] = [
+    published(10, false, -0.46, 8.65),
+    published(33, false, -6.51, 8.71),
+    published(22, false, 5.44, 7.49),
+];
 const UP_TO_3_4_M: [Published; 4] = [
     published(12, false, 0.71, 17.43),
     published(24, true, 8.09, 15.47),
     published(15, true, 2.78, 26.13),
     published(37, true, -5.65, 21.51),
 ];
-const RANGES: [(&str, &[Published]); 3] =
-    [("0.6 to 1.45 m", &UP_TO_1_45_M), ("1.45 to 2.2 m", &UP_TO_2_2_M), ("2.2 to 3.4 m", &UP_TO_3_4_M)];
+const RANGES: [(&str, &[Published]); 3] = [
+    ("0.6 to 1.45 m", &UP_TO_1_45_M),
+    ("1.45 to 2.2 m", &UP_TO_2_2_M),
+    ("2.2 to 3.4 m", &UP_TO_3_4_M),
+];
 
 /// The ten views that the published calibration was fitted to.
 fn fitted() -> Vec<usize> {
@@ -87,7 +94,8 @@ fn calibrated(data: &Path) -> Calibration {
     let said = "[depth]\nkind = \"disparity\"\ninvalid = 2047\n";
     std::fs::write(folder.path().join("sensors.toml"), said).unwrap();
     let place = folder.path().display().to_string();
-    let asked = ["calibrate", "--json", "--lens", "brown", "--board", "8x6", "--square", "40mm", &place];
+    let asked =
+        ["calibrate", "--json", "--lens", "brown", "--board", "8x6", "--square", "40mm", &place];
     let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(asked).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let document: CalibrationDocument = serde_json::from_slice(&output.stdout).unwrap();
@@ -98,7 +106,8 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
 }
 
-/// The plane of the board as colour sees it: a unit normal and its distance, in the colour camera's frame.
+/// The plane of the board as colour sees it: a unit normal and its distance, in the colour camera's
+/// frame.
 fn plane(lens: &Lens, view: &Value) -> (Vector3<f64>, f64) {
     let points = view["object_m"].as_array().unwrap().iter().map(numbers);
     let pixels = view["color_corners_px"].as_array().unwrap().iter().map(numbers);
@@ -116,31 +125,44 @@ fn plane(lens: &Lens, view: &Value) -> (Vector3<f64>, f64) {
 fn inside(polygon: &[Pixel], pixel: Pixel) -> bool {
     let sides = polygon.iter().zip(polygon.iter().cycle().skip(1));
     let left = sides.filter(|(a, b)| {
-        (a.y <= pixel.y) != (b.y <= pixel.y) && a.x + (pixel.y - a.y) / (b.y - a.y) * (b.x - a.x) < pixel.x
+        (a.y <= pixel.y) != (b.y <= pixel.y)
+            && a.x + (pixel.y - a.y) / (b.y - a.y) * (b.x - a.x) < pixel.x
     });
     left.count() % 2 == 1
 }
 
 /// Distances from the plane of every reading on it, in mm.
-fn off((color, camera, pose): (&Lens, &DepthCamera, &Pose), data: &Path, (number, view): (usize, &Value)) -> Vec<f64> {
+fn off(
+    (color, camera, pose): (&Lens, &DepthCamera, &Pose),
+    data: &Path,
+    (number, view): (usize, &Value),
+) -> Vec<f64> {
     let (normal, distance) = plane(color, view);
     let bytes = std::fs::read(data.join(format!("{number:04}-d.pgm"))).unwrap();
     let picture = DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes)).unwrap();
-    let corners = view["plane_polygon_depth_px"].as_array().unwrap().iter().map(numbers).collect::<Vec<_>>();
+    let corners =
+        view["plane_polygon_depth_px"].as_array().unwrap().iter().map(numbers).collect::<Vec<_>>();
     let polygon: Vec<Pixel> = match corners.len() {
         2 => corners[0].iter().zip(&corners[1]).map(|(x, y)| Pixel::new(*x, *y)).collect(),
         _ => corners.iter().map(|corner| Pixel::new(corner[0], corner[1])).collect(),
     };
     let size = picture.size();
-    let pixels =
-        (0..size.width * size.height).map(|k| Pixel::new(f64::from(k % size.width), f64::from(k / size.width)));
-    let each = pixels.zip(picture.readings()).filter(|(pixel, raw)| **raw < 2047 && inside(&polygon, *pixel));
+    let pixels = (0..size.width * size.height)
+        .map(|k| Pixel::new(f64::from(k % size.width), f64::from(k / size.width)));
+    let each = pixels
+        .zip(picture.readings())
+        .filter(|(pixel, raw)| **raw < 2047 && inside(&polygon, *pixel));
     let point = |(pixel, raw): (Pixel, &u16)| camera.point_from_reading(pixel, f64::from(*raw));
     each.filter_map(point).map(|p| 1e3 * (normal.dot(&(*pose * p).coords) - distance)).collect()
 }
 
 /// Mean and root mean square distance of a view's readings from colour's plane, in mm.
-fn mean_and_rms(camera: (&Lens, &DepthCamera, &Pose), data: &Path, views: &[Value], number: usize) -> [f64; 2] {
+fn mean_and_rms(
+    camera: (&Lens, &DepthCamera, &Pose),
+    data: &Path,
+    views: &[Value],
+    number: usize,
+) -> [f64; 2] {
     let view = views.iter().find(|view| view["index"] == number).unwrap();
     let off = off(camera, data, (number, view));
     let mean = |sum: f64| sum / off.len() as f64;
@@ -158,7 +180,8 @@ fn over_views(views: &[[f64; 2]]) -> [f64; 2] {
 
 fn reference(data: &Path) -> Vec<Value> {
     let reference: Value =
-        serde_json::from_slice(&std::fs::read(data.join("full_set_reference.json")).unwrap()).unwrap();
+        serde_json::from_slice(&std::fs::read(data.join("full_set_reference.json")).unwrap())
+            .unwrap();
     reference["views"].as_array().unwrap().clone()
 }
 
@@ -168,17 +191,25 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
     let (calibration, views) = (calibrated(&data), reference(&data));
     let color = &calibration.color.as_ref().unwrap().lens;
-    let pose = &calibration.extrinsics.iter().find(|pose| pose.name == "color_from_depth").unwrap().target_from_source;
+    let pose = &calibration
+        .extrinsics
+        .iter()
+        .find(|pose| pose.name == "color_from_depth")
+        .unwrap()
+        .target_from_source;
     let corrected = &calibration.depth.as_ref().unwrap().camera;
     let uncorrected = DepthCamera { correction: None, ..corrected.clone() };
     for (range, published) in RANGES {
         let held_out: Vec<&Published> = published.iter().filter(|view| !view.is_fitted).collect();
         let by = |camera: &DepthCamera| {
-            let each = held_out.iter().map(|view| mean_and_rms((color, camera, pose), &data, &views, view.view));
+            let each = held_out
+                .iter()
+                .map(|view| mean_and_rms((color, camera, pose), &data, &views, view.view));
             over_views(&each.collect::<Vec<_>>())
         };
         let ([mean, rms], before) = (by(corrected), by(&uncorrected));
-        let theirs: Vec<[f64; 2]> = held_out.iter().map(|view| [view.mean_mm, view.rms_mm]).collect();
+        let theirs: Vec<[f64; 2]> =
+            held_out.iter().map(|view| [view.mean_mm, view.rms_mm]).collect();
         let [their_mean, their_rms] = over_views(&theirs);
         let line = format!(
             "{range}, ten views fitted: {rms:.2} mm rms, {mean:.2} mm mean; published {their_rms:.2} and {their_mean:.2} mm; \
@@ -186,7 +217,8 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
             before[1], before[0]
         );
         println!("{line}");
-        // The mean of the single view beyond 2.2 m is chance: see the test that leaves out each view.
+        // The mean of the single view beyond 2.2 m is chance: see the test that leaves out each
+        // view.
         assert!(rms <= their_rms && (mean <= their_mean || held_out.len() == 1), "{line}");
     }
     // What planes alone leave open is told: the published answers lie within it.
@@ -194,7 +226,11 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     for (axis, published) in [(0, 580.0..586.5), (1, 583.9..586.8)] {
         let (focal, std) = (depth.camera.lens.parameters()[axis], depth.lens_std[axis]);
         println!("f{axis}: {focal:.1} ± {std:.1}, published {published:?}");
-        assert!(std > 0.005 * focal && focal - 2.0 * std < published.end && focal + 2.0 * std > published.start);
+        assert!(
+            std > 0.005 * focal
+                && focal - 2.0 * std < published.end
+                && focal + 2.0 * std > published.start
+        );
     }
     let told = calibration.verdict.reasons.join("\n");
     assert!(told.contains("fx is known to") && told.contains("stands back"), "{told}");
@@ -203,15 +239,23 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
 /// Everything that was taken with colour and depth, by view.
 fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
     let (mut detector, mut image) = (Detector::new(board.size), GrayImage::default());
-    let mut numbers: Vec<usize> = RANGES.iter().flat_map(|(_, views)| views.iter().map(|view| view.view)).collect();
+    let mut numbers: Vec<usize> =
+        RANGES.iter().flat_map(|(_, views)| views.iter().map(|view| view.view)).collect();
     numbers.sort_unstable();
     let capture = |number: usize| {
-        let bytes = |ending: &str| std::fs::read(data.join(format!("{number:04}-{ending}"))).unwrap();
+        let bytes =
+            |ending: &str| std::fs::read(data.join(format!("{number:04}-{ending}"))).unwrap();
         luma(&frame_from_file(SensorKind::Color, bytes("c1.jpg")), &mut image).unwrap();
         let detection = detector.find_board(image.view(), &DetectOptions::default()).unwrap();
-        let frame =
-            FrameFacts { sequence: 0, name: None, host_time_ns: 0, device_time_ns: None, image_size: image.size() };
-        let depth = DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes("d.pgm"))).unwrap();
+        let frame = FrameFacts {
+            sequence: 0,
+            name: None,
+            host_time_ns: 0,
+            device_time_ns: None,
+            image_size: image.size(),
+        };
+        let depth =
+            DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes("d.pgm"))).unwrap();
         let capture = RgbdCapture {
             name: number.to_string(),
             time_s: None,
@@ -225,19 +269,23 @@ fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
     numbers.into_iter().map(capture).collect()
 }
 
-/// Each view is judged by what all others tell: so every range has views, near and far. The published figures are of the views
-/// that it was fitted to as well, which is in its favour.
+/// Each view is judged by what all others tell: so every range has views, near and far. The
+/// published figures are of the views that it was fitted to as well, which is in its favour.
 #[test]
 fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibration() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
-    let (views, board) = (reference(&data), Chessboard::new(BoardSize::new(8, 6).unwrap(), 0.04).unwrap());
+    let (views, board) =
+        (reference(&data), Chessboard::new(BoardSize::new(8, 6).unwrap(), 0.04).unwrap());
     let captures = captures(&data, &board);
     let color_size = plumb::geometry::pixel::ImageSize::new(1280, 1024);
     let without = |left_out: usize| {
         let others = captures.iter().filter(|(number, _)| *number != left_out);
-        let depth = DepthSensor { reading: None, invalid: Some(2047), factory: None, with_infrared: true };
+        let depth =
+            DepthSensor { reading: None, invalid: Some(2047), factory: None, with_infrared: true };
         let captures = others.map(|(_, capture)| capture.clone()).collect();
-        let solved = solve_rgbd(&RgbdInput { board, color_size, depth, captures }, &SeededRgbd::options()).unwrap();
+        let solved =
+            solve_rgbd(&RgbdInput { board, color_size, depth, captures }, &SeededRgbd::options())
+                .unwrap();
         let joint = &solved.joint;
         mean_and_rms((&joint.color, &joint.depth, &joint.color_from_depth), &data, &views, left_out)
     };
@@ -247,23 +295,30 @@ fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibratio
             .chunks(2)
             .flat_map(|two| {
                 std::thread::scope(|scope| {
-                    let each: Vec<_> = two.iter().map(|view| scope.spawn(|| without(view.view))).collect();
+                    let each: Vec<_> =
+                        two.iter().map(|view| scope.spawn(|| without(view.view))).collect();
                     each.into_iter().map(|one| one.join().unwrap()).collect::<Vec<_>>()
                 })
             })
             .collect();
         for is_all in [true, false] {
-            let counted = || published.iter().zip(&ours).filter(|(view, _)| is_all || !view.is_fitted);
+            let counted =
+                || published.iter().zip(&ours).filter(|(view, _)| is_all || !view.is_fitted);
             let [mean, rms] = over_views(&counted().map(|(_, ours)| *ours).collect::<Vec<_>>());
-            let theirs: Vec<[f64; 2]> = counted().map(|(view, _)| [view.mean_mm, view.rms_mm]).collect();
+            let theirs: Vec<[f64; 2]> =
+                counted().map(|(view, _)| [view.mean_mm, view.rms_mm]).collect();
             let [their_mean, their_rms] = over_views(&theirs);
-            let which = if is_all { "each of all views" } else { "each that the published one was not fitted to" };
+            let which = if is_all {
+                "each of all views"
+            } else {
+                "each that the published one was not fitted to"
+            };
             let line = format!(
                 "{range}, {which}: {rms:.2} mm rms, {mean:.2} mm mean; published {their_rms:.2} and {their_mean:.2} mm"
             );
             println!("{line}");
-            // Of views that the published calibration was fitted to, nearer than 1.45 m, it leaves less in the mean than what others
-            // tell of them: 0.5 mm, where its authors state 1.
+            // Of views that the published calibration was fitted to, nearer than 1.45 m, it leaves
+            // less in the mean than what others tell of them: 0.5 mm, where its authors state 1.
             let most_mm = if is_all { f64::max(their_mean, 1.0) } else { their_mean };
             assert!(rms <= their_rms && mean <= most_mm, "{line}");
         }

@@ -1,4 +1,5 @@
-//! Colour and depth that are not taken at the same time, through `plumb calibrate`: against exact truth.
+//! Colour and depth that are not taken at the same time, through `plumb calibrate`: against exact
+//! truth.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -29,15 +30,24 @@ fn vector(numbers: &Value) -> Vector3<f64> {
     Vector3::from_iterator((0..3).map(|k| numbers[k].as_f64().unwrap()))
 }
 
-/// The sensors' pose within 3 σ of the truth on each axis, and within 0.3 mm and 0.02°; the time within 3 σ and 2 ms.
+/// The sensors' pose within 3 σ of the truth on each axis, and within 0.3 mm and 0.02°; the time
+/// within 3 σ and 2 ms.
 fn expect((calibration, truth): &(Value, Value)) {
     let named = |all: &Value| {
-        all["extrinsics"].as_array().unwrap().iter().find(|pose| pose["name"] == "color_from_depth").unwrap().clone()
+        all["extrinsics"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .find(|pose| pose["name"] == "color_from_depth")
+            .unwrap()
+            .clone()
     };
     let (found, exact) = (named(calibration), named(truth));
     let turn = (rotation(&found) * rotation(&exact).inverse()).scaled_axis();
     let shift = vector(&found["translation"]) - vector(&exact["translation"]);
-    for (off, std) in [(turn, vector(&found["rotation_std"])), (shift, vector(&found["translation_std"]))] {
+    for (off, std) in
+        [(turn, vector(&found["rotation_std"])), (shift, vector(&found["translation_std"]))]
+    {
         assert!((0..3).all(|k| off[k].abs() < 3.0 * std[k]), "{off:?} ± {std:?}");
     }
     assert!(shift.norm() < 3e-4 && turn.norm().to_degrees() < 0.02, "{shift:?} m, {turn:?} rad");

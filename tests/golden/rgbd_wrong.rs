@@ -1,4 +1,5 @@
-//! What can be wrong with colour and depth: each is one line that says what, never a silent wrong answer.
+//! What can be wrong with colour and depth: each is one line that says what, never a silent wrong
+//! answer.
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::depth_calibration::{DepthCalibration, judge_depth};
@@ -18,7 +19,10 @@ fn input(rig: &SeededRgbd) -> RgbdInput {
 /// Every depth picture changed.
 fn with_depth(mut input: RgbdInput, change: impl Fn(usize, &DepthImage) -> Vec<u16>) -> RgbdInput {
     for (index, capture) in input.captures.iter_mut().enumerate() {
-        capture.depth = capture.depth.take().and_then(|depth| DepthImage::new(depth.size(), change(index, &depth)));
+        capture.depth = capture
+            .depth
+            .take()
+            .and_then(|depth| DepthImage::new(depth.size(), change(index, &depth)));
     }
     input
 }
@@ -40,7 +44,12 @@ fn told(input: &RgbdInput) -> Vec<String> {
             let views = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
             let verdict = [Some(&solved.color), solved.infrared.as_ref()].into_iter().flatten();
             let own = verdict.flat_map(|camera| camera.verdict.reasons.clone()).collect::<Vec<_>>();
-            let judged = judge_depth(solved.color.verdict.clone(), &depth, solved.without_depth.len(), views);
+            let judged = judge_depth(
+                solved.color.verdict.clone(),
+                &depth,
+                solved.without_depth.len(),
+                views,
+            );
             [own, judged.reasons].concat()
         }
     }
@@ -49,7 +58,10 @@ fn told(input: &RgbdInput) -> Vec<String> {
 fn expect(what: &str, input: &RgbdInput, word: &str) {
     let lines = told(input);
     println!("{what}: {lines:?}");
-    assert!(lines.iter().any(|line| line.contains(word) && !line.contains('\n')), "{what}: {lines:?}");
+    assert!(
+        lines.iter().any(|line| line.contains(word) && !line.contains('\n')),
+        "{what}: {lines:?}"
+    );
 }
 
 #[test]
@@ -59,7 +71,11 @@ fn each_wrong_thing_is_one_clear_line() {
     for (rig, name) in [(&with, "with infrared"), (&without, "without infrared")] {
         let right = input(rig);
         assert!(solve_rgbd(&right, &SeededRgbd::options()).is_ok(), "{name}: {:?}", told(&right));
-        expect(&format!("{name}: mirrored depth"), &mirrored(right.clone()), "check that depth and colour");
+        expect(
+            &format!("{name}: mirrored depth"),
+            &mirrored(right.clone()),
+            "check that depth and colour",
+        );
         expect(
             &format!("{name}: a depth frame of zeros each"),
             &with_depth(right.clone(), |_, depth| vec![0; depth.readings().len()]),
@@ -73,7 +89,11 @@ fn each_wrong_thing_is_one_clear_line() {
         for (index, capture) in shuffled.captures.iter_mut().enumerate() {
             capture.depth = depths[(index + 5) % depths.len()].clone();
         }
-        expect(&format!("{name}: depth of other moments"), &shuffled, "check that depth and colour");
+        expect(
+            &format!("{name}: depth of other moments"),
+            &shuffled,
+            "check that depth and colour",
+        );
     }
 }
 

@@ -11,7 +11,8 @@ use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
 
-/// Two sensors of different lens and noise, six centimetres apart, and what each sees of `instants` boards.
+/// Two sensors of different lens and noise, six centimetres apart, and what each sees of `instants`
+/// boards.
 fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
     let (problem, right_from_left, _) = stereo_with_poses(instants, seed);
     (problem, right_from_left)
@@ -20,7 +21,10 @@ fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
 /// The mean of all points that were seen, which pose covariances are about.
 fn center_in_board(problem: &RigProblem) -> Point3<f64> {
     let views = problem.sensors.iter().flat_map(|sensor| &sensor.views);
-    let points: Vec<_> = views.flat_map(|(_, view)| &view.correspondences).map(|c| c.point_in_board.coords).collect();
+    let points: Vec<_> = views
+        .flat_map(|(_, view)| &view.correspondences)
+        .map(|c| c.point_in_board.coords)
+        .collect();
     Point3::from(points.iter().sum::<Vector3<f64>>() / points.len() as f64)
 }
 
@@ -30,7 +34,8 @@ fn stereo_with_poses(instants: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>
     right.noise_px = 0.2;
     right.lens.matrix.fx = 500.0;
     right.lens.matrix.fy = 502.0;
-    let right_from_left = Pose::from_axis_angle(Vector3::new(0.01, -0.05, 0.02), Vector3::new(-0.06, 0.002, 0.004));
+    let right_from_left =
+        Pose::from_axis_angle(Vector3::new(0.01, -0.05, 0.02), Vector3::new(-0.06, 0.002, 0.004));
     let mut rng = SeededCamera::rng(seed);
     let left_from_board = left.poses(instants, &mut rng);
     let sensor = |name: &str, camera: &SeededCamera, sensor_from_left: Pose, rng: &mut _| {
@@ -43,8 +48,10 @@ fn stereo_with_poses(instants: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>
         let views = instants.into_iter().zip(views).collect();
         RigSensor { name: name.to_owned(), image_size: camera.size, views, options }
     };
-    let sensors =
-        vec![sensor("left", &left, Pose::identity(), &mut rng), sensor("right", &right, right_from_left, &mut rng)];
+    let sensors = vec![
+        sensor("left", &left, Pose::identity(), &mut rng),
+        sensor("right", &right, right_from_left, &mut rng),
+    ];
     (RigProblem { sensors, instants }, right_from_left, left_from_board)
 }
 
@@ -53,7 +60,10 @@ fn a_pair_is_found_to_within_its_prediction() {
     let (mut inside, mut count) = (0, 0);
     for seed in 0..20 {
         let (problem, truth) = stereo(20, seed);
-        assert!(problem.sensors[1].views.len() < 20, "the test means to have views that only one sensor sees");
+        assert!(
+            problem.sensors[1].views.len() < 20,
+            "the test means to have views that only one sensor sees"
+        );
         let estimate = calibrate_rig(&problem).unwrap();
         let place = &estimate.places[1];
         let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
@@ -64,7 +74,11 @@ fn a_pair_is_found_to_within_its_prediction() {
             inside += usize::from(error.abs() < std);
             count += 1;
         }
-        assert!((estimate.cameras[1].noise - 0.2).abs() < 0.02, "noise {}", estimate.cameras[1].noise);
+        assert!(
+            (estimate.cameras[1].noise - 0.2).abs() < 0.02,
+            "noise {}",
+            estimate.cameras[1].noise
+        );
     }
     let part = inside as f64 / f64::from(count);
     assert!((0.55..0.82).contains(&part), "{part} of the errors are within one standard deviation");
@@ -78,13 +92,19 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
         let estimate = calibrate_rig(&problem).unwrap();
         let center = center_in_board(&problem);
         for (sensor, from_left) in [(0, Pose::identity()), (1, right_from_left)] {
-            for ((instant, _), view) in problem.sensors[sensor].views.iter().zip(&estimate.cameras[sensor].views) {
-                let (found, truth) = (view.camera_from_board.unwrap(), from_left * left_from_board[*instant]);
+            for ((instant, _), view) in
+                problem.sensors[sensor].views.iter().zip(&estimate.cameras[sensor].views)
+            {
+                let (found, truth) =
+                    (view.camera_from_board.unwrap(), from_left * left_from_board[*instant]);
                 let covariance = view.covariance.unwrap();
                 let turn = (found.rotation() * truth.rotation().inverse()).scaled_axis();
                 let shift = (found * center - truth * center).norm();
-                let turn_inside =
-                    turn.iter().enumerate().filter(|(k, e)| e.abs() < covariance[(*k, *k)].sqrt()).count();
+                let turn_inside = turn
+                    .iter()
+                    .enumerate()
+                    .filter(|(k, e)| e.abs() < covariance[(*k, *k)].sqrt())
+                    .count();
                 inside[0] += turn_inside;
                 let predicted = (0..3).map(|k| covariance[(3 + k, 3 + k)]).sum::<f64>().sqrt();
                 inside[1] += usize::from(shift < predicted);
@@ -94,11 +114,18 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
     }
     let turns = inside[0] as f64 / (3 * count) as f64;
     let shifts = inside[1] as f64 / count as f64;
-    assert!((0.62..0.75).contains(&turns), "{turns} of the turns are within one standard deviation");
-    assert!((0.5..0.85).contains(&shifts), "{shifts} of the shifts are within the predicted length");
+    assert!(
+        (0.62..0.75).contains(&turns),
+        "{turns} of the turns are within one standard deviation"
+    );
+    assert!(
+        (0.5..0.85).contains(&shifts),
+        "{shifts} of the shifts are within the predicted length"
+    );
 }
 
-/// Shears each picture of one sensor along its rows, each by another amount: what a rolling shutter makes of a moving board.
+/// Shears each picture of one sensor along its rows, each by another amount: what a rolling shutter
+/// makes of a moving board.
 fn sheared(problem: &mut RigProblem, sensor: usize, std_px: f64, seed: u64) {
     let normal = Normal::new(0.0, std_px).unwrap();
     let mut rng = SeededCamera::rng(seed);
@@ -129,12 +156,19 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
         let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
         for axis in 0..3 {
             let square = turn[axis].powi(2) / place.covariance[(axis, axis)];
-            (seen, alone, count) = (seen + square, alone + square * place.shared_error, count + 1.0);
+            (seen, alone, count) =
+                (seen + square, alone + square * place.shared_error, count + 1.0);
         }
     }
     let [ratio, naive] = [seen, alone].map(|sum: f64| (sum / count).sqrt());
-    assert!((0.5..1.6).contains(&ratio), "observed over predicted {ratio}; corner by corner {naive}");
-    assert!(naive > 2.0, "the test means to have views that differ more than their corners' scatter: {naive}");
+    assert!(
+        (0.5..1.6).contains(&ratio),
+        "observed over predicted {ratio}; corner by corner {naive}"
+    );
+    assert!(
+        naive > 2.0,
+        "the test means to have views that differ more than their corners' scatter: {naive}"
+    );
 }
 
 #[test]
@@ -142,8 +176,11 @@ fn a_right_rig_is_not_accused() {
     for seed in 300..310 {
         let (problem, _) = stereo(20, seed);
         let estimate = calibrate_rig(&problem).unwrap();
-        let factors =
-            [estimate.cameras[0].shared_error, estimate.cameras[1].shared_error, estimate.places[1].shared_error];
+        let factors = [
+            estimate.cameras[0].shared_error,
+            estimate.cameras[1].shared_error,
+            estimate.places[1].shared_error,
+        ];
         assert_eq!(factors, [1.0; 3], "seed {seed}");
     }
 }
@@ -169,5 +206,8 @@ fn sensors_that_share_nothing_are_refused() {
         *instant += 20;
     }
     problem.instants = 40;
-    assert_eq!(calibrate_rig(&problem).unwrap_err(), EstimationError::NothingShared { sensor: "right".to_owned() });
+    assert_eq!(
+        calibrate_rig(&problem).unwrap_err(),
+        EstimationError::NothingShared { sensor: "right".to_owned() }
+    );
 }

@@ -1,5 +1,5 @@
-//! The estimate that a session shows while it collects: gone on from view to view, it is what a solve of the same views from
-//! nothing gives.
+//! The estimate that a session shows while it collects: gone on from view to view, it is what a
+//! solve of the same views from nothing gives.
 
 use plumb::calibration::running_estimate::{EstimateSoFar, estimate_so_far};
 use plumb::calibration::solve::estimate_views;
@@ -9,7 +9,8 @@ use plumb::geometry::lens::LensModel;
 
 use crate::seeded_camera::SeededCamera;
 
-/// The estimates of the first three views of `problem`, of four, and so on; `None` where there is none.
+/// The estimates of the first three views of `problem`, of four, and so on; `None` where there is
+/// none.
 fn walk(problem: &CameraProblem, lens: LensChoice) -> Vec<(CameraProblem, Option<EstimateSoFar>)> {
     let mut newest: Option<EstimateSoFar> = None;
     let estimates = (3..=problem.views.len()).map(|views| {
@@ -22,8 +23,8 @@ fn walk(problem: &CameraProblem, lens: LensChoice) -> Vec<(CameraProblem, Option
     estimates.collect()
 }
 
-/// How far the estimates of a walk are from those made anew with the same lens model at most: in standard deviations of the
-/// lens's parameters, and as a part of the predicted uncertainty.
+/// How far the estimates of a walk are from those made anew with the same lens model at most: in
+/// standard deviations of the lens's parameters, and as a part of the predicted uncertainty.
 fn furthest_from_anew(walk: &[(CameraProblem, Option<EstimateSoFar>)]) -> [f64; 2] {
     let mut furthest = [0.0; 2];
     for (problem, estimate) in walk {
@@ -33,11 +34,15 @@ fn furthest_from_anew(walk: &[(CameraProblem, Option<EstimateSoFar>)]) -> [f64; 
             estimate_views(problem, &CameraOptions { lens, ..CameraOptions::default() }).unwrap();
         let used = anew.views.iter().filter(|view| view.fault.is_none()).count();
         assert_eq!(running.views as usize, used, "of {} views", problem.views.len());
-        let parameters = running.lens.parameters().into_iter().zip(anew.lens.parameters()).zip(anew.lens_std());
+        let parameters =
+            running.lens.parameters().into_iter().zip(anew.lens.parameters()).zip(anew.lens_std());
         for ((running, anew), std) in parameters.filter(|(_, std)| *std > 0.0) {
             furthest[0] = f64::max(furthest[0], (running - anew).abs() / std);
         }
-        furthest[1] = f64::max(furthest[1], (running.uncertainty_px.median / uncertainty_px.median - 1.0).abs());
+        furthest[1] = f64::max(
+            furthest[1],
+            (running.uncertainty_px.median / uncertainty_px.median - 1.0).abs(),
+        );
     }
     furthest
 }
@@ -68,7 +73,10 @@ fn it_is_what_a_solve_from_nothing_gives_after_every_view() {
         });
         let gone_on = gone_on.count();
         assert!(gone_on >= 25, "{name}: gone on {gone_on} times of 38, where nothing is wrong");
-        assert!(self::walk(&problem, LensChoice::Model(model)) == walk, "{name}: the same views, another estimate");
+        assert!(
+            self::walk(&problem, LensChoice::Model(model)) == walk,
+            "{name}: the same views, another estimate"
+        );
     }
 }
 
@@ -79,11 +87,13 @@ fn a_bad_view_on_the_way_is_rejected_as_in_a_solve_from_nothing() {
     for corner in &mut problem.views[14].correspondences {
         corner.pixel.x += 40.0 * corner.point_in_board.x;
     }
-    let pixels: Vec<_> = problem.views[20].correspondences.iter().map(|corner| corner.pixel).collect();
+    let pixels: Vec<_> =
+        problem.views[20].correspondences.iter().map(|corner| corner.pixel).collect();
     for (corner, pixel) in problem.views[20].correspondences.iter_mut().zip(pixels.iter().rev()) {
         corner.pixel.x = pixel.x;
     }
-    let [lens, uncertainty] = furthest_from_anew(&walk(&problem, LensChoice::Model(LensModel::Brown)));
+    let [lens, uncertainty] =
+        furthest_from_anew(&walk(&problem, LensChoice::Model(LensModel::Brown)));
     assert!(lens < 0.02 && uncertainty < 1e-3, "{lens} std, {uncertainty}");
 }
 

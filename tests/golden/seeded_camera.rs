@@ -1,4 +1,5 @@
-//! Seeded cameras and views with exact truth: where a board was, and what an exact camera sees of it, plus known noise.
+//! Seeded cameras and views with exact truth: where a board was, and what an exact camera sees of
+//! it, plus known noise.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 use plumb::estimation::problem::{BoardView, CameraProblem, Correspondence};
@@ -61,7 +62,8 @@ impl SeededCamera {
         ChaCha8Rng::seed_from_u64(seed)
     }
 
-    /// `count` poses in which every corner is inside the image: the board's middle anywhere, near and far, tilted.
+    /// `count` poses in which every corner is inside the image: the board's middle anywhere, near
+    /// and far, tilted.
     pub fn poses(&self, count: usize, rng: &mut ChaCha8Rng) -> Vec<Pose> {
         let mut poses = Vec::new();
         while poses.len() < count {
@@ -81,13 +83,16 @@ impl SeededCamera {
         let distance_m = board_m * self.lens.matrix.fx / across_px;
         let bearing = self.lens.bearing_from_pixel(aim)?;
         let azimuth: f64 = rng.random_range(0.0..std::f64::consts::TAU);
-        let tilt = Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * rng.random_range(0.0..self.tilt);
+        let tilt =
+            Vector3::new(azimuth.cos(), azimuth.sin(), 0.0) * rng.random_range(0.0..self.tilt);
         let roll = Vector3::z() * rng.random_range(-0.6..0.6);
         let facing = UnitQuaternion::rotation_between(&Vector3::z(), &bearing)?;
-        let rotation = facing * UnitQuaternion::from_scaled_axis(tilt) * UnitQuaternion::from_scaled_axis(roll);
+        let rotation = facing
+            * UnitQuaternion::from_scaled_axis(tilt)
+            * UnitQuaternion::from_scaled_axis(roll);
         let size = self.board.size;
-        let middle =
-            Vector3::new(f64::from(size.cols - 1), f64::from(size.rows - 1), 0.0) * (self.board.square_m / 2.0);
+        let middle = Vector3::new(f64::from(size.cols - 1), f64::from(size.rows - 1), 0.0)
+            * (self.board.square_m / 2.0);
         Some(Pose::new(rotation, bearing.into_inner() * distance_m - rotation * middle))
     }
 

@@ -1,4 +1,5 @@
-//! A seeded camera with colour, infrared and depth: exact corners and planes, plus known noise and a known error of depth.
+//! A seeded camera with colour, infrared and depth: exact corners and planes, plus known noise and
+//! a known error of depth.
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
@@ -69,7 +70,10 @@ impl SeededRgbd {
         let mut poses = Vec::new();
         while poses.len() < count {
             let more = self.color.poses(1, rng);
-            poses.extend(more.into_iter().filter(|pose| self.depth.exact(&(self.depth_from_color * *pose)).is_some()));
+            poses.extend(
+                more.into_iter()
+                    .filter(|pose| self.depth.exact(&(self.depth_from_color * *pose)).is_some()),
+            );
         }
         poses
     }
@@ -82,7 +86,11 @@ impl SeededRgbd {
                 time_s: None,
                 is_view: true,
                 color: corners(&self.color, pose, rng),
-                infrared: if self.with_infrared { corners(&self.depth, &depth_from_board, rng) } else { Vec::new() },
+                infrared: if self.with_infrared {
+                    corners(&self.depth, &depth_from_board, rng)
+                } else {
+                    Vec::new()
+                },
                 depth: Some(self.picture(&depth_from_board, rng)),
             }
         });
@@ -99,14 +107,19 @@ impl SeededRgbd {
         }
     }
 
-    /// The joint problem itself: corners, and the board's surface as patches of `TILE` readings that are drawn, not rendered.
+    /// The joint problem itself: corners, and the board's surface as patches of `TILE` readings
+    /// that are drawn, not rendered.
     pub fn problem(&self, poses: &[Pose], rng: &mut ChaCha8Rng) -> RgbdProblem {
         let view = |(index, pose): (usize, &Pose)| {
             let depth_from_board = self.depth_from_color * *pose;
             RgbdView {
                 name: format!("view {index}"),
                 color: corners(&self.color, pose, rng),
-                infrared: if self.with_infrared { corners(&self.depth, &depth_from_board, rng) } else { Vec::new() },
+                infrared: if self.with_infrared {
+                    corners(&self.depth, &depth_from_board, rng)
+                } else {
+                    Vec::new()
+                },
                 tiles: self.tiles(&depth_from_board, rng),
                 surround: Vec::new(),
                 color_from_board: *pose,
@@ -123,7 +136,11 @@ impl SeededRgbd {
                 reading: DepthReading::Metric { unit_m: self.unit_m },
                 correction: None,
             },
-            depth_lens: if self.with_infrared { DepthLens::Infrared } else { DepthLens::FromPlanes },
+            depth_lens: if self.with_infrared {
+                DepthLens::Infrared
+            } else {
+                DepthLens::FromPlanes
+            },
             infrared_noise: 1.0,
             depth_from_color: self.depth_from_color,
             time_offset: None,
@@ -147,7 +164,8 @@ impl SeededRgbd {
             let plane = normal.dot(&ray(&self.depth.lens, pixel)?) / height;
             Some(DepthTile {
                 pixel,
-                inverse_depth: self.error.measured(plane, pixel, self.depth.size) + noise.sample(rng),
+                inverse_depth: self.error.measured(plane, pixel, self.depth.size)
+                    + noise.sample(rng),
                 reading_std: self.noise_per_m,
                 count: TILE,
             })
@@ -187,7 +205,11 @@ fn ray(lens: &Lens, pixel: Pixel) -> Option<Vector3<f64>> {
     Some(bearing.into_inner() / bearing.z)
 }
 
-fn corners(camera: &SeededCamera, camera_from_board: &Pose, rng: &mut ChaCha8Rng) -> Vec<Correspondence> {
+fn corners(
+    camera: &SeededCamera,
+    camera_from_board: &Pose,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Correspondence> {
     let noise = Normal::new(0.0, 0.05).unwrap();
     let points = camera.board.corners_in_board();
     let exact = camera.exact(camera_from_board).unwrap();

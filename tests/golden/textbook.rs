@@ -1,5 +1,6 @@
-//! The textbook's exercises (Principles of Robot Autonomy, chapter 6) on its own photographs: board coordinates,
-//! homographies, the camera matrix in closed form, the extrinsics for a given camera matrix, world to pixel.
+//! The textbook's exercises (Principles of Robot Autonomy, chapter 6) on its own photographs: board
+//! coordinates, homographies, the camera matrix in closed form, the extrinsics for a given camera
+//! matrix, world to pixel.
 
 use std::path::Path;
 
@@ -21,8 +22,13 @@ use crate::shared_data::shared_data;
 /// The photographs that the exercise uses.
 const NUMBERS: [u32; 9] = [1, 4, 9, 13, 14, 15, 16, 17, 23];
 /// The camera matrix that the exercise gives, from these photographs in closed form with skew.
-const PUBLISHED: CameraMatrix =
-    CameraMatrix { fx: 471.876_619_74, fy: 435.608_046_8, cx: 289.246_942_23, cy: 219.344_184_27, skew: 8.080_646_42 };
+const PUBLISHED: CameraMatrix = CameraMatrix {
+    fx: 471.876_619_74,
+    fy: 435.608_046_8,
+    cx: 289.246_942_23,
+    cy: 219.344_184_27,
+    skew: 8.080_646_42,
+};
 
 fn board() -> Chessboard {
     Chessboard::new(BoardSize::new(9, 7).unwrap(), 0.0205).unwrap()
@@ -33,7 +39,9 @@ fn board() -> Chessboard {
 fn photographs() -> Option<Vec<Vec<(Point2<f64>, Point2<f64>)>>> {
     let folder = shared_data("pora")?;
     let mut detector = Detector::new(board().size);
-    let pairs = |number: &u32| pairs_of(&find(&mut detector, &folder.join(format!("board-{number:02}.png"))));
+    let pairs = |number: &u32| {
+        pairs_of(&find(&mut detector, &folder.join(format!("board-{number:02}.png"))))
+    };
     Some(NUMBERS.iter().map(pairs).collect())
 }
 
@@ -67,17 +75,21 @@ fn board_coordinates() {
 #[test]
 fn homographies_map_the_board_onto_its_picture() {
     let Some(photographs) = photographs() else { return };
-    for (number, (pairs, homography)) in NUMBERS.iter().zip(photographs.iter().zip(homographies(&photographs))) {
+    for (number, (pairs, homography)) in
+        NUMBERS.iter().zip(photographs.iter().zip(homographies(&photographs)))
+    {
         let rms_px = homography.rms(pairs);
         assert!(rms_px < 1.0, "board-{number:02}: {rms_px} px");
     }
 }
 
-/// From the corners that the exercise itself uses (`cv::findChessboardCorners`, unrefined, as `tests/python/textbook.py`
-/// writes them): the closed form is so sensitive on these photographs that better corners move fx by 1 %.
+/// From the corners that the exercise itself uses (`cv::findChessboardCorners`, unrefined, as
+/// `tests/python/textbook.py` writes them): the closed form is so sensitive on these photographs
+/// that better corners move fx by 1 %.
 #[test]
 fn the_camera_matrix_in_closed_form_is_the_published_one() {
-    let corners: Vec<Vec<[f64; 2]>> = serde_json::from_str(include_str!("textbook_corners.json")).unwrap();
+    let corners: Vec<Vec<[f64; 2]>> =
+        serde_json::from_str(include_str!("textbook_corners.json")).unwrap();
     let points = board().corners_in_board();
     let pairs = |pixels: &Vec<[f64; 2]>| -> Vec<(Point2<f64>, Point2<f64>)> {
         assert_eq!(pixels.len(), points.len());
@@ -91,7 +103,10 @@ fn the_camera_matrix_in_closed_form_is_the_published_one() {
 #[test]
 fn its_own_corners_give_nearly_the_same_camera_matrix() {
     let Some(photographs) = photographs() else { return };
-    assert_published(camera_matrix_in_pixels(&homographies(&photographs), Skew::Free).unwrap(), 0.02);
+    assert_published(
+        camera_matrix_in_pixels(&homographies(&photographs), Skew::Free).unwrap(),
+        0.02,
+    );
 }
 
 fn assert_published(found: CameraMatrix, by: f64) {
@@ -112,13 +127,20 @@ fn assert_published(found: CameraMatrix, by: f64) {
 fn extrinsics_for_the_given_camera_matrix_put_the_board_where_it_is_seen() {
     let Some(photographs) = photographs() else { return };
     let lens = Lens::pinhole(PUBLISHED);
-    for (number, (pairs, homography)) in NUMBERS.iter().zip(photographs.iter().zip(homographies(&photographs))) {
+    for (number, (pairs, homography)) in
+        NUMBERS.iter().zip(photographs.iter().zip(homographies(&photographs)))
+    {
         let camera_from_board = camera_from_board(PUBLISHED, &homography).unwrap();
         let rotation = camera_from_board.rotation_matrix();
         assert!((rotation.transpose() * rotation - nalgebra::Matrix3::identity()).norm() < 1e-12);
-        assert!((0.2..2.0).contains(&camera_from_board.translation().z), "board-{number:02}: {camera_from_board:?}");
+        assert!(
+            (0.2..2.0).contains(&camera_from_board.translation().z),
+            "board-{number:02}: {camera_from_board:?}"
+        );
         let squares = pairs.iter().map(|(point, pixel)| {
-            let seen = lens.pixel_from_point(&(camera_from_board * Point3::new(point.x, point.y, 0.0))).unwrap();
+            let seen = lens
+                .pixel_from_point(&(camera_from_board * Point3::new(point.x, point.y, 0.0)))
+                .unwrap();
             (seen.x - pixel.x).powi(2) + (seen.y - pixel.y).powi(2)
         });
         let rms_px = (squares.sum::<f64>() / pairs.len() as f64).sqrt();

@@ -1,4 +1,5 @@
-//! A board followed from picture to picture: as right as a search, whatever the board does between two pictures.
+//! A board followed from picture to picture: as right as a search, whatever the board does between
+//! two pictures.
 
 use nalgebra::{Matrix3, Rotation2};
 use plumb::detection::board_detection::DetectOptions;
@@ -34,16 +35,26 @@ impl Stream {
     }
 
     fn picture(&mut self, cover: Option<&Cover>) -> Scene {
-        Scene::of(&mut self.rng, &self.pixel_from_board, self.board, cover, (&self.light, self.inverted))
+        Scene::of(
+            &mut self.rng,
+            &self.pixel_from_board,
+            self.board,
+            cover,
+            (&self.light, self.inverted),
+        )
     }
 
-    /// Moves on, with a little more or less speed; turns back where the board would leave the picture.
+    /// Moves on, with a little more or less speed; turns back where the board would leave the
+    /// picture.
     fn walk(&mut self, speed_px: f64) {
         let mut change = |most: f64| self.rng.random_range(-most..most);
         let turn = Rotation2::new(change(0.01));
         let (x, y, scale) = (change(speed_px), change(speed_px), 1.0 + change(0.01));
         let about = Matrix3::new_translation(&nalgebra::Vector2::new(119.5, 89.5));
-        let step = about * Matrix3::new_scaling(scale) * turn.to_homogeneous() * about.try_inverse().unwrap();
+        let step = about
+            * Matrix3::new_scaling(scale)
+            * turn.to_homogeneous()
+            * about.try_inverse().unwrap();
         self.motion = Matrix3::new_translation(&nalgebra::Vector2::new(x, y)) * step;
         let next = self.motion * self.pixel_from_board;
         if inside(&next, self.board) {
@@ -56,7 +67,15 @@ impl Stream {
         let (cols, rows) = (f64::from(self.board.cols), f64::from(self.board.rows));
         let by = |c: f64, r: f64| Matrix3::new_translation(&nalgebra::Vector2::new(c, r));
         let half_turn = Matrix3::new(-1.0, 0.0, cols - 1.0, 0.0, -1.0, rows - 1.0, 0.0, 0.0, 1.0);
-        let jumps = [by(1.0, 0.0), by(0.0, 2.0), by(1.0, 1.0), by(-2.0, 0.0), by(0.5, 0.0), by(0.0, -0.7), half_turn];
+        let jumps = [
+            by(1.0, 0.0),
+            by(0.0, 2.0),
+            by(1.0, 1.0),
+            by(-2.0, 0.0),
+            by(0.5, 0.0),
+            by(0.0, -0.7),
+            half_turn,
+        ];
         let chosen = self.rng.random_range(0..jumps.len() + 1);
         self.pixel_from_board = match jumps.get(chosen) {
             Some(jump) => self.pixel_from_board * jump,
@@ -74,7 +93,8 @@ fn inside(pixel_from_board: &Matrix3<f64>, board: BoardSize) -> bool {
 }
 
 fn look(detector: &mut Detector, scene: &Scene) -> Option<Sighting> {
-    let sighting = detector.track_board(scene.image.view(), &DetectOptions { allow_partial: false }).ok()?;
+    let sighting =
+        detector.track_board(scene.image.view(), &DetectOptions { allow_partial: false }).ok()?;
     assert!(scene.is_right(&sighting.detection), "board {}: {sighting:?}", scene.board);
     Some(sighting)
 }
@@ -85,7 +105,9 @@ fn a_board_that_moves_is_followed() {
     for (kind, board) in BOARDS.iter().enumerate() {
         for stream in 0..12 {
             let mut stream = Stream::new(10 * kind as u64 + stream, board.parse().unwrap());
-            if stream.picture(None).shortest_step_px() < 9.0 || !inside(&stream.pixel_from_board, stream.board) {
+            if stream.picture(None).shortest_step_px() < 9.0
+                || !inside(&stream.pixel_from_board, stream.board)
+            {
                 continue;
             }
             let mut detector = Detector::new(stream.board);
@@ -112,7 +134,8 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
             for number in 0..20 {
                 let cover = (number % 7 == 5).then(|| Cover::new(&mut stream.rng));
                 let scene = stream.picture(cover.as_ref());
-                let whole_board = inside(&stream.pixel_from_board, stream.board) && scene.shortest_step_px() > 8.0;
+                let whole_board = inside(&stream.pixel_from_board, stream.board)
+                    && scene.shortest_step_px() > 8.0;
                 let sighting = look(&mut detector, &scene);
                 if number % 7 != 5 && whole_board {
                     seen += 1;
@@ -120,7 +143,8 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
                 }
                 stream.jump();
                 if !inside(&stream.pixel_from_board, stream.board) && stream.rng.random_bool(0.5) {
-                    stream.pixel_from_board = pixel_from_board(&mut stream.rng, stream.board, false);
+                    stream.pixel_from_board =
+                        pixel_from_board(&mut stream.rng, stream.board, false);
                 }
             }
         }
@@ -179,7 +203,8 @@ fn the_std_of_followed_corners_covers_their_error() {
                 continue;
             };
             let mut refined = Detector::new(stream.board);
-            let searched = refined.find_board(scene.image.view(), &DetectOptions::default()).unwrap();
+            let searched =
+                refined.find_board(scene.image.view(), &DetectOptions::default()).unwrap();
             for (corner, exact) in detection.corners.iter().zip(&searched.corners) {
                 squares += (corner.pixel.distance_px(exact.pixel) / corner.std_px).powi(2) / 2.0;
                 count += 1;

@@ -1,4 +1,5 @@
-//! The bundled walk through `plumb calibrate`: against its exact truth, the same bytes every time, and verified afterwards.
+//! The bundled walk through `plumb calibrate`: against its exact truth, the same bytes every time,
+//! and verified afterwards.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -10,7 +11,8 @@ fn recording(name: &str) -> PathBuf {
 }
 
 fn plumb(arguments: &[&str], recording: &Path) -> Value {
-    let output = Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).arg(recording).output().unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).arg(recording).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     serde_json::from_slice(&output.stdout).unwrap()
 }
@@ -22,14 +24,18 @@ fn calibrate(threads: &str) -> Value {
 
 #[test]
 fn the_truth_lies_within_the_predicted_uncertainty() {
-    let truth: Value = serde_json::from_slice(&std::fs::read(recording("walk.truth.json")).unwrap()).unwrap();
+    let truth: Value =
+        serde_json::from_slice(&std::fs::read(recording("walk.truth.json")).unwrap()).unwrap();
     let sensor = &calibrate("2")["sensors"]["color"];
     for name in ["fx", "fy", "cx", "cy"] {
         let number = |of: &Value| of[name].as_f64().unwrap();
         let (found, std) = (number(&sensor["lens"]), number(&sensor["lens_std"]));
         let exact = number(&truth["sensors"]["color"]["lens"]);
         let apart = (found - exact).abs();
-        assert!(apart < 3.0 * std && apart < 0.001 * exact, "{name}: {found} ± {std}, truth {exact}");
+        assert!(
+            apart < 3.0 * std && apart < 0.001 * exact,
+            "{name}: {found} ± {std}, truth {exact}"
+        );
     }
 }
 

@@ -1,4 +1,5 @@
-//! What the corners' own standard deviations are worth: weights follow them as far as the residuals bear them out.
+//! What the corners' own standard deviations are worth: weights follow them as far as the residuals
+//! bear them out.
 
 use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use plumb::estimation::problem::{CameraProblem, LensChoice};
@@ -11,19 +12,25 @@ use crate::seeded_camera::SeededCamera;
 const SEEDS: u64 = 40;
 
 fn solve(problem: &CameraProblem) -> CameraEstimate {
-    let options = CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() };
+    let options =
+        CameraOptions { lens: LensChoice::Model(LensModel::Brown), ..CameraOptions::default() };
     calibrate_camera(problem, &options).unwrap()
 }
 
 fn equally_weighted(problem: &CameraProblem) -> CameraProblem {
     let mut equal = problem.clone();
-    equal.views.iter_mut().flat_map(|view| &mut view.correspondences).for_each(|corner| corner.std_px = 1.0);
+    equal
+        .views
+        .iter_mut()
+        .flat_map(|view| &mut view.correspondences)
+        .for_each(|corner| corner.std_px = 1.0);
     equal
 }
 
-/// Over seeded views of which each corner errs by `noise_px` and is told to err by `told_px` (both of the view, the corner and
-/// a standard normal number): the mean square of the focal length's error in its own predicted standard deviations, that error's
-/// mean square beside the one with equal weights, and the median common error in pixels.
+/// Over seeded views of which each corner errs by `noise_px` and is told to err by `told_px` (both
+/// of the view, the corner and a standard normal number): the mean square of the focal length's
+/// error in its own predicted standard deviations, that error's mean square beside the one with
+/// equal weights, and the median common error in pixels.
 fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f64) -> [f64; 3] {
     let camera = SeededCamera { noise_px: 1e-9, ..SeededCamera::ordinary() };
     let normal = Normal::new(0.0, 1.0).unwrap();
@@ -52,19 +59,27 @@ fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f
 
 #[test]
 fn deviations_that_no_residual_bears_out_change_little() {
-    let [own, beside_equal, common_px] = over_seeds(|_| 0.1, |_, chance| 0.1 * (0.4 * chance).exp());
+    let [own, beside_equal, common_px] =
+        over_seeds(|_| 0.1, |_, chance| 0.1 * (0.4 * chance).exp());
     println!(
         "told at random: {own:.2} predicted variances, {beside_equal:.3} of equal weights, common {common_px:.3} px"
     );
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
-    assert!(beside_equal < 1.05 && common_px > 0.1, "{beside_equal} of equal weights, common error {common_px} px");
+    assert!(
+        beside_equal < 1.05 && common_px > 0.1,
+        "{beside_equal} of equal weights, common error {common_px} px"
+    );
 }
 
 #[test]
 fn deviations_that_residuals_bear_out_are_the_weights() {
     let of_view = |view: usize| if view.is_multiple_of(2) { 0.05 } else { 0.5 };
-    let [own, _, common_px] = over_seeds(of_view, |view, chance| of_view(view) * (0.1 * chance).exp());
+    let [own, _, common_px] =
+        over_seeds(of_view, |view, chance| of_view(view) * (0.1 * chance).exp());
     println!("told rightly: {own:.2} predicted variances, common {common_px:.3} px");
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
-    assert!(common_px < 0.03, "a common error of {common_px} px, where corners of 0.05 px err by that");
+    assert!(
+        common_px < 0.03,
+        "a common error of {common_px} px, where corners of 0.05 px err by that"
+    );
 }

@@ -28,17 +28,26 @@ impl BadFiles {
         files.write("words.mcap", b"no recording at all");
         files.write("nothing/readme.txt", b"no pictures here");
         files.write("small/other.png", &encoded(&GrayImage::new(64, 48), ImageFormat::Png));
-        let point =
-            |pixel: &str| format!(r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":[{pixel}]}}]}}"#);
+        let point = |pixel: &str| {
+            format!(
+                r#"{{"image_size":[640,480],"views":[{{"object":[[0,0,0]],"image":[{pixel}]}}]}}"#
+            )
+        };
         files.write("nan.json", point("[1,NaN]").as_bytes());
         files.write("few.json", point("[1,2]").as_bytes());
         files.write("fields.json", br#"{"image_size":[640,480],"views":[{"object":[[0,0,0]]}]}"#);
         files.write("size.json", br#"{"image_size":[0,480],"views":[]}"#);
         files.write("syntax.json", br#"{"image_size":[640,480],"#);
         files.write("nothing.toml", b"");
-        files.write("back.toml", b"[[camera]]\nname = \"back\"\nsource = { kind = \"simulator\" }\n");
+        files.write(
+            "back.toml",
+            b"[[camera]]\nname = \"back\"\nsource = { kind = \"simulator\" }\n",
+        );
         files.write("key.toml", b"[server]\nportt = 3\n");
-        files.write("camera.toml", b"[[camera]]\nname = \"front\"\nsource = { kind = \"teleporter\" }\n");
+        files.write(
+            "camera.toml",
+            b"[[camera]]\nname = \"front\"\nsource = { kind = \"teleporter\" }\n",
+        );
         files
     }
 
@@ -54,7 +63,8 @@ impl BadFiles {
 
     /// `words`, with `@name` as the path of the file `name`.
     fn arguments(&self, words: &str) -> Vec<String> {
-        let path = |word: &str| word.strip_prefix('@').map(|name| self.path(name).display().to_string());
+        let path =
+            |word: &str| word.strip_prefix('@').map(|name| self.path(name).display().to_string());
         words.split_whitespace().map(|word| path(word).unwrap_or_else(|| word.to_owned())).collect()
     }
 }
@@ -90,14 +100,26 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("detect --board 9x6 --json @words.png", 1, &["words.png", "not a picture"]),
     ("detect --board 9x6 --json @nothing", 1, &["nothing", "no pictures in this folder"]),
     ("detect --board 9x6 --json @*.bmp", 1, &["*.bmp", "no file has such a name"]),
-    ("detect --board 9x6 --json @cut.jpg @empty.png", 1, &["2 images could not be read", "cut.jpg"]),
+    (
+        "detect --board 9x6 --json @cut.jpg @empty.png",
+        1,
+        &["2 images could not be read", "cut.jpg"],
+    ),
     ("calibrate --board 9x6 @grey.jpg", 2, &["--square"]),
     ("calibrate --board 9x6 --square 25 @grey.jpg", 2, &["`25`", "25mm"]),
     ("calibrate --board 9x6 --square 50m @grey.jpg", 2, &["50 m", "25mm"]),
     ("calibrate --board 2x2 --square 25mm @grey.jpg", 2, &["2x2", "3 to 100"]),
-    ("calibrate --board 9x6 --square 25mm --lens fisheye @grey.jpg", 2, &["fisheye", "kannala_brandt"]),
+    (
+        "calibrate --board 9x6 --square 25mm --lens fisheye @grey.jpg",
+        2,
+        &["fisheye", "kannala_brandt"],
+    ),
     ("calibrate --board 9x6 --square 25mm --json --format ros @grey.jpg", 2, &["--out"]),
-    ("calibrate --board 9x6 --square 25mm @gone.jpg @grey.jpg", 1, &["gone.jpg", "no such file", "check the path"]),
+    (
+        "calibrate --board 9x6 --square 25mm @gone.jpg @grey.jpg",
+        1,
+        &["gone.jpg", "no such file", "check the path"],
+    ),
     ("calibrate --board 9x6 --square 25mm @nothing", 1, &["nothing", "no pictures in this folder"]),
     ("calibrate --board 9x6 --square 25mm @cut.mcap", 1, &["cut.mcap"]),
     ("calibrate --board 9x6 --square 25mm @words.mcap", 1, &["words.mcap"]),
@@ -106,7 +128,11 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("calibrate --board 9x6 --square 25mm @dot.png", 1, &["dot.png", "1x1", "too small"]),
     ("calibrate --board 9x6 --square 25mm @huge.png", 1, &["huge.png", "120 megapixels"]),
     ("calibrate --board 9x6 --square 25mm @grey.jpg", 1, &["grey.jpg", "board"]),
-    ("calibrate --board 9x6 --square 25mm @grey.jpg @grey.jpg", 1, &["no 9x6 board", "any of 2 pictures", "grey.jpg"]),
+    (
+        "calibrate --board 9x6 --square 25mm @grey.jpg @grey.jpg",
+        1,
+        &["no 9x6 board", "any of 2 pictures", "grey.jpg"],
+    ),
     ("calibrate --board 9x6 --square 25mm @grey.jpg @small", 1, &["64x48", "320x240", "each size"]),
     ("solve", 2, &["PROBLEM.json"]),
     ("solve @gone.json", 1, &["gone.json", "cannot be read"]),
@@ -118,8 +144,16 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("verify --calibration @few.json --board 9x6 @grey.jpg", 1, &["few.json", "missing"]),
     ("verify --calibration @gone.json --board 9x6 @grey.jpg", 1, &["gone.json", "cannot be read"]),
     ("record --camera front --out @new.mcap --config @gone.toml", 2, &["gone.toml"]),
-    ("record --camera front --out @new.mcap --config @back.toml", 2, &["back.toml", "front", "back"]),
-    ("record --camera back --out @new.mcap --config @back.toml --seconds 0", 2, &["--seconds", "above 0"]),
+    (
+        "record --camera front --out @new.mcap --config @back.toml",
+        2,
+        &["back.toml", "front", "back"],
+    ),
+    (
+        "record --camera back --out @new.mcap --config @back.toml --seconds 0",
+        2,
+        &["--seconds", "above 0"],
+    ),
     ("record --camera back --out @none/new.mcap --config @back.toml", 1, &["new.mcap"]),
     ("focus --focal 8 --f-number 2 --pixel 3.45um --focus 1m", 2, &["`8`", "25mm"]),
     ("focus --focal 8mm --f-number 0 --pixel 3.45um --focus 1m", 2, &["f-number", "positive"]),
@@ -160,7 +194,8 @@ fn a_port_in_use() {
     let files = BadFiles::new();
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
-    let finished = plumb(files.arguments(&format!("serve --config @nothing.toml --listen {address}")));
+    let finished =
+        plumb(files.arguments(&format!("serve --config @nothing.toml --listen {address}")));
     let line = one_line("serve", &finished.stderr);
     assert_eq!(finished.code, Some(1), "{line}");
     assert!(line.contains(&address) && line.contains("--listen"), "{line}");
@@ -169,11 +204,13 @@ fn a_port_in_use() {
 #[test]
 fn a_bad_picture_among_good_ones_costs_only_itself() {
     let files = BadFiles::new();
-    let finished = plumb(files.arguments("detect --board 9x6 --json @cut.jpg @grey.jpg @gone.jpg @dot.png"));
+    let finished =
+        plumb(files.arguments("detect --board 9x6 --json @cut.jpg @grey.jpg @gone.jpg @dot.png"));
     assert_eq!(finished.code, Some(1));
     let lines: Vec<serde_json::Value> =
         finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let names: Vec<&str> = lines.iter().map(|line| file_name(line["path"].as_str().unwrap())).collect();
+    let names: Vec<&str> =
+        lines.iter().map(|line| file_name(line["path"].as_str().unwrap())).collect();
     assert_eq!(names, ["cut.jpg", "grey.jpg", "gone.jpg", "dot.png"]);
     for line in &lines {
         assert!(line["found"] == false && line["reason"].is_string(), "{line}");

@@ -24,7 +24,11 @@ fn every_command_has_help() {
         assert!(listed.stdout.contains(command), "{command} is not listed: {}", listed.stdout);
         let help = plumb([command, "--help"]);
         assert_eq!((help.code, help.stderr.as_str()), (Some(0), ""), "{command}");
-        assert!(help.stdout.contains("Usage: plumb ") && help.stdout.contains("--help"), "{}", help.stdout);
+        assert!(
+            help.stdout.contains("Usage: plumb ") && help.stdout.contains("--help"),
+            "{}",
+            help.stdout
+        );
     }
 }
 
@@ -35,15 +39,32 @@ fn the_version_is_the_package_s() {
 
 #[test]
 fn the_focus_of_a_machine_vision_lens() {
-    let asked = ["focus", "--json", "--focal", "8mm", "--f-number", "2", "--pixel", "3.45um", "--focus", "1m"];
+    let asked = [
+        "focus",
+        "--json",
+        "--focal",
+        "8mm",
+        "--f-number",
+        "2",
+        "--pixel",
+        "3.45um",
+        "--focus",
+        "1m",
+    ];
     let answer: serde_json::Value = serde_json::from_str(&plumb(asked).stdout).unwrap();
     let number = |path: &str| answer.pointer(path).and_then(serde_json::Value::as_f64).unwrap();
     // H = f²/(N c) + f, near = s (H − f)/(H + s − 2 f), far = s (H − f)/(H − s).
     let hyperfocal_m = 0.008 * 0.008 / (2.0 * 3.45e-6) + 0.008;
     assert!((number("/hyperfocal_m") - hyperfocal_m).abs() < 1e-9, "{answer}");
     assert!(
-        (number("/depth_of_field/near_m") - (hyperfocal_m - 0.008) / (hyperfocal_m + 1.0 - 0.016)).abs() < 1e-9,
+        (number("/depth_of_field/near_m") - (hyperfocal_m - 0.008) / (hyperfocal_m + 1.0 - 0.016))
+            .abs()
+            < 1e-9,
         "{answer}"
     );
-    assert!((number("/depth_of_field/far_m") - (hyperfocal_m - 0.008) / (hyperfocal_m - 1.0)).abs() < 1e-9, "{answer}");
+    assert!(
+        (number("/depth_of_field/far_m") - (hyperfocal_m - 0.008) / (hyperfocal_m - 1.0)).abs()
+            < 1e-9,
+        "{answer}"
+    );
 }

@@ -1,4 +1,5 @@
-//! The exported depth correction, read by the readers that are given away with it: the numbers of the library itself.
+//! The exported depth correction, read by the readers that are given away with it: the numbers of
+//! the library itself.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -21,7 +22,8 @@ fn readers() -> PathBuf {
 
 /// A document with a lens; what is read is set by each case.
 fn calibration(camera: impl FnOnce(&mut DepthCamera), invalid: Option<u16>) -> Calibration {
-    let lens = r#"{"model": "pinhole", "fx": 36.0, "fy": 36.0, "cx": 19.5, "cy": 14.5, "skew": 0.0}"#;
+    let lens =
+        r#"{"model": "pinhole", "fx": 36.0, "fy": 36.0, "cx": 19.5, "cy": 14.5, "skew": 0.0}"#;
     let std = r#"{"fx": 0.1, "fy": 0.1, "cx": 0.1, "cy": 0.1, "skew": 0.0}"#;
     let json = format!(
         r#"{{"id": "1", "camera": "front", "session": null, "created_at": "2026-01-01T00:00:00Z", "target": null,
@@ -46,21 +48,32 @@ fn correction(quantity: CorrectedQuantity, grid: SplineGrid, terms: usize) -> De
     correction
 }
 
-/// Calibrations of every kind, each with a picture that has readings outside what was seen, none, and the invalid one.
+/// Calibrations of every kind, each with a picture that has readings outside what was seen, none,
+/// and the invalid one.
 fn cases() -> Vec<(Calibration, DepthImage)> {
     let grid = SplineGrid { size: SIZE, cols: 5, rows: 4 };
-    let picture = |reading: &dyn Fn(usize) -> u16| DepthImage::new(SIZE, (0..1200).map(reading).collect()).unwrap();
+    let picture = |reading: &dyn Fn(usize) -> u16| {
+        DepthImage::new(SIZE, (0..1200).map(reading).collect()).unwrap()
+    };
     let metric = |k: usize| if k.is_multiple_of(7) { 0 } else { 300 + 3 * k as u16 };
     let disparity = |k: usize| if k.is_multiple_of(5) { 2047 } else { 400 + (k / 2) as u16 };
     vec![
         (calibration(|_| {}, None), picture(&metric)),
         (
-            calibration(|camera| camera.correction = Some(correction(CorrectedQuantity::InverseDepth, grid, 2)), None),
+            calibration(
+                |camera| {
+                    camera.correction = Some(correction(CorrectedQuantity::InverseDepth, grid, 2))
+                },
+                None,
+            ),
             picture(&metric),
         ),
         (
             calibration(
-                |camera| camera.correction = Some(correction(CorrectedQuantity::Depth, SplineGrid::constant(SIZE), 3)),
+                |camera| {
+                    camera.correction =
+                        Some(correction(CorrectedQuantity::Depth, SplineGrid::constant(SIZE), 3))
+                },
                 Some(306),
             ),
             picture(&metric),
@@ -78,26 +91,36 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
     ]
 }
 
-/// Writes each case as a file and its readings as text, runs `read` on both, and compares with the library.
+/// Writes each case as a file and its readings as text, runs `read` on both, and compares with the
+/// library.
 fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
     for (calibration, picture) in cases() {
         let (file, readings) = (folder.join("depth.txt"), folder.join("raw.txt"));
-        std::fs::write(&file, export(&calibration, Format::Depth, &ExportOptions::default()).unwrap().bytes).unwrap();
+        std::fs::write(
+            &file,
+            export(&calibration, Format::Depth, &ExportOptions::default()).unwrap().bytes,
+        )
+        .unwrap();
         let rows = (0..SIZE.height as usize)
             .map(|y| picture.row(y).iter().map(ToString::to_string).collect::<Vec<_>>().join(" "));
         std::fs::write(&readings, rows.collect::<Vec<_>>().join("\n") + "\n").unwrap();
         let ran = read(&file, &readings).output().unwrap();
         assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
         let text = String::from_utf8(ran.stdout).unwrap();
-        let theirs: Vec<f64> = text.split_whitespace().map(|number| number.parse().unwrap()).collect();
+        let theirs: Vec<f64> =
+            text.split_whitespace().map(|number| number.parse().unwrap()).collect();
         let depth = calibration.depth.as_ref().unwrap();
-        let registration = DepthRegistration::new(&depth.camera, &depth.camera.lens, SIZE, &Pose::identity());
+        let registration =
+            DepthRegistration::new(&depth.camera, &depth.camera.lens, SIZE, &Pose::identity());
         let ours = registration.depths_m(&picture, depth.invalid);
         assert_eq!(theirs.len(), ours.len());
         assert!(ours.contains(&0.0) && ours.iter().filter(|depth| **depth > 0.0).count() > 900);
         for (k, (theirs, ours)) in theirs.iter().zip(&ours).enumerate() {
             // Pictures are corrected in single precision.
-            assert!((theirs - f64::from(*ours)).abs() < 1e-6 * theirs.max(1.0), "pixel {k}: {theirs}, but {ours}");
+            assert!(
+                (theirs - f64::from(*ours)).abs() < 1e-6 * theirs.max(1.0),
+                "pixel {k}: {theirs}, but {ours}"
+            );
         }
     }
 }

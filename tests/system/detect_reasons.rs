@@ -1,4 +1,5 @@
-//! Why no board was found, as `plumb detect` says it, and as a session counts, announces and publishes it.
+//! Why no board was found, as `plumb detect` says it, and as a session counts, announces and
+//! publishes it.
 
 use std::collections::BTreeSet;
 
@@ -22,16 +23,24 @@ const WIDTH: i32 = 320;
 const HEIGHT: i32 = 240;
 
 impl Straight {
-    const WHOLE: Self =
-        Self { corners: (9, 6), square_px: 24.0, origin: (40.3, 36.2), colours: [40.0, 210.0], soft_px: 0 };
+    const WHOLE: Self = Self {
+        corners: (9, 6),
+        square_px: 24.0,
+        origin: (40.3, 36.2),
+        colours: [40.0, 210.0],
+        soft_px: 0,
+    };
 
     /// The picture as a PGM.
     fn pgm(&self) -> Vec<u8> {
-        let sharp: Vec<f64> = (0..WIDTH * HEIGHT).map(|at| self.light(at % WIDTH, at / WIDTH)).collect();
+        let sharp: Vec<f64> =
+            (0..WIDTH * HEIGHT).map(|at| self.light(at % WIDTH, at / WIDTH)).collect();
         let mean = |x: i32, y: i32, step: (i32, i32), of: &[f64]| {
             let reach = -self.soft_px..=self.soft_px;
             let count = f64::from(2 * self.soft_px + 1);
-            let at = |k: i32| (y + k * step.1).clamp(0, HEIGHT - 1) * WIDTH + (x + k * step.0).clamp(0, WIDTH - 1);
+            let at = |k: i32| {
+                (y + k * step.1).clamp(0, HEIGHT - 1) * WIDTH + (x + k * step.0).clamp(0, WIDTH - 1)
+            };
             reach.map(|k| of[at(k) as usize]).sum::<f64>() / count
         };
         let all = || (0..WIDTH * HEIGHT).map(|at| (at % WIDTH, at / WIDTH));
@@ -42,7 +51,8 @@ impl Straight {
     }
 
     fn light(&self, x: i32, y: i32) -> f64 {
-        let square = |at: i32, origin: f64| ((f64::from(at) - origin) / self.square_px).floor() as i32;
+        let square =
+            |at: i32, origin: f64| ((f64::from(at) - origin) / self.square_px).floor() as i32;
         let (col, row) = (square(x, self.origin.0), square(y, self.origin.1));
         let on_board = (0..=self.corners.0).contains(&col) && (0..=self.corners.1).contains(&row);
         self.colours[usize::from(!on_board || (col + row) % 2 != 0)]
@@ -55,7 +65,11 @@ fn detect_says_why_there_is_no_board() {
         ("whole", Straight::WHOLE, None),
         ("flat", Straight { colours: [100.0, 104.0], ..Straight::WHOLE }, Some("contrast")),
         ("soft", Straight { soft_px: 30, ..Straight::WHOLE }, Some("blur")),
-        ("other", Straight { corners: (7, 5), ..Straight::WHOLE }, Some("a 7x5 board is seen, not 9x6")),
+        (
+            "other",
+            Straight { corners: (7, 5), ..Straight::WHOLE },
+            Some("a 7x5 board is seen, not 9x6"),
+        ),
         ("cut", Straight { origin: (-60.0, 36.2), ..Straight::WHOLE }, Some("cut off")),
     ];
     let folder = tempfile::tempdir().unwrap();
@@ -68,7 +82,8 @@ fn detect_says_why_there_is_no_board() {
     let asked = ["detect", "--board", "9x6", "--json"].map(str::to_owned);
     let paths = pictures.iter().map(|(name, ..)| path(name)).chain([tiny.clone()]);
     let finished = plumb(asked.into_iter().chain(paths));
-    let lines: Vec<Value> = finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let lines: Vec<Value> =
+        finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert_eq!(lines.len(), pictures.len() + 1, "{finished:?}");
     let expected = pictures.iter().map(|(_, _, reason)| *reason).chain([Some("30x20")]);
     for (line, expected) in lines.iter().zip(expected) {
@@ -76,20 +91,36 @@ fn detect_says_why_there_is_no_board() {
             None => assert!(line["found"] == true && line["reason"].is_null(), "{line}"),
             Some(words) => {
                 assert_eq!(line["found"], false, "{line}");
-                assert!(line["reason"].as_str().is_some_and(|reason| reason.contains(words)), "{words}: {line}");
+                assert!(
+                    line["reason"].as_str().is_some_and(|reason| reason.contains(words)),
+                    "{words}: {line}"
+                );
             }
         }
     }
 }
 
-/// What turned a frame away reaches all who look from afar: the events, the session's document and the metrics.
+/// What turned a frame away reaches all who look from afar: the events, the session's document and
+/// the metrics.
 #[test]
 fn a_session_counts_and_tells_each_reason_by_its_own_name() {
     let pictures = [
-        ("low_contrast", Straight { colours: [100.0, 104.0], ..Straight::WHOLE }, "not enough contrast"),
+        (
+            "low_contrast",
+            Straight { colours: [100.0, 104.0], ..Straight::WHOLE },
+            "not enough contrast",
+        ),
         ("blurred", Straight { soft_px: 30, ..Straight::WHOLE }, "too blurred"),
-        ("other_size", Straight { corners: (7, 5), ..Straight::WHOLE }, "a 7x5 board is seen, not 9x6"),
-        ("no_corners", Straight { corners: (0, 0), square_px: 90.0, ..Straight::WHOLE }, "no chessboard corners"),
+        (
+            "other_size",
+            Straight { corners: (7, 5), ..Straight::WHOLE },
+            "a 7x5 board is seen, not 9x6",
+        ),
+        (
+            "no_corners",
+            Straight { corners: (0, 0), square_px: 90.0, ..Straight::WHOLE },
+            "no chessboard corners",
+        ),
     ];
     let folder = tempfile::tempdir().unwrap();
     let recording = folder.path().join("pictures");
@@ -99,7 +130,8 @@ fn a_session_counts_and_tells_each_reason_by_its_own_name() {
     }
     let path = recording.display().to_string();
     let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 200, repeat = true }}");
-    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served =
+        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
     let mut events = served.events("?camera=front", None);
     let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025});
     let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();
@@ -107,8 +139,10 @@ fn a_session_counts_and_tells_each_reason_by_its_own_name() {
     while !awaited.is_empty() {
         let event = events.until(|event| event.name == "detection").data;
         assert!(event["found"] == false && event["session"] == session["id"], "{event}");
-        let (kind, reason) = (event["rejection"].as_str().unwrap(), event["reason"].as_str().unwrap());
-        let (.., words) = pictures.iter().find(|(name, ..)| *name == kind).unwrap_or_else(|| panic!("{event}"));
+        let (kind, reason) =
+            (event["rejection"].as_str().unwrap(), event["reason"].as_str().unwrap());
+        let (.., words) =
+            pictures.iter().find(|(name, ..)| *name == kind).unwrap_or_else(|| panic!("{event}"));
         assert!(reason.contains(words), "{event}");
         awaited.remove(kind);
     }
@@ -117,7 +151,10 @@ fn a_session_counts_and_tells_each_reason_by_its_own_name() {
     for (kind, ..) in &pictures {
         assert!(counted["rejected"][kind].as_u64().unwrap() > 0, "{kind}: {counted}");
         let label = format!("plumb_frames_rejected_total{{camera=\"front\",reason=\"{kind}\"}} ");
-        let count = metrics.lines().find_map(|line| line.strip_prefix(&label)).unwrap_or_else(|| panic!("{metrics}"));
+        let count = metrics
+            .lines()
+            .find_map(|line| line.strip_prefix(&label))
+            .unwrap_or_else(|| panic!("{metrics}"));
         assert!(count.parse::<u64>().unwrap() > 0, "{kind}: {count}");
     }
 }

@@ -1,4 +1,5 @@
-//! A client that knows only the contract finds every route, field, status and media type as it is written there.
+//! A client that knows only the contract finds every route, field, status and media type as it is
+//! written there.
 
 use serde_json::{Value, json};
 
@@ -18,7 +19,8 @@ fn target() -> Value {
 }
 
 fn start_session(served: &Served) -> String {
-    let answer = served.post("/v1/cameras/front/sessions", &json!({"target": target(), "lens": "brown"}));
+    let answer =
+        served.post("/v1/cameras/front/sessions", &json!({"target": target(), "lens": "brown"}));
     assert_eq!(answer.status, 201, "{}", answer.text());
     answer.json()["id"].as_str().unwrap().to_owned()
 }
@@ -62,8 +64,14 @@ fn is_problem(answer: &Answer, status: u16) -> Value {
 
 #[track_caller]
 fn is_jpeg(answer: &Answer, size: (u32, u32)) {
-    assert_eq!((answer.status, answer.media_type.as_str()), (200, "image/jpeg"), "{}", answer.text());
-    let picture = image::load_from_memory_with_format(&answer.bytes, image::ImageFormat::Jpeg).unwrap();
+    assert_eq!(
+        (answer.status, answer.media_type.as_str()),
+        (200, "image/jpeg"),
+        "{}",
+        answer.text()
+    );
+    let picture =
+        image::load_from_memory_with_format(&answer.bytes, image::ImageFormat::Jpeg).unwrap();
     assert_eq!((picture.width(), picture.height()), size);
 }
 
@@ -75,7 +83,9 @@ fn the_daemon_tells_how_it_is() {
     let metrics = served.get("/metrics");
     assert_eq!(metrics.status, 200);
     assert!(metrics.media_type.starts_with("text/plain"), "{}", metrics.media_type);
-    assert!(metrics.text().lines().any(|line| line.starts_with("plumb_frames_total{camera=\"front\"}")));
+    assert!(
+        metrics.text().lines().any(|line| line.starts_with("plumb_frames_total{camera=\"front\"}"))
+    );
     let page = served.get("/");
     assert!(page.status == 200 && page.media_type.starts_with("text/html"), "{}", page.media_type);
     for part in ["/page/style.css", "/page/script.js"] {
@@ -98,7 +108,17 @@ fn a_camera_is_shown_with_its_picture() {
     let list = served.get("/v1/cameras");
     assert_eq!((list.status, list.media_type.as_str()), (200, "application/json"));
     let camera = &list.json()["cameras"][0];
-    let fields = ["name", "backend", "state", "reason", "sensors", "fps", "dropped_frames", "identity", "calibration"];
+    let fields = [
+        "name",
+        "backend",
+        "state",
+        "reason",
+        "sensors",
+        "fps",
+        "dropped_frames",
+        "identity",
+        "calibration",
+    ];
     has_fields(camera, &fields);
     has_fields(&camera["identity"], &["serial", "bus"]);
     assert_eq!(
@@ -112,12 +132,19 @@ fn a_camera_is_shown_with_its_picture() {
     }
     is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=depth"), 404);
     is_problem(&served.get("/v1/cameras/front/frame.jpg?undistorted=true"), 409);
-    assert_eq!(is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=x"), 422)["field"], "sensor");
-    assert_eq!(is_problem(&served.get("/v1/cameras/front/frame.jpg?overlay=2"), 422)["field"], "overlay");
+    assert_eq!(
+        is_problem(&served.get("/v1/cameras/front/frame.jpg?sensor=x"), 422)["field"],
+        "sensor"
+    );
+    assert_eq!(
+        is_problem(&served.get("/v1/cameras/front/frame.jpg?overlay=2"), 422)["field"],
+        "overlay"
+    );
     is_problem(&served.get("/v1/cameras/front/calibration"), 404);
     // A recording's device states nothing.
     is_problem(&served.get("/v1/cameras/front/factory"), 404);
-    for unknown in ["", "/frame.jpg", "/preview.mjpg", "/calibration", "/calibrations", "/factory"] {
+    for unknown in ["", "/frame.jpg", "/preview.mjpg", "/calibration", "/calibrations", "/factory"]
+    {
         is_problem(&served.get(&format!("/v1/cameras/rear{unknown}")), 404);
     }
 }
@@ -128,7 +155,12 @@ fn a_session_runs_from_start_to_calibration() {
     let mut events = served.events("?camera=front", None);
     let body = json!({"target": target(), "lens": "brown", "finish": {"uncertainty_px": 1e-9, "min_views": 12, "max_seconds": 600.0}});
     let answer = served.post("/v1/cameras/front/sessions", &body);
-    assert_eq!((answer.status, answer.media_type.as_str()), (201, "application/json"), "{}", answer.text());
+    assert_eq!(
+        (answer.status, answer.media_type.as_str()),
+        (201, "application/json"),
+        "{}",
+        answer.text()
+    );
     let session = answer.json();
     let fields = [
         "id",
@@ -199,17 +231,36 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     let calibration = answer.json();
     has_fields(
         &calibration,
-        &["id", "camera", "session", "created_at", "target", "sensors", "extrinsics", "checks", "verdict"],
+        &[
+            "id",
+            "camera",
+            "session",
+            "created_at",
+            "target",
+            "sensors",
+            "extrinsics",
+            "checks",
+            "verdict",
+        ],
     );
     let sensor = &calibration["sensors"]["color"];
     has_fields(sensor, &["image_size", "lens", "lens_std", "rms_px", "uncertainty_px", "views"]);
-    has_fields(&sensor["lens"], &["model", "fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3"]);
+    has_fields(
+        &sensor["lens"],
+        &["model", "fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3"],
+    );
     has_fields(&sensor["uncertainty_px"], &["center", "median", "worst"]);
     has_fields(&sensor["views"][0], &["name", "used", "reason", "rms_px", "camera_from_board"]);
     has_fields(&sensor["views"][0]["camera_from_board"]["rotation"], &["w", "x", "y", "z"]);
-    has_fields(&calibration["checks"], &["split_half_ratio", "held_out_rms_px", "outlier_fraction", "coverage"]);
+    has_fields(
+        &calibration["checks"],
+        &["split_half_ratio", "held_out_rms_px", "outlier_fraction", "coverage"],
+    );
     has_fields(&calibration["verdict"], &["grade", "reasons"]);
-    assert_eq!((&calibration["session"], &calibration["camera"]), (&session["id"], &json!("front")));
+    assert_eq!(
+        (&calibration["session"], &calibration["camera"]),
+        (&session["id"], &json!("front"))
+    );
 
     let approved = served.post_nothing(&format!("/v1/calibrations/{id}/approve"));
     assert_eq!(approved.status, 200, "{}", approved.text());
@@ -226,19 +277,31 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     for (format, media_type) in formats {
         for path in ["/v1/cameras/front/calibration".to_owned(), format!("/v1/calibrations/{id}")] {
             let answer = served.get(&format!("{path}?format={format}"));
-            assert_eq!((answer.status, answer.media_type.as_str()), (200, media_type), "{format}: {}", answer.text());
+            assert_eq!(
+                (answer.status, answer.media_type.as_str()),
+                (200, media_type),
+                "{format}: {}",
+                answer.text()
+            );
             assert!(!answer.bytes.is_empty());
         }
     }
-    assert_eq!(is_problem(&served.get("/v1/cameras/front/calibration?format=x"), 422)["field"], "format");
+    assert_eq!(
+        is_problem(&served.get("/v1/cameras/front/calibration?format=x"), 422)["field"],
+        "format"
+    );
     let half = served.get("/v1/cameras/front/calibration?width=320&height=240").json();
     let half = &half["sensors"]["color"];
     assert_eq!(half["image_size"], json!([320, 240]));
     let ratio = half["lens"]["fx"].as_f64().unwrap() / sensor["lens"]["fx"].as_f64().unwrap();
     assert!((ratio - 0.5).abs() < 1e-12, "{ratio}");
-    assert_eq!(is_problem(&served.get("/v1/cameras/front/calibration?width=320"), 422)["field"], "height");
+    assert_eq!(
+        is_problem(&served.get("/v1/cameras/front/calibration?width=320"), 422)["field"],
+        "height"
+    );
     is_problem(&served.get("/v1/cameras/front/calibration?width=320&height=320"), 422);
-    let part = served.get("/v1/cameras/front/calibration?crop=80,60,480,360&width=240&height=180").json();
+    let part =
+        served.get("/v1/cameras/front/calibration?crop=80,60,480,360&width=240&height=180").json();
     let part = &part["sensors"]["color"];
     assert_eq!(part["image_size"], json!([240, 180]));
     let cx = (sensor["lens"]["cx"].as_f64().unwrap() + 0.5 - 80.0) / 2.0 - 0.5;
@@ -247,12 +310,19 @@ fn a_calibration_is_served_in_every_format_and_approved() {
         let refused = served.get(&format!("/v1/cameras/front/calibration?crop={crop}&format=ros"));
         assert_eq!(is_problem(&refused, 422)["field"], "crop");
     }
-    let focus = served.get("/v1/cameras/front/focus?pixel_um=3&f_number=2&focus_m=0.5&cols=9").json();
+    let focus =
+        served.get("/v1/cameras/front/focus?pixel_um=3&f_number=2&focus_m=0.5&cols=9").json();
     let focal_px = focus["focal_px"].as_f64().unwrap();
-    assert!((focal_px - sensor["lens"]["fx"].as_f64().unwrap()).abs() < 1e-6, "the calibrated one: {focus}");
+    assert!(
+        (focal_px - sensor["lens"]["fx"].as_f64().unwrap()).abs() < 1e-6,
+        "the calibrated one: {focus}"
+    );
     has_fields(&focus["depth_of_field"], &["near_m", "far_m"]);
     has_fields(&focus["board"], &["cols", "square_m", "distance_m"]);
-    assert_eq!(is_problem(&served.get("/v1/cameras/front/focus?pixel_um=3"), 422)["field"], "f_number");
+    assert_eq!(
+        is_problem(&served.get("/v1/cameras/front/focus?pixel_um=3"), 422)["field"],
+        "f_number"
+    );
     let history = served.get("/v1/cameras/front/calibrations").json();
     assert_eq!(history["calibrations"][0]["id"], id);
     let heat = served.get(&format!("/v1/calibrations/{id}/uncertainty.png"));
@@ -260,7 +330,10 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     assert!(image::load_from_memory(&heat.bytes).is_ok());
     let numbers = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=0.5")).json();
     has_fields(&numbers, &["sensor", "distance_m", "image_size", "x_px", "y_px", "std_px"]);
-    assert_eq!(numbers["std_px"][0].as_array().unwrap().len(), numbers["x_px"].as_array().unwrap().len());
+    assert_eq!(
+        numbers["std_px"][0].as_array().unwrap().len(),
+        numbers["x_px"].as_array().unwrap().len()
+    );
     let negative = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=-1"));
     assert_eq!(is_problem(&negative, 422)["field"], "distance_m");
     is_jpeg(&served.get("/v1/cameras/front/frame.jpg?undistorted=true"), (640, 480));
@@ -271,11 +344,20 @@ fn a_calibration_is_served_in_every_format_and_approved() {
 #[test]
 fn the_way_back_to_an_older_calibration_is_to_approve_it() {
     let (_folder, served) = started();
-    let ids = [calibrated(&served)["calibration"].clone(), calibrated(&served)["calibration"].clone()];
+    let ids =
+        [calibrated(&served)["calibration"].clone(), calibrated(&served)["calibration"].clone()];
     let history = served.get("/v1/cameras/front/calibrations").json();
-    assert_eq!((&history["calibrations"][0]["id"], &history["calibrations"][1]["id"]), (&ids[1], &ids[0]));
+    assert_eq!(
+        (&history["calibrations"][0]["id"], &history["calibrations"][1]["id"]),
+        (&ids[1], &ids[0])
+    );
     for id in [&ids[1], &ids[0]] {
-        assert_eq!(served.post_nothing(&format!("/v1/calibrations/{}/approve", id.as_str().unwrap())).status, 200);
+        assert_eq!(
+            served
+                .post_nothing(&format!("/v1/calibrations/{}/approve", id.as_str().unwrap()))
+                .status,
+            200
+        );
         assert_eq!(&served.get("/v1/cameras/front/calibration").json()["id"], id);
     }
     let sessions = served.get("/v1/sessions").json();
@@ -288,7 +370,8 @@ fn too_few_views_fail_and_stay() {
     let mut events = served.events("", None);
     // A board that is not there.
     let body = json!({"target": {"kind": "chessboard", "cols": 7, "rows": 4, "square_m": 0.025}});
-    let id = served.post("/v1/cameras/front/sessions", &body).json()["id"].as_str().unwrap().to_owned();
+    let id =
+        served.post("/v1/cameras/front/sessions", &body).json()["id"].as_str().unwrap().to_owned();
     events.until(|event| event.name == "detection" && event.data["session"] == id.as_str());
     let stopped = served.post_nothing(&format!("/v1/sessions/{id}/stop"));
     assert_eq!(stopped.status, 200, "{}", stopped.text());
@@ -309,10 +392,13 @@ fn a_session_is_aborted_and_one_is_stopped_without_waiting() {
     wait_for_views(&mut events, &id, 6);
     let answer = served.post_nothing(&format!("/v1/sessions/{id}/stop?wait=false"));
     assert_eq!(answer.status, 202, "{}", answer.text());
-    let over =
-        |data: &Value| data["id"] == id.as_str() && ["finished", "failed"].contains(&data["state"].as_str().unwrap());
+    let over = |data: &Value| {
+        data["id"] == id.as_str()
+            && ["finished", "failed"].contains(&data["state"].as_str().unwrap())
+    };
     events.until(|event| event.name == "session" && over(&event.data));
-    for unknown in ["/v1/sessions/none", "/v1/sessions/none/views", "/v1/sessions/none/views/0.jpg"] {
+    for unknown in ["/v1/sessions/none", "/v1/sessions/none/views", "/v1/sessions/none/views/0.jpg"]
+    {
         is_problem(&served.get(unknown), 404);
     }
     is_problem(&served.post_nothing("/v1/sessions/none/stop"), 404);
@@ -325,11 +411,16 @@ fn events_are_numbered_filtered_and_resumed() {
     let mut events = served.events("?camera=front", None);
     let id = start_session(&served);
     let detection = events.until(|event| event.name == "detection");
-    has_fields(&detection.data, &["camera", "session", "sequence", "found", "corners", "elapsed_ms"]);
-    let kept = events.until(|event| event.name == "session" && event.data["views_kept"].as_u64().unwrap() > 0);
+    has_fields(
+        &detection.data,
+        &["camera", "session", "sequence", "found", "corners", "elapsed_ms"],
+    );
+    let kept = events
+        .until(|event| event.name == "session" && event.data["views_kept"].as_u64().unwrap() > 0);
     assert_eq!(kept.data["id"], id.as_str());
     let next = events.until(|event| event.name == "session");
-    let resumed = served.events("?camera=front", Some(&kept.id)).until(|event| event.name == "session");
+    let resumed =
+        served.events("?camera=front", Some(&kept.id)).until(|event| event.name == "session");
     assert_eq!((resumed.id, resumed.data), (next.id, next.data));
     let frame = events.until(|event| event.name == "frame");
     has_fields(&frame.data, &["camera", "sequence"]);
@@ -348,7 +439,11 @@ fn bad_bodies_are_refused_by_field() {
         (sessions, board(json!(9), json!(-1)), "target.square_m"),
         (sessions, board(json!("9"), json!(0.025)), "target.cols"),
         (sessions, json!({"target": target(), "lens": "fov"}), "lens"),
-        (sessions, json!({"target": target(), "finish": {"uncertainty_px": 0}}), "finish.uncertainty_px"),
+        (
+            sessions,
+            json!({"target": target(), "finish": {"uncertainty_px": 0}}),
+            "finish.uncertainty_px",
+        ),
         (sessions, json!({"target": target(), "finnish": {}}), "finnish"),
         ("/v1/solve", json!({"image_size": [640, 480]}), "views"),
         ("/v1/solve", json!({"image_size": [0, 480], "views": []}), "image_size"),
@@ -408,7 +503,12 @@ fn what_is_not_there_or_not_with_this_method_is_a_problem_too() {
 fn a_stateless_solve_answers_with_a_calibration() {
     let (_folder, served) = started();
     let answer = served.post("/v1/solve", &pinhole_problem());
-    assert_eq!((answer.status, answer.media_type.as_str()), (200, "application/json"), "{}", answer.text());
+    assert_eq!(
+        (answer.status, answer.media_type.as_str()),
+        (200, "application/json"),
+        "{}",
+        answer.text()
+    );
     let calibration = answer.json();
     let lens = &calibration["sensors"]["color"]["lens"];
     assert_eq!(lens["model"], "pinhole");
@@ -420,7 +520,8 @@ fn a_stateless_solve_answers_with_a_calibration() {
 
 /// Views of a flat grid, projected exactly.
 fn pinhole_problem() -> Value {
-    let turns = [(0.5_f64, 0.0_f64), (-0.4, 0.3), (0.1, -0.6), (0.3, 0.5), (-0.5, -0.3), (0.0, 0.45)];
+    let turns =
+        [(0.5_f64, 0.0_f64), (-0.4, 0.3), (0.1, -0.6), (0.3, 0.5), (-0.5, -0.3), (0.0, 0.45)];
     let view = |(a, b): (f64, f64)| {
         let points = (0..54).map(|i| (f64::from(i % 9) * 0.03, f64::from(i / 9) * 0.03));
         let project = |(x, y): (f64, f64)| {
@@ -442,8 +543,18 @@ fn a_camera_is_recorded_and_the_recording_is_one() {
     let answer = served.post_nothing("/v1/cameras/front/recordings");
     assert_eq!(answer.status, 201, "{}", answer.text());
     let recording = answer.json();
-    let fields =
-        ["id", "camera", "path", "state", "reason", "started_at", "finished_at", "frame_sets", "dropped", "bytes"];
+    let fields = [
+        "id",
+        "camera",
+        "path",
+        "state",
+        "reason",
+        "started_at",
+        "finished_at",
+        "frame_sets",
+        "dropped",
+        "bytes",
+    ];
     has_fields(&recording, &fields);
     let path = format!("/v1/recordings/{}", recording["id"].as_str().unwrap());
     assert_eq!(answer.location.as_deref(), Some(path.as_str()));
@@ -454,7 +565,10 @@ fn a_camera_is_recorded_and_the_recording_is_one() {
     let finished = served.post_nothing(&format!("{path}/stop")).json();
     assert_eq!(finished["state"], "finished", "{finished}");
     assert!(finished["frame_sets"].as_u64().unwrap() >= 2, "{finished}");
-    let file = folder.path().join("store/recordings").join(format!("{}.mcap", finished["id"].as_str().unwrap()));
+    let file = folder
+        .path()
+        .join("store/recordings")
+        .join(format!("{}.mcap", finished["id"].as_str().unwrap()));
     assert_eq!(file.metadata().unwrap().len(), finished["bytes"].as_u64().unwrap());
     assert_eq!(served.get("/v1/recordings").json()["recordings"][0], finished);
     is_problem(&served.post_nothing(&format!("{path}/stop")), 409);

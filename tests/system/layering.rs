@@ -34,7 +34,17 @@ const LAYERS: &[(&str, &[&str])] = &[
     ),
     (
         "http",
-        &["geometry", "imaging", "detection", "estimation", "calibration", "document", "export", "store", "pipeline"],
+        &[
+            "geometry",
+            "imaging",
+            "detection",
+            "estimation",
+            "calibration",
+            "document",
+            "export",
+            "store",
+            "pipeline",
+        ],
     ),
 ];
 
@@ -74,11 +84,17 @@ fn every_folder_is_a_layer_or_the_top() {
 fn below_the_pipeline_nothing_is_async_or_reads_a_clock() {
     for (layer, _) in LAYERS.iter().filter(|(layer, _)| !ASYNC_ALLOWED.contains(layer)) {
         for (file, line, text) in lines_of(layer) {
-            let forbidden = ["async fn", "tokio::", "Instant::now", "SystemTime::now", "Timestamp::now"];
-            // A source waits for its device, and paces a replay: it is the one place below that meets a clock.
+            let forbidden =
+                ["async fn", "tokio::", "Instant::now", "SystemTime::now", "Timestamp::now"];
+            // A source waits for its device, and paces a replay: it is the one place below that
+            // meets a clock.
             let clock_allowed = *layer == "capture";
             for word in forbidden.iter().filter(|word| !(clock_allowed && word.contains("::now"))) {
-                assert!(!text.contains(word), "{}:{line}: {layer} may not use {word}", file.display());
+                assert!(
+                    !text.contains(word),
+                    "{}:{line}: {layer} may not use {word}",
+                    file.display()
+                );
             }
         }
     }
@@ -88,7 +104,11 @@ fn below_the_pipeline_nothing_is_async_or_reads_a_clock() {
 fn serde_stays_at_the_edges() {
     for (layer, _) in LAYERS.iter().filter(|(layer, _)| !SERDE_ALLOWED.contains(layer)) {
         for (file, line, text) in lines_of(layer) {
-            assert!(!text.contains("serde"), "{}:{line}: {layer} may not use serde", file.display());
+            assert!(
+                !text.contains("serde"),
+                "{}:{line}: {layer} may not use serde",
+                file.display()
+            );
         }
     }
 }
@@ -110,7 +130,11 @@ fn imports_name_their_layer_plainly() {
     for (layer, _) in LAYERS {
         for (file, line, text) in lines_of(layer) {
             let hidden = text.contains("crate::{") || text.contains("super::super");
-            assert!(!hidden, "{}:{line}: write one `use crate::layer::...` per layer", file.display());
+            assert!(
+                !hidden,
+                "{}:{line}: write one `use crate::layer::...` per layer",
+                file.display()
+            );
         }
     }
 }
@@ -145,7 +169,8 @@ fn visit(dir: &Path, lines: &mut Vec<(PathBuf, usize, String)>) {
             visit(&path, lines);
         } else if path.extension().is_some_and(|e| e == "rs") {
             let text = fs::read_to_string(&path).unwrap();
-            lines.extend(text.lines().enumerate().map(|(i, l)| (path.clone(), i + 1, l.to_owned())));
+            lines
+                .extend(text.lines().enumerate().map(|(i, l)| (path.clone(), i + 1, l.to_owned())));
         }
     }
 }

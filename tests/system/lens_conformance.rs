@@ -1,4 +1,5 @@
-//! What every lens model must do, checked over the whole image: a new model is one line at the end of this file.
+//! What every lens model must do, checked over the whole image: a new model is one line at the end
+//! of this file.
 
 use nalgebra::{Matrix2x3, Matrix3, Point3, SMatrix, Vector2, Vector3};
 use plumb::document::lens::LensDocument;
@@ -32,7 +33,8 @@ fn directions() -> impl Iterator<Item = (f64, Vec<Vector3<f64>>)> {
     })
 }
 
-/// Pixel → direction → pixel returns within [`ROUND_TRIP_PX`] wherever the lens sees; `sees_all`: that is the whole image.
+/// Pixel → direction → pixel returns within [`ROUND_TRIP_PX`] wherever the lens sees; `sees_all`:
+/// that is the whole image.
 fn round_trips(lens: &Lens, sees_all: bool) {
     let mut seen = 0;
     let mut blind = 0;
@@ -44,7 +46,9 @@ fn round_trips(lens: &Lens, sees_all: bool) {
         seen += 1;
         for distance_m in [0.3, 7.0] {
             let point = Point3::from(bearing.into_inner() * distance_m);
-            let back = lens.pixel_from_point(&point).unwrap_or_else(|| panic!("{pixel:?} is seen one way only"));
+            let back = lens
+                .pixel_from_point(&point)
+                .unwrap_or_else(|| panic!("{pixel:?} is seen one way only"));
             let miss = back.distance_px(pixel);
             assert!(miss < ROUND_TRIP_PX, "{pixel:?} returns to {back:?}, {miss:e} px off");
         }
@@ -53,7 +57,8 @@ fn round_trips(lens: &Lens, sees_all: bool) {
     assert_eq!(blind == 0, sees_all, "{blind} pixels of the image see nothing");
 }
 
-/// Direction → pixel → direction: inside the valid region the model is one-to-one, and that region is in one piece around the axis.
+/// Direction → pixel → direction: inside the valid region the model is one-to-one, and that region
+/// is in one piece around the axis.
 fn is_one_to_one_where_valid(lens: &Lens) {
     for (around, along) in directions() {
         let mut ended = None;
@@ -62,12 +67,20 @@ fn is_one_to_one_where_valid(lens: &Lens) {
                 ended.get_or_insert(direction);
                 continue;
             };
-            assert!(ended.is_none(), "at {around} rad around, {direction:?} is seen again beyond {ended:?}");
-            let back = lens.bearing_from_pixel(pixel).unwrap_or_else(|| panic!("{direction:?} is seen one way only"));
+            assert!(
+                ended.is_none(),
+                "at {around} rad around, {direction:?} is seen again beyond {ended:?}"
+            );
+            let back = lens
+                .bearing_from_pixel(pixel)
+                .unwrap_or_else(|| panic!("{direction:?} is seen one way only"));
             let again = lens.pixel_from_point(&Point3::from(back.into_inner())).unwrap();
             // In pixels up to the image's own size: far outside it a pixel has fewer digits.
             let scale = 1.0 + (pixel.to_vector().norm() / SIZE.diagonal_px()).powi(2);
-            assert!(again.distance_px(pixel) < ROUND_TRIP_PX * scale, "{direction:?}: {pixel:?} or {again:?}");
+            assert!(
+                again.distance_px(pixel) < ROUND_TRIP_PX * scale,
+                "{direction:?}: {pixel:?} or {again:?}"
+            );
         }
     }
 }
@@ -75,7 +88,13 @@ fn is_one_to_one_where_valid(lens: &Lens) {
 /// What the lens cannot see is `None`, never a number.
 fn refuses_what_it_cannot_see(lens: &Lens) {
     let nan = f64::NAN;
-    for point in [[0.0, 0.0, 0.0], [nan, 0.0, 1.0], [0.0, nan, 1.0], [0.0, 0.0, nan], [f64::INFINITY, 0.0, 1.0]] {
+    for point in [
+        [0.0, 0.0, 0.0],
+        [nan, 0.0, 1.0],
+        [0.0, nan, 1.0],
+        [0.0, 0.0, nan],
+        [f64::INFINITY, 0.0, 1.0],
+    ] {
         let point = Point3::from(point);
         assert!(lens.pixel_from_point(&point).is_none(), "{point} gives a pixel");
         assert!(lens.project(&point).is_none(), "{point} gives a projection");
@@ -85,7 +104,10 @@ fn refuses_what_it_cannot_see(lens: &Lens) {
     }
     if lens.model() != LensModel::KannalaBrandt {
         for point in [[0.1, 0.1, -1.0], [0.1, 0.0, 0.0], [0.0, 0.0, -2.0]] {
-            assert!(lens.pixel_from_point(&Point3::from(point)).is_none(), "{point:?} is not in front");
+            assert!(
+                lens.pixel_from_point(&Point3::from(point)).is_none(),
+                "{point:?} is not in front"
+            );
         }
     }
 }
@@ -96,7 +118,10 @@ fn slope(h: f64, f: impl Fn(f64) -> Option<Pixel>) -> Option<Vector2<f64>> {
     Some(((at(1.0)? - at(-1.0)?) * 8.0 - (at(2.0)? - at(-2.0)?)) / (12.0 * h))
 }
 
-fn numeric<const N: usize>(steps: [f64; N], f: impl Fn(usize, f64) -> Option<Pixel>) -> Option<SMatrix<f64, 2, N>> {
+fn numeric<const N: usize>(
+    steps: [f64; N],
+    f: impl Fn(usize, f64) -> Option<Pixel>,
+) -> Option<SMatrix<f64, 2, N>> {
     let mut matrix = SMatrix::<f64, 2, N>::zeros();
     for (k, step) in steps.into_iter().enumerate() {
         matrix.set_column(k, &slope(step, |t| f(k, t))?);
@@ -104,17 +129,26 @@ fn numeric<const N: usize>(steps: [f64; N], f: impl Fn(usize, f64) -> Option<Pix
     Some(matrix)
 }
 
-fn assert_close<const N: usize>(what: &str, at: Pixel, analytic: &SMatrix<f64, 2, N>, numeric: &SMatrix<f64, 2, N>) {
+fn assert_close<const N: usize>(
+    what: &str,
+    at: Pixel,
+    analytic: &SMatrix<f64, 2, N>,
+    numeric: &SMatrix<f64, 2, N>,
+) {
     for column in 0..N {
         let (a, n) = (analytic.column(column), numeric.column(column));
         let scale = 1.0 + a.norm();
-        assert!((a - n).norm() < 2e-6 * scale, "{what}, column {column} at {at:?}: {a} by formula, {n} by differences");
+        assert!(
+            (a - n).norm() < 2e-6 * scale,
+            "{what}, column {column} at {at:?}: {a} by formula, {n} by differences"
+        );
     }
 }
 
 /// The derivatives by point, pose and every parameter, against differences, over the whole image.
 fn derivatives_are_true(lens: &Lens) {
-    let camera_from_board = Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.9), Vector3::new(0.1, -0.2, 0.8));
+    let camera_from_board =
+        Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.9), Vector3::new(0.1, -0.2, 0.8));
     let parameters = lens.parameters();
     let mut checked = 0;
     for pixel in pixels_of_the_image() {
@@ -134,7 +168,8 @@ fn derivatives_are_true(lens: &Lens) {
             let mut change = [0.0; 6];
             change[axis] = t;
             let turn = Vector3::new(change[0], change[1], change[2]);
-            let moved_from_camera = Pose::from_axis_angle(turn, Vector3::new(change[3], change[4], change[5]));
+            let moved_from_camera =
+                Pose::from_axis_angle(turn, Vector3::new(change[3], change[4], change[5]));
             lens.pixel_from_point(&((moved_from_camera * camera_from_board) * point_in_board))
         });
         let steps: [f64; MAX_PARAMETERS] = std::array::from_fn(|k| if k < 5 { 1e-2 } else { 1e-5 });
@@ -145,7 +180,11 @@ fn derivatives_are_true(lens: &Lens) {
             }
             Lens::from_parameters(lens.model(), &changed)?.pixel_from_point(&point)
         });
-        let (Some(by_point), Some(by_pose), Some(by_parameters)) = (by_point, by_pose, by_parameters) else { continue };
+        let (Some(by_point), Some(by_pose), Some(by_parameters)) =
+            (by_point, by_pose, by_parameters)
+        else {
+            continue;
+        };
         // Beside the fold the third derivative has no bound, and differences say nothing.
         if near_the_fold(&projection.by_point) {
             continue;
@@ -158,23 +197,26 @@ fn derivatives_are_true(lens: &Lens) {
     assert!(checked > 400, "only {checked} pixels could be checked");
 }
 
-/// d(pixel)/d(turn, shift) for a turn and shift applied after the pose: the point moves by turn × point + shift.
+/// d(pixel)/d(turn, shift) for a turn and shift applied after the pose: the point moves by turn ×
+/// point + shift.
 fn pose_derivative(by_point: &Matrix2x3<f64>, point: &Point3<f64>) -> SMatrix<f64, 2, 6> {
-    let cross = Matrix3::new(0.0, point.z, -point.y, -point.z, 0.0, point.x, point.y, -point.x, 0.0);
+    let cross =
+        Matrix3::new(0.0, point.z, -point.y, -point.z, 0.0, point.x, point.y, -point.x, 0.0);
     let mut by_pose = SMatrix::<f64, 2, 6>::zeros();
     by_pose.fixed_columns_mut::<3>(0).copy_from(&(by_point * cross));
     by_pose.fixed_columns_mut::<3>(3).copy_from(by_point);
     by_pose
 }
 
-/// Where the image hardly moves in one direction: its smaller singular value is below 5 % of the larger.
+/// Where the image hardly moves in one direction: its smaller singular value is below 5 % of the
+/// larger.
 fn near_the_fold(by_point: &Matrix2x3<f64>) -> bool {
     let values = by_point.svd(false, false).singular_values;
     values.min() < 0.05 * values.max()
 }
 
-/// Agrees with `cv::projectPoints` and `cv::fisheye::projectPoints`: the file holds OpenCV's own numbers, which
-/// `tests/python/test_opencv.py` computes again.
+/// Agrees with `cv::projectPoints` and `cv::fisheye::projectPoints`: the file holds OpenCV's own
+/// numbers, which `tests/python/test_opencv.py` computes again.
 #[test]
 fn agrees_with_opencv() {
     #[derive(serde::Deserialize)]
@@ -187,7 +229,8 @@ fn agrees_with_opencv() {
         points_m: Vec<[f64; 3]>,
         pixels: Vec<[f64; 2]>,
     }
-    let reference: Reference = serde_json::from_str(include_str!("../golden/opencv_projections.json")).unwrap();
+    let reference: Reference =
+        serde_json::from_str(include_str!("../golden/opencv_projections.json")).unwrap();
     let models: Vec<LensModel> = reference
         .lenses
         .iter()
@@ -197,15 +240,23 @@ fn agrees_with_opencv() {
             for (point, [x, y]) in points_m.iter().zip(pixels) {
                 let pixel = lens.pixel_from_point(&Point3::from(*point)).unwrap();
                 let apart = pixel.distance_px(Pixel::new(*x, *y));
-                assert!(apart < 1e-9, "{} at {point:?}: {pixel:?}, OpenCV ({x}, {y})", lens.model());
+                assert!(
+                    apart < 1e-9,
+                    "{} at {point:?}: {pixel:?}, OpenCV ({x}, {y})",
+                    lens.model()
+                );
             }
             lens.model()
         })
         .collect();
-    assert!(LensModel::ALL.iter().all(|model| models.contains(model)), "a model is not compared: {models:?}");
+    assert!(
+        LensModel::ALL.iter().all(|model| models.contains(model)),
+        "a model is not compared: {models:?}"
+    );
 }
 
-/// One line a lens: name, model, parameters (fx, fy, cx, cy, skew, coefficients), and whether it sees the whole image.
+/// One line a lens: name, model, parameters (fx, fy, cx, cy, skew, coefficients), and whether it
+/// sees the whole image.
 macro_rules! conforms {
     ($($name:ident: $model:ident $parameters:expr, sees_all = $sees_all:expr;)*) => {$(
         mod $name {

@@ -1,4 +1,5 @@
-//! The product as one test: a daemon, a recording, a session over HTTP, and a calibration that is as good as it says.
+//! The product as one test: a daemon, a recording, a session over HTTP, and a calibration that is
+//! as good as it says.
 
 use std::time::{Duration, Instant};
 
@@ -25,7 +26,9 @@ fn start_session(served: &Served, camera: &str, request: &Value) -> String {
 
 /// The first announcement of session `id` for which `wanted` holds.
 fn until_session(events: &mut Events, id: &str, wanted: impl Fn(&Value) -> bool) -> Value {
-    events.until(|event| event.name == "session" && event.data["id"] == *id && wanted(&event.data)).data
+    events
+        .until(|event| event.name == "session" && event.data["id"] == *id && wanted(&event.data))
+        .data
 }
 
 fn has_kept(count: u64) -> impl Fn(&Value) -> bool {
@@ -76,7 +79,8 @@ fn a_walk_becomes_a_calibration_as_good_as_it_says() {
     assert!(session["coverage"]["fraction"].as_f64() > Some(0.7), "{session}");
 
     let calibration = calibration_of(&served, &session);
-    let truth: Value = serde_json::from_slice(&std::fs::read(recording("walk.truth.json")).unwrap()).unwrap();
+    let truth: Value =
+        serde_json::from_slice(&std::fs::read(recording("walk.truth.json")).unwrap()).unwrap();
     let (color, true_lens) = (&calibration["sensors"]["color"], &truth["sensors"]["color"]["lens"]);
     for parameter in ["fx", "fy", "cx", "cy"] {
         let of = |lens: &Value| lens[parameter].as_f64().unwrap();
@@ -85,7 +89,10 @@ fn a_walk_becomes_a_calibration_as_good_as_it_says() {
             std > 0.0 && (found - true_value).abs() < 3.0 * std,
             "{parameter}: {found}, truly {true_value} ± {std}"
         );
-        assert!((found / true_value - 1.0).abs() < 1e-3, "{parameter}: {found}, truly {true_value}");
+        assert!(
+            (found / true_value - 1.0).abs() < 1e-3,
+            "{parameter}: {found}, truly {true_value}"
+        );
     }
     assert_eq!(calibration["verdict"]["grade"], "good", "{}", calibration["verdict"]);
     let current = served.get("/v1/cameras/front/calibration").json();
@@ -181,17 +188,27 @@ fn a_hangup_exchanges_the_cameras_that_changed() {
     let with_third = std::fs::read_to_string(&file).unwrap().replace("\"right\"", "\"third\"");
     std::fs::write(&file, with_third).unwrap();
     served.signal("HUP");
-    events.until(|event| event.name == "camera" && event.data["name"] == "third" && event.data["state"] == "streaming");
+    events.until(|event| {
+        event.name == "camera"
+            && event.data["name"] == "third"
+            && event.data["state"] == "streaming"
+    });
     let names = |served: &Served| {
         let cameras = served.get("/v1/cameras").json();
-        let names = cameras["cameras"].as_array().unwrap().iter().map(|camera| camera["name"].clone());
+        let names =
+            cameras["cameras"].as_array().unwrap().iter().map(|camera| camera["name"].clone());
         names.collect::<Vec<_>>()
     };
     assert_eq!(names(&served), ["left", "third"]);
-    assert_eq!(served.get(&format!("/v1/sessions/{id}")).json()["state"], "collecting", "left did not notice");
+    assert_eq!(
+        served.get(&format!("/v1/sessions/{id}")).json()["state"],
+        "collecting",
+        "left did not notice"
+    );
 }
 
-/// What a camera gave, recorded and replayed, gives what the camera itself gives: no frame is encoded anew.
+/// What a camera gave, recorded and replayed, gives what the camera itself gives: no frame is
+/// encoded anew.
 #[test]
 fn a_recorded_camera_calibrates_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
@@ -199,12 +216,23 @@ fn a_recorded_camera_calibrates_to_the_same_bytes() {
     let live = calibration_of(&served, &calibrate(&served, "front", &request("brown")));
     drop(served);
     let (config, copy) = (folder.path().join("plumb.toml"), folder.path().join("copy.mcap"));
-    let recorded =
-        plumb(["record", "--camera", "front", "--out", copy.to_str().unwrap(), "--config", config.to_str().unwrap()]);
+    let recorded = plumb([
+        "record",
+        "--camera",
+        "front",
+        "--out",
+        copy.to_str().unwrap(),
+        "--config",
+        config.to_str().unwrap(),
+    ]);
     assert_eq!(recorded.code, Some(0), "{}", recorded.stderr);
-    let source = format!("{{ kind = \"recording\", path = {:?}, pace = \"fastest\" }}", copy.display().to_string());
+    let source = format!(
+        "{{ kind = \"recording\", path = {:?}, pace = \"fastest\" }}",
+        copy.display().to_string()
+    );
     let folder = tempfile::tempdir().unwrap();
-    let served = Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
+    let served =
+        Served::start(folder.path(), &format!("[[camera]]\nname = \"front\"\nsource = {source}\n"));
     let replayed = calibration_of(&served, &calibrate(&served, "front", &request("brown")));
     assert_eq!(without_ids_and_times(replayed), without_ids_and_times(live));
 }
@@ -220,11 +248,16 @@ fn a_lens_that_was_changed_since_is_told() {
     calibrate(&served, "front", &request("brown"));
     // Another lens of another focal length under the same name.
     let file = folder.path().join("plumb.toml");
-    std::fs::write(&file, std::fs::read_to_string(&file).unwrap().replace("walk.mcap", "hard.mcap")).unwrap();
+    std::fs::write(
+        &file,
+        std::fs::read_to_string(&file).unwrap().replace("walk.mcap", "hard.mcap"),
+    )
+    .unwrap();
     served.signal("HUP");
     events.until(|event| {
         assert_ne!(event.name, "drift", "{}", event.data);
-        event.name == "camera" && event.data["identity"]["bus"].as_str().is_some_and(|bus| bus.ends_with("hard.mcap"))
+        event.name == "camera"
+            && event.data["identity"]["bus"].as_str().is_some_and(|bus| bus.ends_with("hard.mcap"))
     });
     let id = start_session(&served, "front", &request("brown"));
     let drift = events.until(|event| event.name == "drift").data;
@@ -242,17 +275,31 @@ fn what_cannot_be_served_is_said_in_one_line() {
     let refusal = |text: String, listen: &str| {
         std::fs::write(&file, text).unwrap();
         let finished = plumb(["serve", "--listen", listen, "--config", file.to_str().unwrap()]);
-        assert_eq!((finished.stderr.lines().count(), finished.stdout.as_str()), (1, ""), "{}", finished.stderr);
+        assert_eq!(
+            (finished.stderr.lines().count(), finished.stdout.as_str()),
+            (1, ""),
+            "{}",
+            finished.stderr
+        );
         (finished.code, finished.stderr)
     };
-    let store = |name: &str| format!("[store]\npath = {:?}\n", folder.path().join(name).display().to_string());
+    let store = |name: &str| {
+        format!("[store]\npath = {:?}\n", folder.path().join(name).display().to_string())
+    };
     let (code, line) = refusal(store("other"), taken);
-    assert!(code == Some(1) && line.contains(&format!("cannot listen on {taken}")), "{code:?} {line}");
+    assert!(
+        code == Some(1) && line.contains(&format!("cannot listen on {taken}")),
+        "{code:?} {line}"
+    );
     let (code, line) = refusal(store("store"), "127.0.0.1:0");
     assert!(code == Some(1) && line.contains("in use by another plumb"), "{code:?} {line}");
     let (code, line) = refusal("[server]\nlissten = 1\n".to_owned(), "127.0.0.1:0");
     assert!(code == Some(2) && line.contains("other.toml:2: lissten"), "{code:?} {line}");
-    let missing = "[[camera]]\nname = \"front\"\nsource = { kind = \"recording\", path = \"none.mcap\" }\n";
+    let missing =
+        "[[camera]]\nname = \"front\"\nsource = { kind = \"recording\", path = \"none.mcap\" }\n";
     let (code, line) = refusal(missing.to_owned(), "127.0.0.1:0");
-    assert!(code == Some(2) && line.contains("other.toml:3: camera.source.path: `none.mcap`"), "{code:?} {line}");
+    assert!(
+        code == Some(2) && line.contains("other.toml:3: camera.source.path: `none.mcap`"),
+        "{code:?} {line}"
+    );
 }

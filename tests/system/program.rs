@@ -17,7 +17,8 @@ pub struct Finished {
 /// Runs `plumb` with `arguments` to its end, with nothing on standard input.
 pub fn plumb<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Finished {
     let mut command = Command::new(env!("CARGO_BIN_EXE_plumb"));
-    let output = command.args(arguments).stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
+    let output =
+        command.args(arguments).stdin(Stdio::null()).env_remove("RUST_LOG").output().unwrap();
     Finished {
         code: output.status.code(),
         stdout: String::from_utf8(output.stdout).unwrap(),

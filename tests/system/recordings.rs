@@ -1,4 +1,5 @@
-//! The recordings that the project ships: small enough, whole, and made from their scenes to the byte.
+//! The recordings that the project ships: small enough, whole, and made from their scenes to the
+//! byte.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -58,16 +59,28 @@ fn a_scene_gives_its_recording_to_the_byte() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["walk", "hard", "rgbd"] {
         let scene = fs::read_to_string(recordings().join(format!("{name}.toml"))).unwrap();
-        let short: Vec<&str> =
-            scene.lines().map(|line| if line.starts_with("frames") { "frames = 2" } else { line }).collect();
-        let (config, out) = (folder.path().join("scene.toml"), folder.path().join(format!("{name}.mcap")));
+        let short: Vec<&str> = scene
+            .lines()
+            .map(|line| if line.starts_with("frames") { "frames = 2" } else { line })
+            .collect();
+        let (config, out) =
+            (folder.path().join("scene.toml"), folder.path().join(format!("{name}.mcap")));
         fs::write(&config, short.join("\n")).unwrap();
-        let arguments = ["simulate", "--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()];
-        let done = std::process::Command::new(env!("CARGO_BIN_EXE_plumb")).args(arguments).output().unwrap();
+        let arguments =
+            ["simulate", "--config", config.to_str().unwrap(), "--out", out.to_str().unwrap()];
+        let done = std::process::Command::new(env!("CARGO_BIN_EXE_plumb"))
+            .args(arguments)
+            .output()
+            .unwrap();
         assert!(done.status.success(), "{done:?}");
         let shipped = frame_sets(&recordings().join(format!("{name}.mcap")));
         for (again, shipped) in frame_sets(&out).iter().zip(shipped) {
-            assert_eq!(format!("{:?}", again.frames), format!("{:?}", shipped.frames), "{name} #{}", again.sequence);
+            assert_eq!(
+                format!("{:?}", again.frames),
+                format!("{:?}", shipped.frames),
+                "{name} #{}",
+                again.sequence
+            );
         }
     }
 }

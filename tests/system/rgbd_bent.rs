@@ -1,4 +1,5 @@
-//! A board that is not flat, before a camera with colour and depth: rendered into a folder, and told in one line of the verdict.
+//! A board that is not flat, before a camera with colour and depth: rendered into a folder, and
+//! told in one line of the verdict.
 
 use std::fs;
 use std::path::Path;
@@ -20,7 +21,8 @@ const REACH_M: [f64; 2] = [8.0 * SQUARE_M, 5.0 * SQUARE_M];
 const MARGIN_M: f64 = 2.0 * SQUARE_M;
 const UNIT_M: f64 = 1e-4;
 
-/// How far the board's surface is from its plane, where x runs along its rows: `bulge_m` in their middle.
+/// How far the board's surface is from its plane, where x runs along its rows: `bulge_m` in their
+/// middle.
 fn height_m(bulge_m: f64, x: f64) -> f64 {
     let part = x / REACH_M[0];
     bulge_m * 4.0 * part * (1.0 - part)
@@ -33,12 +35,19 @@ struct Camera {
 }
 
 impl Camera {
-    /// Where the ray through a pixel meets the board, in the board's frame, and how far ahead; `None` beside the board.
-    fn sees(&self, color_from_board: &Pose, bulge_m: f64, pixel: Pixel) -> Option<(Point3<f64>, f64)> {
+    /// Where the ray through a pixel meets the board, in the board's frame, and how far ahead;
+    /// `None` beside the board.
+    fn sees(
+        &self,
+        color_from_board: &Pose,
+        bulge_m: f64,
+        pixel: Pixel,
+    ) -> Option<(Point3<f64>, f64)> {
         let board_from_camera = (self.from_color * *color_from_board).inverse();
         let ray = self.lens.bearing_from_pixel(pixel)?.into_inner();
         let ray = ray / ray.z;
-        let (eye, ahead) = (board_from_camera * Point3::origin(), board_from_camera.rotation() * ray);
+        let (eye, ahead) =
+            (board_from_camera * Point3::origin(), board_from_camera.rotation() * ray);
         let mut z = -eye.z / ahead.z;
         for _ in 0..8 {
             z = (height_m(bulge_m, eye.x + z * ahead.x) - eye.z) / ahead.z;
@@ -57,7 +66,8 @@ impl Camera {
         let mut picture = GrayImage::new(self.size.width, self.size.height);
         for (x, y) in self.pixels() {
             let seen = self.sees(color_from_board, bulge_m, Pixel::new(f64::from(x), f64::from(y)));
-            let light = seen.map_or(90.0, |(at, z)| lightness(&at, self.lens.matrix.fx * SQUARE_M / z));
+            let light =
+                seen.map_or(90.0, |(at, z)| lightness(&at, self.lens.matrix.fx * SQUARE_M / z));
             picture.put_pixel(x, y, Luma([light as u8 + noise(x, y)]));
         }
         picture
@@ -72,8 +82,8 @@ impl Camera {
     }
 }
 
-/// White around squares that are dark outside the first inner corner, and that are `square_px` pixels wide: an edge is as wide as
-/// two pixels.
+/// White around squares that are dark outside the first inner corner, and that are `square_px`
+/// pixels wide: an edge is as wide as two pixels.
 fn lightness(at: &Point3<f64>, square_px: f64) -> f64 {
     let side = |along: f64| {
         let (square, part) = (along.floor(), along - along.floor());
@@ -87,15 +97,24 @@ fn lightness(at: &Point3<f64>, square_px: f64) -> f64 {
 
 /// 0 to 3, and alike for every picture.
 fn noise(x: u32, y: u32) -> u8 {
-    ((x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 30) as u8
+    ((x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 30)
+        as u8
 }
 
 fn render(folder: &Path, bulge_m: f64) {
-    let lens = |f: f64, cx: f64, cy: f64| Lens::pinhole(CameraMatrix { fx: f, fy: f, cx, cy, skew: 0.0 });
-    let color =
-        Camera { size: ImageSize::new(640, 480), lens: lens(560.0, 322.0, 236.0), from_color: Pose::identity() };
-    let from_color = Pose::from_axis_angle(Vector3::new(0.004, -0.01, 0.002), Vector3::new(-0.025, 0.001, 0.002));
-    let depth = Camera { size: ImageSize::new(320, 240), lens: lens(290.0, 158.0, 121.0), from_color };
+    let lens =
+        |f: f64, cx: f64, cy: f64| Lens::pinhole(CameraMatrix { fx: f, fy: f, cx, cy, skew: 0.0 });
+    let color = Camera {
+        size: ImageSize::new(640, 480),
+        lens: lens(560.0, 322.0, 236.0),
+        from_color: Pose::identity(),
+    };
+    let from_color = Pose::from_axis_angle(
+        Vector3::new(0.004, -0.01, 0.002),
+        Vector3::new(-0.025, 0.001, 0.002),
+    );
+    let depth =
+        Camera { size: ImageSize::new(320, 240), lens: lens(290.0, 158.0, 121.0), from_color };
     for sensor in ["color", "infrared", "depth"] {
         fs::create_dir(folder.join(sensor)).unwrap();
     }
@@ -104,14 +123,19 @@ fn render(folder: &Path, bulge_m: f64) {
         let turn = Vector3::new(0.45 * around.sin(), 0.45 * around.cos(), 0.05 * around);
         let rotation = Pose::from_axis_angle(turn, Vector3::zeros());
         let middle = Vector3::new(0.5 * REACH_M[0], 0.5 * REACH_M[1], 0.0);
-        let at = Vector3::new(0.05 * (1.7 * around).cos(), 0.04 * (1.3 * around).sin(), 0.4 + view_m);
+        let at =
+            Vector3::new(0.05 * (1.7 * around).cos(), 0.04 * (1.3 * around).sin(), 0.4 + view_m);
         let color_from_board = Pose::new(rotation.rotation(), at - rotation.rotation() * middle);
         let place = |sensor: &str| folder.join(sensor).join(format!("{view:02}.png"));
         color.picture(&color_from_board, bulge_m).save(place("color")).unwrap();
         depth.picture(&color_from_board, bulge_m).save(place("infrared")).unwrap();
         fs::write(place("depth"), depth.depth(&color_from_board, bulge_m).to_png()).unwrap();
     }
-    fs::write(folder.join("sensors.toml"), format!("[depth]\nkind = \"depth\"\nunit_m = {UNIT_M}\n")).unwrap();
+    fs::write(
+        folder.join("sensors.toml"),
+        format!("[depth]\nkind = \"depth\"\nunit_m = {UNIT_M}\n"),
+    )
+    .unwrap();
 }
 
 #[test]
@@ -120,13 +144,27 @@ fn a_bent_board_is_told_in_one_line_and_a_flat_one_is_not() {
         let folder = tempfile::tempdir().unwrap();
         render(folder.path(), bulge_m);
         let place = folder.path().display().to_string();
-        let finished = plumb(["calibrate", "--json", "--lens", "brown", "--board", "9x6", "--square", "30mm", &place]);
+        let finished = plumb([
+            "calibrate",
+            "--json",
+            "--lens",
+            "brown",
+            "--board",
+            "9x6",
+            "--square",
+            "30mm",
+            &place,
+        ]);
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         let document: Value = serde_json::from_str(&finished.stdout).unwrap();
         let reasons = document["verdict"]["reasons"].as_array().unwrap();
-        let told: Vec<&str> = reasons.iter().filter_map(Value::as_str).filter(|line| line.contains("bent")).collect();
+        let told: Vec<&str> =
+            reasons.iter().filter_map(Value::as_str).filter(|line| line.contains("bent")).collect();
         assert_eq!(!told.is_empty(), is_told, "{reasons:?}");
-        assert!(told.iter().all(|line| line.contains("flat and stiff") && !line.contains('\n')), "{told:?}");
+        assert!(
+            told.iter().all(|line| line.contains("flat and stiff") && !line.contains('\n')),
+            "{told:?}"
+        );
         assert!(!is_told || document["verdict"]["grade"] != "good", "{reasons:?}");
     }
 }

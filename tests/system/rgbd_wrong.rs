@@ -1,4 +1,5 @@
-//! What can be wrong with a folder of colour and depth pictures: `plumb calibrate` says each in one clear line.
+//! What can be wrong with a folder of colour and depth pictures: `plumb calibrate` says each in one
+//! clear line.
 
 use std::fs;
 use std::path::Path;
@@ -27,7 +28,11 @@ fn taken() -> Vec<Taken> {
     while let Some(set) = recording.next_frame_set().unwrap() {
         let bytes = |sensor| set.frame(sensor).unwrap().bytes.to_vec();
         let depth = DepthImage::from_frame(set.frame(SensorKind::Depth).unwrap()).unwrap();
-        sets.push(Taken { color: bytes(SensorKind::Color), infrared: bytes(SensorKind::Infrared), depth });
+        sets.push(Taken {
+            color: bytes(SensorKind::Color),
+            infrared: bytes(SensorKind::Infrared),
+            depth,
+        });
     }
     sets.into_iter().step_by(3).collect()
 }
@@ -44,7 +49,9 @@ enum Change {
 }
 
 fn write(folder: &Path, sets: &[Taken], change: Change, with_infrared: bool) {
-    for sensor in ["color", "infrared", "depth"].iter().filter(|name| with_infrared || **name != "infrared") {
+    for sensor in
+        ["color", "infrared", "depth"].iter().filter(|name| with_infrared || **name != "infrared")
+    {
         fs::create_dir(folder.join(sensor)).unwrap();
     }
     for (index, set) in sets.iter().enumerate() {
@@ -84,7 +91,8 @@ fn calibrated(sets: &[Taken], change: Change, with_infrared: bool) -> Finished {
 
 fn of(depth: &DepthImage, readings: impl Fn(usize, usize) -> u16) -> DepthImage {
     let (width, height) = (depth.size().width as usize, depth.size().height as usize);
-    let all = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| readings(x, y));
+    let all =
+        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| readings(x, y));
     DepthImage::new(depth.size(), all.collect()).unwrap()
 }
 
@@ -112,9 +120,21 @@ fn each_wrong_thing_is_one_clear_line() {
     let other_unit = "[depth]\nkind = \"depth\"\nunit_m = 0.01\n";
     let table: [(&str, Change, &str); 9] = [
         ("depth and colour swapped", Change::Swapped, "not swapped"),
-        ("depth mirrored", Change::Depth(mirrored), "check that depth and colour are of the same device"),
-        ("depth of other moments", Change::DepthOfOtherMoments, "check that depth and colour are of the same device"),
-        ("depth of another lens", Change::Depth(of_another_lens), "that depth and colour are of the same device"),
+        (
+            "depth mirrored",
+            Change::Depth(mirrored),
+            "check that depth and colour are of the same device",
+        ),
+        (
+            "depth of other moments",
+            Change::DepthOfOtherMoments,
+            "check that depth and colour are of the same device",
+        ),
+        (
+            "depth of another lens",
+            Change::Depth(of_another_lens),
+            "that depth and colour are of the same device",
+        ),
         ("a surface that is not flat", Change::Depth(uneven), "not flat"),
         ("zeros", Change::Depth(zeros), "only 0 of"),
         ("no unit", Change::Stated("[depth]\nkind = \"depth\"\n"), "unit_m"),
@@ -124,9 +144,23 @@ fn each_wrong_thing_is_one_clear_line() {
     for with_infrared in [true, false] {
         for (name, change, word) in table {
             let finished = calibrated(&sets, change, with_infrared);
-            assert_eq!((finished.code, finished.stdout.as_str()), (Some(1), ""), "{name}: {}", finished.stderr);
-            assert_eq!(finished.stderr.trim_end().lines().count(), 1, "{name}: {}", finished.stderr);
-            assert!(finished.stderr.contains(word), "{name}, infrared {with_infrared}: {}", finished.stderr);
+            assert_eq!(
+                (finished.code, finished.stdout.as_str()),
+                (Some(1), ""),
+                "{name}: {}",
+                finished.stderr
+            );
+            assert_eq!(
+                finished.stderr.trim_end().lines().count(),
+                1,
+                "{name}: {}",
+                finished.stderr
+            );
+            assert!(
+                finished.stderr.contains(word),
+                "{name}, infrared {with_infrared}: {}",
+                finished.stderr
+            );
         }
     }
 }

@@ -1,4 +1,5 @@
-//! A rig of three cameras through the daemon: one session, one calibration, held to the truth that the pictures were made of.
+//! A rig of three cameras through the daemon: one session, one calibration, held to the truth that
+//! the pictures were made of.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +16,8 @@ fn configuration() -> String {
             "[[camera]]\nname = {name:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\" }}\n"
         )
     };
-    CAMERAS.map(camera).concat() + "[[rig]]\nname = \"head\"\ncameras = [\"left\", \"right\", \"far\"]\n"
+    CAMERAS.map(camera).concat()
+        + "[[rig]]\nname = \"head\"\ncameras = [\"left\", \"right\", \"far\"]\n"
 }
 
 fn request() -> Value {
@@ -23,14 +25,19 @@ fn request() -> Value {
 }
 
 fn truth_of(camera: &str) -> Value {
-    serde_json::from_slice(&std::fs::read(recording(&format!("rig-{camera}.truth.json"))).unwrap()).unwrap()
+    serde_json::from_slice(&std::fs::read(recording(&format!("rig-{camera}.truth.json"))).unwrap())
+        .unwrap()
 }
 
 fn pose(document: &Value) -> plumb::geometry::pose::Pose {
     let of = |value: &Value, key: &str| value[key].as_f64().unwrap();
     let rotation = &document["rotation"];
-    let quaternion =
-        nalgebra::Quaternion::new(of(rotation, "w"), of(rotation, "x"), of(rotation, "y"), of(rotation, "z"));
+    let quaternion = nalgebra::Quaternion::new(
+        of(rotation, "w"),
+        of(rotation, "x"),
+        of(rotation, "y"),
+        of(rotation, "z"),
+    );
     let translation = document["translation"].as_array().unwrap();
     let at = |k: usize| translation[k].as_f64().unwrap();
     let rotation = nalgebra::UnitQuaternion::from_quaternion(quaternion);
@@ -39,7 +46,8 @@ fn pose(document: &Value) -> plumb::geometry::pose::Pose {
 
 /// Where a camera truly is: both saw one board at the first frame.
 fn left_from(camera: &str) -> plumb::geometry::pose::Pose {
-    let [left, other] = ["left", camera].map(|name| pose(&truth_of(name)["frames"][0]["camera_from_board"]));
+    let [left, other] =
+        ["left", camera].map(|name| pose(&truth_of(name)["frames"][0]["camera_from_board"]));
     left * other.inverse()
 }
 
@@ -50,7 +58,8 @@ fn calibrate(served: &Served) -> Value {
     assert_eq!(started.status, 201, "{}", started.text());
     let id = started.json()["id"].as_str().unwrap().to_owned();
     assert_eq!(started.location, Some(format!("/v1/sessions/{id}")));
-    let ended = |data: &Value| data["reason"].as_str().is_some_and(|reason| reason.contains("has ended"));
+    let ended =
+        |data: &Value| data["reason"].as_str().is_some_and(|reason| reason.contains("has ended"));
     events.until(|event| event.name == "session" && event.data["id"] == *id && ended(&event.data));
     let stopped = served.post_nothing(&format!("/v1/sessions/{id}/stop"));
     assert_eq!(stopped.status, 200, "{}", stopped.text());
@@ -67,7 +76,8 @@ fn has_views(session: &Value) -> bool {
 fn collecting(folder: &std::path::Path) -> (Served, String) {
     let served = Served::start(folder, &configuration());
     let mut events = served.events("?camera=head", Some("0"));
-    let id = served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
+    let id =
+        served.post("/v1/rigs/head/sessions", &request()).json()["id"].as_str().unwrap().to_owned();
     events.until(|event| event.name == "session" && has_views(&event.data));
     (served, id)
 }
@@ -79,18 +89,30 @@ fn a_rig_is_found_to_within_its_prediction() {
     let session = calibrate(&served);
     assert_eq!(session["camera"], "head");
     for (member, camera) in session["cameras"].as_array().unwrap().iter().zip(CAMERAS) {
-        assert_eq!((&member["camera"], &member["frames_seen"]), (&json!(camera), &json!(30)), "{member}");
+        assert_eq!(
+            (&member["camera"], &member["frames_seen"]),
+            (&json!(camera), &json!(30)),
+            "{member}"
+        );
         assert!(member["views_shared"].as_u64() > Some(5), "{member}");
     }
-    let calibration = served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+    let calibration = served
+        .get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap()))
+        .json();
     for camera in calibration["cameras"].as_array().unwrap() {
         let name = camera["name"].as_str().unwrap();
         let (color, truth) = (&camera["sensors"]["color"], truth_of(name));
         for parameter in ["fx", "fy", "cx", "cy"] {
             let of = |lens: &Value| lens[parameter].as_f64().unwrap();
-            let (found, truly, std) =
-                (of(&color["lens"]), of(&truth["sensors"]["color"]["lens"]), of(&color["lens_std"]));
-            assert!((found - truly).abs() < 3.5 * std, "{name} {parameter}: {found}, truly {truly} ± {std}");
+            let (found, truly, std) = (
+                of(&color["lens"]),
+                of(&truth["sensors"]["color"]["lens"]),
+                of(&color["lens_std"]),
+            );
+            assert!(
+                (found - truly).abs() < 3.5 * std,
+                "{name} {parameter}: {found}, truly {truly} ± {std}"
+            );
         }
     }
     let extrinsics = calibration["extrinsics"].as_array().unwrap();
@@ -145,11 +167,15 @@ fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
     assert_eq!(served.get("/v1/rigs/head").json()["calibration"], id);
     assert_eq!(served.get("/v1/rigs/head/calibration").json()["id"], id);
     assert_eq!(served.get("/v1/rigs/head/calibrations").json()["calibrations"][0]["id"], id);
-    let views = served.get(&format!("/v1/sessions/{}/views", session["id"].as_str().unwrap())).json();
+    let views =
+        served.get(&format!("/v1/sessions/{}/views", session["id"].as_str().unwrap())).json();
     let views = views["views"].as_array().unwrap();
     let of_one_moment = views.iter().filter(|view| view["moment"] == views[0]["moment"]);
     assert!(of_one_moment.count() > 1 && views[0]["camera"] == "left", "{}", views[0]);
-    assert!(views.iter().all(|view| view["rms_px"].as_f64().is_some()), "each view finds its residuals");
+    assert!(
+        views.iter().all(|view| view["rms_px"].as_f64().is_some()),
+        "each view finds its residuals"
+    );
     let picture = served.get(views[1]["picture"].as_str().unwrap());
     assert_eq!((picture.status, picture.media_type.as_str()), (200, "image/jpeg"));
 }
@@ -166,8 +192,9 @@ fn a_killed_daemon_goes_on_with_a_rig_s_session_and_replays_come_out_the_same() 
 
     let replay = || {
         let session = calibrate(&served);
-        let mut calibration =
-            served.get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap())).json();
+        let mut calibration = served
+            .get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap()))
+            .json();
         for key in ["id", "session", "created_at"] {
             calibration.as_object_mut().unwrap().remove(key);
         }
@@ -195,7 +222,8 @@ fn a_hangup_exchanges_the_rigs_that_changed() {
     let file = folder.path().join("plumb.toml");
     let before = std::fs::read_to_string(&file).unwrap();
     let without_rig = &before[..before.find("[[rig]]").unwrap()];
-    let rig = |name: &str, cameras: &[&str]| format!("[[rig]]\nname = {name:?}\ncameras = {cameras:?}\n");
+    let rig =
+        |name: &str, cameras: &[&str]| format!("[[rig]]\nname = {name:?}\ncameras = {cameras:?}\n");
     let hangup = |rigs: &str| {
         std::fs::write(&file, format!("{without_rig}{rigs}")).unwrap();
         served.signal("HUP");
@@ -204,8 +232,9 @@ fn a_hangup_exchanges_the_rigs_that_changed() {
     hangup(&(rig("head", &["left", "right"]) + &rig("tail", &["right", "far"])));
     until(&served, "/v1/rigs/tail", |status, _| status == 200);
     assert_eq!(served.get("/v1/rigs/head").json()["cameras"], json!(["left", "right"]));
-    let goes_on =
-        |session: &Value| session["state"] == "collecting" && session["cameras"].as_array().unwrap().len() == 2;
+    let goes_on = |session: &Value| {
+        session["state"] == "collecting" && session["cameras"].as_array().unwrap().len() == 2
+    };
     until(&served, &format!("/v1/sessions/{id}"), |_, session| goes_on(session));
     until(&served, "/v1/cameras/right", |_, camera| camera["session"] == *id);
     let own = served.post("/v1/cameras/far/sessions", &request());
@@ -216,5 +245,9 @@ fn a_hangup_exchanges_the_rigs_that_changed() {
     hangup("");
     until(&served, "/v1/rigs", |_, rigs| rigs["rigs"] == json!([]));
     until(&served, "/v1/cameras/left", |_, camera| camera["session"].is_null());
-    assert_eq!(served.get("/v1/cameras/far").json()["session"], own.json()["id"], "far did not notice");
+    assert_eq!(
+        served.get("/v1/cameras/far").json()["session"],
+        own.json()["id"],
+        "far did not notice"
+    );
 }

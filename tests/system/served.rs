@@ -43,7 +43,8 @@ impl Answer {
 }
 
 impl Served {
-    /// Starts `plumb serve` with this configuration, kept with its store in `folder`, on a free port.
+    /// Starts `plumb serve` with this configuration, kept with its store in `folder`, on a free
+    /// port.
     pub fn start(folder: &Path, config: &str) -> Self {
         Self::start_in(folder, config, &[])
     }
@@ -52,7 +53,11 @@ impl Served {
     pub fn start_in(folder: &Path, config: &str, environment: &[(&str, &str)]) -> Self {
         let file = folder.join("plumb.toml");
         let store = folder.join("store");
-        std::fs::write(&file, format!("[store]\npath = {:?}\n{config}", store.display().to_string())).unwrap();
+        std::fs::write(
+            &file,
+            format!("[store]\npath = {:?}\n{config}", store.display().to_string()),
+        )
+        .unwrap();
         Self::run(&file, environment)
     }
 
@@ -80,7 +85,11 @@ impl Served {
         };
         // Somebody must read on, or the daemon would wait for its log.
         std::thread::spawn(move || log.for_each(drop));
-        let agent = Agent::config_builder().http_status_as_error(false).max_redirects(0).build().new_agent();
+        let agent = Agent::config_builder()
+            .http_status_as_error(false)
+            .max_redirects(0)
+            .build()
+            .new_agent();
         Self { child, address, agent }
     }
 
@@ -96,7 +105,8 @@ impl Served {
 
     /// POST of anything.
     pub fn post_text(&self, path: &str, media_type: &str, body: &str) -> Answer {
-        let request = self.agent.post(format!("{}{path}", self.address)).header("Content-Type", media_type);
+        let request =
+            self.agent.post(format!("{}{path}", self.address)).header("Content-Type", media_type);
         answer(request.send(body).unwrap())
     }
 
@@ -138,7 +148,11 @@ impl Served {
 
     /// Sends it a signal, by the name that `kill` knows.
     pub fn signal(&self, name: &str) {
-        let sent = Command::new("kill").arg(format!("-{name}")).arg(self.child.id().to_string()).status().unwrap();
+        let sent = Command::new("kill")
+            .arg(format!("-{name}"))
+            .arg(self.child.id().to_string())
+            .status()
+            .unwrap();
         assert!(sent.success());
     }
 
@@ -156,7 +170,8 @@ impl Drop for Served {
 }
 
 fn answer(response: Response<ureq::Body>) -> Answer {
-    let header = |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
+    let header =
+        |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
     let (media_type, location) = (header("content-type").unwrap_or_default(), header("location"));
     let status = response.status().as_u16();
     let mut bytes = Vec::new();

@@ -10,10 +10,12 @@ use crate::served::{Served, replaying};
 const PATIENCE: Duration = Duration::from_secs(30);
 
 fn packaged(name: &str) -> String {
-    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging").join(name)).unwrap()
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging").join(name))
+        .unwrap()
 }
 
-/// Reads what the service manager is told until a message has a line that begins with `wanted`; that line.
+/// Reads what the service manager is told until a message has a line that begins with `wanted`;
+/// that line.
 fn told(socket: &UnixDatagram, wanted: &str) -> String {
     let mut buffer = [0; 4096];
     loop {
@@ -32,7 +34,8 @@ fn the_service_manager_is_told_of_the_start_of_life_and_of_the_end() {
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_read_timeout(Some(PATIENCE)).unwrap();
     let environment = [("NOTIFY_SOCKET", path.to_str().unwrap()), ("WATCHDOG_USEC", "400000")];
-    let mut served = Served::start_in(folder.path(), &replaying("front", "walk.mcap"), &environment);
+    let mut served =
+        Served::start_in(folder.path(), &replaying("front", "walk.mcap"), &environment);
     told(&socket, "READY=1");
     assert_eq!(served.get("/healthz").status, 200, "ready means that it answers");
     (0..3).for_each(|_| drop(told(&socket, "WATCHDOG=1")));

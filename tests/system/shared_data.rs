@@ -2,12 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-/// The folder `name` of the real pictures, found upwards from the project; `None`, loudly, where there are none at all.
-/// A folder that is missing among the others is a failure of the test.
+/// The folder `name` of the real pictures, found upwards from the project; `None`, loudly, where
+/// there are none at all. A folder that is missing among the others is a failure of the test.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().map(|up| up.join("shared/data")).find(|p| p.is_dir());
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .map(|up| up.join("shared/data"))
+        .find(|p| p.is_dir());
     let Some(root) = root else {
-        eprintln!("SKIPPED: no shared/data beside the project, so nothing was tested on the real pictures of {name}");
+        eprintln!(
+            "SKIPPED: no shared/data beside the project, so nothing was tested on the real pictures of {name}"
+        );
         return None;
     };
     let folder = root.join(name);

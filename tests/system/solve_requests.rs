@@ -1,5 +1,6 @@
-//! What a solve can be asked for beyond a lens model, by file and over HTTP alike: a bowed board, a known camera matrix, square
-//! pixels; and its calibration for other pictures than those it was made with, in every format.
+//! What a solve can be asked for beyond a lens model, by file and over HTTP alike: a bowed board, a
+//! known camera matrix, square pixels; and its calibration for other pictures than those it was
+//! made with, in every format.
 
 use std::path::PathBuf;
 
@@ -17,16 +18,21 @@ const CAMERA: [f64; 10] = [600.0, 604.0, 328.0, 236.0, 0.0, -0.2, 0.08, 0.001, -
 /// Ten exact views of a grid that is bowed by `bow_m` at its middle along its rows.
 fn problem(bow_m: f64) -> Value {
     let lens = Lens::from_parameters(LensModel::Brown, &CAMERA).unwrap();
-    let grid: Vec<Point3<f64>> =
-        (0..54).map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0)).collect();
+    let grid: Vec<Point3<f64>> = (0..54)
+        .map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0))
+        .collect();
     let view = |k: u32| {
         let k = f64::from(k);
-        let turn = Vector3::new(0.5 * (1.7 * k).sin(), 0.5 * (2.3 * k).cos(), 0.2 * (0.9 * k).sin());
-        let middle = Vector3::new(0.06 * (3.1 * k).cos(), 0.04 * (1.3 * k).sin(), 0.5 + 0.03 * (k % 4.0));
+        let turn =
+            Vector3::new(0.5 * (1.7 * k).sin(), 0.5 * (2.3 * k).cos(), 0.2 * (0.9 * k).sin());
+        let middle =
+            Vector3::new(0.06 * (3.1 * k).cos(), 0.04 * (1.3 * k).sin(), 0.5 + 0.03 * (k % 4.0));
         let turned = Pose::from_axis_angle(turn, Vector3::zeros());
-        let camera_from_board = Pose::new(turned.rotation(), middle - turned * Vector3::new(0.12, 0.075, 0.0));
+        let camera_from_board =
+            Pose::new(turned.rotation(), middle - turned * Vector3::new(0.12, 0.075, 0.0));
         let seen = grid.iter().map(|point| {
-            let bowed = Point3::new(point.x, point.y, bow_m * (1.0 - (point.x / 0.12 - 1.0).powi(2)));
+            let bowed =
+                Point3::new(point.x, point.y, bow_m * (1.0 - (point.x / 0.12 - 1.0).powi(2)));
             let pixel = lens.pixel_from_point(&(camera_from_board * bowed)).unwrap();
             [pixel.x, pixel.y]
         });
@@ -55,11 +61,15 @@ fn written(folder: &tempfile::TempDir, problem: &Value) -> PathBuf {
 
 #[track_caller]
 fn near(sensor: &Value, pointer: &str, value: f64, by: f64) {
-    let found = sensor.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("no {pointer} in {sensor}"));
+    let found = sensor
+        .pointer(pointer)
+        .and_then(Value::as_f64)
+        .unwrap_or_else(|| panic!("no {pointer} in {sensor}"));
     assert!((found - value).abs() <= by, "{pointer}: {found}, not {value}");
 }
 
-/// What is expected of a solve of `problem(0.002)` with `warp`, and of `problem(0)` with K given or square pixels.
+/// What is expected of a solve of `problem(0.002)` with `warp`, and of `problem(0)` with K given or
+/// square pixels.
 fn check_all(solve: impl Fn(&Value, &Value) -> Value) {
     let bowed = solve(&problem(0.002), &json!({"warp": true}));
     near(&bowed, "/board_warp_m/0", 0.002, 1e-8);
@@ -67,7 +77,10 @@ fn check_all(solve: impl Fn(&Value, &Value) -> Value) {
     near(&bowed, "/rms_px", 0.0, 1e-6);
     near(&bowed, "/lens/fx", 600.0, 1e-4);
     let flat = solve(&problem(0.002), &json!({}));
-    assert!(flat.get("board_warp_m").is_none() && flat["rms_px"].as_f64().unwrap() > 0.01, "{flat}");
+    assert!(
+        flat.get("board_warp_m").is_none() && flat["rms_px"].as_f64().unwrap() > 0.01,
+        "{flat}"
+    );
 
     let given = json!({"given": {"fx": 600.0, "fy": 604.0, "cx": 328.0, "cy": 236.0}});
     let known = solve(&problem(0.0), &given);
@@ -100,7 +113,8 @@ fn and_so_may_the_command_line() {
     let folder = tempfile::tempdir().unwrap();
     let solve = |problem: &Value, fields: &Value| {
         let file = written(&folder, problem);
-        let mut arguments = vec!["solve".to_owned(), "--json".to_owned(), file.display().to_string()];
+        let mut arguments =
+            vec!["solve".to_owned(), "--json".to_owned(), file.display().to_string()];
         for flag in ["warp", "square_pixels", "skew"] {
             arguments.extend(fields.get(flag).map(|_| format!("--{}", flag.replace('_', "-"))));
         }
@@ -138,7 +152,8 @@ fn a_calibration_is_exported_for_a_part_of_its_pictures_and_for_other_sizes() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(&folder, &problem(0.0));
     let calibration = folder.path().join("camera.json").display().to_string();
-    let known = ["--given", "fx=600", "--given", "fy=604", "--given", "cx=328", "--given", "cy=236"];
+    let known =
+        ["--given", "fx=600", "--given", "fy=604", "--given", "cx=328", "--given", "cy=236"];
     let mut arguments = vec!["solve", "--out", &calibration, file.to_str().unwrap()];
     arguments.extend(known);
     assert_eq!(plumb(&arguments).code, Some(0));
@@ -148,8 +163,10 @@ fn a_calibration_is_exported_for_a_part_of_its_pictures_and_for_other_sizes() {
         plumb(&arguments)
     };
     for format in ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"] {
-        // fx 600 → 300; cx (328 + ½ − 80) / 2 − ½ = 123.75; COLMAP counts from the corner, half a pixel more.
-        let part = export(format, &["--crop", "80,60,480,360", "--width", "240", "--height", "180"]);
+        // fx 600 → 300; cx (328 + ½ − 80) / 2 − ½ = 123.75; COLMAP counts from the corner, half a
+        // pixel more.
+        let part =
+            export(format, &["--crop", "80,60,480,360", "--width", "240", "--height", "180"]);
         assert_eq!(part.code, Some(0), "{format}: {}", part.stderr);
         let cx = if format == "colmap" { "124.25" } else { "123.75" };
         // Kalibr has no fifth coefficient: a refit is off in the last digits.
@@ -168,8 +185,16 @@ fn a_calibration_is_exported_for_a_part_of_its_pictures_and_for_other_sizes() {
             (&["--crop", "0,0,0,240"], "has no pixels"),
         ] {
             let refused = export(format, change);
-            assert_eq!((refused.code, refused.stdout.as_str()), (Some(1), ""), "{format} {change:?}");
-            assert!(refused.stderr.contains(words) && refused.stderr.contains("color"), "{}", refused.stderr);
+            assert_eq!(
+                (refused.code, refused.stdout.as_str()),
+                (Some(1), ""),
+                "{format} {change:?}"
+            );
+            assert!(
+                refused.stderr.contains(words) && refused.stderr.contains("color"),
+                "{}",
+                refused.stderr
+            );
         }
         assert_eq!(export(format, &["--crop", "1,2,3"]).code, Some(2), "{format}");
     }
@@ -184,7 +209,8 @@ fn its_uncertainty_is_told_in_numbers_and_as_a_picture() {
     let png = folder.path().join("map.png").display().to_string();
     let mut medians = Vec::new();
     for distance in [None, Some("0.5m")] {
-        let mut arguments = vec!["uncertainty", "--json", "--calibration", &calibration, "--out", &png];
+        let mut arguments =
+            vec!["uncertainty", "--json", "--calibration", &calibration, "--out", &png];
         arguments.extend(distance.iter().flat_map(|distance| ["--distance", *distance]));
         let told = plumb(&arguments);
         assert_eq!(told.code, Some(0), "{}", told.stderr);
@@ -193,7 +219,8 @@ fn its_uncertainty_is_told_in_numbers_and_as_a_picture() {
         assert_eq!(map["distance_m"].as_f64(), distance.map(|_| 0.5));
         let rows = map["std_px"].as_array().unwrap();
         assert_eq!(rows.len(), map["y_px"].as_array().unwrap().len());
-        let mut all: Vec<f64> = rows.iter().flat_map(|row| row.as_array().unwrap()).filter_map(Value::as_f64).collect();
+        let mut all: Vec<f64> =
+            rows.iter().flat_map(|row| row.as_array().unwrap()).filter_map(Value::as_f64).collect();
         all.sort_by(f64::total_cmp);
         medians.push(all[all.len() / 2]);
         assert_eq!(image::open(&png).unwrap().width(), 800);

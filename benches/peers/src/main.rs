@@ -1,8 +1,9 @@
-//! Corners as other detectors find them: `plumb-peers METHOD REPEATS PICTURE…` prints a line of JSON for each picture,
-//! `{"corners": [[x, y], …], "elapsed_ms": …}`, the fastest of so many times, without reading the picture.
+//! Corners as other detectors find them: `plumb-peers METHOD REPEATS PICTURE…` prints a line of
+//! JSON for each picture, `{"corners": [[x, y], …], "elapsed_ms": …}`, the fastest of so many
+//! times, without reading the picture.
 //!
-//! METHOD is `chess-corners` (its saddle-point refinement, the most exact it has) or `calib-targets` (its best of several
-//! thresholds, with the same refinement).
+//! METHOD is `chess-corners` (its saddle-point refinement, the most exact it has) or
+//! `calib-targets` (its best of several thresholds, with the same refinement).
 
 use std::error::Error;
 use std::time::Instant;

@@ -1,4 +1,5 @@
-//! Whether a file is a whole ROS bag: the library takes any name, and later says only that it "cannot be resolved".
+//! Whether a file is a whole ROS bag: the library takes any name, and later says only that it
+//! "cannot be resolved".
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -12,21 +13,26 @@ const FIRST_RECORD: u64 = 4096;
 
 /// Refuses what is missing, is no bag, or was cut short.
 ///
-/// The first record of a bag tells where its index is; a recorder writes that last, so a bag without it, or shorter
-/// than it, is not whole (ROS bag format 2.0, "Bag header").
+/// The first record of a bag tells where its index is; a recorder writes that last, so a bag
+/// without it, or shorter than it, is not whole (ROS bag format 2.0, "Bag header").
 pub(super) fn check_bag(path: &Path) -> Result<(), CaptureError> {
-    let failed = |problem: &str| CaptureError::Failed { reason: format!("{}: {problem}", path.display()) };
+    let failed =
+        |problem: &str| CaptureError::Failed { reason: format!("{}: {problem}", path.display()) };
     let unreadable = |error: io::Error| failed(&format!("{error}; give an existing .bag file"));
     let mut file = File::open(path).map_err(unreadable)?;
     let length = file.metadata().map_err(unreadable)?.len();
     let mut start = Vec::new();
     file.by_ref().take(FIRST_RECORD).read_to_end(&mut start).map_err(unreadable)?;
     if !start.starts_with(MAGIC) {
-        return Err(failed("not a recording of a RealSense camera: it does not begin as a .bag file does"));
+        return Err(failed(
+            "not a recording of a RealSense camera: it does not begin as a .bag file does",
+        ));
     }
     let index = index_position(&start[MAGIC.len()..]).unwrap_or(0);
     if index == 0 || index >= length {
-        return Err(failed("the .bag was cut short: its index is missing; record or copy it again"));
+        return Err(failed(
+            "the .bag was cut short: its index is missing; record or copy it again",
+        ));
     }
     Ok(())
 }
@@ -79,7 +85,10 @@ mod tests {
         assert!(told(&bag(5000, 5000)).unwrap_err().contains("cut short"));
         assert!(told(&bag(0, 9000)).unwrap_err().contains("cut short"));
         for end in MAGIC.len()..60 {
-            assert!(told(&bag(5000, 6000)[..end]).unwrap_err().contains("cut short"), "cut at {end}");
+            assert!(
+                told(&bag(5000, 6000)[..end]).unwrap_err().contains("cut short"),
+                "cut at {end}"
+            );
         }
     }
 

@@ -42,10 +42,17 @@ pub struct Camera {
 impl Camera {
     /// A camera that is not opened yet.
     pub fn new(options: CameraOptions) -> Self {
-        Self { options, context: None, serial: None, next_sequence: Arc::default(), barren: Arc::default() }
+        Self {
+            options,
+            context: None,
+            serial: None,
+            next_sequence: Arc::default(),
+            barren: Arc::default(),
+        }
     }
 
-    /// A camera among those that `context` lists: a program's own context also has the software devices that it added.
+    /// A camera among those that `context` lists: a program's own context also has the software
+    /// devices that it added.
     pub fn in_context(options: CameraOptions, context: Arc<Mutex<Context>>) -> Self {
         Self { context: Some(context), ..Self::new(options) }
     }
@@ -54,11 +61,13 @@ impl Camera {
         let shared = match &self.context {
             Some(context) => Arc::clone(context),
             None => {
-                let new = Context::new().map_err(|error| failed(&format!("librealsense2 does not start: {error}")))?;
+                let new = Context::new()
+                    .map_err(|error| failed(&format!("librealsense2 does not start: {error}")))?;
                 Arc::new(Mutex::new(new))
             }
         };
-        let (pipeline, name) = self.started(&shared.lock().unwrap_or_else(PoisonError::into_inner))?;
+        let (pipeline, name) =
+            self.started(&shared.lock().unwrap_or_else(PoisonError::into_inner))?;
         self.barren.fetch_add(1, Ordering::Relaxed);
         let is_bag = matches!(self.options.origin, Origin::Bag(_));
         if !is_bag {
@@ -75,7 +84,8 @@ impl Camera {
             Origin::Serial(serial) => self.device_config(context, Some(serial))?,
             Origin::OnlyDevice => self.device_config(context, self.serial.clone())?,
         };
-        let pipeline = InactivePipeline::try_from(context).map_err(|error| failed(&error.to_string()))?;
+        let pipeline =
+            InactivePipeline::try_from(context).map_err(|error| failed(&error.to_string()))?;
         let unresolved = |error| match &self.options.origin {
             Origin::Bag(_) => failed(&format!("{name}: the library cannot play it: {error}")),
             _ => CaptureError::Lost {
@@ -87,21 +97,32 @@ impl Camera {
     }
 
     /// How to start the device with this serial number, or the only one.
-    fn device_config(&mut self, context: &Context, serial: Option<String>) -> Result<(Config, String), CaptureError> {
+    fn device_config(
+        &mut self,
+        context: &Context,
+        serial: Option<String>,
+    ) -> Result<(Config, String), CaptureError> {
         let wanted = serial.clone().unwrap_or_else(|| "the RealSense camera".to_owned());
         let lost = |reason: String| CaptureError::Lost { device: wanted.clone(), reason };
         let mut devices = context.query_devices(HashSet::new());
-        let serials: Vec<String> = devices.iter().filter_map(|d| told(d, Rs2CameraInfo::SerialNumber)).collect();
+        let serials: Vec<String> =
+            devices.iter().filter_map(|d| told(d, Rs2CameraInfo::SerialNumber)).collect();
         let Some(serial) = serial.or_else(|| serials.first().cloned()) else {
             return Err(lost("no RealSense camera is plugged in".to_owned()));
         };
         if self.options.origin == Origin::OnlyDevice && self.serial.is_none() && serials.len() > 1 {
-            let problem =
-                format!("several RealSense cameras are plugged in: write serial = one of {}", serials.join(", "));
+            let problem = format!(
+                "several RealSense cameras are plugged in: write serial = one of {}",
+                serials.join(", ")
+            );
             return Err(failed(&problem));
         }
         let Some(at) = serials.iter().position(|found| *found == serial) else {
-            let others = if serials.is_empty() { "no RealSense camera is".to_owned() } else { serials.join(", ") };
+            let others = if serials.is_empty() {
+                "no RealSense camera is".to_owned()
+            } else {
+                serials.join(", ")
+            };
             return Err(lost(format!("it is not plugged in; {others} there")));
         };
         if self.barren.load(Ordering::Relaxed) >= BARREN_LIMIT {
@@ -109,22 +130,31 @@ impl Camera {
             devices.swap_remove(at).hardware_reset();
             return Err(lost(format!("it gave no frame {BARREN_LIMIT} times; it was reset")));
         }
-        let config = self.stream_config(&devices[at], &serial).map_err(|problem| failed(&problem))?;
+        let config =
+            self.stream_config(&devices[at], &serial).map_err(|problem| failed(&problem))?;
         self.serial = Some(serial.clone());
         Ok((config, serial))
     }
 
-    /// Every stream that the device has and that we read, one each of colour, depth, left and right infrared.
+    /// Every stream that the device has and that we read, one each of colour, depth, left and right
+    /// infrared.
     fn stream_config(&self, device: &Device, serial: &str) -> Result<Config, String> {
-        let (width, height) = self.options.mode.size.map_or((0, 0), |size| (size.width as usize, size.height as usize));
+        let (width, height) = self
+            .options
+            .mode
+            .size
+            .map_or((0, 0), |size| (size.width as usize, size.height as usize));
         let fps = self.options.mode.fps.map_or(USUAL_FPS, |fps| fps.round() as usize);
         let number = CString::new(serial).map_err(|_| format!("{serial:?} is no serial number"))?;
-        let offered: Vec<StreamProfile> = device.sensors().iter().flat_map(Sensor::stream_profiles).collect();
+        let offered: Vec<StreamProfile> =
+            device.sensors().iter().flat_map(Sensor::stream_profiles).collect();
         let mut config = Config::new();
         config.enable_device_from_serial(&number).map_err(|error| error.to_string())?;
         for sensor in SensorKind::ALL {
             let format = format_of(sensor);
-            let has = |stream: &&StreamProfile| sensor_of(stream) == Some(sensor) && stream.format() == format;
+            let has = |stream: &&StreamProfile| {
+                sensor_of(stream) == Some(sensor) && stream.format() == format
+            };
             let Some(stream) = offered.iter().find(has) else { continue };
             let index = (stream.kind() == Rs2StreamKind::Infrared).then(|| stream.index());
             config
@@ -160,16 +190,22 @@ fn bag_config(path: &Path) -> Result<Config, CaptureError> {
 
 /// Makes the settings on whichever of the device's sensors takes them.
 fn set(device: &Device, settings: Settings) -> Result<(), String> {
-    let preset = settings.preset.map(|preset| (Rs2Option::VisualPreset, "preset", f32::from(preset.number())));
-    let emitter = settings.emitter.map(|on| (Rs2Option::EmitterEnabled, "emitter", f32::from(u8::from(on))));
+    let preset = settings
+        .preset
+        .map(|preset| (Rs2Option::VisualPreset, "preset", f32::from(preset.number())));
+    let emitter =
+        settings.emitter.map(|on| (Rs2Option::EmitterEnabled, "emitter", f32::from(u8::from(on))));
     for (option, key, value) in [preset, emitter].into_iter().flatten() {
-        let takes = |sensor: &Sensor| sensor.supports_option(option) && !sensor.is_option_read_only(option);
+        let takes =
+            |sensor: &Sensor| sensor.supports_option(option) && !sensor.is_option_read_only(option);
         let mut sensor = device
             .sensors()
             .into_iter()
             .find(takes)
             .ok_or_else(|| format!("this device has no {key}: remove `{key}`"))?;
-        sensor.set_option(option, value).map_err(|error| format!("`{key}` cannot be set: {error}"))?;
+        sensor
+            .set_option(option, value)
+            .map_err(|error| format!("`{key}` cannot be set: {error}"))?;
     }
     Ok(())
 }

@@ -12,7 +12,8 @@ use crate::geometry::pose::Pose;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
 use crate::imaging::frame::SensorKind;
 
-/// Which of our sensors a stream is; of two infrared ones the first is the left, from which depth is measured.
+/// Which of our sensors a stream is; of two infrared ones the first is the left, from which depth
+/// is measured.
 pub(super) fn sensor_of(stream: &StreamProfile) -> Option<SensorKind> {
     match (stream.kind(), stream.index()) {
         (Rs2StreamKind::Color, _) => Some(SensorKind::Color),
@@ -24,9 +25,13 @@ pub(super) fn sensor_of(stream: &StreamProfile) -> Option<SensorKind> {
 }
 
 /// What is stated of every stream.
-pub(super) fn factory_calibration(device: &Device, streams: &[StreamProfile]) -> FactoryCalibration {
+pub(super) fn factory_calibration(
+    device: &Device,
+    streams: &[StreamProfile],
+) -> FactoryCalibration {
     let color = streams.iter().find(|stream| sensor_of(stream) == Some(SensorKind::Color));
-    let depth_unit = device.sensors().iter().find_map(|sensor| sensor.get_option(Rs2Option::DepthUnits));
+    let depth_unit =
+        device.sensors().iter().find_map(|sensor| sensor.get_option(Rs2Option::DepthUnits));
     let stated = streams.iter().filter_map(|stream| {
         let sensor = sensor_of(stream)?;
         let intrinsics = stream.intrinsics().ok()?;
@@ -67,8 +72,8 @@ fn stated_lens(intrinsics: &Rs2Intrinsics) -> StatedLens {
     }
 }
 
-/// The lens in a model of ours. The library's *inverse* and *modified* Brown models have none that says the same, except
-/// where all their coefficients are zero.
+/// The lens in a model of ours. The library's *inverse* and *modified* Brown models have none that
+/// says the same, except where all their coefficients are zero.
 fn lens_of(intrinsics: &Rs2Intrinsics) -> Option<Lens> {
     let distortion = intrinsics.distortion();
     let straight = distortion.coeffs.iter().all(|coefficient| *coefficient == 0.0);
@@ -78,7 +83,8 @@ fn lens_of(intrinsics: &Rs2Intrinsics) -> Option<Lens> {
         Rs2DistortionModel::KannalaBrandt => (LensModel::KannalaBrandt, 4),
         _ => return None,
     };
-    let mut parameters = vec![intrinsics.fx(), intrinsics.fy(), intrinsics.ppx(), intrinsics.ppy(), 0.0];
+    let mut parameters =
+        vec![intrinsics.fx(), intrinsics.fy(), intrinsics.ppx(), intrinsics.ppy(), 0.0];
     parameters.extend(&distortion.coeffs[..count]);
     let parameters: Vec<f64> = parameters.into_iter().map(f64::from).collect();
     Lens::from_parameters(model, &parameters)

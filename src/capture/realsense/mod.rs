@@ -1,7 +1,7 @@
 //! RealSense cameras and their recordings: `kind = "realsense"`, through Intel's own library.
 //!
-//! The library is needed to build and to run, so that this is the cargo feature `realsense`, off unless asked for. A build
-//! without it has the same names, and says what is missing.
+//! The library is needed to build and to run, so that this is the cargo feature `realsense`, off
+//! unless asked for. A build without it has the same names, and says what is missing.
 
 mod bag_file;
 #[cfg(feature = "realsense")]

@@ -1,6 +1,7 @@
 //! What a RealSense device can be told besides its streams.
 
-/// How the device weighs depth's completeness against its accuracy: Intel's visual presets of the D400 line.
+/// How the device weighs depth's completeness against its accuracy: Intel's visual presets of the
+/// D400 line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
     /// As the device comes.
@@ -17,7 +18,8 @@ pub enum Preset {
 
 impl Preset {
     /// Every preset.
-    pub const ALL: [Self; 5] = [Self::Default, Self::Hand, Self::HighAccuracy, Self::HighDensity, Self::MediumDensity];
+    pub const ALL: [Self; 5] =
+        [Self::Default, Self::Hand, Self::HighAccuracy, Self::HighDensity, Self::MediumDensity];
 
     /// Its name in the configuration.
     pub fn name(self) -> &'static str {
@@ -52,7 +54,8 @@ impl Preset {
 pub struct Settings {
     /// Default: as the device stands.
     pub preset: Option<Preset>,
-    /// Whether it projects its dots while no session collects; default: as the device stands. During a session they are
-    /// on in every other frame where the device can do that, and else off.
+    /// Whether it projects its dots while no session collects; default: as the device stands.
+    /// During a session they are on in every other frame where the device can do that, and else
+    /// off.
     pub emitter: Option<bool>,
 }

@@ -5,7 +5,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use realsense_rust::context::Context;
-use realsense_rust::frame::{ColorFrame, CompositeFrame, DepthFrame, FrameEx, ImageFrame, InfraredFrame};
+use realsense_rust::frame::{
+    ColorFrame, CompositeFrame, DepthFrame, FrameEx, ImageFrame, InfraredFrame,
+};
 use realsense_rust::kind::{Rs2CameraInfo, Rs2Format, Rs2Option};
 use realsense_rust::pipeline::{ActivePipeline, FrameWaitError};
 use realsense_rust::sensor::Sensor;
@@ -78,14 +80,25 @@ impl Source {
         let mut frames: Vec<Frame> = color.iter().filter_map(frame_of).collect();
         frames.extend(infrared.iter().filter_map(frame_of));
         frames.extend(depth.iter().filter_map(frame_of));
-        // The slowest to come of the frames taken together: its count has no gap that the others don't have.
-        let clock = depth.first().map(moment).or(color.first().map(moment)).or(infrared.first().map(moment));
+        // The slowest to come of the frames taken together: its count has no gap that the others
+        // don't have.
+        let clock = depth
+            .first()
+            .map(moment)
+            .or(color.first().map(moment))
+            .or(infrared.first().map(moment));
         let (number, device_time) = clock.filter(|_| !frames.is_empty())?;
         self.losses.missed += self.counter.count(number);
         let sequence = self.counter.next() - 1;
         self.next_sequence.store(self.counter.next(), Ordering::Relaxed);
         self.barren.store(0, Ordering::Relaxed);
-        Some(FrameSet { sequence, host_time: now(), device_time: Some(device_time), name: None, frames })
+        Some(FrameSet {
+            sequence,
+            host_time: now(),
+            device_time: Some(device_time),
+            name: None,
+            frames,
+        })
     }
 
     fn silent(&self, timeout: Duration) -> CaptureError {
@@ -97,8 +110,11 @@ impl Source {
 
     /// The device's sensors that have `option` and let it be set.
     fn sensors_with(&self, option: Rs2Option) -> Vec<Sensor> {
-        let sensors = self.pipeline.iter().flat_map(|pipeline| pipeline.profile().device().sensors());
-        sensors.filter(|sensor| sensor.supports_option(option) && !sensor.is_option_read_only(option)).collect()
+        let sensors =
+            self.pipeline.iter().flat_map(|pipeline| pipeline.profile().device().sensors());
+        sensors
+            .filter(|sensor| sensor.supports_option(option) && !sensor.is_option_read_only(option))
+            .collect()
     }
 
     fn change(&mut self, option: Rs2Option, value: f32) -> bool {
@@ -127,7 +143,9 @@ impl FrameSource for Source {
                     }
                     self.losses.damaged += 1;
                 }
-                Err(FrameWaitError::DidTimeoutBeforeFrameArrival) => return Err(self.silent(timeout)),
+                Err(FrameWaitError::DidTimeoutBeforeFrameArrival) => {
+                    return Err(self.silent(timeout));
+                }
                 Err(error) => {
                     let device = self.description.identity.clone();
                     return Err(CaptureError::Lost { device, reason: error.to_string() });
@@ -147,11 +165,12 @@ impl FrameSource for Source {
         self.losses
     }
 
-    /// The emitter's dots hide the board from the infrared sensor: it is on in every other frame where the device can do
-    /// that, so that depth goes on, and off where it cannot.
+    /// The emitter's dots hide the board from the infrared sensor: it is on in every other frame
+    /// where the device can do that, so that depth goes on, and off where it cannot.
     fn calibrating(&mut self, on: bool) -> Result<(), CaptureError> {
         if on {
-            let _ = self.change(Rs2Option::EmitterOnOff, 1.0) || self.change(Rs2Option::EmitterEnabled, 0.0);
+            let _ = self.change(Rs2Option::EmitterOnOff, 1.0)
+                || self.change(Rs2Option::EmitterEnabled, 0.0);
         } else {
             for (option, value) in std::mem::take(&mut self.before_session) {
                 for mut sensor in self.sensors_with(option) {
@@ -182,9 +201,15 @@ fn describe(opened: &Opened) -> SourceDescription {
     let modes = streams.iter().filter_map(|stream| {
         let sensor = sensor_of(stream)?;
         let size = factory.sensor(sensor)?.image_size;
-        Some(format!("{} {size} {:?} at {} frames a second", sensor.name(), stream.format(), stream.framerate()))
+        Some(format!(
+            "{} {size} {:?} at {} frames a second",
+            sensor.name(),
+            stream.format(),
+            stream.framerate()
+        ))
     });
-    let temperature = device.sensors().iter().find_map(|sensor| sensor.get_option(Rs2Option::AsicTemperature));
+    let temperature =
+        device.sensors().iter().find_map(|sensor| sensor.get_option(Rs2Option::AsicTemperature));
     let mut facts: Vec<String> = modes.collect();
     facts.extend(told(Rs2CameraInfo::FirmwareVersion).map(|version| format!("firmware {version}")));
     facts.extend(temperature.map(|degrees| format!("{degrees:.0} °C")));
@@ -194,7 +219,11 @@ fn describe(opened: &Opened) -> SourceDescription {
         fps: streams.iter().map(|stream| f64::from(stream.framerate())).reduce(f64::min),
         model: told(Rs2CameraInfo::Name),
         serial: told(Rs2CameraInfo::SerialNumber),
-        bus: if opened.is_bag { Some(opened.name.clone()) } else { told(Rs2CameraInfo::PhysicalPort) },
+        bus: if opened.is_bag {
+            Some(opened.name.clone())
+        } else {
+            told(Rs2CameraInfo::PhysicalPort)
+        },
         mode: Some(facts.join(", ")),
         factory,
         ..SourceDescription::default()
@@ -226,5 +255,11 @@ where
         _ => return None,
     };
     let size = ImageSize::new(frame.width() as u32, frame.height() as u32);
-    Some(Frame { sensor: sensor_of(stream)?, size, format, stride: frame.stride(), bytes: pixels_of(frame) })
+    Some(Frame {
+        sensor: sensor_of(stream)?,
+        size,
+        format,
+        stride: frame.stride(),
+        bytes: pixels_of(frame),
+    })
 }

@@ -17,7 +17,8 @@ impl Camera {
             Selector::Index(index) => format!("/dev/video{index}"),
             Selector::Name(name) => name,
         };
-        let options = v4l2::CameraOptions { device: device.into(), mode: options.mode, ..Default::default() };
+        let options =
+            v4l2::CameraOptions { device: device.into(), mode: options.mode, ..Default::default() };
         Self { camera: v4l2::Camera::new(options) }
     }
 }

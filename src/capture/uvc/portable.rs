@@ -1,5 +1,5 @@
-//! Cameras through `nokhwa`, whose wait for a frame has no end: a thread of its own waits, and is left behind when its
-//! camera never answers again.
+//! Cameras through `nokhwa`, whose wait for a frame has no end: a thread of its own waits, and is
+//! left behind when its camera never answers again.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -8,7 +8,8 @@ use std::thread;
 use std::time::Duration;
 
 use nokhwa::utils::{
-    ApiBackend, CameraFormat, CameraIndex, CameraInfo, FrameFormat, RequestedFormat, RequestedFormatType, Resolution,
+    ApiBackend, CameraFormat, CameraIndex, CameraInfo, FrameFormat, RequestedFormat,
+    RequestedFormatType, Resolution,
 };
 use nokhwa::{Buffer, NokhwaError};
 
@@ -59,9 +60,12 @@ impl SourceOpener for Camera {
         let (opened, opening) = sync_channel(1);
         let waiting = Waiting { frames, shared: Arc::clone(&shared), name: name.clone() };
         let index = info.index().clone();
-        let started =
-            thread::Builder::new().name(format!("uvc-{index}")).spawn(move || waiting.run(index, format, &opened));
-        started.map_err(|error| CaptureError::Failed { reason: format!("no thread for {name}: {error}") })?;
+        let started = thread::Builder::new()
+            .name(format!("uvc-{index}"))
+            .spawn(move || waiting.run(index, format, &opened));
+        started.map_err(|error| CaptureError::Failed {
+            reason: format!("no thread for {name}: {error}"),
+        })?;
         let silent = |_| lost(&name, "it does not open within 10 s; plug it in again".to_owned());
         let mode = opening.recv_timeout(OPENING).map_err(silent)??;
         let next_sequence = Arc::clone(&self.next_sequence);
@@ -91,7 +95,8 @@ impl Waiting {
         format: RequestedFormat<'static>,
         opened: &SyncSender<Result<CameraFormat, CaptureError>>,
     ) {
-        let camera = nokhwa::Camera::new(index, format).and_then(|mut camera| camera.open_stream().map(|()| camera));
+        let camera = nokhwa::Camera::new(index, format)
+            .and_then(|mut camera| camera.open_stream().map(|()| camera));
         let mut camera = match camera {
             Ok(camera) => camera,
             Err(error) => {
@@ -142,7 +147,13 @@ impl FrameSource for Source {
             RecvTimeoutError::Disconnected => lost(&self.name, "it stopped".to_owned()),
         })??;
         let sequence = self.next_sequence.fetch_add(1, Ordering::Relaxed);
-        Ok(FrameSet { sequence, host_time: now(), device_time: None, name: None, frames: vec![frame] })
+        Ok(FrameSet {
+            sequence,
+            host_time: now(),
+            device_time: None,
+            name: None,
+            frames: vec![frame],
+        })
     }
 
     fn description(&self) -> SourceDescription {
@@ -172,7 +183,9 @@ impl Drop for Source {
 pub fn list_devices() -> DeviceListing {
     let listing = |devices, missing| DeviceListing { backend: "uvc", devices, missing };
     match nokhwa::query(ApiBackend::Auto) {
-        Ok(cameras) if cameras.is_empty() => listing(Vec::new(), Some("no camera is plugged in".to_owned())),
+        Ok(cameras) if cameras.is_empty() => {
+            listing(Vec::new(), Some("no camera is plugged in".to_owned()))
+        }
         Ok(cameras) => listing(cameras.iter().map(listed).collect(), None),
         Err(error) => listing(Vec::new(), Some(in_words(&error))),
     }
@@ -193,7 +206,8 @@ fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
         Selector::Index(index) => format!("camera {index}"),
         Selector::Name(name) => name.clone(),
     };
-    let cameras = nokhwa::query(ApiBackend::Auto).map_err(|error| lost(&wanted, in_words(&error)))?;
+    let cameras =
+        nokhwa::query(ApiBackend::Auto).map_err(|error| lost(&wanted, in_words(&error)))?;
     let names: Vec<String> = cameras.iter().map(CameraInfo::human_name).collect();
     let meant = |camera: &CameraInfo| match selector {
         Selector::Index(index) => *camera.index() == CameraIndex::Index(*index),
@@ -223,7 +237,9 @@ fn requested(mode: &ModeRequest) -> Result<RequestedFormat<'static>, CaptureErro
     };
     let known = FORMATS.iter().find(|(_, known, _)| known.eq_ignore_ascii_case(name));
     let names: Vec<&str> = FORMATS.iter().map(|(_, name, _)| *name).collect();
-    let unknown = || CaptureError::Failed { reason: format!("no format {name}; write one of {}", names.join(", ")) };
+    let unknown = || CaptureError::Failed {
+        reason: format!("no format {name}; write one of {}", names.join(", ")),
+    };
     let (format, ..) = known.ok_or_else(unknown)?;
     let wish = CameraFormat::new(size, *format, fps);
     Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(wish), &ALL))
@@ -231,7 +247,8 @@ fn requested(mode: &ModeRequest) -> Result<RequestedFormat<'static>, CaptureErro
 
 /// A buffer as a frame; `None` when it holds less than it should, or a format that is not read.
 fn frame_of(buffer: &Buffer) -> Option<Frame> {
-    let (.., format) = *FORMATS.iter().find(|(format, ..)| *format == buffer.source_frame_format())?;
+    let (.., format) =
+        *FORMATS.iter().find(|(format, ..)| *format == buffer.source_frame_format())?;
     let resolution = buffer.resolution();
     let size = ImageSize::new(resolution.width(), resolution.height());
     let stride = format.bytes_per_pixel().unwrap_or(0) * size.width as usize;
@@ -241,7 +258,13 @@ fn frame_of(buffer: &Buffer) -> Option<Frame> {
     } else {
         bytes.len() >= stride * size.height as usize
     };
-    whole.then(|| Frame { sensor: SensorKind::Color, size, format, stride, bytes: Arc::from(bytes) })
+    whole.then(|| Frame {
+        sensor: SensorKind::Color,
+        size,
+        format,
+        stride,
+        bytes: Arc::from(bytes),
+    })
 }
 
 fn lost(device: &str, reason: String) -> CaptureError {

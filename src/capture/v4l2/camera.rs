@@ -1,4 +1,5 @@
-//! A configured Linux camera: opened, and after a loss found again by what it is, not by where it was.
+//! A configured Linux camera: opened, and after a loss found again by what it is, not by where it
+//! was.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -67,7 +68,16 @@ impl Camera {
         }
         let identity = self.identity.insert(DeviceIdentity::of(&node)).words();
         let (lock, next_sequence) = (self.options.lock, Arc::clone(&self.next_sequence));
-        let opened = Opened { device, mode, controls, node, identity, driver: capability.driver, lock, next_sequence };
+        let opened = Opened {
+            device,
+            mode,
+            controls,
+            node,
+            identity,
+            driver: capability.driver,
+            lock,
+            next_sequence,
+        };
         Source::start(opened)
     }
 
@@ -89,10 +99,16 @@ impl Camera {
 
     fn gives_no_video(&self, node: &DeviceNode, multiplanar: bool) -> CaptureError {
         if multiplanar {
-            return failed(&node.path, "gives its pictures in several planes, which Plumb does not read");
+            return failed(
+                &node.path,
+                "gives its pictures in several planes, which Plumb does not read",
+            );
         }
         if node.index > 0 {
-            return failed(&node.path, "gives no pictures but what accompanies them; use the device's first node");
+            return failed(
+                &node.path,
+                "gives no pictures but what accompanies them; use the device's first node",
+            );
         }
         idle(node)
     }
@@ -106,7 +122,10 @@ impl SourceOpener for Camera {
 
 /// A loopback device is a camera only while a program feeds it.
 fn idle(node: &DeviceNode) -> CaptureError {
-    CaptureError::Lost { device: node.path.display().to_string(), reason: ModeError::Idle.to_string() }
+    CaptureError::Lost {
+        device: node.path.display().to_string(),
+        reason: ModeError::Idle.to_string(),
+    }
 }
 
 /// Opens a node, and says what to do where that is refused.
@@ -126,7 +145,9 @@ pub(super) fn lost(node: &Path, error: &io::Error) -> CaptureError {
         // The attempt that was refused has the node open itself.
         Some(libc::EBUSY) => match holders_of(node, 1) {
             Some(holders) => lost(format!("in use by {holders}; close that first")),
-            None => lost("in use by another process that this user cannot see; close that first".to_owned()),
+            None => lost(
+                "in use by another process that this user cannot see; close that first".to_owned(),
+            ),
         },
         Some(libc::ENODEV | libc::ENXIO | libc::ENOENT) => lost("it was unplugged".to_owned()),
         _ => lost(format!("the driver answers: {error}")),
@@ -140,9 +161,11 @@ fn failed(node: &Path, problem: &str) -> CaptureError {
 /// Why a device is not among `nodes`.
 fn absence(nodes: &[DeviceNode]) -> String {
     if !kernel_has_video() {
-        return "the kernel has no video devices at all; plug the camera in, or load its driver".to_owned();
+        return "the kernel has no video devices at all; plug the camera in, or load its driver"
+            .to_owned();
     }
-    let names: Vec<String> = nodes.iter().map(|node| format!("{} ({})", node.path.display(), node.name)).collect();
+    let names: Vec<String> =
+        nodes.iter().map(|node| format!("{} ({})", node.path.display(), node.name)).collect();
     match names.is_empty() {
         true => "no camera is plugged in".to_owned(),
         false => format!("it is not plugged in; there are {}", names.join(", ")),
@@ -155,7 +178,8 @@ mod tests {
 
     #[test]
     fn system_errors_are_told_with_what_to_do() {
-        let told = |code| lost(Path::new("/dev/video9"), &io::Error::from_raw_os_error(code)).to_string();
+        let told =
+            |code| lost(Path::new("/dev/video9"), &io::Error::from_raw_os_error(code)).to_string();
         assert_eq!(told(libc::ENODEV), "/dev/video9 was lost: it was unplugged");
         assert!(told(libc::EACCES).contains("group video"));
         assert!(told(libc::EBUSY).contains("in use by"));
@@ -164,7 +188,8 @@ mod tests {
 
     #[test]
     fn a_device_that_is_not_there_may_still_come() {
-        let options = CameraOptions { device: "/dev/video-none".into(), ..CameraOptions::default() };
+        let options =
+            CameraOptions { device: "/dev/video-none".into(), ..CameraOptions::default() };
         let error = Camera::new(options).open_source().map(|_| ()).unwrap_err();
         assert!(matches!(error, CaptureError::Lost { .. }), "{error}");
     }

@@ -67,7 +67,12 @@ pub(super) struct Controls {
 impl Controls {
     /// Reads which controls there are; sets none.
     pub fn read(device: &Device) -> Self {
-        Self { ranges: kernel::controls(device), before: Vec::new(), before_hold: Vec::new(), held: Vec::new() }
+        Self {
+            ranges: kernel::controls(device),
+            before: Vec::new(),
+            before_hold: Vec::new(),
+            held: Vec::new(),
+        }
     }
 
     /// Sets what `wanted` says: what switches automatics first, for it frees the values.
@@ -79,8 +84,11 @@ impl Controls {
         for (name, value) in wanted {
             let range = self.named(name).ok_or_else(|| self.unknown(name))?;
             let allowed = range.minimum..=range.maximum;
-            let value = i32::try_from(*value).ok().filter(|value| allowed.contains(&i64::from(*value)));
-            let value = value.ok_or_else(|| format!("control {name} takes {} to {}", range.minimum, range.maximum))?;
+            let value =
+                i32::try_from(*value).ok().filter(|value| allowed.contains(&i64::from(*value)));
+            let value = value.ok_or_else(|| {
+                format!("control {name} takes {} to {}", range.minimum, range.maximum)
+            })?;
             orders.push((range.kind == ControlKind::Integer, range.id, value, name));
         }
         orders.sort();
@@ -96,7 +104,9 @@ impl Controls {
     /// Stops what moves by itself, each at its present value.
     pub fn hold(&mut self, device: &Device) {
         for (automatic, still, value) in AUTOMATICS {
-            let Some(old) = self.value(device, automatic).filter(|old| *old != still) else { continue };
+            let Some(old) = self.value(device, automatic).filter(|old| *old != still) else {
+                continue;
+            };
             let present = value.and_then(|id| Some((id, self.value(device, id)?)));
             if kernel::set_control_value(device, automatic, still).is_err() {
                 continue;
@@ -156,7 +166,8 @@ impl Controls {
     }
 
     fn unknown(&self, name: &str) -> String {
-        let names: Vec<String> = self.ranges.iter().filter(|r| r.is_writable()).map(|r| self.name_of(r.id)).collect();
+        let names: Vec<String> =
+            self.ranges.iter().filter(|r| r.is_writable()).map(|r| self.name_of(r.id)).collect();
         match names.is_empty() {
             true => format!("no control {name}: it has none; remove `controls`"),
             false => format!("no control {name}; it has {}", names.join(", ")),
@@ -164,8 +175,10 @@ impl Controls {
     }
 
     fn name_of(&self, id: u32) -> String {
-        let known = NAMES.iter().find(|(_, known)| *known == id).map(|(name, _)| (*name).to_owned());
-        let told = || self.ranges.iter().find(|range| range.id == id).map(|range| plain(&range.name));
+        let known =
+            NAMES.iter().find(|(_, known)| *known == id).map(|(name, _)| (*name).to_owned());
+        let told =
+            || self.ranges.iter().find(|range| range.id == id).map(|range| plain(&range.name));
         known.or_else(told).unwrap_or_default()
     }
 }

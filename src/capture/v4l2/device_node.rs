@@ -14,7 +14,8 @@ pub(super) struct DeviceNode {
     pub name: String,
     /// Which of its device's nodes it is: a USB camera's first gives pictures, its second metadata.
     pub index: u32,
-    /// Where the device hangs in the machine, without the numbers that change when it is plugged in again.
+    /// Where the device hangs in the machine, without the numbers that change when it is plugged in
+    /// again.
     pub bus: String,
     /// What a USB device says it is.
     pub usb: Option<UsbIdentity>,
@@ -37,10 +38,12 @@ impl DeviceNode {
         let folder = class.join(node_name);
         let name = attribute(&folder, "name")?;
         // A virtual node belongs to no device: then it is its own place.
-        let device = fs::canonicalize(folder.join("device")).or_else(|_| fs::canonicalize(&folder)).ok()?;
+        let device =
+            fs::canonicalize(folder.join("device")).or_else(|_| fs::canonicalize(&folder)).ok()?;
         let usb_folder = device.ancestors().find(|parent| parent.join("idVendor").is_file());
         let usb = usb_folder.and_then(|folder| {
-            let model = format!("{}:{}", attribute(folder, "idVendor")?, attribute(folder, "idProduct")?);
+            let model =
+                format!("{}:{}", attribute(folder, "idVendor")?, attribute(folder, "idProduct")?);
             let serial = attribute(folder, "serial").filter(|serial| !serial.is_empty());
             Some(UsbIdentity { model, serial, release: attribute(folder, "bcdDevice") })
         });
@@ -60,7 +63,9 @@ impl DeviceNode {
         for folder in ["/dev/v4l/by-id", "/dev/v4l/by-path"] {
             let Ok(entries) = fs::read_dir(folder) else { continue };
             let links = entries.flatten().map(|entry| entry.path());
-            found.extend(links.filter(|link| fs::canonicalize(link).is_ok_and(|node| node == self.path)));
+            found.extend(
+                links.filter(|link| fs::canonicalize(link).is_ok_and(|node| node == self.path)),
+            );
         }
         found.sort();
         found
@@ -99,7 +104,8 @@ mod tests {
         let usb = sys.path().join("devices/usb1/1-2");
         let interface = usb.join("1-2:1.0");
         fs::create_dir_all(interface.join("video4linux/video4")).unwrap();
-        for (name, text) in [("idVendor", "046d\n"), ("idProduct", "0825\n"), ("serial", "A1B2\n")] {
+        for (name, text) in [("idVendor", "046d\n"), ("idProduct", "0825\n"), ("serial", "A1B2\n")]
+        {
             fs::write(usb.join(name), text).unwrap();
         }
         let class = sys.path().join("class");

@@ -27,8 +27,8 @@ impl DeviceIdentity {
         }
     }
 
-    /// The node that this device has now: by serial number; one without, where it was; one that was moved to another
-    /// socket, if it is the only one of its kind.
+    /// The node that this device has now: by serial number; one without, where it was; one that was
+    /// moved to another socket, if it is the only one of its kind.
     pub fn find<'n>(&self, nodes: &'n [DeviceNode]) -> Option<&'n DeviceNode> {
         let same_kind = |node: &&DeviceNode| {
             let model = node.usb.as_ref().map(|usb| &usb.model);
@@ -51,14 +51,20 @@ impl DeviceIdentity {
     }
 }
 
-/// The node that `device` means: a path, a serial number, or a device's name or place as `plumb devices` lists them.
-pub(super) fn find_by_request<'n>(device: &Path, nodes: &'n [DeviceNode]) -> Option<&'n DeviceNode> {
+/// The node that `device` means: a path, a serial number, or a device's name or place as `plumb
+/// devices` lists them.
+pub(super) fn find_by_request<'n>(
+    device: &Path,
+    nodes: &'n [DeviceNode],
+) -> Option<&'n DeviceNode> {
     if device.is_absolute() {
         let node = fs::canonicalize(device).ok()?;
         return nodes.iter().find(|known| known.path == node);
     }
     let wanted = device.to_str()?;
-    let named = |node: &&DeviceNode| node.serial() == Some(wanted) || node.name == wanted || node.bus == wanted;
+    let named = |node: &&DeviceNode| {
+        node.serial() == Some(wanted) || node.name == wanted || node.bus == wanted
+    };
     nodes.iter().filter(named).min_by_key(|node| node.index)
 }
 
@@ -91,7 +97,11 @@ mod tests {
         let identity = DeviceIdentity::of(&node(0, "cam", Some("A"), "usb1/1-1"));
         let now = [node(0, "cam", Some("B"), "usb1/1-1"), node(3, "cam", Some("A"), "usb1/1-4")];
         assert_eq!(identity.find(&now), Some(&now[1]));
-        assert_eq!(identity.find(&now[..1]), None, "another camera in its socket is another camera");
+        assert_eq!(
+            identity.find(&now[..1]),
+            None,
+            "another camera in its socket is another camera"
+        );
     }
 
     #[test]

@@ -1,5 +1,6 @@
-//! The V4L2 calls that the `v4l` crate lacks, or answers with a panic on devices it does not expect: a name cut inside a
-//! character, a control of a newer type. The only unsafe code of this source.
+//! The V4L2 calls that the `v4l` crate lacks, or answers with a panic on devices it does not
+//! expect: a name cut inside a character, a control of a newer type. The only unsafe code of this
+//! source.
 #![expect(unsafe_code, reason = "V4L2 is a set of ioctls")]
 
 use std::ffi::c_void;
@@ -127,13 +128,17 @@ fn control_kind(code: u32) -> Option<ControlKind> {
     }
 }
 
-/// One ioctl; again when a signal came between. `argument` must be of the type that `request` is for.
+/// One ioctl; again when a signal came between. `argument` must be of the type that `request` is
+/// for.
 fn call<T>(device: &Device, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
     let handle = device.handle();
     loop {
-        // SAFETY: the descriptor is open as long as `device` is; every caller in this file passes the structure that
-        // its request is defined for, exclusively borrowed, so the kernel writes inside it and nowhere else.
-        let outcome = unsafe { v4l2::ioctl(handle.fd(), request, std::ptr::from_mut(argument).cast::<c_void>()) };
+        // SAFETY: the descriptor is open as long as `device` is; every caller in this file passes
+        // the structure that its request is defined for, exclusively borrowed, so the kernel writes
+        // inside it and nowhere else.
+        let outcome = unsafe {
+            v4l2::ioctl(handle.fd(), request, std::ptr::from_mut(argument).cast::<c_void>())
+        };
         match outcome {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
             outcome => return outcome,

@@ -7,7 +7,8 @@ use crate::capture::v4l2::device_node::{DeviceNode, kernel_has_video, video_node
 use crate::capture::v4l2::holder::holders_of;
 use crate::capture::v4l2::{kernel, mode};
 
-/// Every Linux video device that gives pictures. Each is opened for a moment, which disturbs no stream.
+/// Every Linux video device that gives pictures. Each is opened for a moment, which disturbs no
+/// stream.
 pub fn list_devices() -> DeviceListing {
     let devices: Vec<ListedDevice> = video_nodes().iter().filter_map(listed).collect();
     let missing = devices.is_empty().then(|| {
@@ -22,8 +23,13 @@ pub fn list_devices() -> DeviceListing {
 /// One node; `None` for those that give metadata, take output, or do something else altogether.
 fn listed(node: &DeviceNode) -> Option<ListedDevice> {
     let path = node.path.display().to_string();
-    let stable: Vec<String> = node.stable_paths().iter().map(|path| path.display().to_string()).collect();
-    let identity = stable.first().cloned().or_else(|| node.serial().map(str::to_owned)).unwrap_or_else(|| path.clone());
+    let stable: Vec<String> =
+        node.stable_paths().iter().map(|path| path.display().to_string()).collect();
+    let identity = stable
+        .first()
+        .cloned()
+        .or_else(|| node.serial().map(str::to_owned))
+        .unwrap_or_else(|| path.clone());
     let mut device = ListedDevice {
         name: node.name.clone(),
         identity,
@@ -49,7 +55,8 @@ fn listed(node: &DeviceNode) -> Option<ListedDevice> {
         }
     };
     if !capability.streams_video() {
-        device.problem = Some("gives its pictures in several planes, which Plumb does not read".to_owned());
+        device.problem =
+            Some("gives its pictures in several planes, which Plumb does not read".to_owned());
         return capability.is_multiplanar().then_some(device);
     }
     device.driver = Some(capability.driver);

@@ -101,7 +101,9 @@ pub(super) fn set_mode(device: &Device, request: &ModeRequest) -> Result<Mode, M
     let layout = Layout::of(got.fourcc.repr).ok_or_else(|| unread(got.fourcc.repr))?;
     if request.format.is_some() && got.fourcc.repr != code {
         let (asked, given) = (name_of(code), name_of(got.fourcc.repr));
-        return Err(ModeError::Unfit(format!("asked for {asked}, it gives {given}; write format = \"{given}\"")));
+        return Err(ModeError::Unfit(format!(
+            "asked for {asked}, it gives {given}; write format = \"{given}\""
+        )));
     }
     let fps = set_rate(device, request.fps);
     let got_size = ImageSize::new(got.width, got.height);
@@ -121,18 +123,34 @@ pub(super) fn set_mode(device: &Device, request: &ModeRequest) -> Result<Mode, M
 }
 
 /// The format to ask for.
-fn choose(device: &Device, present: &Format, size: ImageSize, request: &ModeRequest) -> Result<[u8; 4], ModeError> {
-    let offered: Vec<[u8; 4]> = device.enum_formats()?.iter().map(|format| format.fourcc.repr).collect();
+fn choose(
+    device: &Device,
+    present: &Format,
+    size: ImageSize,
+    request: &ModeRequest,
+) -> Result<[u8; 4], ModeError> {
+    let offered: Vec<[u8; 4]> =
+        device.enum_formats()?.iter().map(|format| format.fourcc.repr).collect();
     let readable = || LAYOUTS.iter().filter(|layout| offered.contains(&layout.code));
     let names = || readable().map(|layout| name_of(layout.code)).collect::<Vec<_>>().join(", ");
     if let Some(wanted) = &request.format {
         let named = |code: &[u8; 4]| name_of(*code).eq_ignore_ascii_case(wanted.trim());
-        return LAYOUTS.iter().map(|layout| layout.code).find(|code| named(code) && offered.contains(code)).ok_or_else(
-            || ModeError::Unfit(format!("no format {}; it offers {} that Plumb reads", wanted.trim(), names())),
-        );
+        return LAYOUTS
+            .iter()
+            .map(|layout| layout.code)
+            .find(|code| named(code) && offered.contains(code))
+            .ok_or_else(|| {
+                ModeError::Unfit(format!(
+                    "no format {}; it offers {} that Plumb reads",
+                    wanted.trim(),
+                    names()
+                ))
+            });
     }
     let wanted_fps = request.fps.unwrap_or(USUAL_FPS);
-    let reaches = |layout: &&Layout| best_rate(device, layout.code, size).is_some_and(|fps| fps >= wanted_fps * 0.99);
+    let reaches = |layout: &&Layout| {
+        best_rate(device, layout.code, size).is_some_and(|fps| fps >= wanted_fps * 0.99)
+    };
     let untouched = request.size.is_none() && request.fps.is_none();
     if untouched && readable().any(|layout| layout.code == present.fourcc.repr) {
         return Ok(present.fourcc.repr);
@@ -143,12 +161,18 @@ fn choose(device: &Device, present: &Format, size: ImageSize, request: &ModeRequ
     });
     best.map(|layout| layout.code).ok_or_else(|| {
         let all: Vec<String> = offered.iter().map(|code| name_of(*code)).collect();
-        ModeError::Unfit(format!("offers only formats that Plumb does not read ({})", all.join(", ")))
+        ModeError::Unfit(format!(
+            "offers only formats that Plumb does not read ({})",
+            all.join(", ")
+        ))
     })
 }
 
 fn unread(code: [u8; 4]) -> ModeError {
-    ModeError::Unfit(format!("gives {}, which Plumb does not read; ask for another format", name_of(code)))
+    ModeError::Unfit(format!(
+        "gives {}, which Plumb does not read; ask for another format",
+        name_of(code)
+    ))
 }
 
 /// The highest rate of a format at exactly this size; `None` if it does not have the size.
@@ -187,7 +211,12 @@ pub(super) fn offered(device: &Device) -> Vec<ListedFormat> {
             size.fps = rates(device, format.fourcc.repr, size.size);
         }
         let read = Layout::of(format.fourcc.repr).is_some();
-        ListedFormat { name: name_of(format.fourcc.repr), description: format.description, read, sizes }
+        ListedFormat {
+            name: name_of(format.fourcc.repr),
+            description: format.description,
+            read,
+            sizes,
+        }
     });
     listed.collect()
 }
@@ -210,7 +239,8 @@ fn sizes(device: &Device, code: [u8; 4]) -> Vec<ListedSize> {
 
 /// The rates at a size, highest first; of a continuous range its two ends.
 fn rates(device: &Device, code: [u8; 4], size: ImageSize) -> Vec<f64> {
-    let found = device.enum_frameintervals(FourCC::new(&code), size.width, size.height).unwrap_or_default();
+    let found =
+        device.enum_frameintervals(FourCC::new(&code), size.width, size.height).unwrap_or_default();
     let rates = found.into_iter().flat_map(|found| match found.interval {
         FrameIntervalEnum::Discrete(interval) => vec![rate_of(interval)],
         FrameIntervalEnum::Stepwise(range) => vec![rate_of(range.min), rate_of(range.max)],
@@ -222,7 +252,8 @@ fn rates(device: &Device, code: [u8; 4], size: ImageSize) -> Vec<f64> {
 
 /// A code as people write it: `MJPG`, `Y16`.
 fn name_of(code: [u8; 4]) -> String {
-    let printable = code.iter().map(|byte| if byte.is_ascii_graphic() { char::from(*byte) } else { ' ' });
+    let printable =
+        code.iter().map(|byte| if byte.is_ascii_graphic() { char::from(*byte) } else { ' ' });
     printable.collect::<String>().trim_end().to_owned()
 }
 
@@ -238,8 +269,13 @@ mod tests {
 
     #[test]
     fn a_mode_says_what_differs_from_the_request() {
-        let mut mode =
-            Mode { layout: LAYOUTS[9], size: ImageSize::new(1280, 720), stride: 0, fps: Some(29.97), differs: None };
+        let mut mode = Mode {
+            layout: LAYOUTS[9],
+            size: ImageSize::new(1280, 720),
+            stride: 0,
+            fps: Some(29.97),
+            differs: None,
+        };
         assert_eq!(mode.to_string(), "1280x720 MJPG at 29.97 frames a second");
         mode.differs = Some("asked for 1920x1080".to_owned());
         mode.fps = Some(30.0);

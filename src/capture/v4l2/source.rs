@@ -55,9 +55,11 @@ impl Source {
     pub fn start(opened: Opened) -> Result<Self, CaptureError> {
         let stream = MmapStream::with_buffers(&opened.device, Type::VideoCapture, BUFFERS);
         let counter = FrameCounter::new(opened.next_sequence.load(Ordering::Relaxed));
-        let mut source = Self { opened, stream: None, holds_buffer: false, counter, losses: Losses::default() };
+        let mut source =
+            Self { opened, stream: None, holds_buffer: false, counter, losses: Losses::default() };
         let mut stream = stream.map_err(|error| source.lost(&error))?;
-        // Waiting is done in `is_ready`; the stream itself never waits, so that this only queues and starts.
+        // Waiting is done in `is_ready`; the stream itself never waits, so that this only queues
+        // and starts.
         stream.set_timeout(Duration::ZERO);
         match CaptureStream::next(&mut stream).map(|_| ()) {
             Ok(()) => source.holds_buffer = true,
@@ -113,7 +115,13 @@ impl Source {
         };
         let sequence = self.counter.next() - 1;
         let device_time = device_time(&metadata);
-        Ok(Some(FrameSet { sequence, host_time: now(), device_time, name: None, frames: vec![frame] }))
+        Ok(Some(FrameSet {
+            sequence,
+            host_time: now(),
+            device_time,
+            name: None,
+            frames: vec![frame],
+        }))
     }
 
     fn not_taken(&self, error: &io::Error) -> Result<Option<FrameSet>, CaptureError> {
@@ -182,17 +190,22 @@ impl Drop for Source {
     fn drop(&mut self) {
         self.opened.controls.restore(&self.opened.device);
         let stream = self.stream.take();
-        // The stream panics when the driver refuses to stop; a camera must not take the daemon down with it.
+        // The stream panics when the driver refuses to stop; a camera must not take the daemon down
+        // with it.
         let _ = catch_unwind(AssertUnwindSafe(|| drop(stream)));
     }
 }
 
 /// Nothing to take at this moment.
 fn is_not_yet(error: &io::Error) -> bool {
-    matches!(error.kind(), io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted)
+    matches!(
+        error.kind(),
+        io::ErrorKind::TimedOut | io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted
+    )
 }
 
-/// A buffer's content as a frame; `None` when it was flagged as damaged, or cannot hold what it should.
+/// A buffer's content as a frame; `None` when it was flagged as damaged, or cannot hold what it
+/// should.
 fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
     let used = buffer.get(..metadata.bytesused as usize)?;
     if metadata.flags.contains(Flags::ERROR) || used.is_empty() {
@@ -205,12 +218,21 @@ fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
         _ => used.len() >= mode.stride * mode.size.height as usize,
     };
     let bytes = if shift == 0 { Arc::from(used) } else { shifted_up(used, shift) };
-    whole.then_some(Frame { sensor: SensorKind::Color, size: mode.size, format, stride: mode.stride, bytes })
+    whole.then_some(Frame {
+        sensor: SensorKind::Color,
+        size: mode.size,
+        format,
+        stride: mode.stride,
+        bytes,
+    })
 }
 
 /// 16-bit samples that fill only the lower bits, moved up to fill them all.
 fn shifted_up(samples: &[u8], shift: u32) -> Arc<[u8]> {
-    samples.chunks_exact(2).flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << shift).to_le_bytes()).collect()
+    samples
+        .chunks_exact(2)
+        .flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << shift).to_le_bytes())
+        .collect()
 }
 
 fn device_time(metadata: &Metadata) -> Option<DeviceTime> {

@@ -122,11 +122,17 @@ struct WrittenWalk {
 impl Scene {
     /// Reads the scene at `path`, or takes the default one; `seed` is louder than the file.
     pub(super) fn load(path: Option<&Path>, seed: Option<u64>) -> Result<Self, Failure> {
-        let Some(path) = path else { return WrittenScene::default().check(seed).map_err(Failure::usage) };
-        let refused = |line: &dyn std::fmt::Display| Failure::usage(format!("{}: {line}", path.display()));
-        let text = std::fs::read_to_string(path).map_err(|error| refused(&format!("cannot be read: {error}")))?;
+        let Some(path) = path else {
+            return WrittenScene::default().check(seed).map_err(Failure::usage);
+        };
+        let refused =
+            |line: &dyn std::fmt::Display| Failure::usage(format!("{}: {line}", path.display()));
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| refused(&format!("cannot be read: {error}")))?;
         let written: WrittenScene = toml::from_str(&text).map_err(|error| {
-            let line = error.span().map_or(0, |span| 1 + text[..span.start.min(text.len())].matches('\n').count());
+            let line = error
+                .span()
+                .map_or(0, |span| 1 + text[..span.start.min(text.len())].matches('\n').count());
             Failure::usage(format!("{}:{line}: {}", path.display(), error.message()))
         })?;
         written.check(seed).map_err(|problem| refused(&problem))
@@ -137,8 +143,9 @@ impl WrittenScene {
     fn check(&self, seed: Option<u64>) -> Result<Scene, String> {
         let seed = seed.or(self.seed).unwrap_or(1);
         let camera = &self.camera;
-        let side =
-            |key, given: Option<u32>, default| ranged(key, given.map(f64::from), f64::from(default), [16.0, 8192.0]);
+        let side = |key, given: Option<u32>, default| {
+            ranged(key, given.map(f64::from), f64::from(default), [16.0, 8192.0])
+        };
         let width = side("camera.width", camera.width, SIZE.width)? as u32;
         let height = side("camera.height", camera.height, SIZE.height)? as u32;
         let seat = ranged("seat", self.seat.map(f64::from), 0.0, [0.0, 7.0])? as u32;
@@ -151,14 +158,24 @@ impl WrittenScene {
         );
         let square_m = self.board.square_m.unwrap_or(world.board.square_m);
         let size = size.map_err(|error| format!("board: {error}"))?;
-        world.board = Chessboard::new(size, square_m).map_err(|error| format!("board.square_m: {error}"))?;
+        world.board =
+            Chessboard::new(size, square_m).map_err(|error| format!("board.square_m: {error}"))?;
         self.camera.apply(&mut world)?;
         self.walk.apply(&mut world.walk)?;
-        let jpeg_quality =
-            ranged("camera.jpeg_quality", camera.jpeg_quality.map(f64::from), f64::from(JPEG_QUALITY), [1.0, 100.0])?
-                as u8;
-        let frames = ranged("frames", self.frames.map(|frames| frames as f64), FRAMES as f64, [1.0, 1e6])? as u64;
-        let rgbd = self.depth.as_ref().map(|depth| depth.apply(RgbdOptions::new(world.clone()))).transpose()?;
+        let jpeg_quality = ranged(
+            "camera.jpeg_quality",
+            camera.jpeg_quality.map(f64::from),
+            f64::from(JPEG_QUALITY),
+            [1.0, 100.0],
+        )? as u8;
+        let frames =
+            ranged("frames", self.frames.map(|frames| frames as f64), FRAMES as f64, [1.0, 1e6])?
+                as u64;
+        let rgbd = self
+            .depth
+            .as_ref()
+            .map(|depth| depth.apply(RgbdOptions::new(world.clone())))
+            .transpose()?;
         Ok(Scene { world, frames, jpeg_quality, rgbd })
     }
 }
@@ -167,13 +184,18 @@ impl WrittenCamera {
     fn apply(&self, world: &mut WorldOptions) -> Result<(), String> {
         let sensor = &mut world.sensor;
         sensor.blur_px = ranged("camera.blur_px", self.blur_px, sensor.blur_px, [0.0, 30.0])?;
-        let exposure_ms = ranged("camera.exposure_ms", self.exposure_ms, sensor.exposure_s * 1e3, [0.0, 1000.0])?;
+        let exposure_ms =
+            ranged("camera.exposure_ms", self.exposure_ms, sensor.exposure_s * 1e3, [0.0, 1000.0])?;
         sensor.exposure_s = exposure_ms * 1e-3;
-        sensor.exposure_gain = ranged("camera.gain", self.gain, sensor.exposure_gain, [0.0, 100.0])?;
-        sensor.full_well_e = ranged("camera.full_well_e", self.full_well_e, sensor.full_well_e, [1.0, 1e12])?;
-        sensor.read_noise_e = ranged("camera.read_noise_e", self.read_noise_e, sensor.read_noise_e, [0.0, 1e6])?;
+        sensor.exposure_gain =
+            ranged("camera.gain", self.gain, sensor.exposure_gain, [0.0, 100.0])?;
+        sensor.full_well_e =
+            ranged("camera.full_well_e", self.full_well_e, sensor.full_well_e, [1.0, 1e12])?;
+        sensor.read_noise_e =
+            ranged("camera.read_noise_e", self.read_noise_e, sensor.read_noise_e, [0.0, 1e6])?;
         sensor.gamma = ranged("camera.gamma", self.gamma, sensor.gamma, [0.2, 5.0])?;
-        sensor.vignetting = ranged("camera.vignetting", self.vignetting, sensor.vignetting, [0.0, 1.0])?;
+        sensor.vignetting =
+            ranged("camera.vignetting", self.vignetting, sensor.vignetting, [0.0, 1.0])?;
         if let Some(lens) = &self.lens {
             sensor.lens = Lens::try_from(lens).map_err(|error| format!("camera.lens: {error}"))?;
         }
@@ -183,11 +205,14 @@ impl WrittenCamera {
 
 impl WrittenDepth {
     fn apply(&self, mut rgbd: RgbdOptions) -> Result<RgbdOptions, String> {
-        let offset_ms = ranged("depth.time_offset_ms", self.time_offset_ms, 0.0, [-1000.0, 1000.0])?;
+        let offset_ms =
+            ranged("depth.time_offset_ms", self.time_offset_ms, 0.0, [-1000.0, 1000.0])?;
         rgbd.time_offset_s = offset_ms * 1e-3;
         let sensor = &mut rgbd.depth;
-        sensor.noise_per_m = ranged("depth.noise_per_m", self.noise_per_m, sensor.noise_per_m, [0.0, 1.0])?;
-        sensor.step_per_m = ranged("depth.step_per_m", self.step_per_m, sensor.step_per_m, [0.0, 1.0])?;
+        sensor.noise_per_m =
+            ranged("depth.noise_per_m", self.noise_per_m, sensor.noise_per_m, [0.0, 1.0])?;
+        sensor.step_per_m =
+            ranged("depth.step_per_m", self.step_per_m, sensor.step_per_m, [0.0, 1.0])?;
         rgbd.wall[0] = ranged("depth.wall_m", self.wall_m, rgbd.wall[0], [0.1, 1000.0])?;
         Ok(rgbd)
     }
@@ -197,8 +222,10 @@ impl WrittenWalk {
     fn apply(&self, walk: &mut WalkOptions) -> Result<(), String> {
         walk.still_s = ranged("walk.still_s", self.still_s, walk.still_s, [0.0, 3600.0])?;
         walk.travel_s = ranged("walk.travel_s", self.travel_s, walk.travel_s, [0.01, 3600.0])?;
-        walk.tilt = ranged("walk.tilt_deg", self.tilt_deg, walk.tilt.to_degrees(), [0.0, 85.0])?.to_radians();
-        walk.roll = ranged("walk.roll_deg", self.roll_deg, walk.roll.to_degrees(), [0.0, 180.0])?.to_radians();
+        walk.tilt = ranged("walk.tilt_deg", self.tilt_deg, walk.tilt.to_degrees(), [0.0, 85.0])?
+            .to_radians();
+        walk.roll = ranged("walk.roll_deg", self.roll_deg, walk.roll.to_degrees(), [0.0, 180.0])?
+            .to_radians();
         walk.leaving = ranged("walk.leaving", self.leaving, walk.leaving, [0.0, 1.0])?;
         let [far, near] = self.width.unwrap_or(walk.width);
         walk.width = [
@@ -210,10 +237,19 @@ impl WrittenWalk {
 }
 
 /// The number given, or the default; refused outside `low` to `high`, and so is NaN.
-fn ranged(key: &str, given: Option<f64>, default: f64, [low, high]: [f64; 2]) -> Result<f64, String> {
+fn ranged(
+    key: &str,
+    given: Option<f64>,
+    default: f64,
+    [low, high]: [f64; 2],
+) -> Result<f64, String> {
     let value = given.unwrap_or(default);
     let fits = value >= low && value <= high;
-    if fits { Ok(value) } else { Err(format!("{key}: {value} is impossible; write {low} to {high}")) }
+    if fits {
+        Ok(value)
+    } else {
+        Err(format!("{key}: {value} is impossible; write {low} to {high}"))
+    }
 }
 
 #[cfg(test)]
@@ -224,21 +260,27 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.toml");
         std::fs::write(&path, text).unwrap();
-        let line = |failure: Failure| failure.line().unwrap().split_once("scene.toml").unwrap().1.to_owned();
+        let line = |failure: Failure| {
+            failure.line().unwrap().split_once("scene.toml").unwrap().1.to_owned()
+        };
         Scene::load(Some(&path), None).map_err(line)
     }
 
     #[test]
     fn the_keys_of_the_page_above_are_read() {
         let page = include_str!("scene.rs");
-        let toml: Vec<&str> = page.lines().skip_while(|line| *line != "//! ```toml").skip(1).collect();
+        let toml: Vec<&str> =
+            page.lines().skip_while(|line| *line != "//! ```toml").skip(1).collect();
         let toml: Vec<&str> = toml.into_iter().take_while(|line| *line != "//! ```").collect();
-        let text = toml.iter().map(|line| line.trim_start_matches("//!")).collect::<Vec<_>>().join("\n");
+        let text =
+            toml.iter().map(|line| line.trim_start_matches("//!")).collect::<Vec<_>>().join("\n");
         let scene = load(&text).unwrap();
         let defaults = Scene::load(None, None).unwrap();
         assert_eq!(scene.world.walk, defaults.world.walk);
-        let sensor =
-            crate::simulation::PictureSensor { lens: defaults.world.sensor.lens, ..scene.world.sensor.clone() };
+        let sensor = crate::simulation::PictureSensor {
+            lens: defaults.world.sensor.lens,
+            ..scene.world.sensor.clone()
+        };
         assert_eq!(sensor, defaults.world.sensor);
         let world = scene.world.clone();
         assert_eq!(scene.rgbd, Some(RgbdOptions::new(world)));
@@ -253,7 +295,10 @@ mod tests {
             ("[board]\ncols = 2", ": board: a board of 2x6 inner corners cannot be used"),
             ("[camera]\nwidth = 1", ": camera.width: 1 is impossible"),
             ("[camera]\nblur_px = nan", ": camera.blur_px: NaN is impossible"),
-            ("[camera]\nlens = { model = \"brown\", fx = 1, fy = 1, cx = 0, cy = 0 }", ": camera.lens: k1"),
+            (
+                "[camera]\nlens = { model = \"brown\", fx = 1, fy = 1, cx = 0, cy = 0 }",
+                ": camera.lens: k1",
+            ),
             ("fps = [", ":1: "),
         ];
         for (text, expected) in table {

@@ -1,18 +1,21 @@
-//! What a blurred chessboard corner looks like: two edges that cross, each a Gaussian's integral across.
+//! What a blurred chessboard corner looks like: two edges that cross, each a Gaussian's integral
+//! across.
 //!
-//! With u₁ and u₂ the distances to the two edges in units of the blur, ρ the correlation of the blur across them (the
-//! cosine between their normals, for a round blur), and Φ₂ the bivariate normal distribution, the pattern is
-//! t = 4Φ₂(u₁, u₂; ρ) − 2Φ(u₁) − 2Φ(u₂) + 1, in −1 … 1, here to third order in ρ (the tetrachoric series). The grey value is
-//! (level + amplitude·t + bend·(1 − t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
+//! With u₁ and u₂ the distances to the two edges in units of the blur, ρ the correlation of the
+//! blur across them (the cosine between their normals, for a round blur), and Φ₂ the bivariate
+//! normal distribution, the pattern is t = 4Φ₂(u₁, u₂; ρ) − 2Φ(u₁) − 2Φ(u₂) + 1, in −1 … 1, here to
+//! third order in ρ (the tetrachoric series). The grey value is (level + amplitude·t + bend·(1 −
+//! t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
 
 /// How many unknowns [`CornerModel`] has, in the order of [`CornerModel::moved_by`].
 pub(super) const UNKNOWNS: usize = 9;
-/// The first of the two unknowns that move the corner: the last ones, so that what is left of them when all others are
-/// eliminated is a factor's corner.
+/// The first of the two unknowns that move the corner: the last ones, so that what is left of them
+/// when all others are eliminated is a factor's corner.
 pub(super) const SHIFT: usize = UNKNOWNS - 2;
 
-/// 1/σ of an edge that a pixel's own width alone blurs, or a sharpening camera a little less. An edge midway between two rows of
-/// pixels shows none of its width: without a limit it would be taken for infinitely sharp, and its place for unknown.
+/// 1/σ of an edge that a pixel's own width alone blurs, or a sharpening camera a little less. An
+/// edge midway between two rows of pixels shows none of its width: without a limit it would be
+/// taken for infinitely sharp, and its place for unknown.
 const SHARPEST: f64 = 3.6;
 
 /// One corner, in the pixels of its window and relative to the window's origin.
@@ -47,10 +50,13 @@ impl CornerModel {
         self.along[0][0] * self.along[1][0] + self.along[0][1] * self.along[1][1]
     }
 
-    /// How far blur moves each bent edge along its normal: towards the middle of its curve, by half the curvature times the
-    /// variance of the blur along the edge, here that across the other edge.
+    /// How far blur moves each bent edge along its normal: towards the middle of its curve, by half
+    /// the curvature times the variance of the blur along the edge, here that across the other
+    /// edge.
     pub fn pull_of_blur(&self) -> [f64; 2] {
-        [0, 1].map(|edge| self.curvature[edge] / 2.0 / (self.sharpness[1 - edge] * self.sharpness[1 - edge]))
+        [0, 1].map(|edge| {
+            self.curvature[edge] / 2.0 / (self.sharpness[1 - edge] * self.sharpness[1 - edge])
+        })
     }
 
     /// The move of `center` that shifts the two edges by `shift` along their normals.
@@ -60,8 +66,9 @@ impl CornerModel {
         [(shift[0] * b[1] - shift[1] * a[1]) / det, (a[0] * shift[1] - b[0] * shift[0]) / det]
     }
 
-    /// The model after a step in the unknowns: turn of each edge (radians), sharpness of each edge, level, amplitude,
-    /// bend, shift of each edge along its normal. Steps beyond what the linearisation can promise are cut short.
+    /// The model after a step in the unknowns: turn of each edge (radians), sharpness of each edge,
+    /// level, amplitude, bend, shift of each edge along its normal. Steps beyond what the
+    /// linearisation can promise are cut short.
     pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
         let mut moved = *self;
         for edge in 0..2 {
@@ -84,15 +91,20 @@ impl CornerModel {
         moved
     }
 
-    /// Whether directions, blur, black and white are those of `other`, up to a share of `most` (radians for directions).
+    /// Whether directions, blur, black and white are those of `other`, up to a share of `most`
+    /// (radians for directions).
     pub fn is_like(&self, other: &Self, most: f64) -> bool {
         let alike = |edge: usize| {
             let ([ax, ay], [bx, by]) = (self.along[edge], other.along[edge]);
             (ax * by - ay * bx).abs() < most
-                && (self.sharpness[edge] - other.sharpness[edge]).abs() < most * other.sharpness[edge]
+                && (self.sharpness[edge] - other.sharpness[edge]).abs()
+                    < most * other.sharpness[edge]
         };
         let near = |a: f64, b: f64| (a - b).abs() < most * other.amplitude.abs();
-        alike(0) && alike(1) && near(self.level, other.level) && near(self.amplitude, other.amplitude)
+        alike(0)
+            && alike(1)
+            && near(self.level, other.level)
+            && near(self.amplitude, other.amplitude)
     }
 
     /// The same model in samples of another size: from bins of `from` pixels to bins of `to`.

@@ -8,7 +8,8 @@ pub(super) const COLUMNS: usize = UNKNOWNS + 1;
 const ROOM: usize = 12;
 const LANES: usize = 4;
 
-/// Sums of products of columns with each other. Of each row what is on the diagonal and right of it counts.
+/// Sums of products of columns with each other. Of each row what is on the diagonal and right of it
+/// counts.
 pub(super) type Products = [[f64; ROOM]; COLUMNS];
 
 /// What the normal equations tell.
@@ -22,8 +23,9 @@ pub(super) struct Solved {
     pub last_covariance: [f64; 3],
 }
 
-/// Solves the equations that make `products`' last column as small as the others can, their diagonal first made larger by
-/// the fraction `damping`; `None` unless they determine every unknown.
+/// Solves the equations that make `products`' last column as small as the others can, their
+/// diagonal first made larger by the fraction `damping`; `None` unless they determine every
+/// unknown.
 pub(super) fn solve(products: &Products, damping: f64) -> Option<Solved> {
     pulp::Arch::new().dispatch(Elimination { products, damping })
 }
@@ -73,8 +75,8 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
     }
 }
 
-/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of that is left. A constant, so
-/// that rows remain in registers from one to the next.
+/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of
+/// that is left. A constant, so that rows remain in registers from one to the next.
 #[inline(always)]
 fn eliminate<const K: usize>(
     rows: &mut Products,
@@ -126,7 +128,8 @@ mod tests {
         let solved = solve(&products, 0.0).expect("independent columns");
         let mut left = of(&products, UNKNOWNS, UNKNOWNS);
         for row in 0..UNKNOWNS {
-            let explained: f64 = (0..UNKNOWNS).map(|col| of(&products, row, col) * solved.step[col]).sum();
+            let explained: f64 =
+                (0..UNKNOWNS).map(|col| of(&products, row, col) * solved.step[col]).sum();
             assert!((explained - of(&products, row, UNKNOWNS)).abs() < 1e-9);
             left -= solved.step[row] * of(&products, row, UNKNOWNS);
         }

@@ -1,5 +1,5 @@
-//! What changes smoothly over a board: a polynomial of the place on it, fitted to what the corners tell, of the order that
-//! foretells a corner left out best.
+//! What changes smoothly over a board: a polynomial of the place on it, fitted to what the corners
+//! tell, of the order that foretells a corner left out best.
 
 /// Terms of a polynomial of an order, from 0 to the highest.
 pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
@@ -12,7 +12,8 @@ const SAMPLES_PER_TERM: usize = 2;
 const APART: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 2;
-/// A sample this many times the mean square off has lost three quarters of its weight (Geman & McClure).
+/// A sample this many times the mean square off has lost three quarters of its weight (Geman &
+/// McClure).
 const TOLERANCE: f64 = 6.0;
 
 /// What one corner tells: at column and row, a value.
@@ -33,7 +34,8 @@ pub(super) struct Field {
     solution: Solution,
 }
 
-/// What was found: coefficients by order, and by falling power of the first of the two within it; 0 beyond the terms.
+/// What was found: coefficients by order, and by falling power of the first of the two within it; 0
+/// beyond the terms.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Solution {
     pub coefficients: [f64; LANES],
@@ -48,7 +50,8 @@ pub(super) struct Solved {
     pub chosen_mean_square: f64,
 }
 
-/// Weighted normal equations of all terms (the lower triangle), their right sides, and the sums of trust and of squared values.
+/// Weighted normal equations of all terms (the lower triangle), their right sides, and the sums of
+/// trust and of squared values.
 #[derive(Default)]
 pub(super) struct Sums {
     normal: [[f64; LANES]; MOST_TERMS],
@@ -62,7 +65,8 @@ pub(super) fn highest_order(count: usize, order: usize) -> usize {
     (0..=order).rev().find(|&order| SAMPLES_PER_TERM * TERMS[order] <= count).unwrap_or(0)
 }
 
-/// What is left of a sample's weight whose weighted square is `square`, of `mean_square` in the mean.
+/// What is left of a sample's weight whose weighted square is `square`, of `mean_square` in the
+/// mean.
 #[inline(always)]
 pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
     let doubt = 1.0 + square / (TOLERANCE * mean_square);
@@ -72,7 +76,14 @@ pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
 impl Sums {
     /// Adds a sample: its columns, its value, its weight and how much of that is trust.
     #[inline(always)]
-    pub fn add(&mut self, columns: &[f64; LANES], value: f64, weight: f64, trust: f64, terms: usize) {
+    pub fn add(
+        &mut self,
+        columns: &[f64; LANES],
+        value: f64,
+        weight: f64,
+        trust: f64,
+        terms: usize,
+    ) {
         self.add_rows::<0, 4>(columns, weight, terms);
         self.add_rows::<4, 8>(columns, weight, terms);
         self.add_rows::<8, 12>(columns, weight, terms);
@@ -85,9 +96,15 @@ impl Sums {
         self.squares += weighted * value;
     }
 
-    /// Adds to the rows `FROM` … `TO`, as far as there are terms, as much of each as may be left of the diagonal.
+    /// Adds to the rows `FROM` … `TO`, as far as there are terms, as much of each as may be left of
+    /// the diagonal.
     #[inline(always)]
-    fn add_rows<const FROM: usize, const TO: usize>(&mut self, columns: &[f64; LANES], weight: f64, terms: usize) {
+    fn add_rows<const FROM: usize, const TO: usize>(
+        &mut self,
+        columns: &[f64; LANES],
+        weight: f64,
+        terms: usize,
+    ) {
         for row in FROM..TO.min(terms) {
             let weighted = weight * columns[row];
             for (sum, column) in self.normal[row][..TO].iter_mut().zip(&columns[..TO]) {
@@ -96,9 +113,10 @@ impl Sums {
         }
     }
 
-    /// The coefficients of the order up to `order` that generalised cross-validation prefers, of `count` samples; and the
-    /// mean square that the highest leaves. Of a term so much of its square at least must be told apart from those before,
-    /// `apart`. `None`: the samples do not even tell a mean.
+    /// The coefficients of the order up to `order` that generalised cross-validation prefers, of
+    /// `count` samples; and the mean square that the highest leaves. Of a term so much of its
+    /// square at least must be told apart from those before, `apart`. `None`: the samples do not
+    /// even tell a mean.
     pub fn solve(mut self, order: usize, count: usize, apart: f64) -> Option<Solved> {
         let Self { normal, right, trust, squares } = &mut self;
         let sound = factor(normal, TERMS[order], apart);
@@ -124,7 +142,11 @@ impl Sums {
             coefficients[row] = (right[row] - known) / normal[row][row];
         }
         let free = (1.0 - terms as f64 / count as f64).powi(2).max(1e-9);
-        Some(Solved { solution: Solution { coefficients, terms }, mean_square: left, chosen_mean_square: score * free })
+        Some(Solved {
+            solution: Solution { coefficients, terms },
+            mean_square: left,
+            chosen_mean_square: score * free,
+        })
     }
 }
 
@@ -135,17 +157,24 @@ impl Field {
         let order = highest_order(samples.len(), order);
         let mut mean_square = f64::INFINITY;
         for _ in 0..ROUNDS {
-            let sums =
-                pulp::Arch::new().dispatch(Summation { field: &field, samples, terms: TERMS[order], mean_square });
+            let sums = pulp::Arch::new().dispatch(Summation {
+                field: &field,
+                samples,
+                terms: TERMS[order],
+                mean_square,
+            });
             let Some(solved) = sums.solve(order, samples.len(), APART) else { break };
-            (field.solution, mean_square) = (solved.solution, solved.mean_square.max(f64::MIN_POSITIVE));
+            (field.solution, mean_square) =
+                (solved.solution, solved.mean_square.max(f64::MIN_POSITIVE));
         }
         field
     }
 
     /// No field yet, over the places of `samples`.
     fn spanning(samples: &[FieldSample]) -> Self {
-        let fold = |k: usize, pick: fn(f64, f64) -> f64| samples.iter().map(|s| s.place[k]).reduce(pick).unwrap_or(0.0);
+        let fold = |k: usize, pick: fn(f64, f64) -> f64| {
+            samples.iter().map(|s| s.place[k]).reduce(pick).unwrap_or(0.0)
+        };
         let range = [0, 1].map(|k| (fold(k, f64::min), fold(k, f64::max)));
         Self {
             middle: range.map(|(least, most)| (least + most) / 2.0),
@@ -171,14 +200,19 @@ impl Field {
         for order in 0..TERMS.len() {
             for row_power in 0..=order {
                 if term < self.solution.terms && order > 0 {
-                    // One order below, terms lie at the same row power (less a column), or one before (less a row).
+                    // One order below, terms lie at the same row power (less a column), or one
+                    // before (less a row).
                     let below = TERMS[order - 1] - order;
                     let col_power = order - row_power;
                     if col_power > 0 {
-                        slope[0] += self.solution.coefficients[term] * col_power as f64 * lower[below + row_power];
+                        slope[0] += self.solution.coefficients[term]
+                            * col_power as f64
+                            * lower[below + row_power];
                     }
                     if row_power > 0 {
-                        slope[1] += self.solution.coefficients[term] * row_power as f64 * lower[below + row_power - 1];
+                        slope[1] += self.solution.coefficients[term]
+                            * row_power as f64
+                            * lower[below + row_power - 1];
                     }
                 }
                 term += 1;
@@ -204,13 +238,16 @@ impl pulp::NullaryFnOnce for Summation<'_> {
         let Self { field, samples, terms, mean_square } = self;
         let mut sums = Sums::default();
         for &FieldSample { place, value, weight } in samples {
-            let basis =
-                basis([(place[0] - field.middle[0]) * field.scale[0], (place[1] - field.middle[1]) * field.scale[1]]);
+            let basis = basis([
+                (place[0] - field.middle[0]) * field.scale[0],
+                (place[1] - field.middle[1]) * field.scale[1],
+            ]);
             let mut off = value;
             for (basis, coefficient) in basis.iter().zip(&field.solution.coefficients) {
                 off -= basis * coefficient;
             }
-            let trust = if mean_square.is_finite() { trust(weight * off * off, mean_square) } else { 1.0 };
+            let trust =
+                if mean_square.is_finite() { trust(weight * off * off, mean_square) } else { 1.0 };
             sums.add(&basis, value, trust * weight, trust, terms);
         }
         sums
@@ -222,15 +259,32 @@ impl pulp::NullaryFnOnce for Summation<'_> {
 pub(super) fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
     let (x2, y2) = (x * x, y * y);
     let (x3, y3) = (x2 * x, y2 * y);
-    [1.0, x, y, x2, x * y, y2, x3, x2 * y, x * y2, y3, x2 * x2, x3 * y, x2 * y2, x * y3, y2 * y2, 0.0]
+    [
+        1.0,
+        x,
+        y,
+        x2,
+        x * y,
+        y2,
+        x3,
+        x2 * y,
+        x * y2,
+        y3,
+        x2 * x2,
+        x3 * y,
+        x2 * y2,
+        x * y3,
+        y2 * y2,
+        0.0,
+    ]
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Puts the lower triangular L with L·Lᵀ in place of the first `terms` of `normal`; returns how many of them the samples
-/// tell apart.
+/// Puts the lower triangular L with L·Lᵀ in place of the first `terms` of `normal`; returns how
+/// many of them the samples tell apart.
 fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, apart: f64) -> usize {
     for row in 0..terms {
         for col in 0..=row {
@@ -253,16 +307,20 @@ mod tests {
 
     fn samples(of: impl Fn(f64, f64) -> f64) -> Vec<FieldSample> {
         let places = (0..6).flat_map(|row| (0..9).map(move |col| [f64::from(col), f64::from(row)]));
-        places.map(|place| FieldSample { place, value: of(place[0], place[1]), weight: 1.0 }).collect()
+        places
+            .map(|place| FieldSample { place, value: of(place[0], place[1]), weight: 1.0 })
+            .collect()
     }
 
     #[test]
     fn a_polynomial_is_found_with_its_slope() {
-        let of = |x: f64, y: f64| 1.0 + 0.3 * x - 0.2 * y + 0.01 * x * x * y - 0.004 * y * y * y * x;
+        let of =
+            |x: f64, y: f64| 1.0 + 0.3 * x - 0.2 * y + 0.01 * x * x * y - 0.004 * y * y * y * x;
         let field = Field::fit(&samples(of), 4);
         for [x, y] in [[0.0, 0.0], [8.0, 5.0], [3.5, 2.0]] {
             assert!((field.at([x, y]) - of(x, y)).abs() < 1e-9);
-            let slope = [0.3 + 0.02 * x * y - 0.004 * y * y * y, -0.2 + 0.01 * x * x - 0.012 * y * y * x];
+            let slope =
+                [0.3 + 0.02 * x * y - 0.004 * y * y * y, -0.2 + 0.01 * x * x - 0.012 * y * y * x];
             assert!((0..2).all(|k| (field.slope([x, y])[k] - slope[k]).abs() < 1e-9));
         }
     }
@@ -274,7 +332,11 @@ mod tests {
         seen[13].value += 3.0;
         seen[40].value -= 2.0;
         let field = Field::fit(&seen, 4);
-        assert!((0..9).all(|col| (field.at([f64::from(col), 2.0]) - 2.0 - 0.1 * f64::from(col)).abs() < 0.02));
+        assert!(
+            (0..9)
+                .all(|col| (field.at([f64::from(col), 2.0]) - 2.0 - 0.1 * f64::from(col)).abs()
+                    < 0.02)
+        );
     }
 
     #[test]
@@ -283,7 +345,8 @@ mod tests {
         assert_eq!(Field::fit(&[], 2).at([1.0, 2.0]), 0.0);
         assert!((Field::fit(&[at(0.0, 1.0), at(1.0, 2.0)], 2).at([5.0, 5.0]) - 1.5).abs() < 1e-12);
         // Nothing tells a row from another.
-        let line: Vec<FieldSample> = (0..20).map(|col| at(f64::from(col), f64::from(col))).collect();
+        let line: Vec<FieldSample> =
+            (0..20).map(|col| at(f64::from(col), f64::from(col))).collect();
         assert!(Field::fit(&line, 3).at([3.0, 9.0]).is_finite());
     }
 }

@@ -2,7 +2,9 @@
 
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::elimination::solve;
-use crate::detection::refine::normal_equations::{Columns, Linearised, Noise, NormalEquations, Residuals};
+use crate::detection::refine::normal_equations::{
+    Columns, Linearised, Noise, NormalEquations, Residuals,
+};
 use crate::detection::refine::samples::Samples;
 
 /// How to fit.
@@ -10,10 +12,11 @@ use crate::detection::refine::samples::Samples;
 pub(super) struct FitOptions {
     /// Linearisations: at least, unless the start was `alike`, and at most.
     pub iterations: [usize; 2],
-    /// Stop when a step moves the corner by less than this, in standard deviations of the blur: what is then left to go is
-    /// its square.
+    /// Stop when a step moves the corner by less than this, in standard deviations of the blur:
+    /// what is then left to go is its square.
     pub enough: f64,
-    /// A first step that changes no other unknown by more than this, as a share of it or in radians, may be the only one.
+    /// A first step that changes no other unknown by more than this, as a share of it or in
+    /// radians, may be the only one.
     pub alike: f64,
     /// Whether the residuals where the pattern is flat are wanted.
     pub with_flat: bool,
@@ -26,8 +29,8 @@ pub(super) struct Fit {
     pub model: CornerModel,
     /// How well it fits, before the last step.
     pub residuals: Residuals,
-    /// Mean square of the residuals after the last step, in units of the noise: as far as the linearisation can tell, and
-    /// corrected for the unknowns and for the outliers' loss of weight.
+    /// Mean square of the residuals after the last step, in units of the noise: as far as the
+    /// linearisation can tell, and corrected for the unknowns and for the outliers' loss of weight.
     pub mean_square: f64,
     /// The same as grey levels.
     pub residual_rms: f64,
@@ -38,8 +41,9 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// Standard deviation of the corner's position per axis, in samples. The noise is taken from this fit's own residuals, so
-    /// that what the model does not explain makes the corner less certain.
+    /// Standard deviation of the corner's position per axis, in samples. The noise is taken from
+    /// this fit's own residuals, so that what the model does not explain makes the corner less
+    /// certain.
     pub fn position_std(&self) -> f64 {
         let [xx, _, yy] = self.covariance;
         ((xx + yy) / 2.0 * self.mean_square).sqrt()
@@ -63,7 +67,8 @@ pub(super) fn fit(
     let linearised = Linearised { samples, noise, with_flat: options.with_flat };
     for iteration in 1..=most {
         linearised.at(&model, columns, next);
-        if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square() {
+        if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square()
+        {
             damping *= 10.0;
         } else {
             damping *= 0.3;
@@ -72,10 +77,13 @@ pub(super) fn fit(
         }
         let solved = solve(&equations.products, damping)?;
         model = best.moved_by(&solved.step);
-        let last_step = length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
+        let last_step =
+            length([model.center[0] - best.center[0], model.center[1] - best.center[1]]);
         let sharpness = best.sharpness[0].max(best.sharpness[1]);
         let rests = last_step * sharpness < options.enough;
-        if (rests && (iteration >= least || model.is_like(&best, options.alike))) || iteration == most {
+        if (rests && (iteration >= least || model.is_like(&best, options.alike)))
+            || iteration == most
+        {
             let residuals = equations.residuals;
             let mean_square = noise.corrected(&residuals, solved.left);
             return Some(Fit {
@@ -94,6 +102,7 @@ pub(super) fn fit(
 /// The covariance of the shifts of the edges (xx, xy, yy), as moves of the corner.
 fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
-    let moves = |i: usize, j: usize| a[i] * a[j] * aa + (a[i] * b[j] + b[i] * a[j]) * ab + b[i] * b[j] * bb;
+    let moves =
+        |i: usize, j: usize| a[i] * a[j] * aa + (a[i] * b[j] + b[i] * a[j]) * ab + b[i] * b[j] * bb;
     [moves(0, 0), moves(0, 1), moves(1, 1)]
 }

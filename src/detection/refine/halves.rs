@@ -1,6 +1,6 @@
-//! Where an edge lies by its pixels near the corner, and where by those farther off. How far the two are apart is the noise
-//! as it acts on a position, whether or not it is correlated; what the model misses alike on both sides of an edge, such as
-//! the shape of motion blur, moves neither.
+//! Where an edge lies by its pixels near the corner, and where by those farther off. How far the
+//! two are apart is the noise as it acts on a position, whether or not it is correlated; what the
+//! model misses alike on both sides of an edge, such as the shape of motion blur, moves neither.
 
 use pulp::{Simd, WithSimd};
 
@@ -11,9 +11,10 @@ use crate::detection::refine::samples::Samples;
 /// A half tells too little with less than this share of what the edge tells.
 const LEAST_SHARE: f64 = 0.1;
 
-/// For each edge the square of the difference between the shifts that its two halves ask for, in units of the variance that
-/// white noise with the weights' standard deviations gives it. `reach` is how far the window goes along each edge, in
-/// samples; `columns` are those of the last linearisation. `None` where a half tells too little.
+/// For each edge the square of the difference between the shifts that its two halves ask for, in
+/// units of the variance that white noise with the weights' standard deviations gives it. `reach`
+/// is how far the window goes along each edge, in samples; `columns` are those of the last
+/// linearisation. `None` where a half tells too little.
 pub(super) fn disagreements(
     samples: &Samples,
     model: &CornerModel,
@@ -37,7 +38,8 @@ impl WithSimd for Halves<'_> {
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
         let mut apart = [None; 2];
         for (edge, apart) in apart.iter_mut().enumerate() {
-            // Of all pixels, then of the near ones: squared derivatives by the shift, derivatives times residuals.
+            // Of all pixels, then of the near ones: squared derivatives by the shift, derivatives
+            // times residuals.
             let [all, all_score, near, near_score] = self.sums(simd, edge);
             let far = all - near;
             if near.min(far) > LEAST_SHARE * all {
@@ -60,12 +62,14 @@ impl Halves<'_> {
         let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
         let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
         // Across the other edge's blur this edge does not show.
-        let middle = simd.splat_f32s(((reach[edge] + 0.7 / model.sharpness[1 - edge]) / 2.0) as f32);
+        let middle =
+            simd.splat_f32s(((reach[edge] + 0.7 / model.sharpness[1 - edge]) / 2.0) as f32);
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
         for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
             let s = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
-            let near = simd.select_f32s(simd.less_than_f32s(simd.abs_f32s(s), middle), shifts[i], zero);
+            let near =
+                simd.select_f32s(simd.less_than_f32s(simd.abs_f32s(s), middle), shifts[i], zero);
             sums[0] = simd.mul_add_f32s(shifts[i], shifts[i], sums[0]);
             sums[1] = simd.mul_add_f32s(shifts[i], residuals[i], sums[1]);
             sums[2] = simd.mul_add_f32s(near, near, sums[2]);

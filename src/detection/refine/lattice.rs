@@ -1,4 +1,5 @@
-//! What a corner's neighbours on the board tell about it: how the edges bend, how the light changes.
+//! What a corner's neighbours on the board tell about it: how the edges bend, how the light
+//! changes.
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::GridCorner;
@@ -25,8 +26,9 @@ pub(super) struct Surroundings {
     pub light_gradient: [f64; 2],
 }
 
-/// Highest orders of the polynomials over the board: of the edges' bend and of the light. Under strong distortion a bend of
-/// lower order is wrong at the board's border by more than the corners' noise, in the same way in every picture.
+/// Highest orders of the polynomials over the board: of the edges' bend and of the light. Under
+/// strong distortion a bend of lower order is wrong at the board's border by more than the corners'
+/// noise, in the same way in every picture.
 const BEND_ORDER: usize = 4;
 const LIGHT_ORDER: usize = 4;
 
@@ -53,20 +55,27 @@ impl Lattice {
         let mut samples = std::mem::take(&mut self.samples);
         for axis in 0..2 {
             let step = [i64::from(axis == 0), i64::from(axis == 1)];
-            let beside =
-                |corner: &GridCorner, steps: i64| known[self.slot(corner.index, step.map(|v| v * steps))?].as_ref();
+            let beside = |corner: &GridCorner, steps: i64| {
+                known[self.slot(corner.index, step.map(|v| v * steps))?].as_ref()
+            };
             samples.clear();
             samples.extend(corners.iter().filter_map(|corner| {
-                let (behind, here, ahead) = (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
+                let (behind, here, ahead) =
+                    (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
                 let (value, span) = bend([behind.at, here.at, ahead.at], here.along[axis])?;
-                // Points as uncertain as each other tell a curvature as certain as the square of what they span.
+                // Points as uncertain as each other tell a curvature as certain as the square of
+                // what they span.
                 Some(FieldSample { place: place(corner.index), value, weight: span.powi(4) })
             }));
             self.bends[axis] = Field::fit(&samples, BEND_ORDER);
         }
         samples.clear();
         samples.extend(corners.iter().zip(known).filter_map(|(corner, known)| {
-            Some(FieldSample { place: place(corner.index), value: known.as_ref()?.white, weight: 1.0 })
+            Some(FieldSample {
+                place: place(corner.index),
+                value: known.as_ref()?.white,
+                weight: 1.0,
+            })
         }));
         self.light = Field::fit(&samples, LIGHT_ORDER);
         self.samples = samples;
@@ -74,8 +83,12 @@ impl Lattice {
 
     fn place(&mut self, corners: &[GridCorner]) {
         self.slots.clear();
-        let places = || corners.iter().map(|corner| [i64::from(corner.index.col), i64::from(corner.index.row)]);
-        let fold = |k: usize, pick: fn(i64, i64) -> i64| places().map(|place| place[k]).reduce(pick).unwrap_or(0);
+        let places = || {
+            corners.iter().map(|corner| [i64::from(corner.index.col), i64::from(corner.index.row)])
+        };
+        let fold = |k: usize, pick: fn(i64, i64) -> i64| {
+            places().map(|place| place[k]).reduce(pick).unwrap_or(0)
+        };
         self.first = [fold(0, i64::min), fold(1, i64::min)];
         self.size = [fold(0, i64::max) - self.first[0] + 1, fold(1, i64::max) - self.first[1] + 1];
         if self.size[0].saturating_mul(self.size[1]) > MOST_PLACES {
@@ -97,13 +110,17 @@ impl Lattice {
     }
 
     /// The lines along `axis`: the place of each, −1 … 1, and which corners are on it, in order.
-    pub fn lines(&self, axis: usize) -> impl Iterator<Item = (f64, impl Iterator<Item = usize> + Clone)> {
+    pub fn lines(
+        &self,
+        axis: usize,
+    ) -> impl Iterator<Item = (f64, impl Iterator<Item = usize> + Clone)> {
         let [along, across] = [self.size[axis], self.size[1 - axis]];
         let strides = [1, self.size[0]];
         (0..across).map(move |line| {
             let place = (2 * line - (across - 1)) as f64 / (across - 1).max(1) as f64;
             let slots = (0..along).filter_map(move |step| {
-                self.slots[(line * strides[1 - axis] + step * strides[axis]) as usize].map(|slot| slot as usize)
+                self.slots[(line * strides[1 - axis] + step * strides[axis]) as usize]
+                    .map(|slot| slot as usize)
             });
             (place, slots)
         })
@@ -113,8 +130,9 @@ impl Lattice {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }
 
-    /// What the board tells about the corner at `index`: one corner's bend and light are noisy, and those of corners at the
-    /// board's border are not like those within, but over the board both change smoothly.
+    /// What the board tells about the corner at `index`: one corner's bend and light are noisy, and
+    /// those of corners at the board's border are not like those within, but over the board both
+    /// change smoothly.
     pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
         let place = place(index);
         let light = self.light.slope(place);
@@ -133,8 +151,8 @@ fn place(index: GridIndex) -> [f64; 2] {
     [f64::from(index.col), f64::from(index.row)]
 }
 
-/// From a corner to its neighbours along the columns' and the rows' direction, in image pixels: the mean of both sides where
-/// both are seen. `None` where the neighbours leave no two directions.
+/// From a corner to its neighbours along the columns' and the rows' direction, in image pixels: the
+/// mean of both sides where both are seen. `None` where the neighbours leave no two directions.
 pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     let axis = |k: usize| {
         let ahead = corner.neighbours[k].map(|p| [p.x - corner.pixel.x, p.y - corner.pixel.y]);
@@ -151,13 +169,14 @@ pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     (spread.is_finite() && area > 0.05 * spread && area > 4.0).then_some(axes)
 }
 
-/// Curvature of the curve through three points, at the middle one, towards the normal of `direction`; and how far along that
-/// direction they span.
+/// Curvature of the curve through three points, at the middle one, towards the normal of
+/// `direction`; and how far along that direction they span.
 fn bend([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<(f64, f64)> {
     let along_across = |to: [f64; 2]| {
         let d = [to[0] - here[0], to[1] - here[1]];
         (d[0] * direction[0] + d[1] * direction[1], d[1] * direction[0] - d[0] * direction[1])
     };
     let ((back, back_off), (on, on_off)) = (along_across(behind), along_across(ahead));
-    (on > 0.5 && back < -0.5).then(|| (2.0 * (on_off / on - back_off / back) / (on - back), on - back))
+    (on > 0.5 && back < -0.5)
+        .then(|| (2.0 * (on_off / on - back_off / back) / (on - back), on - back))
 }

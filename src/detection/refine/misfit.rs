@@ -1,12 +1,14 @@
-//! Corners at which the model fits worse than at the board's others: beside what covers the board, or in its shadow.
+//! Corners at which the model fits worse than at the board's others: beside what covers the board,
+//! or in its shadow.
 //!
-//! Noise is the board's: what one corner's residuals say of it, more or less than the others', is chance, or the shape of the
-//! blur, which moves no corner. What a cover leaves is on one side, and pulls: the corner is off by more the more of the residuals
-//! are of that kind.
+//! Noise is the board's: what one corner's residuals say of it, more or less than the others', is
+//! chance, or the shape of the blur, which moves no corner. What a cover leaves is on one side, and
+//! pulls: the corner is off by more the more of the residuals are of that kind.
 
 /// Fewer corners than this have no usual fit.
 const FEWEST_CORNERS: usize = 8;
-/// Mean squares are beyond the usual one by chance up to this many of their standard deviations, √(2/samples).
+/// Mean squares are beyond the usual one by chance up to this many of their standard deviations,
+/// √(2/samples).
 const CHANCE: f64 = 3.0;
 /// And never less than this, where a corner has no noise at all.
 const LEAST_TIMES: f64 = 0.1;
@@ -14,7 +16,8 @@ const LEAST_TIMES: f64 = 0.1;
 const PULL: [f64; 2] = [1.2, 0.7];
 /// With this many times the usual mean square a corner tells nothing about the board.
 const WITNESS: f64 = 2.5;
-/// No corner any more: this many times the usual mean square, and less than this part of the usual share of samples agrees.
+/// No corner any more: this many times the usual mean square, and less than this part of the usual
+/// share of samples agrees.
 const NO_CORNER: (f64, f64) = (3.0, 0.66);
 
 /// How well a corner's model fits its samples.
@@ -56,11 +59,13 @@ impl Misfit {
     /// For each corner whether it fits well enough to tell about others.
     pub fn fits(&mut self) -> impl Iterator<Item = bool> + '_ {
         let most = self.usual().map_or(f64::INFINITY, |usual| WITNESS * usual.mean_square);
-        self.of_corners.iter().map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
+        self.of_corners
+            .iter()
+            .map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
     }
 
-    /// For each corner the factor on the standard deviation that its own residuals foretell; `None` where what is seen is no
-    /// corner beside the others.
+    /// For each corner the factor on the standard deviation that its own residuals foretell; `None`
+    /// where what is seen is no corner beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
         let usual = self.usual();
         self.of_corners.iter().map(move |quality| {
@@ -79,7 +84,8 @@ impl Misfit {
             sorted.clear();
             sorted.extend(of_corners.iter().flatten().map(of));
             let middle = sorted.len() / 2;
-            (sorted.len() >= FEWEST_CORNERS).then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
+            (sorted.len() >= FEWEST_CORNERS)
+                .then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
         let (mean_square, agreeing) = (median(|q| q.mean_square)?, median(|q| q.agreeing)?);
         (mean_square > 0.0).then_some(Usual { mean_square, agreeing })
@@ -93,7 +99,11 @@ mod tests {
     fn factors(qualities: &[Option<(f64, f64)>]) -> Vec<Option<f64>> {
         let mut misfit = Misfit::default();
         for quality in qualities {
-            misfit.take(quality.map(|(mean_square, agreeing)| Quality { mean_square, agreeing, samples: 450.0 }));
+            misfit.take(quality.map(|(mean_square, agreeing)| Quality {
+                mean_square,
+                agreeing,
+                samples: 450.0,
+            }));
         }
         misfit.std_factors().collect()
     }
@@ -103,7 +113,11 @@ mod tests {
         let mut seen = vec![Some((1.1, 0.97)); 12];
         seen.extend([Some((3.3, 0.8)), None, Some((9.0, 0.5)), Some((9.0, 0.8))]);
         let factors = factors(&seen);
-        assert!(factors[..12].iter().all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12)));
+        assert!(
+            factors[..12]
+                .iter()
+                .all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12))
+        );
         // Three times the residuals foretell √3 times the deviation by themselves.
         assert!(factors[12].is_some_and(|factor| (5.0..6.0).contains(&(factor * 3_f64.sqrt()))));
         assert_eq!((factors[13], factors[14]), (None, None));

@@ -1,4 +1,5 @@
-//! Where exactly a corner is: a model of the blurred corner, fitted to its pixels, with an honest standard deviation.
+//! Where exactly a corner is: a model of the blurred corner, fitted to its pixels, with an honest
+//! standard deviation.
 //!
 //! | stage | file | what it does |
 //! | --- | --- | --- |
@@ -8,8 +9,9 @@
 //! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
 //! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
-//! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend of the edges, the change
-//! of light and the noise known from the board. `README.md` beside this file says what was measured.
+//! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend
+//! of the edges, the change of light and the noise known from the board. `README.md` beside this
+//! file says what was measured.
 
 mod corner_model;
 mod elimination;
@@ -59,7 +61,8 @@ pub struct RefinedCorner {
     pub pixel: Pixel,
     /// Predicted standard deviation of `pixel`, per axis, in pixels.
     pub std_px: f64,
-    /// Width of the blur across the edges, as a Gaussian's standard deviation in pixels, the pixel's own width not counted.
+    /// Width of the blur across the edges, as a Gaussian's standard deviation in pixels, the
+    /// pixel's own width not counted.
     pub blur_px: f64,
     /// White less black, in grey levels.
     pub contrast: f64,
@@ -96,13 +99,14 @@ struct Fitted {
     agreeing: f64,
 }
 
-/// Half width of the windows, in samples: a window that any corner can be fitted in alone, and one beyond which more pixels
-/// cost more time than they are worth.
+/// Half width of the windows, in samples: a window that any corner can be fitted in alone, and one
+/// beyond which more pixels cost more time than they are worth.
 const FIRST_REACH: f64 = 5.0;
 const SECOND_REACH: f64 = 11.5;
 /// Fewer samples than this determine no corner.
 const FEWEST_SAMPLES: usize = 30;
-/// Fits are repeated with a larger window while the blur turns out this much wider than the window was made for.
+/// Fits are repeated with a larger window while the blur turns out this much wider than the window
+/// was made for.
 const WIDER: f64 = 1.4;
 /// And with the window at the corner when that is this many samples from the window's middle.
 const RECENTER: f64 = 2.0;
@@ -118,17 +122,27 @@ impl Refiner {
         Self::default()
     }
 
-    /// Refines each of `corners` of one board in `image` into `refined`, in their order, in place of what was there. `None`:
-    /// what is seen there is no chessboard corner, or nothing that determines where it is. Allocates nothing that a board as
-    /// large needed before.
-    pub fn refine(&mut self, image: GrayView<'_>, corners: &[GridCorner], refined: &mut Vec<Option<RefinedCorner>>) {
+    /// Refines each of `corners` of one board in `image` into `refined`, in their order, in place
+    /// of what was there. `None`: what is seen there is no chessboard corner, or nothing that
+    /// determines where it is. Allocates nothing that a board as large needed before.
+    pub fn refine(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) {
         self.fit_each(image, corners);
         self.misfit.clear();
-        self.fitted.iter().for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
+        self.fitted
+            .iter()
+            .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
         self.known.clear();
         let fits = self.misfit.fits();
         self.known.extend(
-            self.fitted.iter().zip(fits).map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
+            self.fitted
+                .iter()
+                .zip(fits)
+                .map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
         );
         self.lattice.fill(corners, &self.known);
         let noise = self.noise.of_pixels();
@@ -138,7 +152,8 @@ impl Refiner {
         self.straightness.clear();
         self.shapes.clear();
         for (corner, first) in corners.iter().zip(&fitted) {
-            let second = first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
+            let second =
+                first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
             let second = second.filter(|second| second.is_corner(corner));
             self.misfit.take(second.as_ref().map(Fitted::quality));
             if let Some(second) = second.as_ref().filter(|_| tells_scatter(corners, corner)) {
@@ -155,14 +170,16 @@ impl Refiner {
         self.of_corners.extend(self.misfit.std_factors());
         let of_board = self.scatter.std_factor(&self.of_corners);
         for (corner, of_corner) in refined.iter_mut().zip(&self.of_corners) {
-            *corner = corner
-                .zip(*of_corner)
-                .map(|(corner, of_corner)| RefinedCorner { std_px: of_board * of_corner * corner.std_px, ..corner });
+            *corner = corner.zip(*of_corner).map(|(corner, of_corner)| RefinedCorner {
+                std_px: of_board * of_corner * corner.std_px,
+                ..corner
+            });
         }
         self.scale_by_lines(refined);
     }
 
-    /// Widens or narrows all standard deviations where corners scatter more or less about the board's lines than they say.
+    /// Widens or narrows all standard deviations where corners scatter more or less about the
+    /// board's lines than they say.
     fn scale_by_lines(&mut self, refined: &mut [Option<RefinedCorner>]) {
         for axis in 0..2 {
             let lines = self.lattice.lines(axis).map(|(place, line)| {
@@ -170,7 +187,10 @@ impl Refiner {
                 let shapes = &self.shapes;
                 let placed = line.filter_map(move |slot| {
                     let RefinedCorner { pixel, std_px, .. } = seen[slot]?;
-                    Some(Placed { pixel, covariance: shapes[slot].map(|share| share * std_px * std_px) })
+                    Some(Placed {
+                        pixel,
+                        covariance: shapes[slot].map(|share| share * std_px * std_px),
+                    })
                 });
                 (place, placed)
             });
@@ -187,7 +207,9 @@ impl Refiner {
         self.scatter.clear();
         let mut before = Before { blur_px: 1.0, contrast: 1.3, offset: 0.0, bend: 0.0 };
         for corner in corners {
-            let fitted = self.fit_alone(image, corner, &before).filter(|fitted| fitted.may_be_corner(corner));
+            let fitted = self
+                .fit_alone(image, corner, &before)
+                .filter(|fitted| fitted.may_be_corner(corner));
             if let Some(fitted) = &fitted {
                 before = self.as_before(fitted);
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
@@ -196,22 +218,32 @@ impl Refiner {
         }
     }
 
-    /// The first fit of a corner: in a small window, whose size follows the blur and which moves with the corner. Where that
-    /// shows no corner the guess may be far off: a window of larger bins sees farther.
-    fn fit_alone(&mut self, image: GrayView<'_>, corner: &GridCorner, before: &Before) -> Option<Fitted> {
+    /// The first fit of a corner: in a small window, whose size follows the blur and which moves
+    /// with the corner. Where that shows no corner the guess may be far off: a window of larger
+    /// bins sees farther.
+    fn fit_alone(
+        &mut self,
+        image: GrayView<'_>,
+        corner: &GridCorner,
+        before: &Before,
+    ) -> Option<Fitted> {
         let axes = axes_of(corner)?;
         let guess = [corner.pixel.x, corner.pixel.y];
         let (mut origin, mut blur_px, mut coarser) = (guess, before.blur_px.max(0.7), 1);
         let mut best = None;
         for _ in 0..MOST_WINDOWS {
-            let window = Window::new(origin, axes, blur_px, FIRST_REACH * coarser as f64).coarsened(coarser);
-            let Some(first) = self.fit_in(image, window, &Before { blur_px, ..*before }).filter(Fitted::has_settled)
+            let window =
+                Window::new(origin, axes, blur_px, FIRST_REACH * coarser as f64).coarsened(coarser);
+            let Some(first) = self
+                .fit_in(image, window, &Before { blur_px, ..*before })
+                .filter(Fitted::has_settled)
             else {
                 (origin, coarser) = (guess, 2 * coarser);
                 continue;
             };
             let (center, seen) = (first.center(), first.blur_px());
-            let stayed = length([center[0] - origin[0], center[1] - origin[1]]) < RECENTER * window.bin as f64;
+            let stayed = length([center[0] - origin[0], center[1] - origin[1]])
+                < RECENTER * window.bin as f64;
             if coarser == 1 {
                 best = Some(first);
                 if seen < WIDER * blur_px && stayed {
@@ -240,7 +272,8 @@ impl Refiner {
     fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
         self.gather(image, &window)?;
         let start = self.start(&window, before)?;
-        // What the noise is, is not known yet: as much in black as in white; how much does not matter.
+        // What the noise is, is not known yet: as much in black as in white; how much does not
+        // matter.
         let noise = Noise { black: 1.0, white: 1.0, tolerance: 0.3 * start.amplitude.abs() + 6.0 };
         // The first step may leave the corner where it is and yet find black, white and blur.
         let options = FitOptions { iterations: [2, 8], enough: 0.07, alike: 0.25, with_flat: true };
@@ -265,38 +298,61 @@ impl Refiner {
         start.curvature = around.curvature.map(|c| c * bin);
         start.gradient = around.light_gradient.map(|g| g * bin);
         let [black, white] = noise.map(|std| std / bin);
-        let noise = Noise { black, white, tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs() };
+        let noise = Noise {
+            black,
+            white,
+            tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs(),
+        };
         let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: false };
         let second = self.fit(window, start, &noise, &options)?;
         if second.agreeing > MOST_AGREE {
             return Some(second);
         }
-        // Much that disagrees may be another corner's or a hand's, or the start was too far off for so narrow a tolerance.
+        // Much that disagrees may be another corner's or a hand's, or the start was too far off for
+        // so narrow a tolerance.
         let patient = Noise { tolerance: noise.tolerance + 0.3 * start.amplitude.abs(), ..noise };
-        let start = self.fit(window, start, &patient, &FitOptions { iterations: [2, 8], ..options })?.fit.model;
+        let start = self
+            .fit(window, start, &patient, &FitOptions { iterations: [2, 8], ..options })?
+            .fit
+            .model;
         self.fit(window, start, &noise, &options)
     }
 
-    /// Notes how far the parts of the edges of the corner just fitted, the `slot`-th, disagree, beside what its residuals foretell.
+    /// Notes how far the parts of the edges of the corner just fitted, the `slot`-th, disagree,
+    /// beside what its residuals foretell.
     fn note_scatter(&mut self, slot: usize, fitted: &Fitted) {
         let Fitted { window, fit, noise, .. } = fitted;
         let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
-        for apart in disagreements(&self.samples, &fit.model, reach, &self.columns).into_iter().flatten() {
+        for apart in
+            disagreements(&self.samples, &fit.model, reach, &self.columns).into_iter().flatten()
+        {
             self.scatter.take(slot, noise.corrected_disagreement(apart) / fit.mean_square);
         }
     }
 
     fn gather(&mut self, image: GrayView<'_>, window: &Window) -> Option<()> {
-        (self.samples.gather(image, window) > 0.5 && self.samples.count >= FEWEST_SAMPLES).then_some(())
+        (self.samples.gather(image, window) > 0.5 && self.samples.count >= FEWEST_SAMPLES)
+            .then_some(())
     }
 
-    fn fit(&mut self, window: Window, start: CornerModel, noise: &Noise, options: &FitOptions) -> Option<Fitted> {
+    fn fit(
+        &mut self,
+        window: Window,
+        start: CornerModel,
+        noise: &Noise,
+        options: &FitOptions,
+    ) -> Option<Fitted> {
         let fit = fit(&self.samples, start, noise, options, &mut self.columns)?;
-        Some(Fitted { window, fit, noise: *noise, agreeing: fit.residuals.effective / self.samples.count as f64 })
+        Some(Fitted {
+            window,
+            fit,
+            noise: *noise,
+            agreeing: fit.residuals.effective / self.samples.count as f64,
+        })
     }
 
-    /// The model before the first fit: along the axes, with black and white as the four quarters have them, and what these
-    /// make of it as at the corner before.
+    /// The model before the first fit: along the axes, with black and white as the four quarters
+    /// have them, and what these make of it as at the corner before.
     fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
@@ -317,8 +373,9 @@ impl Refiner {
     }
 }
 
-/// What a corner is expected to have in common with the one before. The last three are in units of half the difference of the
-/// quarters' means, which are less apart than black and white: the blur is in them.
+/// What a corner is expected to have in common with the one before. The last three are in units of
+/// half the difference of the quarters' means, which are less apart than black and white: the blur
+/// is in them.
 #[derive(Debug, Clone, Copy)]
 struct Before {
     blur_px: f64,
@@ -329,7 +386,8 @@ struct Before {
     bend: f64,
 }
 
-/// Whether a corner is asked how its edges' parts disagree: of many corners, every other one is enough.
+/// Whether a corner is asked how its edges' parts disagree: of many corners, every other one is
+/// enough.
 fn tells_scatter(corners: &[GridCorner], corner: &GridCorner) -> bool {
     corners.len() < ENOUGH_CORNERS || (corner.index.col + corner.index.row) % 2 == 0
 }
@@ -369,8 +427,9 @@ impl Fitted {
             && model.correlation().abs() < 0.985
     }
 
-    /// Whether the second fit shows a corner: the model explains what is seen. Of true corners the worst (motion blur over
-    /// several pixels, heavy noise) keep a margin to each bound; of other places in pictures of boards one in a hundred passes.
+    /// Whether the second fit shows a corner: the model explains what is seen. Of true corners the
+    /// worst (motion blur over several pixels, heavy noise) keep a margin to each bound; of other
+    /// places in pictures of boards one in a hundred passes.
     fn is_corner(&self, corner: &GridCorner) -> bool {
         let model = &self.fit.model;
         self.may_be_corner(corner)

@@ -16,8 +16,8 @@ impl PooledNoise {
         self.variances.iter_mut().for_each(Vec::clear);
     }
 
-    /// Takes one corner's residuals where the pattern is flat: sum of squares about their mean and count, black then white, of
-    /// samples that are averages of `bin` × `bin` pixels.
+    /// Takes one corner's residuals where the pattern is flat: sum of squares about their mean and
+    /// count, black then white, of samples that are averages of `bin` × `bin` pixels.
     pub fn take(&mut self, flat: [(f64, f64); 2], bin: usize) {
         for (variances, (squares, count)) in self.variances.iter_mut().zip(flat) {
             if count > 6.0 {
@@ -26,13 +26,16 @@ impl PooledNoise {
         }
     }
 
-    /// Standard deviation of single pixels in grey levels, black then white: the median over the corners. Light's own noise
-    /// grows with the light, and a camera's gamma turns that about, so that either may be the larger.
+    /// Standard deviation of single pixels in grey levels, black then white: the median over the
+    /// corners. Light's own noise grows with the light, and a camera's gamma turns that about, so
+    /// that either may be the larger.
     pub fn of_pixels(&mut self) -> [f64; 2] {
         let [black, white] = self.variances.each_mut().map(|variances| {
             let middle = variances.len() / 2;
-            (middle < variances.len()).then(|| *variances.select_nth_unstable_by(middle, f64::total_cmp).1)
+            (middle < variances.len())
+                .then(|| *variances.select_nth_unstable_by(middle, f64::total_cmp).1)
         });
-        [black.or(white), white.or(black)].map(|variance| variance.unwrap_or(4.0).max(ROUNDING).sqrt())
+        [black.or(white), white.or(black)]
+            .map(|variance| variance.unwrap_or(4.0).max(ROUNDING).sqrt())
     }
 }

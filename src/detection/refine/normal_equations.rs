@@ -1,4 +1,5 @@
-//! One linearisation of the corner model over its samples: residuals, derivatives and their sums of products, in lanes.
+//! One linearisation of the corner model over its samples: residuals, derivatives and their sums of
+//! products, in lanes.
 
 use pulp::{Simd, WithSimd};
 
@@ -27,14 +28,16 @@ impl Noise {
         (self.black * self.black + self.white * self.white) / 2.0
     }
 
-    /// Mean of `squares`, a sum as in `residuals`, in units of the noise. With weights w = (1 + x²/k²)⁻² the mean of w·x² over
-    /// normal x is less than that of w by the factor 1 − 4/k² to first order in 1/k².
+    /// Mean of `squares`, a sum as in `residuals`, in units of the noise. With weights w = (1 +
+    /// x²/k²)⁻² the mean of w·x² over normal x is less than that of w by the factor 1 − 4/k² to
+    /// first order in 1/k².
     pub fn corrected(&self, residuals: &Residuals, squares: f64) -> f64 {
         squares / (residuals.effective - UNKNOWNS as f64).max(1.0) * (1.0 + self.loss())
     }
 
-    /// The square of a sum of derivatives times residuals, in units of its variance under this noise, corrected likewise: with
-    /// these weights its mean is less by nearly (1 + 4/k²)⁻² (within 3 % for k ≥ 4).
+    /// The square of a sum of derivatives times residuals, in units of its variance under this
+    /// noise, corrected likewise: with these weights its mean is less by nearly (1 + 4/k²)⁻²
+    /// (within 3 % for k ≥ 4).
     pub fn corrected_disagreement(&self, square: f64) -> f64 {
         square * (1.0 + self.loss()).powi(2)
     }
@@ -44,7 +47,8 @@ impl Noise {
     }
 }
 
-/// The sums of a linearisation. Weights are 1/σ² of the noise, less for the window's border and for outliers.
+/// The sums of a linearisation. Weights are 1/σ² of the noise, less for the window's border and for
+/// outliers.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct NormalEquations {
     /// Sums of products of the derivatives and the residual (seen less modelled).
@@ -58,10 +62,11 @@ pub(super) struct NormalEquations {
 pub(super) struct Residuals {
     /// Sum of the residuals' squares, in units of the noise.
     pub squares: f64,
-    /// Sum of the weights of the window and of outliers, without the noise's: the number of samples in effect.
+    /// Sum of the weights of the window and of outliers, without the noise's: the number of samples
+    /// in effect.
     pub effective: f64,
-    /// Residuals where the pattern is flat, if they were asked for: sum of squares about their mean in grey levels and their
-    /// number, black then white.
+    /// Residuals where the pattern is flat, if they were asked for: sum of squares about their mean
+    /// in grey levels and their number, black then white.
     pub flat: [(f64, f64); 2],
 }
 
@@ -155,7 +160,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     let sharpness = model.sharpness.map(of);
     let less_sharpness = model.sharpness.map(|k| of(-k));
     let rho = model.correlation();
-    let (rho_half, rho2_sixth, rho2_third) = (of(rho / 2.0), of(rho * rho / 6.0), of(rho * rho / 3.0));
+    let (rho_half, rho2_sixth, rho2_third) =
+        (of(rho / 2.0), of(rho * rho / 6.0), of(rho * rho / 3.0));
     let rho = of(rho);
     let (level, amplitude, bend) = (of(model.level), of(model.amplitude), of(model.bend));
     let gradient = model.gradient.map(of);
@@ -176,7 +182,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         let hermite = [simd.sub_f32s(squared[0], one), simd.sub_f32s(squared[1], one)];
         let bells = mul(rho, mul(f[0], f[1]));
         let cross = mul(u[0], u[1]);
-        let series = mul_add(rho_half, cross, mul_add(rho2_sixth, mul(hermite[0], hermite[1]), one));
+        let series =
+            mul_add(rho_half, cross, mul_add(rho2_sixth, mul(hermite[0], hermite[1]), one));
         let t = mul_add(p[0], p[1], mul(bells, series));
         let mut slope = [one; 2];
         for k in 0..2 {
@@ -235,8 +242,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     }
 }
 
-/// Where samples lie along and across an edge, and its profile there: the step and its slope. In a loop of its own, which is
-/// short enough for the processor to look ahead.
+/// Where samples lie along and across an edge, and its profile there: the step and its slope. In a
+/// loop of its own, which is short enough for the processor to look ahead.
 #[inline(always)]
 fn profiles<S: Simd>(
     simd: S,
@@ -265,7 +272,8 @@ fn profiles<S: Simd>(
     }
 }
 
-/// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the lanes busy.
+/// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the
+/// lanes busy.
 #[inline(always)]
 fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut NormalEquations) {
     let products = &mut equations.products;
@@ -280,7 +288,11 @@ fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut No
 
 /// `COUNT` columns of `length` samples, from `first` on.
 #[inline(always)]
-fn vectors<S: Simd, const COUNT: usize>(columns: &[f32], length: usize, first: usize) -> [&[S::f32s]; COUNT] {
+fn vectors<S: Simd, const COUNT: usize>(
+    columns: &[f32],
+    length: usize,
+    first: usize,
+) -> [&[S::f32s]; COUNT] {
     std::array::from_fn(|k| {
         let start = (first + k) * length;
         &S::as_simd_f32s(&columns[start..start + length]).0[..length / S::F32_LANES]
@@ -296,7 +308,8 @@ fn block<S: Simd, const R: usize, const C: usize>(
     first: [usize; 2],
     products: &mut Products,
 ) {
-    let (a, b) = (vectors::<S, R>(columns, length, first[0]), vectors::<S, C>(columns, length, first[1]));
+    let (a, b) =
+        (vectors::<S, R>(columns, length, first[0]), vectors::<S, C>(columns, length, first[1]));
     let mut sums = [[simd.splat_f32s(0.0); C]; R];
     for i in 0..length / S::F32_LANES {
         for r in 0..R {
@@ -314,7 +327,13 @@ fn block<S: Simd, const R: usize, const C: usize>(
 
 /// Sums of products of N columns from `first` on with each other.
 #[inline(always)]
-fn triangle<S: Simd, const N: usize>(simd: S, columns: &[f32], length: usize, first: usize, products: &mut Products) {
+fn triangle<S: Simd, const N: usize>(
+    simd: S,
+    columns: &[f32],
+    length: usize,
+    first: usize,
+    products: &mut Products,
+) {
     let a = vectors::<S, N>(columns, length, first);
     let mut sums = [[simd.splat_f32s(0.0); N]; N];
     #[expect(clippy::needless_range_loop, reason = "all columns are read at the same place")]

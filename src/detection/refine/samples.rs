@@ -1,4 +1,5 @@
-//! The pixels that a corner is fitted to: a window along the cells' own axes, in pixels or in sums of 2×2 or 4×4.
+//! The pixels that a corner is fitted to: a window along the cells' own axes, in pixels or in sums
+//! of 2×2 or 4×4.
 
 use pulp::{Simd, WithSimd};
 
@@ -8,12 +9,13 @@ use crate::imaging::gray::GrayView;
 
 /// Lanes are filled up to a multiple of this with samples of no weight.
 const PADDING: usize = 16;
-/// Pixels that are read at once, and rows of which it is found out at once where they lie in the window.
+/// Pixels that are read at once, and rows of which it is found out at once where they lie in the
+/// window.
 const RUN: usize = 8;
 const ROWS: usize = 8;
 
-/// Samples of an image, relative to the window's origin and in units of the bin. The lanes only ever grow: what lies beyond
-/// the padding is of another window.
+/// Samples of an image, relative to the window's origin and in units of the bin. The lanes only
+/// ever grow: what lies beyond the padding is of another window.
 #[derive(Debug, Default)]
 pub(super) struct Samples {
     x: Vec<f32>,
@@ -27,23 +29,25 @@ pub(super) struct Samples {
 }
 
 impl Samples {
-    /// Gathers the samples of `window`, those whose pixels all lie in `image`. Returns the fraction of the window that
-    /// does.
+    /// Gathers the samples of `window`, those whose pixels all lie in `image`. Returns the fraction
+    /// of the window that does.
     pub fn gather(&mut self, image: GrayView<'_>, window: &Window) -> f64 {
         pulp::Arch::new().dispatch(Gather { samples: self, image, rows: Rows::new(window), window })
     }
 
-    /// Positions x and y, grey values 0 … 255, and weights, in whole vectors: beyond the last sample weights and values are 0.
+    /// Positions x and y, grey values 0 … 255, and weights, in whole vectors: beyond the last
+    /// sample weights and values are 0.
     #[inline(always)]
     pub fn vectors<S: Simd>(&self) -> [&[S::f32s]; 4] {
         let length = self.count.next_multiple_of(S::F32_LANES);
         [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
-    /// Mean grey value where the product of the distances to two lines through the origin is negative, and where it is
-    /// positive.
+    /// Mean grey value where the product of the distances to two lines through the origin is
+    /// negative, and where it is positive.
     pub fn quarter_means(&self, along: [[f64; 2]; 2]) -> [f64; 2] {
-        pulp::Arch::new().dispatch(QuarterMeans { samples: self, along: along.map(|d| d.map(|v| v as f32)) })
+        pulp::Arch::new()
+            .dispatch(QuarterMeans { samples: self, along: along.map(|d| d.map(|v| v as f32)) })
     }
 
     /// Makes room for `more` samples, and for whole lanes and the padding after them.
@@ -58,14 +62,16 @@ impl Samples {
         }
     }
 
-    /// Appends `length` values of `bytes` from `at` on, for which there is room, at `y` from `x` on. Whole lanes are written:
-    /// what is too much is overwritten by the next run, or by the padding.
+    /// Appends `length` values of `bytes` from `at` on, for which there is room, at `y` from `x`
+    /// on. Whole lanes are written: what is too much is overwritten by the next run, or by the
+    /// padding.
     #[inline(always)]
     fn push_run(&mut self, [x, y]: [f32; 2], bytes: &[u8], at: usize, length: usize) {
         const STEPS: [f32; RUN] = [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0];
         let mut start = 0;
         while start < length {
-            let seen: [u8; RUN] = match bytes.get(at + start..).and_then(|rest| rest.first_chunk()) {
+            let seen: [u8; RUN] = match bytes.get(at + start..).and_then(|rest| rest.first_chunk())
+            {
                 Some(seen) => *seen,
                 None => std::array::from_fn(|i| bytes.get(at + start + i).copied().unwrap_or(0)),
             };
@@ -81,7 +87,12 @@ impl Samples {
 
     /// Appends averages of `BIN` × `BIN` pixels.
     #[inline(always)]
-    fn push_binned<const BIN: usize>(&mut self, [x, y]: [f32; 2], rows: [&[u8]; BIN], length: usize) {
+    fn push_binned<const BIN: usize>(
+        &mut self,
+        [x, y]: [f32; 2],
+        rows: [&[u8]; BIN],
+        length: usize,
+    ) {
         for i in 0..length {
             let mut sum = 0;
             for row in rows {
@@ -96,7 +107,8 @@ impl Samples {
         self.count += length;
     }
 
-    /// Takes the weight from what lies beyond the last sample, and gives it back to where the last window ended.
+    /// Takes the weight from what lies beyond the last sample, and gives it back to where the last
+    /// window ended.
     #[inline(always)]
     fn pad(&mut self) {
         self.make_room(0);
@@ -122,7 +134,8 @@ impl WithSimd for QuarterMeans<'_> {
         let count = x.len();
         let (y, value, weight) = (&y[..count], &value[..count], &weight[..count]);
         let [[ax, ay], [bx, by]] = self.along;
-        let (ax, ay, bx, by) = (simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(bx), simd.splat_f32s(by));
+        let (ax, ay, bx, by) =
+            (simd.splat_f32s(ax), simd.splat_f32s(ay), simd.splat_f32s(bx), simd.splat_f32s(by));
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
         for i in 0..count {
@@ -157,15 +170,18 @@ impl WithSimd for Gather<'_> {
         let bin = window.bin as i64;
         let half = (window.bin as f64 - 1.0) / 2.0;
         let first = window.origin.map(|o| (o - half).round());
-        let offset = [0, 1].map(|k| ((first[k] + half - window.origin[k]) / window.bin as f64) as f32);
+        let offset =
+            [0, 1].map(|k| ((first[k] + half - window.origin[k]) / window.bin as f64) as f32);
         let first = first.map(|o| o as i64);
         // The columns and rows of bins that lie in the image.
         let size = [image.width() as i64, image.height() as i64];
-        let inside = [0, 1].map(|k| [-first[k].div_euclid(bin), (size[k] - bin - first[k]).div_euclid(bin)]);
+        let inside =
+            [0, 1].map(|k| [-first[k].div_euclid(bin), (size[k] - bin - first[k]).div_euclid(bin)]);
         let mut wanted = 0;
         let mut above = -rows.reach;
         while above <= rows.reach {
-            let runs = rows.runs(above as f32 + offset[1], offset[0], inside[0].map(|end| end as f32));
+            let runs =
+                rows.runs(above as f32 + offset[1], offset[0], inside[0].map(|end| end as f32));
             wanted += runs.wanted;
             samples.make_room(runs.lengths.iter().flatten().sum::<i32>() as usize);
             for (k, row) in (above..=rows.reach).enumerate().take(ROWS) {
@@ -181,7 +197,9 @@ impl WithSimd for Gather<'_> {
                     let at = [from[k] as f32 + offset[0], row as f32 + offset[1]];
                     let left = (first[0] + i64::from(from[k]) * bin) as usize;
                     match window.bin {
-                        1 => samples.push_run(at, image.bytes(), top * image.stride() + left, length),
+                        1 => {
+                            samples.push_run(at, image.bytes(), top * image.stride() + left, length)
+                        }
                         2 => samples.push_binned(at, rows_from::<2>(image, top, left), length),
                         _ => samples.push_binned(at, rows_from::<4>(image, top, left), length),
                     }
@@ -196,19 +214,25 @@ impl WithSimd for Gather<'_> {
 
 /// What `COUNT` rows of `image` from `top` on hold from `left` on.
 #[inline(always)]
-fn rows_from<'a, const COUNT: usize>(image: GrayView<'a>, top: usize, left: usize) -> [&'a [u8]; COUNT] {
+fn rows_from<'a, const COUNT: usize>(
+    image: GrayView<'a>,
+    top: usize,
+    left: usize,
+) -> [&'a [u8]; COUNT] {
     std::array::from_fn(|k| &image.row(top + k)[left..])
 }
 
 /// What each row of a window holds: a parallelogram's run, or what of it is near an edge. In bins.
 struct Rows {
-    /// Middle per row, and half width, of four bands: two whose meet is the window, two that are near an edge.
+    /// Middle per row, and half width, of four bands: two whose meet is the window, two that are
+    /// near an edge.
     bands: [[f32; 2]; 4],
     /// Rows −reach … reach may hold something.
     reach: i64,
 }
 
-/// The runs of some rows, two in each, either of which may be empty: where they start and how long they are.
+/// The runs of some rows, two in each, either of which may be empty: where they start and how long
+/// they are.
 struct Runs {
     from: [[i32; ROWS]; 2],
     lengths: [[i32; ROWS]; 2],
@@ -236,13 +260,17 @@ impl Rows {
         Self { bands, reach: (reach + 0.5) as i64 }
     }
 
-    /// The runs of whole places, counted from `offset`, in the rows from `y` on, as far as they are `inside` the image. Eight
-    /// rows at once, with nothing but arithmetic, for the sake of vectors.
+    /// The runs of whole places, counted from `offset`, in the rows from `y` on, as far as they are
+    /// `inside` the image. Eight rows at once, with nothing but arithmetic, for the sake of
+    /// vectors.
     #[inline(always)]
     fn runs(&self, y: f32, offset: f32, inside: [f32; 2]) -> Runs {
         let mut runs = Runs { from: [[0; ROWS]; 2], lengths: [[0; ROWS]; 2], wanted: 0 };
         let mut wanted = [0.0; ROWS];
-        #[expect(clippy::needless_range_loop, reason = "lanes of one width are what the compiler vectorises")]
+        #[expect(
+            clippy::needless_range_loop,
+            reason = "lanes of one width are what the compiler vectorises"
+        )]
         for k in 0..ROWS {
             let y = y + k as f32;
             let (a, b) = (band(self.bands[0], y), band(self.bands[1], y));
@@ -270,7 +298,8 @@ impl Rows {
     }
 }
 
-/// A whole number of less than four million, as one; of a larger one any. Without the care that `as` takes of those.
+/// A whole number of less than four million, as one; of a larger one any. Without the care that
+/// `as` takes of those.
 #[inline(always)]
 fn whole(value: f32) -> i32 {
     // To this, one is the last of a number's bits.
@@ -302,11 +331,13 @@ mod tests {
     use crate::imaging::gray::GrayImage;
 
     fn image() -> GrayImage {
-        let pixels = (0..90 * 70).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+        let pixels =
+            (0..90 * 70).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
         GrayImage::from_pixels(90, 70, pixels).expect("as many pixels")
     }
 
-    /// Position and mean of every bin of `window` that `image` holds, and how many there are with those beyond it.
+    /// Position and mean of every bin of `window` that `image` holds, and how many there are with
+    /// those beyond it.
     fn all(image: &GrayImage, window: &Window) -> (Vec<[f32; 3]>, usize) {
         let (bin, size) = (window.bin as f64, window.bin as i64);
         let first = window.origin.map(|o| (o - (bin - 1.0) / 2.0).round());
@@ -318,14 +349,17 @@ mod tests {
             let p = [0, 1].map(|k| corner[k] as f64 + (bin - 1.0) / 2.0 - window.origin[k]);
             let within = (cross(p, b) / cross(a, b)).abs() <= window.extent[0]
                 && (cross(a, p) / cross(a, b)).abs() <= window.extent[1];
-            if !within || [a, b].iter().all(|axis| cross(*axis, p).abs() > window.strip_px * length(*axis)) {
+            if !within
+                || [a, b].iter().all(|axis| cross(*axis, p).abs() > window.strip_px * length(*axis))
+            {
                 continue;
             }
             wanted += 1;
             if corner[0] < 0 || corner[1] < 0 || corner[0] + size > 90 || corner[1] + size > 70 {
                 continue;
             }
-            let pixels = (0..size).flat_map(|y| (0..size).map(move |x| [corner[0] + x, corner[1] + y]));
+            let pixels =
+                (0..size).flat_map(|y| (0..size).map(move |x| [corner[0] + x, corner[1] + y]));
             let sum: u32 = pixels.map(|[x, y]| u32::from(image.row(y as usize)[x as usize])).sum();
             seen.push([(p[0] / bin) as f32, (p[1] / bin) as f32, sum as f32 / (bin * bin) as f32]);
         }
@@ -341,21 +375,31 @@ mod tests {
             let across = turn + 1.2 + 0.003 * f64::from(case);
             let window = Window {
                 origin: [2.3 + 0.36 * f64::from(case), 67.8 - 0.27 * f64::from(case)],
-                axes: [[21.0 * turn.cos(), 21.0 * turn.sin()], [17.0 * across.cos(), 17.0 * across.sin()]],
+                axes: [
+                    [21.0 * turn.cos(), 21.0 * turn.sin()],
+                    [17.0 * across.cos(), 17.0 * across.sin()],
+                ],
                 extent: [0.713, 0.629],
                 strip_px: if case % 2 == 0 { f64::INFINITY } else { 3.17 },
                 bin,
             };
             let share = samples.gather(image.view(), &window);
             let (expected, wanted) = all(&image, &window);
-            let [xs, ys, values, weights] = [&samples.x, &samples.y, &samples.value, &samples.weight];
+            let [xs, ys, values, weights] =
+                [&samples.x, &samples.y, &samples.value, &samples.weight];
             assert_eq!(samples.count, expected.len(), "case {case}");
             assert!((share - expected.len() as f64 / f64::from(wanted as u32)).abs() < 1e-9);
             for (i, [x, y, value]) in expected.into_iter().enumerate() {
-                assert!((xs[i] - x).abs() < 1e-4 && (ys[i] - y).abs() < 1e-4 && (values[i] - value).abs() < 1e-4);
+                assert!(
+                    (xs[i] - x).abs() < 1e-4
+                        && (ys[i] - y).abs() < 1e-4
+                        && (values[i] - value).abs() < 1e-4
+                );
                 assert_eq!(weights[i], 1.0);
             }
-            assert!(weights[samples.count..samples.count + PADDING].iter().all(|&weight| weight == 0.0));
+            assert!(
+                weights[samples.count..samples.count + PADDING].iter().all(|&weight| weight == 0.0)
+            );
         }
     }
 
@@ -363,7 +407,8 @@ mod tests {
     fn an_image_narrower_than_a_bin_holds_no_sample() {
         let image = GrayImage::filled(3, 40, 100);
         let axes = [[20.0, 1.0], [-1.0, 20.0]];
-        let window = Window { origin: [1.0, 20.0], axes, extent: [0.5; 2], strip_px: f64::INFINITY, bin: 4 };
+        let window =
+            Window { origin: [1.0, 20.0], axes, extent: [0.5; 2], strip_px: f64::INFINITY, bin: 4 };
         assert_eq!(Samples::default().gather(image.view(), &window), 0.0);
     }
 }

@@ -1,4 +1,5 @@
-//! How much more or less corners scatter than the residuals of their fits foretell, over all corners of a board.
+//! How much more or less corners scatter than the residuals of their fits foretell, over all
+//! corners of a board.
 
 /// How far the halves of edges disagree.
 #[derive(Debug, Default)]
@@ -9,9 +10,11 @@ pub(super) struct Scatter {
 
 /// Fewer edges than this say nothing about a board.
 const FEWEST_EDGES: usize = 12;
-/// The share of the ratios, the smallest, that are averaged: what covers a board disturbs the others.
+/// The share of the ratios, the smallest, that are averaged: what covers a board disturbs the
+/// others.
 const TRUSTED: f64 = 0.9;
-/// The mean of that share of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with z = 1.645.
+/// The mean of that share of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with z =
+/// 1.645.
 const TRUSTED_MEAN: f64 = 0.623;
 
 impl Scatter {
@@ -27,7 +30,8 @@ impl Scatter {
         }
     }
 
-    /// The factor on standard deviations that were taken from the residuals and multiplied by `of_corners`.
+    /// The factor on standard deviations that were taken from the residuals and multiplied by
+    /// `of_corners`.
     pub fn std_factor(&mut self, of_corners: &[Option<f64>]) -> f64 {
         for (corner, ratio) in &mut self.ratios {
             let foretold = of_corners.get(*corner).copied().flatten().unwrap_or(1.0);
@@ -38,7 +42,8 @@ impl Scatter {
             return 1.0;
         }
         self.ratios.sort_unstable_by(|(_, a), (_, b)| a.total_cmp(b));
-        let mean = self.ratios[..trusted].iter().map(|(_, ratio)| ratio).sum::<f64>() / trusted as f64;
+        let mean =
+            self.ratios[..trusted].iter().map(|(_, ratio)| ratio).sum::<f64>() / trusted as f64;
         (mean / TRUSTED_MEAN).sqrt().clamp(0.1, 10.0)
     }
 }

@@ -1,9 +1,11 @@
-//! How much more or less corners scatter than foretold, by how straight their lines are: noise that spans a whole corner, as JPEG's
-//! blocks or light between corners make it, shows in no corner's own residuals, but it moves corners off their lines.
+//! How much more or less corners scatter than foretold, by how straight their lines are: noise that
+//! spans a whole corner, as JPEG's blocks or light between corners make it, shows in no corner's
+//! own residuals, but it moves corners off their lines.
 //!
-//! In a line's own frame, t along its chord and n across, a line is n = a + b·t + f(t, y), with its own a and b whatever the
-//! perspective, and one polynomial f of t, from its second power on, and of the line's place y that all lines share: the
-//! bend f″ that a lens makes is smooth over the picture.
+//! In a line's own frame, t along its chord and n across, a line is n = a + b·t + f(t, y), with its
+//! own a and b whatever the perspective, and one polynomial f of t, from its second power on, and
+//! of the line's place y that all lines share: the bend f″ that a lens makes is smooth over the
+//! picture.
 
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::field::{LANES, Solution, Sums, TERMS, basis, highest_order, trust};
@@ -11,21 +13,26 @@ use crate::geometry::pixel::Pixel;
 
 /// Highest order of the bend.
 const BEND_ORDER: usize = 4;
-/// Of a term's square so much must be told apart from those before it: lines of few corners tell no high powers of t.
+/// Of a term's square so much must be told apart from those before it: lines of few corners tell no
+/// high powers of t.
 const APART: f64 = 1e-3;
 /// Least squares are repeated against outliers.
 const ROUNDS: usize = 2;
-/// What the weights against outliers leave of the mean square of normally distributed numbers: of (1 + z²/6)⁻².
+/// What the weights against outliers leave of the mean square of normally distributed numbers: of
+/// (1 + z²/6)⁻².
 const TRUSTED: f64 = 0.66;
-/// The order that fits best takes up more than its terms: about half of those that were to choose from besides.
+/// The order that fits best takes up more than its terms: about half of those that were to choose
+/// from besides.
 const CHOICE: f64 = 0.5;
-/// The variance of a mean square of so many normally distributed numbers is 2 over that; less surely where some are doubted.
+/// The variance of a mean square of so many normally distributed numbers is 2 over that; less
+/// surely where some are doubted.
 const CHANCE: f64 = 2.5;
 /// Fewer corners make no line that shows anything.
 const LEAST_LINE: usize = 3;
 /// Fewer degrees of freedom tell no scatter.
 const LEAST_FREE: f64 = 20.0;
-/// More scatter than this is not noise but a lens that bends lines more than f can follow; the more, the surer.
+/// More scatter than this is not noise but a lens that bends lines more than f can follow; the
+/// more, the surer.
 const MOST: f64 = 1.4;
 
 /// A corner in its line's frame: t and y scaled to about −1 … 1, n in pixels.
@@ -42,8 +49,8 @@ struct Point {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     pub pixel: Pixel,
-    /// Covariance foretold for it: xx, xy, yy. Where edges cross at a sharp angle, a corner is least certain along the middle
-    /// between them, and more certain across each.
+    /// Covariance foretold for it: xx, xy, yy. Where edges cross at a sharp angle, a corner is
+    /// least certain along the middle between them, and more certain across each.
     pub covariance: [f64; 3],
 }
 
@@ -60,7 +67,8 @@ pub(super) struct Straightness {
     /// Sum of squares left and of degrees of freedom, over both families of lines.
     left: f64,
     free: f64,
-    /// The parts of their edges' pixels that corners share with the next along each axis, summed, and of how many corners.
+    /// The parts of their edges' pixels that corners share with the next along each axis, summed,
+    /// and of how many corners.
     shared: [f64; 2],
     windows: f64,
 }
@@ -72,7 +80,8 @@ impl Straightness {
         (self.shared, self.windows) = ([0.0; 2], 0.0);
     }
 
-    /// Takes how far a corner's window reaches along each axis, as parts of the way to the next corner.
+    /// Takes how far a corner's window reaches along each axis, as parts of the way to the next
+    /// corner.
     pub fn note_window(&mut self, extent: [f64; 2]) {
         for (shared, extent) in self.shared.iter_mut().zip(extent) {
             *shared += (1.0 - 0.5 / extent).max(0.0);
@@ -96,8 +105,12 @@ impl Straightness {
         let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
         let mut scatter = None;
         for _ in 0..ROUNDS {
-            let summation = Summation { lines: self, solution: &solution, terms: TERMS[order], mean_square };
-            let Some(solved) = pulp::Arch::new().dispatch(summation).solve(order, free, APART) else { return };
+            let summation =
+                Summation { lines: self, solution: &solution, terms: TERMS[order], mean_square };
+            let Some(solved) = pulp::Arch::new().dispatch(summation).solve(order, free, APART)
+            else {
+                return;
+            };
             mean_square = solved.mean_square.max(f64::MIN_POSITIVE);
             solution = solved.solution;
             scatter = Some(solved.chosen_mean_square);
@@ -107,11 +120,14 @@ impl Straightness {
             // Offset and slope of each line, and the bend, take up their share.
             let terms = solution.terms as f64 + CHOICE * (TERMS[order] - solution.terms) as f64;
             let free = (free as f64 - terms).max(1.0);
-            // Of noise that a corner shares with the next a smooth line takes up more: of n numbers with neighbours correlated
-            // by ρ, a projection to the p smoothest leaves n − p − 2ρ·(n/π)·sin(πp/n).
+            // Of noise that a corner shares with the next a smooth line takes up more: of n numbers
+            // with neighbours correlated by ρ, a projection to the p smoothest leaves n − p −
+            // 2ρ·(n/π)·sin(πp/n).
             let correlation = self.shared[axis] / self.windows.max(1.0);
-            let smooth = (std::f64::consts::PI * (1.0 - free / all)).sin() * all / std::f64::consts::PI;
-            self.left += scatter * all / TRUSTED * free / (free - 2.0 * correlation * smooth).max(0.1 * free);
+            let smooth =
+                (std::f64::consts::PI * (1.0 - free / all)).sin() * all / std::f64::consts::PI;
+            self.left += scatter * all / TRUSTED * free
+                / (free - 2.0 * correlation * smooth).max(0.1 * free);
             self.free += free;
         }
     }
@@ -151,7 +167,8 @@ impl Straightness {
     }
 }
 
-/// What is the same in every round. A struct, not a closure: all of it must be inlined to be compiled for the processor.
+/// What is the same in every round. A struct, not a closure: all of it must be inlined to be
+/// compiled for the processor.
 struct Preparation<'a> {
     lines: &'a mut Straightness,
 }
@@ -253,7 +270,11 @@ fn of_bend(point: &Point) -> [f64; LANES] {
 
 impl Trend {
     #[inline(always)]
-    fn of(line: &[Point], columns: &[[f64; LANES]], before: Option<(&Trend, &Solution, f64)>) -> Self {
+    fn of(
+        line: &[Point],
+        columns: &[[f64; LANES]],
+        before: Option<(&Trend, &Solution, f64)>,
+    ) -> Self {
         let mut trend = Self { moments: [0.0; 3], columns: [[0.0; LANES]; 2] };
         for (point, columns) in line.iter().zip(columns) {
             let mut weight = point.certainty;
@@ -318,21 +339,27 @@ mod tests {
         (1..=DRAWS).map(|seed| factor_of(seed, k1, noise, [0.4; 2])).sum::<f64>() / DRAWS as f64
     }
 
-    /// A 9×6 board in perspective, bent by a lens (`k1` at a radius of 300 px), with noise of so many standard deviations.
+    /// A 9×6 board in perspective, bent by a lens (`k1` at a radius of 300 px), with noise of so
+    /// many standard deviations.
     fn factor_of(seed: u64, k1: f64, noise: f64, extent: [f64; 2]) -> f64 {
         let mut state = seed;
         let mut normal = || {
             let mut sum = -6.0;
             for _ in 0..12 {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1_442_695_040_888_963_407);
                 sum += (state >> 11) as f64 / (1_u64 << 53) as f64;
             }
             sum * noise * STD_PX
         };
         let mut corners = Vec::new();
-        for (row, col) in (0..6).flat_map(|row| (0..9).map(move |col| (f64::from(row), f64::from(col)))) {
+        for (row, col) in
+            (0..6).flat_map(|row| (0..9).map(move |col| (f64::from(row), f64::from(col))))
+        {
             let w = 1.0 + 0.04 * col - 0.03 * row;
-            let (x, y) = ((60.0 * col - 10.0 * row - 240.0) / w, (12.0 * col + 55.0 * row - 150.0) / w);
+            let (x, y) =
+                ((60.0 * col - 10.0 * row - 240.0) / w, (12.0 * col + 55.0 * row - 150.0) / w);
             let bent = 1.0 + k1 * (x * x + y * y) / 90_000.0;
             let pixel = Pixel::new(320.0 + x * bent + normal(), 240.0 + y * bent + normal());
             corners.push(Placed { pixel, covariance: [STD_PX * STD_PX, 0.0, STD_PX * STD_PX] });
@@ -340,8 +367,15 @@ mod tests {
         let mut straightness = Straightness::default();
         straightness.clear();
         straightness.note_window(extent);
-        straightness.take(0, (0..6).map(|row| (row as f64 / 2.5 - 1.0, corners[9 * row..9 * row + 9].iter().copied())));
-        straightness.take(1, (0..9).map(|col| (col as f64 / 4.0 - 1.0, corners[col..].iter().copied().step_by(9))));
+        straightness.take(
+            0,
+            (0..6)
+                .map(|row| (row as f64 / 2.5 - 1.0, corners[9 * row..9 * row + 9].iter().copied())),
+        );
+        straightness.take(
+            1,
+            (0..9).map(|col| (col as f64 / 4.0 - 1.0, corners[col..].iter().copied().step_by(9))),
+        );
         straightness.std_factor()
     }
 

@@ -4,12 +4,13 @@
 //! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std),   n = R e_z, (R, t) = sensor_from_board
 //! ```
 //!
-//! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a correction to 1/z = 0 of
-//! planes infinitely far away would leave nothing.
+//! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a
+//! correction to 1/z = 0 of planes infinitely far away would leave nothing.
 //!
-//! 1/z of a plane is linear in the ray (x, y, 1), and the correction linear in its coefficients, so that this converges
-//! from afar. The ray follows from the pixel by the depth camera's own lens (D. Herrera C., J. Kannala, J. Heikkilä, *Joint
-//! depth and color camera calibration with distortion correction*, PAMI 2012, with the plane's error in inverse depth).
+//! 1/z of a plane is linear in the ray (x, y, 1), and the correction linear in its coefficients, so
+//! that this converges from afar. The ray follows from the pixel by the depth camera's own lens (D.
+//! Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color camera calibration with distortion
+//! correction*, PAMI 2012, with the plane's error in inverse depth).
 
 use nalgebra::{Matrix2, Vector3};
 
@@ -32,17 +33,19 @@ pub(crate) struct PlaneSight {
     pub(crate) used: Vec<bool>,
 }
 
-/// The derivatives of one residual: by global parameters, and by the board's pose in the sensor's frame.
+/// The derivatives of one residual: by global parameters, and by the board's pose in the sensor's
+/// frame.
 struct Row {
     residual: f64,
     globals: Vec<(usize, f64)>,
     by_pose: [f64; 6],
 }
 
-/// Adds the planes to the normal equations, and answers every tile's residual in standard deviations (infinite where the
-/// lens sees nothing). Where the boards' poses are not `free`, the equations only get what couples them to the rest.
-/// Of the globals' block only the upper half is added to. `correction_at` is where the correction's coefficients begin among
-/// the global parameters.
+/// Adds the planes to the normal equations, and answers every tile's residual in standard
+/// deviations (infinite where the lens sees nothing). Where the boards' poses are not `free`, the
+/// equations only get what couples them to the rest. Of the globals' block only the upper half is
+/// added to. `correction_at` is where the correction's coefficients begin among the global
+/// parameters.
 pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     (layout, state): (&Layout, &State),
@@ -53,7 +56,12 @@ pub(crate) fn add_planes(
     let residuals = sights.iter().map(|sight| {
         let chained = (sight.sensor != 0).then(|| chain(state, (sight.sensor, sight.instant)));
         let each = (0..sight.tiles.len()).map(|index| {
-            if !linearize_tile((layout, state), (correction, correction_at), (sight, index), &mut row) {
+            if !linearize_tile(
+                (layout, state),
+                (correction, correction_at),
+                (sight, index),
+                &mut row,
+            ) {
                 return f64::INFINITY;
             }
             if sight.used[index] {
@@ -77,7 +85,12 @@ pub(crate) fn add_planes(
     residuals.collect()
 }
 
-fn add_row(equations: &mut NormalEquations, (instant, free): (usize, bool), row: &Row, by_board: &[f64; 6]) {
+fn add_row(
+    equations: &mut NormalEquations,
+    (instant, free): (usize, bool),
+    row: &Row,
+    by_board: &[f64; 6],
+) {
     equations.cost += row.residual * row.residual;
     if free {
         let block = &mut equations.instants[instant];
@@ -104,7 +117,8 @@ fn add_row(equations: &mut NormalEquations, (instant, free): (usize, bool), row:
 /// A correction that leaves less than this part of a difference in 1/z is none.
 const LEAST_GAIN: f64 = 0.1;
 
-/// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens depth.
+/// Answers false where the lens sees nothing, the plane is edge-on, or the correction flattens
+/// depth.
 fn linearize_tile(
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
@@ -128,13 +142,22 @@ fn linearize_tile(
     }
     row.globals.clear();
     let globals = &mut row.globals;
-    correction_columns(correction, tile, |index, value| globals.push((correction_at + index, value * inverse_std)));
+    correction_columns(correction, tile, |index, value| {
+        globals.push((correction_at + index, value * inverse_std))
+    });
     let by_gain = -row.residual / gain;
     // The same coefficients in the same order.
     let mut entries = globals.iter_mut();
-    gain_columns(correction, tile, |_, value| entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain));
-    add_lens_columns((layout, lens), (sight.sensor, &ray, &(normal * (-inverse_std / distance))), &mut row.globals);
-    let by_turn = (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
+    gain_columns(correction, tile, |_, value| {
+        entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain)
+    });
+    add_lens_columns(
+        (layout, lens),
+        (sight.sensor, &ray, &(normal * (-inverse_std / distance))),
+        &mut row.globals,
+    );
+    let by_turn =
+        (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_shift = normal * (plane / distance * inverse_std);
     row.by_pose = [by_turn.x, by_turn.y, by_turn.z, by_shift.x, by_shift.y, by_shift.z];
     true
@@ -147,7 +170,11 @@ pub(crate) fn ray(lens: &Lens, tile: &DepthTile) -> Option<Vector3<f64>> {
 }
 
 /// ∂(corrected 1/z)/∂(coefficient) for the coefficients that matter at a tile.
-pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
+pub(crate) fn correction_columns(
+    correction: &DepthCorrection,
+    tile: &DepthTile,
+    mut put: impl FnMut(usize, f64),
+) {
     let weights = correction.grid.weights(tile.pixel);
     let count = correction.grid.node_count();
     let held = held_inverse_depth(tile.inverse_depth, correction.seen_m);
@@ -167,8 +194,8 @@ pub(crate) fn correction_columns(correction: &DepthCorrection, tile: &DepthTile,
     }
 }
 
-/// ∂gain/∂(coefficient) for the coefficients that matter at a tile, in the order of [`correction_columns`]; none where the
-/// polynomial is held.
+/// ∂gain/∂(coefficient) for the coefficients that matter at a tile, in the order of
+/// [`correction_columns`]; none where the polynomial is held.
 fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl FnMut(usize, f64)) {
     if correction.terms == 0 || !correction.has_seen(tile.inverse_depth) {
         return;
@@ -181,7 +208,9 @@ fn gain_columns(correction: &DepthCorrection, tile: &DepthTile, mut put: impl Fn
         CorrectedQuantity::Depth => {
             let (z, corrected, gain) = (1.0 / inverse, at.correct(inverse), at.gain(inverse));
             let stretch = (corrected * z).powi(2);
-            std::array::from_fn(|k| stretch * power_slope(z, k) - 2.0 * corrected * gain * z.powi(k as i32))
+            std::array::from_fn(|k| {
+                stretch * power_slope(z, k) - 2.0 * corrected * gain * z.powi(k as i32)
+            })
         }
     };
     for (term, by_term) in by_term.iter().enumerate().take(correction.terms) {

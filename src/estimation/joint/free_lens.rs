@@ -33,11 +33,18 @@ impl Given {
 
 impl FreeLens {
     /// What `options` leave free of a lens of `model`.
-    pub(crate) fn from_options(model: LensModel, options: &CameraOptions) -> Result<(Self, Given), EstimationError> {
+    pub(crate) fn from_options(
+        model: LensModel,
+        options: &CameraOptions,
+    ) -> Result<(Self, Given), EstimationError> {
         let names = Lens::parameter_names(model);
         let mut given = Vec::new();
         for (name, value) in &options.given {
-            let unknown = || EstimationError::UnknownParameter { model, name: name.clone(), known: names.join(", ") };
+            let unknown = || EstimationError::UnknownParameter {
+                model,
+                name: name.clone(),
+                known: names.join(", "),
+            };
             let index = names.iter().position(|known| known == name).ok_or_else(unknown)?;
             if !value.is_finite() || (index < 2 && *value <= 0.0) {
                 return Err(EstimationError::GivenValue { name: name.clone(), value: *value });

@@ -1,8 +1,10 @@
-//! Residuals and their derivatives, one sight of the board at a time, squared into normal equations.
+//! Residuals and their derivatives, one sight of the board at a time, squared into normal
+//! equations.
 //!
-//! A sight's derivatives are kept as columns (one parameter each; all corners' x, then all corners' y), so that every
-//! product of the normal equations is a dot product of two contiguous columns. Local columns: the lens's free
-//! parameters, the warp's two, the pose's six (turn ω, shift τ in the sensor's frame), the residual.
+//! A sight's derivatives are kept as columns (one parameter each; all corners' x, then all corners'
+//! y), so that every product of the normal equations is a dot product of two contiguous columns.
+//! Local columns: the lens's free parameters, the warp's two, the pose's six (turn ω, shift τ in
+//! the sensor's frame), the residual.
 
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
@@ -42,8 +44,9 @@ pub(crate) struct Columns {
 /// Columns are padded with zeros to a multiple of this: the widest vectors there are.
 const LANES: usize = 8;
 
-/// Linearises one sight into `local`, with its unweighted residuals (in units of each corner's standard deviation) in
-/// `residuals`. Answers false where a corner that takes part cannot be projected.
+/// Linearises one sight into `local`, with its unweighted residuals (in units of each corner's
+/// standard deviation) in `residuals`. Answers false where a corner that takes part cannot be
+/// projected.
 pub(crate) fn linearize_sight(
     (layout, state): (&Layout, &State),
     sight: &Sight,
@@ -133,7 +136,9 @@ impl OneSight<'_> {
             *residual = if seen { miss.map(|m| m * inverse_std) } else { [f64::INFINITY; 2] };
             if self.sight.used[index] {
                 all_seen &= seen;
-                let (rho, weight) = self.loss.cost_and_weight(residual[0] * residual[0] + residual[1] * residual[1]);
+                let (rho, weight) = self
+                    .loss
+                    .cost_and_weight(residual[0] * residual[0] + residual[1] * residual[1]);
                 cost += rho;
                 factor[index] = weight.sqrt() * inverse_std;
             }
@@ -148,7 +153,8 @@ impl OneSight<'_> {
     fn differentiate(&mut self) -> usize {
         let lens_layout = &self.layout.sensors[self.sight.sensor].lens;
         let matrix = self.state.lenses[self.sight.sensor].matrix;
-        let (free, warped) = (lens_layout.free.len(), if self.layout.warp.is_some() { 2 } else { 0 });
+        let (free, warped) =
+            (lens_layout.free.len(), if self.layout.warp.is_some() { 2 } else { 0 });
         let count = free + warped + 7;
         let Columns { distorted, miss, factor, points, values } = &mut *self.columns;
         let rows = 2 * factor.len();
@@ -157,11 +163,18 @@ impl OneSight<'_> {
         let (by_warp, rest) = rest.split_at_mut(warped * rows);
         let (by_pose, residual) = rest.split_at_mut(6 * rows);
         for (parameter, column) in lens_layout.free.iter().zip(by_lens.chunks_exact_mut(rows)) {
-            fill_lens_column((*parameter, lens_layout.square_pixels), &matrix, distorted, factor, column);
+            fill_lens_column(
+                (*parameter, lens_layout.square_pixels),
+                &matrix,
+                distorted,
+                factor,
+                column,
+            );
         }
         fill_pose_columns(points, &matrix, distorted, factor, by_pose);
         if warped == 2 {
-            let normal = self.state.sensor_from_board(self.sight.sensor, self.sight.instant) * Vector3::z();
+            let normal =
+                self.state.sensor_from_board(self.sight.sensor, self.sight.instant) * Vector3::z();
             fill_warp_columns((self.layout, self.sight), normal, by_pose, by_warp);
         }
         for (column, miss) in residual.chunks_exact_mut(factor.len()).zip(&*miss) {
@@ -207,7 +220,8 @@ fn fill_lens_column(
     };
 }
 
-/// The six columns of the pose: the shift is the pixel by the point, the turn (turned point) × that.
+/// The six columns of the pose: the shift is the pixel by the point, the turn (turned point) ×
+/// that.
 #[inline(always)]
 fn fill_pose_columns(
     points: &[Vec<f64>; 6],
@@ -241,14 +255,20 @@ fn fill_pose_columns(
 
 /// The two columns of the warp, which moves points along the board's normal.
 #[inline(always)]
-fn fill_warp_columns((layout, sight): (&Layout, &Sight), normal: Vector3<f64>, by_pose: &[f64], columns: &mut [f64]) {
+fn fill_warp_columns(
+    (layout, sight): (&Layout, &Sight),
+    normal: Vector3<f64>,
+    by_pose: &[f64],
+    columns: &mut [f64],
+) {
     let rows = by_pose.len() / 6;
     columns.fill(0.0);
     for (which, column) in columns.chunks_exact_mut(rows).enumerate() {
         for half in 0..2 {
             for (index, point) in sight.points.iter().enumerate() {
                 let row = half * rows / 2 + index;
-                let by_normal: f64 = (0..3).map(|axis| normal[axis] * by_pose[(3 + axis) * rows + row]).sum();
+                let by_normal: f64 =
+                    (0..3).map(|axis| normal[axis] * by_pose[(3 + axis) * rows + row]).sum();
                 column[row] = by_normal * layout.bows(point)[which];
             }
         }
@@ -265,7 +285,8 @@ fn multiply<S: Simd>(simd: S, values: &[f64], count: usize, local: &mut LocalEqu
     let column = |k: usize| S::as_simd_f64s(&values[k.min(count - 1) * rows..][..rows]).0;
     for i in (0..count).step_by(2) {
         for j in (i..count).step_by(4) {
-            let (left, right) = ([0, 1].map(|a| column(i + a)), [0, 1, 2, 3].map(|b| column(j + b)));
+            let (left, right) =
+                ([0, 1].map(|a| column(i + a)), [0, 1, 2, 3].map(|b| column(j + b)));
             for (a, sums) in tile(simd, left, right).into_iter().enumerate() {
                 for (b, sum) in sums.into_iter().enumerate() {
                     if i + a < count && j + b < count {
@@ -279,7 +300,11 @@ fn multiply<S: Simd>(simd: S, values: &[f64], count: usize, local: &mut LocalEqu
 
 /// The products of each of two columns with each of four, lane by lane.
 #[inline(always)]
-fn tile<S: Simd>(simd: S, [a, b]: [&[S::f64s]; 2], [p, q, r, s]: [&[S::f64s]; 4]) -> [[S::f64s; 4]; 2] {
+fn tile<S: Simd>(
+    simd: S,
+    [a, b]: [&[S::f64s]; 2],
+    [p, q, r, s]: [&[S::f64s]; 4],
+) -> [[S::f64s; 4]; 2] {
     let mut sums = [[simd.splat_f64s(0.0); 4]; 2];
     for (((((a, b), p), q), r), s) in a.iter().zip(b).zip(p).zip(q).zip(r).zip(s) {
         for (sums, left) in sums.iter_mut().zip([a, b]) {

@@ -1,7 +1,8 @@
-//! Levenberg–Marquardt: damping by the gain ratio, the actual over the predicted decrease of the cost.
+//! Levenberg–Marquardt: damping by the gain ratio, the actual over the predicted decrease of the
+//! cost.
 //!
-//! K. Madsen, H. B. Nielsen, O. Tingleff, *Methods for non-linear least squares problems*, 2004, section 3.2, with
-//! Marquardt's scaling by the diagonal.
+//! K. Madsen, H. B. Nielsen, O. Tingleff, *Methods for non-linear least squares problems*, 2004,
+//! section 3.2, with Marquardt's scaling by the diagonal.
 
 use crate::estimation::joint::linearize::Columns;
 use crate::estimation::joint::normal::{NormalEquations, Step, linearize, linearize_within};
@@ -13,8 +14,9 @@ use crate::estimation::robust::Loss;
 pub(crate) struct Stop {
     /// Steps at most. Default: 50.
     pub(crate) max_steps: usize,
-    /// The predicted decrease of the cost, in units of one residual's mean cost, below which there is nothing left to
-    /// gain: a decrease of d is √d standard deviations of the estimate. Default: 1e-6.
+    /// The predicted decrease of the cost, in units of one residual's mean cost, below which there
+    /// is nothing left to gain: a decrease of d is √d standard deviations of the estimate. Default:
+    /// 1e-6.
     pub(crate) decrease: f64,
     /// The same as a part of the whole cost. Default: 0.
     pub(crate) part: f64,
@@ -42,29 +44,42 @@ const EXACT: f64 = 1e-11;
 
 impl Minimum {
     /// Where a walk from `start` begins. `None` where a corner that takes part cannot be projected.
-    pub(crate) fn start(layout: &Layout, start: State, sights: &[Sight], loss: Loss) -> Option<Self> {
+    pub(crate) fn start(
+        layout: &Layout,
+        start: State,
+        sights: &[Sight],
+        loss: Loss,
+    ) -> Option<Self> {
         let equations = linearize(layout, &start, sights, loss)?;
         Some(Self { state: start, equations, steps: 1 })
     }
 
     /// Walks on to the nearest minimum.
     pub(crate) fn descend(self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
-        let residual_count: usize = sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+        let residual_count: usize =
+            sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
         let Self { state, equations, steps } = self;
         let mut columns = Columns::default();
-        let linearize = |state: &State| linearize_within((layout, state), sights, loss, &mut columns);
-        let stepped = |state: &State, step: &Step| state.stepped(layout, &step.global, &step.instants);
-        let (state, equations, more) = walk((state, equations), residual_count, stop, (linearize, stepped));
+        let linearize =
+            |state: &State| linearize_within((layout, state), sights, loss, &mut columns);
+        let stepped =
+            |state: &State, step: &Step| state.stepped(layout, &step.global, &step.instants);
+        let (state, equations, more) =
+            walk((state, equations), residual_count, stop, (linearize, stepped));
         Self { state, equations, steps: steps + more }
     }
 }
 
-/// Walks from a state, given with its normal equations, to the nearest minimum; answers the number of linearisations too.
+/// Walks from a state, given with its normal equations, to the nearest minimum; answers the number
+/// of linearisations too.
 pub(crate) fn walk<S>(
     (mut state, mut equations): (S, NormalEquations),
     residual_count: usize,
     stop: Stop,
-    (mut linearize, stepped): (impl FnMut(&S) -> Option<NormalEquations>, impl Fn(&S, &Step) -> Option<S>),
+    (mut linearize, stepped): (
+        impl FnMut(&S) -> Option<NormalEquations>,
+        impl Fn(&S, &Step) -> Option<S>,
+    ),
 ) -> (S, NormalEquations, usize) {
     let (mut lambda, mut growth, mut steps) = (stop.lambda, 2.0, 0);
     for _ in 0..stop.max_steps {
@@ -87,7 +102,11 @@ pub(crate) fn walk<S>(
             Some((next, at_next)) if at_next.cost <= equations.cost => {
                 let gain = (equations.cost - at_next.cost) / predicted;
                 (state, equations) = (next, at_next);
-                lambda = if gain > 0.75 { lambda * 0.1 } else { lambda * (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1) };
+                lambda = if gain > 0.75 {
+                    lambda * 0.1
+                } else {
+                    lambda * (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1)
+                };
                 if lambda < 1e-9 {
                     lambda = 0.0;
                 }

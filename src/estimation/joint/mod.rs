@@ -1,5 +1,5 @@
-//! The one least-squares problem behind every calibration: sensors × lenses × sensor-to-rig poses × board poses per
-//! instant × an optional warp of the board.
+//! The one least-squares problem behind every calibration: sensors × lenses × sensor-to-rig poses ×
+//! board poses per instant × an optional warp of the board.
 //!
 //! ```text
 //! p = sensor_from_rig · rig_from_board · (X + warp)      residual = (lens(p) − pixel) / std
@@ -13,9 +13,9 @@
 //! | the same for each sight by itself, to be put together in parts | `apart` |
 //! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
 //!
-//! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative to a common centre, so
-//! that a pose's rotation and translation hardly depend on each other. Cost per iteration is linear in the number of
-//! views; no result depends on threads.
+//! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative
+//! to a common centre, so that a pose's rotation and translation hardly depend on each other. Cost
+//! per iteration is linear in the number of views; no result depends on threads.
 
 pub(crate) mod apart;
 pub(crate) mod depth_terms;
@@ -55,7 +55,8 @@ pub(crate) struct State {
     pub(crate) warp: [f64; 2],
 }
 
-/// Where each global parameter lies: for each sensor its lens, for each but the first its pose; then the warp.
+/// Where each global parameter lies: for each sensor its lens, for each but the first its pose;
+/// then the warp.
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) sensors: Vec<SensorLayout>,
@@ -95,8 +96,8 @@ impl Layout {
         Self { sensors, warp, len }
     }
 
-    /// How far a point of the board is moved off its plane per metre of each of the two bows: 1 − (x/half extent)², 0 at
-    /// the edges (mrcal's model).
+    /// How far a point of the board is moved off its plane per metre of each of the two bows: 1 −
+    /// (x/half extent)², 0 at the edges (mrcal's model).
     pub(crate) fn bows(&self, point: &Point3<f64>) -> [f64; 2] {
         let Some((_, [half_x, half_y])) = self.warp else { return [0.0; 2] };
         [1.0 - (point.x / half_x).powi(2), 1.0 - (point.y / half_y).powi(2)]
@@ -128,16 +129,23 @@ impl State {
             .map(|((point, observed), inverse_std)| {
                 let point = point + Vector3::z() * self.bow(layout, point);
                 match lens.pixel_from_point(&(sensor_from_board * point)) {
-                    Some(pixel) => [(pixel.x - observed.x) * inverse_std, (pixel.y - observed.y) * inverse_std],
+                    Some(pixel) => {
+                        [(pixel.x - observed.x) * inverse_std, (pixel.y - observed.y) * inverse_std]
+                    }
                     None => [f64::INFINITY; 2],
                 }
             })
             .collect()
     }
 
-    /// The state after a step: `global` in the order of `layout`, `instants` six numbers each. `None` where a lens
-    /// parameter leaves the finite numbers.
-    pub(crate) fn stepped(&self, layout: &Layout, global: &[f64], instants: &[[f64; 6]]) -> Option<Self> {
+    /// The state after a step: `global` in the order of `layout`, `instants` six numbers each.
+    /// `None` where a lens parameter leaves the finite numbers.
+    pub(crate) fn stepped(
+        &self,
+        layout: &Layout,
+        global: &[f64],
+        instants: &[[f64; 6]],
+    ) -> Option<Self> {
         let mut next = self.clone();
         for (sensor, at) in layout.sensors.iter().enumerate() {
             let mut parameters = self.lenses[sensor].parameters();
@@ -153,7 +161,8 @@ impl State {
             }
             next.lenses[sensor] = Lens::from_parameters(at.lens.model, &parameters)?;
             if let Some(pose_at) = at.pose_at {
-                next.sensor_from_rig[sensor] = moved(&self.sensor_from_rig[sensor], &global[pose_at..pose_at + 6]);
+                next.sensor_from_rig[sensor] =
+                    moved(&self.sensor_from_rig[sensor], &global[pose_at..pose_at + 6]);
             }
         }
         if let Some((at, _)) = layout.warp {
@@ -166,8 +175,12 @@ impl State {
     }
 }
 
-/// A pose after a small turn about its target's axes, exp(ω) R, and a shift t + τ; `step` is (ω, τ).
+/// A pose after a small turn about its target's axes, exp(ω) R, and a shift t + τ; `step` is (ω,
+/// τ).
 pub(crate) fn moved(a_from_b: &Pose, step: &[f64]) -> Pose {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
-    Pose::new(turn * a_from_b.rotation(), a_from_b.translation() + Vector3::new(step[3], step[4], step[5]))
+    Pose::new(
+        turn * a_from_b.rotation(),
+        a_from_b.translation() + Vector3::new(step[3], step[4], step[5]),
+    )
 }

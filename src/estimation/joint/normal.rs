@@ -1,5 +1,6 @@
-//! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6 block per instant, and
-//! what couples them. Instants are eliminated one by one (Schur complement), so cost is linear in their number.
+//! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6
+//! block per instant, and what couples them. Instants are eliminated one by one (Schur complement),
+//! so cost is linear in their number.
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
@@ -15,7 +16,8 @@ pub(crate) struct NormalEquations {
     pub(crate) global: DMatrix<f64>,
     pub(crate) global_gradient: DVector<f64>,
     pub(crate) instants: Vec<InstantBlock>,
-    /// Global × instants: row `instant * global parameters + k` couples global parameter k with that instant's pose.
+    /// Global × instants: row `instant * global parameters + k` couples global parameter k with
+    /// that instant's pose.
     pub(crate) coupling: Vec<[f64; 6]>,
     /// Per sight, per corner: (projected − observed) / std; infinite where nothing is projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
@@ -39,7 +41,12 @@ pub(crate) struct Step {
 }
 
 /// The normal equations at `state`; `None` where a corner that takes part cannot be projected.
-pub(crate) fn linearize(layout: &Layout, state: &State, sights: &[Sight], loss: Loss) -> Option<NormalEquations> {
+pub(crate) fn linearize(
+    layout: &Layout,
+    state: &State,
+    sights: &[Sight],
+    loss: Loss,
+) -> Option<NormalEquations> {
     linearize_within((layout, state), sights, loss, &mut Columns::default())
 }
 
@@ -60,7 +67,9 @@ pub(crate) fn linearize_within(
             return None;
         }
         equations.cost += local.cost;
-        let chained = layout.sensors[sight.sensor].pose_at.map(|_| chain(state, (sight.sensor, sight.instant)));
+        let chained = layout.sensors[sight.sensor]
+            .pose_at
+            .map(|_| chain(state, (sight.sensor, sight.instant)));
         equations.add(layout, (sight.sensor, sight.instant), chained, &local);
         equations.apart.push(local);
     }
@@ -82,12 +91,14 @@ impl NormalEquations {
         }
     }
 
-    /// The lower half of the global block from its upper one, which is all that [`Self::add`] fills.
+    /// The lower half of the global block from its upper one, which is all that [`Self::add`]
+    /// fills.
     pub(crate) fn mirror(&mut self) {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `instant`, but for its cost; `chained` is its [`chain`], where it has a pose of its own.
+    /// Adds what `sensor` saw at `instant`, but for its cost; `chained` is its [`chain`], where it
+    /// has a pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,
@@ -121,13 +132,16 @@ impl NormalEquations {
             }
             return;
         };
-        // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
+        // The sensor sees the board through its own pose: δ_sensor_from_board = A δ_sensor_from_rig
+        // + B δ_rig_from_board.
         let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));
         let gradient = nalgebra::Vector6::from_fn(|a, _| local.product(pose + a, residual));
-        let (sensor_square, board_square) = (by_sensor.transpose() * square, by_board.transpose() * square * by_board);
+        let (sensor_square, board_square) =
+            (by_sensor.transpose() * square, by_board.transpose() * square * by_board);
         let sensor_board = sensor_square * by_board;
         let sensor_square = sensor_square * by_sensor;
-        let (sensor_gradient, board_gradient) = (by_sensor.transpose() * gradient, by_board.transpose() * gradient);
+        let (sensor_gradient, board_gradient) =
+            (by_sensor.transpose() * gradient, by_board.transpose() * gradient);
         for a in 0..6 {
             self.global_gradient[pose_at + a] += sensor_gradient[a];
             block.gradient[a] += board_gradient[a];
@@ -160,7 +174,8 @@ impl NormalEquations {
         &self.coupling[instant * size..][..size]
     }
 
-    /// Solves (H + λ diag H) step = −gradient. `None` where the damped matrix is not positive definite.
+    /// Solves (H + λ diag H) step = −gradient. `None` where the damped matrix is not positive
+    /// definite.
     pub(crate) fn solve(&self, lambda: f64) -> Option<Step> {
         let size = self.global_gradient.len();
         let mut schur = self.global.clone();
@@ -168,7 +183,8 @@ impl NormalEquations {
             schur[(k, k)] *= 1.0 + lambda;
         }
         let mut right = -&self.global_gradient;
-        let (mut eliminated, mut halves) = (Vec::with_capacity(self.instants.len()), self.coupling.clone());
+        let (mut eliminated, mut halves) =
+            (Vec::with_capacity(self.instants.len()), self.coupling.clone());
         for (instant, block) in self.instants.iter().enumerate() {
             let factor = cholesky6(&block.hessian, lambda)?;
             let half = &mut halves[instant * size..][..size];
@@ -183,9 +199,12 @@ impl NormalEquations {
             eliminated.push((factor, half_gradient));
         }
         let global = if size == 0 { right } else { schur.cholesky()?.solve(&right) };
-        let mut decrease = -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
+        let mut decrease =
+            -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
         let mut instants = Vec::with_capacity(self.instants.len());
-        for (instant, ((factor, half_gradient), block)) in eliminated.iter().zip(&self.instants).enumerate() {
+        for (instant, ((factor, half_gradient), block)) in
+            eliminated.iter().zip(&self.instants).enumerate()
+        {
             let mut rest = half_gradient.map(|g| -g);
             for (row, step) in halves[instant * size..][..size].iter().zip(global.iter()) {
                 for a in 0..6 {
@@ -198,17 +217,23 @@ impl NormalEquations {
             }
             instants.push(step);
         }
-        let step = Step { global: global.iter().copied().collect(), instants, predicted_decrease: decrease };
+        let step = Step {
+            global: global.iter().copied().collect(),
+            instants,
+            predicted_decrease: decrease,
+        };
         decrease.is_finite().then_some(step)
     }
 
-    /// The covariance of the global parameters for residuals of unit variance: the inverse of the Schur complement.
+    /// The covariance of the global parameters for residuals of unit variance: the inverse of the
+    /// Schur complement.
     pub(crate) fn global_covariance(&self) -> Option<DMatrix<f64>> {
         let size = self.global_gradient.len();
         let mut schur = self.global.clone();
         for (instant, block) in self.instants.iter().enumerate() {
             let factor = cholesky6(&block.hessian, 0.0)?;
-            let half: Vec<[f64; 6]> = self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
+            let half: Vec<[f64; 6]> =
+                self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
             for i in 0..size {
                 for j in 0..=i {
                     schur[(i, j)] -= dot6(&half[i], &half[j]);
@@ -217,32 +242,40 @@ impl NormalEquations {
         }
         // Parameters differ by orders of magnitude: invert in units of their own strength.
         let unit = DVector::from_fn(size, |i, _| 1.0 / self.global[(i, i)].sqrt());
-        let scaled = DMatrix::from_fn(size, size, |i, j| schur[(i.max(j), i.min(j))] * unit[i] * unit[j]);
+        let scaled =
+            DMatrix::from_fn(size, size, |i, j| schur[(i.max(j), i.min(j))] * unit[i] * unit[j]);
         let inverse = scaled.cholesky()?.inverse();
         let covariance = DMatrix::from_fn(size, size, |i, j| inverse[(i, j)] * unit[i] * unit[j]);
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// What one instant alone tells of the global parameters, its pose eliminated, where these are the equations of that
-    /// instant: its part of the Schur complement and its gradient.
+    /// What one instant alone tells of the global parameters, its pose eliminated, where these are
+    /// the equations of that instant: its part of the Schur complement and its gradient.
     pub(crate) fn reduced(&self, instant: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let size = self.global_gradient.len();
         let block = &self.instants[instant];
         let factor = cholesky6(&block.hessian, 0.0)?;
-        let half: Vec<[f64; 6]> = self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
+        let half: Vec<[f64; 6]> =
+            self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
         let half_gradient = forward6(&factor, &block.gradient);
-        let information = DMatrix::from_fn(size, size, |i, j| self.global[(i, j)] - dot6(&half[i], &half[j]));
-        let gradient = DVector::from_fn(size, |i, _| self.global_gradient[i] - dot6(&half[i], &half_gradient));
+        let information =
+            DMatrix::from_fn(size, size, |i, j| self.global[(i, j)] - dot6(&half[i], &half[j]));
+        let gradient =
+            DVector::from_fn(size, |i, _| self.global_gradient[i] - dot6(&half[i], &half_gradient));
         Some((information, gradient))
     }
 
     /// The covariance of one instant's pose step (ω, τ), given that of the global parameters.
-    pub(crate) fn instant_covariance(&self, instant: usize, global: &DMatrix<f64>) -> Option<Matrix6<f64>> {
+    pub(crate) fn instant_covariance(
+        &self,
+        instant: usize,
+        global: &DMatrix<f64>,
+    ) -> Option<Matrix6<f64>> {
         self.pose_covariance(instant, global, None)
     }
 
-    /// As [`Self::instant_covariance`], of the board's pose as a sensor sees it that has a pose of its own: where that
-    /// lies among the global parameters, and A and B of [`chain`].
+    /// As [`Self::instant_covariance`], of the board's pose as a sensor sees it that has a pose of
+    /// its own: where that lies among the global parameters, and A and B of [`chain`].
     pub(crate) fn pose_covariance(
         &self,
         instant: usize,
@@ -267,7 +300,10 @@ impl NormalEquations {
 }
 
 /// A and B of δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
-pub(crate) fn chain(state: &State, (sensor, instant): (usize, usize)) -> (Matrix6<f64>, Matrix6<f64>) {
+pub(crate) fn chain(
+    state: &State,
+    (sensor, instant): (usize, usize),
+) -> (Matrix6<f64>, Matrix6<f64>) {
     let rotation = state.sensor_from_rig[sensor].rotation_matrix();
     let lever = rotation * state.rig_from_board[instant].translation();
     let mut by_sensor = Matrix6::identity();
@@ -286,8 +322,8 @@ fn dot6(a: &[f64; 6], b: &[f64; 6]) -> f64 {
     (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3]) + (a[4] * b[4] + a[5] * b[5])
 }
 
-/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. An instant that nothing
-/// sees (A = 0) gets an L that solves to 0.
+/// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. An
+/// instant that nothing sees (A = 0) gets an L that solves to 0.
 fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
     let mut factor = [[0.0; 6]; 6];
     if matrix.iter().flatten().all(|v| *v == 0.0) {

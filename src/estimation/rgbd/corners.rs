@@ -1,4 +1,5 @@
-//! What corners tell: lenses, the board's poses, where the infrared camera is, and by how much it is later.
+//! What corners tell: lenses, the board's poses, where the infrared camera is, and by how much it
+//! is later.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
@@ -31,7 +32,8 @@ pub(super) struct Corners {
 /// Corners further off than this many standard deviations take no part.
 const CORNER_LIMIT: f64 = 5.0;
 
-/// Infrared pictures whose board is further from colour's than this, as a χ² of six, are of another moment.
+/// Infrared pictures whose board is further from colour's than this, as a χ² of six, are of another
+/// moment.
 const VIEW_LIMIT: f64 = 36.0;
 
 /// How often noise, slack and what takes part are looked at again.
@@ -59,14 +61,16 @@ struct Problem {
 }
 
 impl Corners {
-    /// Two ways where the board's motion is known: each board moved on to when infrared was taken, or taken as it was for views
-    /// in which it stood still, the others left out. The one that knows the sensors' pose better is right: velocities can be
-    /// wrong where frames are far apart, and hardly a view may be still.
+    /// Two ways where the board's motion is known: each board moved on to when infrared was taken,
+    /// or taken as it was for views in which it stood still, the others left out. The one that
+    /// knows the sensors' pose better is right: velocities can be wrong where frames are far apart,
+    /// and hardly a view may be still.
     pub(super) fn fit(problem: &RgbdProblem) -> Option<Self> {
         let as_taken = Self::fit_one(&RgbdProblem { time_offset: None, ..problem.clone() });
         let Some(offset) = problem.time_offset else { return as_taken };
         let moved_on = Self::fit_one(problem);
-        let unsure = |corners: &Option<Self>| corners.as_ref().map_or(f64::INFINITY, Self::unsure_m2);
+        let unsure =
+            |corners: &Option<Self>| corners.as_ref().map_or(f64::INFINITY, Self::unsure_m2);
         if unsure(&moved_on) <= unsure(&as_taken) {
             return moved_on;
         }
@@ -80,22 +84,32 @@ impl Corners {
     }
 
     fn fit_one(problem: &RgbdProblem) -> Option<Self> {
-        let corners = || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
-        let center = corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>() / corners().count().max(1) as f64;
+        let corners =
+            || problem.views.iter().flat_map(|view| view.color.iter().chain(&view.infrared));
+        let center = corners().map(|c| c.point_in_board.coords).sum::<Vector3<f64>>()
+            / corners().count().max(1) as f64;
         let start = State {
             lenses: vec![problem.color, problem.depth.lens],
             sensor_from_rig: vec![Pose::identity(), problem.depth_from_color],
-            rig_from_board: problem.views.iter().map(|view| shifted(&view.color_from_board, &center)).collect(),
+            rig_from_board: problem
+                .views
+                .iter()
+                .map(|view| shifted(&view.color_from_board, &center))
+                .collect(),
             warp: [0.0; 2],
         };
-        let mut whole = Whole { rig: start, offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds) };
+        let mut whole = Whole {
+            rig: start,
+            offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
+        };
         let mut posed = Problem::of(problem, center);
         posed.start_slack(&whole);
         for _ in 0..ROUNDS {
             let equations = posed.linearized(&whole)?;
             let stepped = |whole: &Whole, step: &Step| posed.stepped(whole, step);
             let linearized = |whole: &Whole| posed.linearized(whole);
-            let count = posed.sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+            let count =
+                posed.sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
             whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
             if posed.look_again(&whole) {
                 break;
@@ -142,7 +156,10 @@ impl Problem {
         layout.len += usize::from(offset.is_some());
         let mut sights = Vec::new();
         for (instant, view) in problem.views.iter().enumerate() {
-            let seen = [(0, &view.color, problem.color_noise), (1, &view.infrared, problem.infrared_noise)];
+            let seen = [
+                (0, &view.color, problem.color_noise),
+                (1, &view.infrared, problem.infrared_noise),
+            ];
             for (sensor, corners, noise) in seen {
                 if corners.is_empty() || sensor >= layout.sensors.len() {
                     continue;
@@ -162,7 +179,14 @@ impl Problem {
             view.motion.filter(|_| offset.is_some()).map(|motion| motion.about(&lever))
         });
         let motions = motions.collect();
-        Self { layout, sights, motions, offset, slack: Slack { turn: 1e-10, shift: 1e-10 }, noise: 1.0 }
+        Self {
+            layout,
+            sights,
+            motions,
+            offset,
+            slack: Slack { turn: 1e-10, shift: 1e-10 },
+            noise: 1.0,
+        }
     }
 
     /// Each board where it was when infrared was taken, as far as its motion says.
@@ -194,8 +218,9 @@ impl Problem {
                 self.add_offset(&mut equations, state, sight, &local);
             }
             equations.cost += local.cost;
-            let chained =
-                self.layout.sensors[sight.sensor].pose_at.map(|_| chain(state, (sight.sensor, sight.instant)));
+            let chained = self.layout.sensors[sight.sensor]
+                .pose_at
+                .map(|_| chain(state, (sight.sensor, sight.instant)));
             equations.add(&self.layout, (sight.sensor, sight.instant), chained, &local);
         }
         if let Some((at, before)) = self.offset {
@@ -220,17 +245,33 @@ impl Problem {
         let sight = match sight.sensor {
             0 => sight,
             _ => {
-                let inverse_std = sight.inverse_std.iter().map(|inverse| inverse / self.noise).collect();
+                let inverse_std =
+                    sight.inverse_std.iter().map(|inverse| inverse / self.noise).collect();
                 weighted = Sight { inverse_std, ..sight.clone() };
                 &weighted
             }
         };
-        linearize_sight((&self.layout, state), sight, Loss::Squares, columns, (&mut residuals, local)).then_some(())
+        linearize_sight(
+            (&self.layout, state),
+            sight,
+            Loss::Squares,
+            columns,
+            (&mut residuals, local),
+        )
+        .then_some(())
     }
 
     /// The time's part of an infrared picture's equations: it moves the board by its motion.
-    fn add_offset(&self, equations: &mut NormalEquations, state: &State, sight: &Sight, local: &LocalEquations) {
-        let (Some((at, _)), Some(motion)) = (self.offset, self.motions[sight.instant]) else { return };
+    fn add_offset(
+        &self,
+        equations: &mut NormalEquations,
+        state: &State,
+        sight: &Sight,
+        local: &LocalEquations,
+    ) {
+        let (Some((at, _)), Some(motion)) = (self.offset, self.motions[sight.instant]) else {
+            return;
+        };
         let (by_sensor, by_board) = chain(state, (1, sight.instant));
         let velocity = by_board * Vector6::from_row_slice(&motion.step(1.0));
         let (square, gradient) = pose_part(local);
@@ -257,7 +298,8 @@ impl Problem {
         Some(Whole { rig, offset_s })
     }
 
-    /// How far infrared is from colour in each of its sights; `None` where colour saw nothing, or a sight takes no part at all.
+    /// How far infrared is from colour in each of its sights; `None` where colour saw nothing, or a
+    /// sight takes no part at all.
     fn apart(&self, whole: &Whole) -> Vec<Option<Apart>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
@@ -271,17 +313,17 @@ impl Problem {
             let part = linearized.then(|| pose_part(&local));
             if sight.sensor == 0 {
                 let (_, by_board) = chain(&later, (1, sight.instant));
-                let inverse = part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
-                by_color[sight.instant] = inverse.map(|inverse| by_board * inverse * by_board.transpose());
+                let inverse =
+                    part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
+                by_color[sight.instant] =
+                    inverse.map(|inverse| by_board * inverse * by_board.transpose());
                 found.push(None);
             } else {
                 let both = part.zip(by_color[sight.instant]);
                 let variances = self.variances(sight.instant);
-                found.push(
-                    both.and_then(|((square, gradient), by_color)| {
-                        Apart::of((&square, &gradient), &by_color, variances)
-                    }),
-                );
+                found.push(both.and_then(|((square, gradient), by_color)| {
+                    Apart::of((&square, &gradient), &by_color, variances)
+                }));
             }
         }
         found
@@ -311,16 +353,21 @@ impl Problem {
                 if let Some(apart) = apart {
                     let slack: [f64; 6] = apart.slack.into();
                     let moved_pose = moved(&state.sensor_from_board(1, sight.instant), &slack);
-                    state.rig_from_board[sight.instant] = state.sensor_from_rig[1].inverse() * moved_pose;
+                    state.rig_from_board[sight.instant] =
+                        state.sensor_from_rig[1].inverse() * moved_pose;
                 }
                 state.residuals(&self.layout, sight)
             })
             .collect();
-        let together = |apart: &Option<Apart>| apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT);
+        let together =
+            |apart: &Option<Apart>| apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT);
         let infrared = self.sights.iter().zip(&residuals).zip(&apart);
         let infrared = infrared.filter(|((sight, _), apart)| sight.sensor == 1 && together(apart));
-        let noise = median(infrared.map(|((_, residuals), _)| rms(residuals)).collect()).unwrap_or(1.0).max(1.0);
-        let slack = self.slack.next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
+        let noise = median(infrared.map(|((_, residuals), _)| rms(residuals)).collect())
+            .unwrap_or(1.0)
+            .max(1.0);
+        let slack =
+            self.slack.next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
         let mut settled = (noise / self.noise - 1.0).abs() < 0.02 && slack.is_near(self.slack);
         for ((sight, residuals), apart) in self.sights.iter_mut().zip(&residuals).zip(&apart) {
             let limit = CORNER_LIMIT * if sight.sensor == 1 { noise } else { 1.0 };
@@ -334,7 +381,8 @@ impl Problem {
         settled || self.layout.sensors.len() == 1
     }
 
-    /// Each board where infrared saw it: by its motion and its slack, or by infrared alone where that is of another moment.
+    /// Each board where infrared saw it: by its motion and its slack, or by infrared alone where
+    /// that is of another moment.
     fn at_depth(&self, whole: &Whole) -> State {
         let mut later = self.later(whole);
         for (sight, apart) in self.sights.iter().zip(self.apart(whole)) {
@@ -349,7 +397,8 @@ impl Problem {
 
     /// The instants whose infrared picture takes no part.
     fn instants_apart(&self) -> Vec<usize> {
-        let unused = self.sights.iter().filter(|sight| sight.sensor == 1 && !sight.used.contains(&true));
+        let unused =
+            self.sights.iter().filter(|sight| sight.sensor == 1 && !sight.used.contains(&true));
         unused.map(|sight| sight.instant).collect()
     }
 }

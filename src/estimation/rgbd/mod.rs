@@ -1,10 +1,12 @@
-//! Colour, infrared and depth as one instrument: lenses, where the sensors are, and the depth camera's systematic error, with
-//! the covariance of what follows from it.
+//! Colour, infrared and depth as one instrument: lenses, where the sensors are, and the depth
+//! camera's systematic error, with the covariance of what follows from it.
 //!
-//! Corners and planes are not weighed against each other: a depth camera's unknown systematic error is as large as what its
-//! planes could add to corners, and would bend the lenses towards it. So corners (colour, and infrared where it sees the
-//! board) come first and decide lenses, poses and the sensors' pose; planes then tell what is left: the correction, and for a
-//! camera without an infrared picture its lens and pose. The covariance of the corners' answer is carried into the planes'.
+//! Corners and planes are not weighed against each other: a depth camera's unknown systematic error
+//! is as large as what its planes could add to corners, and would bend the lenses towards it. So
+//! corners (colour, and infrared where it sees the board) come first and decide lenses, poses and
+//! the sensors' pose; planes then tell what is left: the correction, and for a camera without an
+//! infrared picture its lens and pose. The covariance of the corners' answer is carried into the
+//! planes'.
 //!
 //! The depth picture is the infrared camera's where there is one: they share lens and pose.
 
@@ -72,7 +74,8 @@ pub struct RgbdProblem {
     pub infrared_noise: f64,
     /// About where the sensors are.
     pub depth_from_color: Pose,
-    /// About by how much infrared and depth are taken later than colour, where that is known at all.
+    /// About by how much infrared and depth are taken later than colour, where that is known at
+    /// all.
     pub time_offset: Option<TimeOffset>,
     /// In what a correction makes sense for this device; empty for none.
     pub corrected: Vec<CorrectedQuantity>,
@@ -87,7 +90,8 @@ pub struct RgbdEstimate {
     pub color: Lens,
     /// Covariance of its parameters.
     pub color_covariance: DMatrix<f64>,
-    /// The depth camera: its lens, and its correction where one is better on views that were not fitted to.
+    /// The depth camera: its lens, and its correction where one is better on views that were not
+    /// fitted to.
     pub depth: DepthCamera,
     /// Covariance of its lens's parameters; zero where they were known.
     pub depth_covariance: DMatrix<f64>,
@@ -105,7 +109,8 @@ pub struct RgbdEstimate {
     pub following: f64,
     /// By how much tiles scatter more than their own readings do.
     pub tile_noise: f64,
-    /// View by view, what each tile was and should have been, with its noise; without tiles that lie off the plane.
+    /// View by view, what each tile was and should have been, with its noise; without tiles that
+    /// lie off the plane.
     pub judged: Vec<Vec<JudgedTile>>,
     /// How smooth the correction was taken to be.
     pub smoothness: Smoothness,
@@ -122,17 +127,23 @@ const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, bend: 0.01 };
 pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationError> {
     let with_depth = problem.views.iter().filter(|view| !view.tiles.is_empty()).count();
     if with_depth < 3 {
-        return Err(EstimationError::TooFewViews { usable: with_depth, needed: 3, rejected: String::new() });
+        return Err(EstimationError::TooFewViews {
+            usable: with_depth,
+            needed: 3,
+            rejected: String::new(),
+        });
     }
     let corners = Corners::fit(problem).ok_or(EstimationError::NoFit)?;
     let mut planes = Planes::of(problem, &corners);
     let size = problem.depth.image_size;
     let quantity = problem.corrected.first().copied().unwrap_or(CorrectedQuantity::InverseDepth);
-    // A constant scale and offset first, so that a wrong unit moves neither the depth camera's lens nor its pose.
+    // A constant scale and offset first, so that a wrong unit moves neither the depth camera's lens
+    // nor its pose.
     let terms = if problem.corrected.is_empty() { 0 } else { 2 };
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };
-    let mut fit = planes.fit(&corners.depth_state, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
+    let mut fit =
+        planes.fit(&corners.depth_state, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
     let (mut smoothness, mut tried) = (BASE_SMOOTHNESS, Vec::new());
     for _ in 0..rounds {
         let (chosen, all) = choose_correction(&planes.judged(&fit), size, &problem.corrected);
@@ -141,12 +152,13 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
         fit = planes.fit(&fit.state, correction, smooth).ok_or(EstimationError::NoFit)?;
         (smoothness, tried) = (smooth, all);
     }
-    // Where the form of the correction decides, and not the views, the difference is part of what is not known.
+    // Where the form of the correction decides, and not the views, the difference is part of what
+    // is not known.
     let other = match problem.depth_lens {
         DepthLens::Infrared => None,
-        DepthLens::FromPlanes | DepthLens::Known => {
-            fit.other_form().and_then(|form| Planes::of(problem, &corners).fit(&fit.state, form, smoothness))
-        }
+        DepthLens::FromPlanes | DepthLens::Known => fit
+            .other_form()
+            .and_then(|form| Planes::of(problem, &corners).fit(&fit.state, form, smoothness)),
     };
     planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
 }
@@ -159,5 +171,8 @@ fn free(lens: &Lens, end: usize) -> FreeLens {
 
 /// The pose of a board whose points are counted from `center`.
 fn shifted(camera_from_board: &Pose, center: &Vector3<f64>) -> Pose {
-    Pose::new(camera_from_board.rotation(), camera_from_board.translation() + *camera_from_board * *center)
+    Pose::new(
+        camera_from_board.rotation(),
+        camera_from_board.translation() + *camera_from_board * *center,
+    )
 }

@@ -1,10 +1,12 @@
-//! The board's motion from poses in time order, and by how much a second sensor takes its pictures later than the first.
+//! The board's motion from poses in time order, and by how much a second sensor takes its pictures
+//! later than the first.
 //!
-//! With u the board's velocity (a turn and a shift) in the second sensor's frame when the first takes its picture, and T the
-//! sensors' pose, a picture that is taken by δ later shows the board at T · first_from_board moved by δ · u. Both δ and what
-//! T is off by are linear in how far that is from where the second sensor sees the board. Velocities come from cubic splines
-//! through the first sensor's poses: their slope follows motion up to the rate of the frames, where differences of
-//! neighbours flatten it.
+//! With u the board's velocity (a turn and a shift) in the second sensor's frame when the first
+//! takes its picture, and T the sensors' pose, a picture that is taken by δ later shows the board
+//! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
+//! is from where the second sensor sees the board. Velocities come from cubic splines through the
+//! first sensor's poses: their slope follows motion up to the rate of the frames, where differences
+//! of neighbours flatten it.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -37,12 +39,14 @@ const GAP: f64 = 2.5;
 /// The longest time between poses that tell of a velocity, in seconds.
 const LONGEST_S: f64 = 0.5;
 
-/// The board's motion at each of `moments` (time in seconds, rising, and where the board was); `None` at the ends of a motion
-/// and where frames are missing.
+/// The board's motion at each of `moments` (time in seconds, rising, and where the board was);
+/// `None` at the ends of a motion and where frames are missing.
 pub fn board_motions(moments: &[(f64, Pose)]) -> Vec<Option<BoardMotion>> {
     let mut motions = vec![None; moments.len()];
     let gaps: Vec<f64> = moments.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    let Some(usual) = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect()) else { return motions };
+    let Some(usual) = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect()) else {
+        return motions;
+    };
     let together = |gap: f64| gap > 0.0 && gap <= (GAP * usual).min(LONGEST_S);
     let mut first = 0;
     for end in 1..=moments.len() {
@@ -66,16 +70,28 @@ fn numbers(a_from_b: &Pose) -> [f64; 12] {
 fn spline_motions(moments: &[(f64, Pose)], motions: &mut [Option<BoardMotion>]) {
     let rows: Vec<[f64; 12]> = moments.iter().map(|(_, pose)| numbers(pose)).collect();
     let slopes: Vec<Vec<f64>> = (0..12)
-        .map(|k| slopes(&moments.iter().zip(&rows).map(|((time, _), row)| (*time, row[k])).collect::<Vec<_>>()))
+        .map(|k| {
+            slopes(
+                &moments
+                    .iter()
+                    .zip(&rows)
+                    .map(|((time, _), row)| (*time, row[k]))
+                    .collect::<Vec<_>>(),
+            )
+        })
         .collect();
     for index in 1..moments.len() - 1 {
         let by_time = Matrix3::from_fn(|i, j| slopes[3 * i + j][index]);
         let rotation = moments[index].1.rotation_matrix();
-        // Ṙ Rᵀ is the matrix of the cross product with the turn, but for the spline's own small errors.
+        // Ṙ Rᵀ is the matrix of the cross product with the turn, but for the spline's own small
+        // errors.
         let spin = by_time * rotation.transpose();
         motions[index] = Some(BoardMotion {
-            turn: Vector3::new(spin[(2, 1)] - spin[(1, 2)], spin[(0, 2)] - spin[(2, 0)], spin[(1, 0)] - spin[(0, 1)])
-                * 0.5,
+            turn: Vector3::new(
+                spin[(2, 1)] - spin[(1, 2)],
+                spin[(0, 2)] - spin[(2, 0)],
+                spin[(1, 0)] - spin[(0, 1)],
+            ) * 0.5,
             shift: Vector3::from_fn(|k, _| slopes[9 + k][index]),
         });
     }
@@ -117,25 +133,28 @@ pub struct SeenByBoth {
 /// At least this many moments tell of a time.
 const LEAST_MOMENTS: usize = 8;
 
-/// A moment is of another picture altogether if it is off by this many standard deviations, and by this many times what the
-/// time that was found explains.
+/// A moment is of another picture altogether if it is off by this many standard deviations, and by
+/// this many times what the time that was found explains.
 const LIMIT: [f64; 2] = [6.0, 2.0];
 
 /// The median of χ² with six degrees of freedom.
 const MEDIAN_OF_SIX: f64 = 5.348;
 
-/// By how much the second sensor is later, given about where it is. `center` is the board's middle and `radius` about its half
-/// width, in metres: the length that weighs turns against shifts. `None` for too few moments, or a board that never moves.
+/// By how much the second sensor is later, given about where it is. `center` is the board's middle
+/// and `radius` about its half width, in metres: the length that weighs turns against shifts.
+/// `None` for too few moments, or a board that never moves.
 ///
-/// Frames too far apart to follow the motion leave velocities too high at one moment and too low at the next, which cancel in
-/// least squares but not in a robust fit. So moments count alike, but for pictures of another moment, and the variance is
-/// that of what is left (H. White, *A heteroskedasticity-consistent covariance matrix estimator*, 1980).
+/// Frames too far apart to follow the motion leave velocities too high at one moment and too low at
+/// the next, which cancel in least squares but not in a robust fit. So moments count alike, but for
+/// pictures of another moment, and the variance is that of what is left (H. White, *A
+/// heteroskedasticity-consistent covariance matrix estimator*, 1980).
 pub fn time_offset(
     second_from_first: &Pose,
     moments: &[SeenByBoth],
     (center, radius): (Vector3<f64>, f64),
 ) -> Option<TimeOffset> {
-    let rows: Vec<Moment> = moments.iter().map(|seen| Moment::of(second_from_first, seen, &center, radius)).collect();
+    let rows: Vec<Moment> =
+        moments.iter().map(|seen| Moment::of(second_from_first, seen, &center, radius)).collect();
     let mut weights = vec![1.0; rows.len()];
     let mut fit = solve(&rows, &weights)?;
     for _ in 0..20 {
@@ -146,13 +165,16 @@ pub fn time_offset(
     }
     for _ in 0..3 {
         let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.0).norm()).collect();
-        let usual = (median(lengths.iter().map(|length| length * length).collect())? / MEDIAN_OF_SIX).sqrt();
+        let usual = (median(lengths.iter().map(|length| length * length).collect())?
+            / MEDIAN_OF_SIX)
+            .sqrt();
         let usual_speed = median(rows.iter().map(|row| row.speed).collect())?;
         let explained = |row: &Moment| fit.0[6].abs() * (row.speed + usual_speed);
         let wrong = |(row, length): (&Moment, &f64)| {
             *length > LIMIT[0] * usual * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
         };
-        weights = rows.iter().zip(&lengths).map(|pair| if wrong(pair) { 0.0 } else { 1.0 }).collect();
+        weights =
+            rows.iter().zip(&lengths).map(|pair| if wrong(pair) { 0.0 } else { 1.0 }).collect();
         fit = solve(&rows, &weights)?;
     }
     if weights.iter().filter(|weight| **weight > 0.0).count() < LEAST_MOMENTS {
@@ -169,10 +191,15 @@ pub fn time_offset(
     }
     let std_s = (inverse * spread * inverse)[(6, 6)].max(0.0).sqrt();
     let jitter_s = (left / moved.max(f64::MIN_POSITIVE)).sqrt();
-    (answer[6].is_finite() && std_s.is_finite()).then_some(TimeOffset { seconds: answer[6], std_s, jitter_s })
+    (answer[6].is_finite() && std_s.is_finite()).then_some(TimeOffset {
+        seconds: answer[6],
+        std_s,
+        jitter_s,
+    })
 }
 
-/// How far apart the two sensors see the board at one moment, in metres (turns times the radius), and by what.
+/// How far apart the two sensors see the board at one moment, in metres (turns times the radius),
+/// and by what.
 struct Moment {
     apart: SVector<f64, 6>,
     /// By a turn and a shift of the sensors' pose, and by time.
@@ -185,14 +212,17 @@ impl Moment {
     fn of(second_from_first: &Pose, seen: &SeenByBoth, center: &Vector3<f64>, radius: f64) -> Self {
         let expected = *second_from_first * seen.first_from_board;
         let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * *center;
-        let turn = (seen.second_from_board.rotation() * expected.rotation().inverse()).scaled_axis() * radius;
+        let turn = (seen.second_from_board.rotation() * expected.rotation().inverse())
+            .scaled_axis()
+            * radius;
         let shift = middle(&seen.second_from_board) - middle(&expected);
         let lever = middle(&expected) - second_from_first.translation();
         let motion = seen.motion.in_frame(second_from_first).about(&(expected * *center));
         let (spin, speed) = (motion.turn * radius, motion.shift);
         let mut by = SMatrix::<f64, 6, 7>::zeros();
         by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * radius));
-        by.fixed_view_mut::<3, 3>(3, 0).copy_from(&-crate::estimation::joint::linearize::cross(&lever));
+        by.fixed_view_mut::<3, 3>(3, 0)
+            .copy_from(&-crate::estimation::joint::linearize::cross(&lever));
         by.fixed_view_mut::<3, 3>(3, 3).copy_from(&Matrix3::identity());
         by.fixed_view_mut::<3, 1>(0, 6).copy_from(&spin);
         by.fixed_view_mut::<3, 1>(3, 6).copy_from(&speed);
@@ -221,7 +251,8 @@ impl BoardMotion {
         Self { turn: *other_from_this * self.turn, shift: *other_from_this * self.shift }
     }
 
-    /// The motion with the velocity of a point that is `lever` away from the origin, in the same frame.
+    /// The motion with the velocity of a point that is `lever` away from the origin, in the same
+    /// frame.
     pub(crate) fn about(&self, lever: &Vector3<f64>) -> Self {
         Self { turn: self.turn, shift: self.shift + self.turn.cross(lever) }
     }
@@ -248,7 +279,8 @@ mod tests {
 
     #[test]
     fn motion_is_the_poses_slope_and_a_gap_ends_it() {
-        let times: Vec<f64> = (0..40).map(|k| f64::from(k) / 30.0 + if k >= 20 { 2.0 } else { 0.0 }).collect();
+        let times: Vec<f64> =
+            (0..40).map(|k| f64::from(k) / 30.0 + if k >= 20 { 2.0 } else { 0.0 }).collect();
         let moments: Vec<(f64, Pose)> = times.iter().map(|time| (*time, pose(*time))).collect();
         let motions = board_motions(&moments);
         for (index, (time, at)) in moments.iter().enumerate() {
@@ -261,20 +293,30 @@ mod tests {
             let shift = (later.translation() - at.translation()) * 1e6;
             let near_end = [1, 18, 21, 38].contains(&index);
             let limit = if near_end { 0.05 } else { 0.01 };
-            assert!((motion.turn - turn).norm() < limit && (motion.shift - shift).norm() < limit, "{index} {motion:?}");
+            assert!(
+                (motion.turn - turn).norm() < limit && (motion.shift - shift).norm() < limit,
+                "{index} {motion:?}"
+            );
         }
         assert_eq!(board_motions(&moments[..3]), [None; 3]);
     }
 
     #[test]
     fn the_time_between_two_sensors_is_found_with_their_pose_off() {
-        let truth = Pose::from_axis_angle(Vector3::new(0.01, -0.02, 0.005), Vector3::new(-0.025, 0.001, 0.002));
-        let assumed = Pose::from_axis_angle(Vector3::new(0.012, -0.019, 0.005), Vector3::new(-0.026, 0.001, 0.003));
+        let truth = Pose::from_axis_angle(
+            Vector3::new(0.01, -0.02, 0.005),
+            Vector3::new(-0.025, 0.001, 0.002),
+        );
+        let assumed = Pose::from_axis_angle(
+            Vector3::new(0.012, -0.019, 0.005),
+            Vector3::new(-0.026, 0.001, 0.003),
+        );
         let center = Vector3::new(0.16, 0.1, 0.0);
-        let moments: Vec<(f64, Pose)> = (0..60).map(|k| f64::from(k) / 15.0).map(|time| (time, pose(time))).collect();
+        let moments: Vec<(f64, Pose)> =
+            (0..60).map(|k| f64::from(k) / 15.0).map(|time| (time, pose(time))).collect();
         for offset_s in [-0.02, 0.0, 0.012] {
-            let both =
-                moments.iter().zip(board_motions(&moments)).enumerate().filter_map(|(k, ((time, at), motion))| {
+            let both = moments.iter().zip(board_motions(&moments)).enumerate().filter_map(
+                |(k, ((time, at), motion))| {
                     // Every tenth picture is of another moment altogether.
                     let late = if k % 10 == 7 { 0.3 } else { offset_s };
                     Some(SeenByBoth {
@@ -282,7 +324,8 @@ mod tests {
                         motion: motion?,
                         second_from_board: truth * pose(time + late),
                     })
-                });
+                },
+            );
             let found = time_offset(&assumed, &both.collect::<Vec<_>>(), (center, 0.2)).unwrap();
             assert!((found.seconds - offset_s).abs() < 3e-4, "{found:?} not {offset_s}");
             assert!(found.std_s < 1e-3, "{found:?}");

@@ -1,6 +1,7 @@
-//! What planes tell: the correction of depth, and for a depth camera without an infrared picture its lens and pose. The board's
-//! poses are those of the corners: held where infrared sees them too, else moved within what the corners leave open, so that
-//! a far board's uncertain tilt does not bend the lens.
+//! What planes tell: the correction of depth, and for a depth camera without an infrared picture
+//! its lens and pose. The board's poses are those of the corners: held where infrared sees them
+//! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
+//! not bend the lens.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
@@ -29,7 +30,8 @@ pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     layout: Layout,
     planes: Vec<PlaneSight>,
-    /// Each board's pose by corners with its normal equations, where planes may move it within what corners leave open.
+    /// Each board's pose by corners with its normal equations, where planes may move it within what
+    /// corners leave open.
     anchors: Option<Vec<Anchor>>,
 }
 
@@ -57,15 +59,16 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// The correction's form with one power less, unfitted, where there is one that is still a scale and an offset.
+    /// The correction's form with one power less, unfitted, where there is one that is still a
+    /// scale and an offset.
     pub(super) fn other_form(&self) -> Option<DepthCorrection> {
         let DepthCorrection { quantity, terms, grid, seen_m, .. } = self.correction;
         (terms > 2).then(|| DepthCorrection::none(quantity, terms - 1, grid, seen_m))
     }
 }
 
-/// A lens or pose that the form of the correction moves by more than this many standard deviations is known no better than
-/// that.
+/// A lens or pose that the form of the correction moves by more than this many standard deviations
+/// is known no better than that.
 const FORM_LIMIT: f64 = 3.0;
 
 impl<'a> Planes<'a> {
@@ -74,9 +77,15 @@ impl<'a> Planes<'a> {
         let depth_lens = &corners.state.lenses[1];
         let color = SensorLayout { lens: known(&problem.color), lens_at: 0, pose_at: None };
         let depth = match problem.depth_lens {
-            DepthLens::Infrared => SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: None },
-            DepthLens::FromPlanes => SensorLayout { lens: free(depth_lens, 4), lens_at: 0, pose_at: Some(4) },
-            DepthLens::Known => SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: Some(0) },
+            DepthLens::Infrared => {
+                SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: None }
+            }
+            DepthLens::FromPlanes => {
+                SensorLayout { lens: free(depth_lens, 4), lens_at: 0, pose_at: Some(4) }
+            }
+            DepthLens::Known => {
+                SensorLayout { lens: known(depth_lens), lens_at: 0, pose_at: Some(0) }
+            }
         };
         let len = depth.lens.free.len() + if depth.pose_at.is_some() { 6 } else { 0 };
         let inverse_std = |tile: &DepthTile| {
@@ -84,7 +93,8 @@ impl<'a> Planes<'a> {
             let reading_std = tile.reading_std.hypot(step / 12.0_f64.sqrt());
             1.0 / (reading_std * (1.0 / f64::from(tile.count)).sqrt().max(LEAST_READING_STDS))
         };
-        let with_depth = problem.views.iter().enumerate().filter(|(_, view)| !view.tiles.is_empty());
+        let with_depth =
+            problem.views.iter().enumerate().filter(|(_, view)| !view.tiles.is_empty());
         let planes = with_depth.map(|(instant, view)| {
             let tiles = [view.tiles.as_slice(), &view.surround].concat();
             PlaneSight {
@@ -100,33 +110,46 @@ impl<'a> Planes<'a> {
             square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
         };
         let each = corners.depth_state.rig_from_board.iter().zip(&corners.equations.instants);
-        let anchors = (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
+        let anchors =
+            (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
         let layout = Layout { sensors: vec![color, depth], warp: None, len };
         Self { problem, layout, planes: planes.collect(), anchors }
     }
 
     /// The nearest and the farthest depth that was measured.
     pub(super) fn seen_m(&self) -> [f64; 2] {
-        let depths = || self.planes.iter().flat_map(|plane| &plane.tiles).map(|tile| 1.0 / tile.inverse_depth);
+        let depths = || {
+            self.planes.iter().flat_map(|plane| &plane.tiles).map(|tile| 1.0 / tile.inverse_depth)
+        };
         [depths().fold(f64::INFINITY, f64::min), depths().fold(0.0, f64::max)]
     }
 
-    /// Fits a correction of this form, and lens and pose where they are the planes' to tell. Tiles are weighted by what
-    /// they turn out to scatter, and those off the plane left out.
-    pub(super) fn fit(&mut self, start: &State, correction: DepthCorrection, smoothness: Smoothness) -> Option<Fit> {
+    /// Fits a correction of this form, and lens and pose where they are the planes' to tell. Tiles
+    /// are weighted by what they turn out to scatter, and those off the plane left out.
+    pub(super) fn fit(
+        &mut self,
+        start: &State,
+        correction: DepthCorrection,
+        smoothness: Smoothness,
+    ) -> Option<Fit> {
         let at = self.layout.len;
         let prior = Prior::of(&correction, smoothness);
         let layout = Layout { len: at + correction.coefficients.len(), ..self.layout.clone() };
         let mut whole = Whole { rig: start.clone(), correction };
         let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
         for round in 0..6 {
-            let planes: Vec<PlaneSight> = self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
+            let planes: Vec<PlaneSight> =
+                self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();
-            let linearized = |whole: &Whole| linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0);
+            let linearized = |whole: &Whole| {
+                linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0)
+            };
             let stepped = |whole: &Whole, step: &Step| {
                 let rig = whole.rig.stepped(&layout, &step.global, &step.instants)?;
                 let mut correction = whole.correction.clone();
-                for (coefficient, step) in correction.coefficients.iter_mut().zip(&step.global[at..]) {
+                for (coefficient, step) in
+                    correction.coefficients.iter_mut().zip(&step.global[at..])
+                {
                     *coefficient += step;
                 }
                 Some(Whole { rig, correction })
@@ -136,7 +159,8 @@ impl<'a> Planes<'a> {
                 let start = linearized(&whole)?;
                 whole = walk((whole, start), count, Stop::default(), (linearized, stepped)).0;
             }
-            let (at_end, residuals) = self::linearized(&layout, (&whole, &prior), at, (&planes, anchors))?;
+            let (at_end, residuals) =
+                self::linearized(&layout, (&whole, &prior), at, (&planes, anchors))?;
             equations = Some(at_end);
             let before = tile_noise;
             let changed = self.select(&residuals, if round == 0 { 2.0 } else { 1.0 });
@@ -146,7 +170,13 @@ impl<'a> Planes<'a> {
                 break;
             }
         }
-        Some(Fit { state: whole.rig, correction: whole.correction, equations: equations?, tile_noise, together })
+        Some(Fit {
+            state: whole.rig,
+            correction: whole.correction,
+            equations: equations?,
+            tile_noise,
+            together,
+        })
     }
 
     /// Lets those tiles take part that lie on the plane; answers whether that changed.
@@ -167,22 +197,31 @@ impl<'a> Planes<'a> {
     /// Root mean square of the residuals of tiles that take part.
     fn scatter(&self, residuals: &[Vec<f64>]) -> f64 {
         let pairs = self.planes.iter().zip(residuals).flat_map(|(p, r)| p.used.iter().zip(r));
-        let (sum, count) =
-            pairs.filter(|(used, _)| **used).fold((0.0, 0), |(sum, count), (_, r)| (sum + r * r, count + 1));
+        let (sum, count) = pairs
+            .filter(|(used, _)| **used)
+            .fold((0.0, 0), |(sum, count), (_, r)| (sum + r * r, count + 1));
         (sum / f64::from(count.max(1))).sqrt()
     }
 
-    /// By how much the means over quarters of views scatter more than those of independent tiles; at least 1. Where the
-    /// correction leaves a systematic error, tiles next to each other share it, and count for less than their number.
+    /// By how much the means over quarters of views scatter more than those of independent tiles;
+    /// at least 1. Where the correction leaves a systematic error, tiles next to each other share
+    /// it, and count for less than their number.
     fn together(&self, residuals: &[Vec<f64>]) -> f64 {
         let (mut of_means, mut of_tiles, mut count) = (0.0, 0.0, 0.0);
         for (plane, residuals) in self.planes.iter().zip(residuals) {
-            let tiles = || plane.tiles.iter().zip(residuals).zip(&plane.used).filter(|(_, used)| **used);
-            let middle = |axis: fn(&DepthTile) -> f64| median(tiles().map(|((tile, _), _)| axis(tile)).collect());
-            let (Some(x), Some(y)) = (middle(|tile| tile.pixel.x), middle(|tile| tile.pixel.y)) else { continue };
+            let tiles =
+                || plane.tiles.iter().zip(residuals).zip(&plane.used).filter(|(_, used)| **used);
+            let middle = |axis: fn(&DepthTile) -> f64| {
+                median(tiles().map(|((tile, _), _)| axis(tile)).collect())
+            };
+            let (Some(x), Some(y)) = (middle(|tile| tile.pixel.x), middle(|tile| tile.pixel.y))
+            else {
+                continue;
+            };
             let mut quarters = [(0.0, 0.0); 4];
             for ((tile, residual), _) in tiles() {
-                let quarter = &mut quarters[usize::from(tile.pixel.x > x) + 2 * usize::from(tile.pixel.y > y)];
+                let quarter = &mut quarters
+                    [usize::from(tile.pixel.x > x) + 2 * usize::from(tile.pixel.y > y)];
                 *quarter = (quarter.0 + residual, quarter.1 + 1.0);
                 (of_tiles, count) = (of_tiles + residual * residual, count + 1.0);
             }
@@ -190,13 +229,16 @@ impl<'a> Planes<'a> {
             of_means += quarters.iter().map(mean_square).sum::<f64>();
         }
         let quarters = 4.0 * self.planes.len().max(1) as f64;
-        (of_means / quarters / (of_tiles / f64::max(count, 1.0)).max(f64::MIN_POSITIVE)).max(1.0).sqrt()
+        (of_means / quarters / (of_tiles / f64::max(count, 1.0)).max(f64::MIN_POSITIVE))
+            .max(1.0)
+            .sqrt()
     }
 
     /// Part of the board's own tiles that take part.
     fn following(&self) -> f64 {
-        let own =
-            self.planes.iter().flat_map(|plane| plane.used.iter().take(self.problem.views[plane.instant].tiles.len()));
+        let own = self.planes.iter().flat_map(|plane| {
+            plane.used.iter().take(self.problem.views[plane.instant].tiles.len())
+        });
         let (used, all) = own.fold((0, 0), |(used, all), one| (used + u32::from(*one), all + 1));
         f64::from(used) / f64::from(all.max(1))
     }
@@ -208,7 +250,9 @@ impl<'a> Planes<'a> {
             let depth_from_board = fit.state.sensor_from_board(1, plane.instant);
             let normal = depth_from_board * Vector3::z();
             let distance = normal.dot(&depth_from_board.translation());
-            for ((tile, inverse_std), used) in plane.tiles.iter().zip(&plane.inverse_std).zip(&plane.used) {
+            for ((tile, inverse_std), used) in
+                plane.tiles.iter().zip(&plane.inverse_std).zip(&plane.used)
+            {
                 if let (true, Some(ray)) = (used, ray(&fit.state.lenses[1], tile)) {
                     let inverse_std = inverse_std / fit.tile_noise;
                     views[plane.instant].push(JudgedTile {
@@ -222,17 +266,21 @@ impl<'a> Planes<'a> {
         views
     }
 
-    /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the corners' answer, which moves
-    /// all planes of a view together and, through colour's lens, those of all views.
+    /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the
+    /// corners' answer, which moves all planes of a view together and, through colour's lens, those
+    /// of all views.
     fn covariance(&self, corners: &Corners, fit: &Fit) -> Option<DMatrix<f64>> {
         let own = fit.equations.global_covariance()? * (fit.together * fit.together);
         let size = own.nrows();
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
-        // The planes' equations hold the corners' of each pose, and so its own scatter: what is left is that of colour's lens,
-        // which moves the corners' poses of all views.
+        // The planes' equations hold the corners' of each pose, and so its own scatter: what is
+        // left is that of colour's lens, which moves the corners' poses of all views.
         for (instant, block) in fit.equations.instants.iter().enumerate() {
-            let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else { continue };
-            let (planes, corners) = (fit.equations.coupling_of(instant), corners.equations.coupling_of(instant));
+            let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else {
+                continue;
+            };
+            let (planes, corners) =
+                (fit.equations.coupling_of(instant), corners.equations.coupling_of(instant));
             let coupled = DMatrix::from_fn(size, 6, |k, a| planes[k][a]);
             let inverse = factor.inverse();
             let inverse = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]);
@@ -244,7 +292,8 @@ impl<'a> Planes<'a> {
         Some(own + &moved * &corners.covariance * moved.transpose())
     }
 
-    /// What another form of the correction does to lens and pose, as their variances; nothing where it is within chance.
+    /// What another form of the correction does to lens and pose, as their variances; nothing where
+    /// it is within chance.
     fn by_form(&self, fit: &Fit, other: Option<&Fit>, covariance: &DMatrix<f64>) -> DMatrix<f64> {
         let sensor = &self.layout.sensors[1];
         let mut step = nalgebra::DVector::zeros(covariance.nrows());
@@ -260,8 +309,13 @@ impl<'a> Planes<'a> {
                 (0..3).for_each(|k| (step[at + k], step[at + 3 + k]) = (turn[k], shift[k]));
             }
         }
-        let beyond_chance = (0..step.len()).any(|k| step[k].abs() > FORM_LIMIT * covariance[(k, k)].max(0.0).sqrt());
-        if beyond_chance { &step * step.transpose() } else { DMatrix::zeros(step.len(), step.len()) }
+        let beyond_chance = (0..step.len())
+            .any(|k| step[k].abs() > FORM_LIMIT * covariance[(k, k)].max(0.0).sqrt());
+        if beyond_chance {
+            &step * step.transpose()
+        } else {
+            DMatrix::zeros(step.len(), step.len())
+        }
     }
 
     pub(super) fn assemble(
@@ -274,15 +328,20 @@ impl<'a> Planes<'a> {
         let (depth_covariance, pose_covariance) = match corners.layout.sensors.get(1) {
             Some(sensor) => {
                 let pose_at = sensor.pose_at.unwrap_or(0);
-                (corners.lens_covariance(1), Matrix6::from_fn(|a, b| corners.covariance[(pose_at + a, pose_at + b)]))
+                (
+                    corners.lens_covariance(1),
+                    Matrix6::from_fn(|a, b| corners.covariance[(pose_at + a, pose_at + b)]),
+                )
             }
             None => {
                 let covariance = self.covariance(corners, fit).ok_or(EstimationError::NoFit)?;
                 let covariance = &covariance + self.by_form(fit, other, &covariance);
                 let sensor = &self.layout.sensors[1];
-                let (at, count, pose_at) = (sensor.lens_at, sensor.lens.free.len(), sensor.pose_at.unwrap_or(0));
+                let (at, count, pose_at) =
+                    (sensor.lens_at, sensor.lens.free.len(), sensor.pose_at.unwrap_or(0));
                 let spread = sensor.lens.spread(&lens);
-                let of_lens = &spread * covariance.view((at, at), (count, count)) * spread.transpose();
+                let of_lens =
+                    &spread * covariance.view((at, at), (count, count)) * spread.transpose();
                 (of_lens, Matrix6::from_fn(|a, b| covariance[(pose_at + a, pose_at + b)]))
             }
         };
@@ -309,8 +368,8 @@ impl<'a> Planes<'a> {
     }
 }
 
-/// The planes' normal equations with the prior of the correction, whose coefficients begin at global parameter `at`, and
-/// every tile's residual.
+/// The planes' normal equations with the prior of the correction, whose coefficients begin at
+/// global parameter `at`, and every tile's residual.
 fn linearized(
     layout: &Layout,
     (whole, prior): (&Whole, &Prior),
@@ -319,7 +378,8 @@ fn linearized(
 ) -> Option<(NormalEquations, Vec<Vec<f64>>)> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
     let sights = (planes, anchors.is_some());
-    let residuals = add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), sights);
+    let residuals =
+        add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), sights);
     for plane in planes {
         if let Some(anchor) = anchors.and_then(|anchors| anchors.get(plane.instant)) {
             let pose = &whole.rig.rig_from_board[plane.instant];
@@ -347,7 +407,8 @@ fn linearized(
 impl Anchor {
     /// Adds the corners' equations about their own answer.
     fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut InstantBlock) {
-        let turn = (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
+        let turn =
+            (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
         let shift = rig_from_board.translation() - self.rig_from_board.translation();
         let step = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
         let pull = self.square * step;
@@ -362,11 +423,14 @@ impl Anchor {
 }
 
 fn scaled(plane: &PlaneSight, noise: f64) -> PlaneSight {
-    PlaneSight { inverse_std: plane.inverse_std.iter().map(|s| s / noise).collect(), ..plane.clone() }
+    PlaneSight {
+        inverse_std: plane.inverse_std.iter().map(|s| s / noise).collect(),
+        ..plane.clone()
+    }
 }
 
-/// How the inverse of a pose moves when the pose is moved by (ω, τ): ω' = −Rᵀω, τ' = −Rᵀτ + t' × Rᵀω with t' the
-/// inverse's translation.
+/// How the inverse of a pose moves when the pose is moved by (ω, τ): ω' = −Rᵀω, τ' = −Rᵀτ + t' ×
+/// Rᵀω with t' the inverse's translation.
 fn inverse_step(a_from_b: &Pose) -> Matrix6<f64> {
     let inverse = a_from_b.inverse();
     let rotation = inverse.rotation_matrix();

@@ -1,16 +1,19 @@
-//! What may be between the board's pose when colour was taken and when infrared was: each view's own small turn and shift
-//! (ω, τ), Gaussian about nothing (or about what the board's motion says), with variances that the views themselves tell.
+//! What may be between the board's pose when colour was taken and when infrared was: each view's
+//! own small turn and shift (ω, τ), Gaussian about nothing (or about what the board's motion says),
+//! with variances that the views themselves tell.
 //!
-//! The slack of a view is eliminated from its normal equations, where it takes away what they cannot know:
-//! H − H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point (*Bayesian interpolation*, 1992): the sum of
-//! squares over the number of well determined parameters.
+//! The slack of a view is eliminated from its normal equations, where it takes away what they
+//! cannot know: H − H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point
+//! (*Bayesian interpolation*, 1992): the sum of squares over the number of well determined
+//! parameters.
 
 use nalgebra::{Matrix6, Vector6};
 
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::robust::median;
 
-/// Variances of the slack that all views share: of the turn about each axis in rad², of the shift along each in m².
+/// Variances of the slack that all views share: of the turn about each axis in rad², of the shift
+/// along each in m².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Slack {
     pub(super) turn: f64,
@@ -20,9 +23,10 @@ pub(super) struct Slack {
 /// A variance that stands for none.
 const NONE: f64 = 1e-16;
 
-/// By how much a variance must make what was seen likelier, as a natural logarithm, to be taken for more than chance: of views
-/// without any slack, about one set in forty shows as much (half a χ² of one, at the edge of what a variance can be: S. Self and
-/// K.-Y. Liang, *Asymptotic properties of maximum likelihood estimators under nonstandard conditions*, 1987).
+/// By how much a variance must make what was seen likelier, as a natural logarithm, to be taken for
+/// more than chance: of views without any slack, about one set in forty shows as much (half a χ² of
+/// one, at the edge of what a variance can be: S. Self and K.-Y. Liang, *Asymptotic properties of
+/// maximum likelihood estimators under nonstandard conditions*, 1987).
 const LEAST_GAIN: f64 = 2.0;
 
 impl Slack {
@@ -37,7 +41,8 @@ impl Slack {
     pub(super) fn of_middle(apart: &[Apart]) -> Self {
         const MEDIAN_OF_THREE: f64 = 2.366;
         let middle = |from: usize| {
-            let squares = apart.iter().map(|a| a.apart.fixed_rows::<3>(from).norm_squared()).collect();
+            let squares =
+                apart.iter().map(|a| a.apart.fixed_rows::<3>(from).norm_squared()).collect();
             (median(squares).unwrap_or(0.0) / MEDIAN_OF_THREE).max(NONE)
         };
         Self { turn: middle(0), shift: middle(3) }
@@ -52,7 +57,8 @@ impl Slack {
             for view in apart.clone() {
                 let own = view.slack.fixed_rows::<3>(from).norm_squared();
                 let prior = view.prior.fixed_rows::<3>(from).sum() / 3.0;
-                let left = (0..3).map(|k| view.posterior[(from + k, from + k)] / prior).sum::<f64>();
+                let left =
+                    (0..3).map(|k| view.posterior[(from + k, from + k)] / prior).sum::<f64>();
                 // What the view's own motion explains is not shared by all.
                 squares += own * variance / prior;
                 determined += (3.0 - left).max(0.0);
@@ -62,9 +68,14 @@ impl Slack {
         Self { turn: of(0, self.turn), shift: of(3, self.shift) }.where_shown(&apart, self)
     }
 
-    /// Without what the views do not show: a variance that only followed chance would make the sensors' pose look less certain
-    /// than it is. `held` are the variances that the views' own spread was told with.
-    fn where_shown<'a>(mut self, apart: &(impl Iterator<Item = &'a Apart> + Clone), held: Self) -> Self {
+    /// Without what the views do not show: a variance that only followed chance would make the
+    /// sensors' pose look less certain than it is. `held` are the variances that the views' own
+    /// spread was told with.
+    fn where_shown<'a>(
+        mut self,
+        apart: &(impl Iterator<Item = &'a Apart> + Clone),
+        held: Self,
+    ) -> Self {
         let likelihood = |slack: Self| -> f64 {
             let (turn, shift) = (slack.turn - held.turn, slack.shift - held.shift);
             apart.clone().map(|view| view.likelihood(turn, shift)).sum()
@@ -100,8 +111,8 @@ pub(super) struct Apart {
 }
 
 impl Apart {
-    /// From infrared's equations (its pose's square and gradient), what colour says of the pose in infrared's frame, and the
-    /// slack's variances.
+    /// From infrared's equations (its pose's square and gradient), what colour says of the pose in
+    /// infrared's frame, and the slack's variances.
     pub(super) fn of(
         (square, gradient): (&Matrix6<f64>, &Vector6<f64>),
         by_color: &Matrix6<f64>,
@@ -118,7 +129,8 @@ impl Apart {
         Some(Self { apart, slack, prior, posterior, measured, surprise })
     }
 
-    /// The logarithm of how likely it is, up to a constant, with variances of turn and shift that are larger than the prior's.
+    /// The logarithm of how likely it is, up to a constant, with variances of turn and shift that
+    /// are larger than the prior's.
     fn likelihood(&self, turn: f64, shift: f64) -> f64 {
         let more = Vector6::new(turn, turn, turn, shift, shift, shift);
         let prior = (self.prior + more).map(|variance| variance.max(NONE));

@@ -40,7 +40,10 @@ impl PlaneDistortion<5> for Brown {
         let factor = self.radial_factor(r2);
         let slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + 3.0 * r2 * self.k3));
         let (ax, ay) = (r2 + 2.0 * xx, r2 + 2.0 * yy);
-        let bent = Vector2::new(factor * x + 2.0 * p1 * xy + p2 * ax, factor * y + p1 * ay + 2.0 * p2 * xy);
+        let bent = Vector2::new(
+            factor * x + 2.0 * p1 * xy + p2 * ax,
+            factor * y + p1 * ay + 2.0 * p2 * xy,
+        );
         let across = slope * xy + 2.0 * (p1 * x + p2 * y);
         let by_ideal = Matrix2::new(
             factor + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x,
@@ -48,8 +51,18 @@ impl PlaneDistortion<5> for Brown {
             across,
             factor + slope * yy + 6.0 * p1 * y + 2.0 * p2 * x,
         );
-        let by_coefficients =
-            SMatrix::<f64, 2, 5>::new(x * r2, x * r4, 2.0 * xy, ax, x * r6, y * r2, y * r4, ay, 2.0 * xy, y * r6);
+        let by_coefficients = SMatrix::<f64, 2, 5>::new(
+            x * r2,
+            x * r4,
+            2.0 * xy,
+            ax,
+            x * r6,
+            y * r2,
+            y * r4,
+            ay,
+            2.0 * xy,
+            y * r6,
+        );
         (bent, by_ideal, by_coefficients)
     }
 }

@@ -1,18 +1,20 @@
-//! Many points through a distortion at once: columns of numbers, so that the loop over points becomes vector code.
+//! Many points through a distortion at once: columns of numbers, so that the loop over points
+//! becomes vector code.
 
 use nalgebra::Point3;
 
 use crate::geometry::lens::DistortionModel;
 
-/// Distorted normalised coordinates of many points, with their derivatives: each quantity is one column over the points.
+/// Distorted normalised coordinates of many points, with their derivatives: each quantity is one
+/// column over the points.
 #[derive(Debug, Clone, Default)]
 pub struct DistortedColumns {
     len: usize,
     values: Vec<f64>,
 }
 
-/// Column numbers: x_d, y_d, six of (x_d, y_d) by the point, row by row, one that is 1 inside the valid region and 0
-/// outside; then for each coefficient x_d and y_d by it.
+/// Column numbers: x_d, y_d, six of (x_d, y_d) by the point, row by row, one that is 1 inside the
+/// valid region and 0 outside; then for each coefficient x_d and y_d by it.
 const BY_POINT: usize = 2;
 const INSIDE: usize = 8;
 const BY_COEFFICIENT: usize = 9;
@@ -31,18 +33,24 @@ fn copy(from: &[f64], to: &mut [f64]) {
 
 impl DistortedColumns {
     #[inline(always)]
-    pub(super) fn fill<const N: usize>(&mut self, model: &impl DistortionModel<N>, points: [&[f64]; 3]) {
+    pub(super) fn fill<const N: usize>(
+        &mut self,
+        model: &impl DistortionModel<N>,
+        points: [&[f64]; 3],
+    ) {
         self.len = points.iter().map(|column| column.len()).min().unwrap_or(0);
         self.values.resize((BY_COEFFICIENT + 2 * N) * self.len, 0.0);
         // Arrays of known size and place: nothing to check inside the loop.
         let mut block = [[1.0; BLOCK]; 3];
-        let (mut fixed, mut by_coefficients) = ([[0.0; BLOCK]; BY_COEFFICIENT], [[[0.0; BLOCK]; 2]; N]);
+        let (mut fixed, mut by_coefficients) =
+            ([[0.0; BLOCK]; BY_COEFFICIENT], [[[0.0; BLOCK]; 2]; N]);
         for from in (0..self.len).step_by(BLOCK) {
             for (block, column) in block.iter_mut().zip(points) {
                 copy(&column[from..], block);
             }
             for k in 0..BLOCK {
-                let (distorted, inside) = model.distort_or_axis(&Point3::new(block[0][k], block[1][k], block[2][k]));
+                let (distorted, inside) =
+                    model.distort_or_axis(&Point3::new(block[0][k], block[1][k], block[2][k]));
                 fixed[0][k] = distorted.normalized.x;
                 fixed[1][k] = distorted.normalized.y;
                 for c in 0..3 {
@@ -82,7 +90,8 @@ impl DistortedColumns {
         [self.column(first), self.column(first + 1)]
     }
 
-    /// 1 for a point inside the lens's valid region, 0 for one outside, whose other columns have no meaning.
+    /// 1 for a point inside the lens's valid region, 0 for one outside, whose other columns have no
+    /// meaning.
     pub fn inside(&self) -> &[f64] {
         self.column(INSIDE)
     }

@@ -8,10 +8,12 @@ use crate::geometry::lens::{Distorted, DistortionModel};
 use crate::geometry::pixel::Bearing;
 use crate::geometry::polynomial;
 
-/// With θ the angle off the axis: θ_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), (x_d, y_d) = θ_d (X, Y)/√(X² + Y²).
+/// With θ the angle off the axis: θ_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), (x_d, y_d) = θ_d (X,
+/// Y)/√(X² + Y²).
 ///
-/// J. Kannala and S. Brandt, *A generic camera model and calibration method*, PAMI 2006, eq. 3 with its leading factor
-/// taken into fx and fy. Sees points beside and behind the camera, up to where θ_d stops rising.
+/// J. Kannala and S. Brandt, *A generic camera model and calibration method*, PAMI 2006, eq. 3 with
+/// its leading factor taken into fx and fy. Sees points beside and behind the camera, up to where
+/// θ_d stops rising.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KannalaBrandt {
     k: [f64; 4],
@@ -67,14 +69,19 @@ impl DistortionModel<4> for KannalaBrandt {
         if radius == 0.0 {
             let by_point = Matrix2x3::new(1.0 / z, 0.0, 0.0, 0.0, 1.0 / z, 0.0);
             return (
-                Distorted { normalized: Vector2::zeros(), by_point, by_coefficients: SMatrix::zeros() },
+                Distorted {
+                    normalized: Vector2::zeros(),
+                    by_point,
+                    by_coefficients: SMatrix::zeros(),
+                },
                 inside.is_some(),
             );
         }
         let distorted = self.distorted_angle(angle);
         let direction = Vector2::new(x, y) / radius;
         let distance2 = radius * radius + z * z;
-        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction turns by 1/radius.
+        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction turns by
+        // 1/radius.
         let radial = self.slope(angle) / distance2;
         let across = distorted / radius;
         let (c, s) = (direction.x, direction.y);
@@ -121,6 +128,10 @@ impl DistortionModel<4> for KannalaBrandt {
             }
         }
         let (sin, cos) = angle.sin_cos();
-        Some(Unit::new_normalize(Vector3::new(distorted.x / radius * sin, distorted.y / radius * sin, cos)))
+        Some(Unit::new_normalize(Vector3::new(
+            distorted.x / radius * sin,
+            distorted.y / radius * sin,
+            cos,
+        )))
     }
 }

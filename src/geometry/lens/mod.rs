@@ -1,15 +1,17 @@
 //! Lenses: from a point in the camera frame to a pixel, and back.
 //!
-//! A [`Lens`] is a [`CameraMatrix`] behind a [`Distortion`]. A distortion maps a point to *distorted normalised
-//! coordinates* (metres at unit distance), the camera matrix maps those to pixels:
+//! A [`Lens`] is a [`CameraMatrix`] behind a [`Distortion`]. A distortion maps a point to
+//! *distorted normalised coordinates* (metres at unit distance), the camera matrix maps those to
+//! pixels:
 //!
 //! ```text
 //! point in camera --Distortion--> (x_d, y_d) --CameraMatrix--> pixel
 //! ```
 //!
-//! One model a file; a new one is a file, an arm of [`Distortion`], and a line of the conformance tests.
-//! Every model knows its *valid region*: the largest connected set around the optical axis in which it is one-to-one.
-//! Outside it, projecting and unprojecting answer `None` instead of a plausible wrong number.
+//! One model a file; a new one is a file, an arm of [`Distortion`], and a line of the conformance
+//! tests. Every model knows its *valid region*: the largest connected set around the optical axis
+//! in which it is one-to-one. Outside it, projecting and unprojecting answer `None` instead of a
+//! plausible wrong number.
 
 mod brown;
 pub mod columns;
@@ -45,7 +47,8 @@ pub trait DistortionModel<const N: usize>: Sized {
     /// Its coefficients.
     fn coefficients(&self) -> [f64; N];
 
-    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid region.
+    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid
+    /// region.
     fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>>;
 
     /// As [`Self::distort`], with its derivatives.
@@ -54,8 +57,8 @@ pub trait DistortionModel<const N: usize>: Sized {
         inside.then_some(distorted)
     }
 
-    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region; if not, the derivatives are
-    /// those at some point inside, finite and without meaning.
+    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region; if
+    /// not, the derivatives are those at some point inside, finite and without meaning.
     fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<N>, bool);
 
     /// The direction that [`Self::distort`] maps to `distorted`; `None` outside the valid region.
@@ -90,7 +93,8 @@ pub enum LensModel {
 
 impl LensModel {
     /// Every model, fewest parameters first.
-    pub const ALL: [Self; 5] = [Self::Pinhole, Self::Radial, Self::KannalaBrandt, Self::Brown, Self::Rational];
+    pub const ALL: [Self; 5] =
+        [Self::Pinhole, Self::Radial, Self::KannalaBrandt, Self::Brown, Self::Rational];
 
     /// Its name in documents.
     pub fn name(self) -> &'static str {
@@ -158,10 +162,18 @@ impl Distortion {
     /// The model `model` with `coefficients`; `None` if their number is not the model's.
     pub fn from_coefficients(model: LensModel, coefficients: &[f64]) -> Option<Self> {
         Some(match model {
-            LensModel::Pinhole => Self::Pinhole(Pinhole::from_coefficients(coefficients.try_into().ok()?)),
-            LensModel::Radial => Self::Radial(Radial::from_coefficients(coefficients.try_into().ok()?)),
-            LensModel::Brown => Self::Brown(Brown::from_coefficients(coefficients.try_into().ok()?)),
-            LensModel::Rational => Self::Rational(Rational::from_coefficients(coefficients.try_into().ok()?)),
+            LensModel::Pinhole => {
+                Self::Pinhole(Pinhole::from_coefficients(coefficients.try_into().ok()?))
+            }
+            LensModel::Radial => {
+                Self::Radial(Radial::from_coefficients(coefficients.try_into().ok()?))
+            }
+            LensModel::Brown => {
+                Self::Brown(Brown::from_coefficients(coefficients.try_into().ok()?))
+            }
+            LensModel::Rational => {
+                Self::Rational(Rational::from_coefficients(coefficients.try_into().ok()?))
+            }
             LensModel::KannalaBrandt => {
                 Self::KannalaBrandt(KannalaBrandt::from_coefficients(coefficients.try_into().ok()?))
             }
@@ -184,7 +196,8 @@ impl Distortion {
         with_model!(self, model => model.coefficients().to_vec())
     }
 
-    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid region.
+    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid
+    /// region.
     pub fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
         with_model!(self, model => model.distort(point_in_camera))
     }
@@ -211,7 +224,8 @@ pub struct Projection {
     pub pixel: Pixel,
     /// Pixels by the point in the camera frame (per metre).
     pub by_point: Matrix2x3<f64>,
-    /// Pixels by each lens parameter, in the order of [`Lens::parameters`]; columns past the lens's own are zero.
+    /// Pixels by each lens parameter, in the order of [`Lens::parameters`]; columns past the lens's
+    /// own are zero.
     pub by_parameters: SMatrix<f64, 2, MAX_PARAMETERS>,
 }
 
@@ -241,16 +255,17 @@ impl Lens {
         parameters
     }
 
-    /// The lens of `model` with `parameters`, in the order of [`Self::parameter_names`]; `None` if their number is wrong.
+    /// The lens of `model` with `parameters`, in the order of [`Self::parameter_names`]; `None` if
+    /// their number is wrong.
     pub fn from_parameters(model: LensModel, parameters: &[f64]) -> Option<Self> {
         let [fx, fy, cx, cy, skew, coefficients @ ..] = parameters else { return None };
         let matrix = CameraMatrix { fx: *fx, fy: *fy, cx: *cx, cy: *cy, skew: *skew };
         Some(Self { matrix, distortion: Distortion::from_coefficients(model, coefficients)? })
     }
 
-    /// Where a point of the camera frame (metres) is seen; `None` outside the lens's valid region (for every model but
-    /// [`KannalaBrandt`] that includes all points with z ≤ 0). Agrees with OpenCV's `projectPoints` and
-    /// `fisheye::projectPoints` inside it.
+    /// Where a point of the camera frame (metres) is seen; `None` outside the lens's valid region
+    /// (for every model but [`KannalaBrandt`] that includes all points with z ≤ 0). Agrees with
+    /// OpenCV's `projectPoints` and `fisheye::projectPoints` inside it.
     pub fn pixel_from_point(&self, point_in_camera: &Point3<f64>) -> Option<Pixel> {
         Some(self.matrix.pixel_from_normalized(self.distortion.distort(point_in_camera)?))
     }
@@ -260,7 +275,8 @@ impl Lens {
         self.distortion.undistort(self.matrix.normalized_from_pixel(pixel))
     }
 
-    /// Distorted normalised coordinates of many points, with their derivatives, as columns; see [`DistortedColumns`].
+    /// Distorted normalised coordinates of many points, with their derivatives, as columns; see
+    /// [`DistortedColumns`].
     #[inline(always)]
     pub fn distort_columns(&self, points_in_camera: [&[f64]; 3], columns: &mut DistortedColumns) {
         with_model!(&self.distortion, model => columns.fill(model, points_in_camera));
@@ -281,7 +297,9 @@ impl Lens {
         by_parameters[(0, 2)] = 1.0;
         by_parameters[(1, 3)] = 1.0;
         by_parameters[(0, 4)] = y;
-        by_parameters.columns_mut(5, N).copy_from(&(pixel_by_normalized * distorted.by_coefficients));
+        by_parameters
+            .columns_mut(5, N)
+            .copy_from(&(pixel_by_normalized * distorted.by_coefficients));
         Projection {
             pixel: self.matrix.pixel_from_normalized(distorted.normalized),
             by_point: pixel_by_normalized * distorted.by_point,

@@ -33,8 +33,16 @@ impl DistortionModel<0> for Pinhole {
         let seen = (point_in_camera.z > 0.0) & x.is_finite() & y.is_finite();
         let inverse_z = if seen { inverse_z } else { 1.0 };
         let (x, y) = if seen { (x, y) } else { (0.0, 0.0) };
-        let by_point = Matrix2x3::new(inverse_z, 0.0, -x * inverse_z, 0.0, inverse_z, -y * inverse_z);
-        (Distorted { normalized: Vector2::new(x, y), by_point, by_coefficients: SMatrix::zeros() }, seen)
+        let by_point =
+            Matrix2x3::new(inverse_z, 0.0, -x * inverse_z, 0.0, inverse_z, -y * inverse_z);
+        (
+            Distorted {
+                normalized: Vector2::new(x, y),
+                by_point,
+                by_coefficients: SMatrix::zeros(),
+            },
+            seen,
+        )
     }
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {

@@ -1,6 +1,7 @@
 //! What the models share that bend the image *plane*: pinhole, radial, brown, rational.
 //!
-//! Such a model maps ideal normalised coordinates (x/z, y/z) to distorted ones, and is one-to-one up to a largest radius.
+//! Such a model maps ideal normalised coordinates (x/z, y/z) to distorted ones, and is one-to-one
+//! up to a largest radius.
 
 use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
 
@@ -18,14 +19,19 @@ pub(super) trait PlaneDistortion<const N: usize> {
     /// The square of the ideal radius at which the model folds over; at most `MAX_RADIUS`².
     fn radius2_limit(&self) -> f64;
 
-    /// The radial factor d in (x_d, y_d) = d · (x, y) without tangential terms, at squared radius `r2`.
+    /// The radial factor d in (x_d, y_d) = d · (x, y) without tangential terms, at squared radius
+    /// `r2`.
     fn radial_factor(&self, r2: f64) -> f64;
 
-    /// The distorted coordinates of ideal ones, their 2×2 derivative, and the derivative by the coefficients.
+    /// The distorted coordinates of ideal ones, their 2×2 derivative, and the derivative by the
+    /// coefficients.
     fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, N>);
 }
 
-pub(super) fn distort<const N: usize>(model: &impl PlaneDistortion<N>, point: &Point3<f64>) -> Option<Vector2<f64>> {
+pub(super) fn distort<const N: usize>(
+    model: &impl PlaneDistortion<N>,
+    point: &Point3<f64>,
+) -> Option<Vector2<f64>> {
     let ideal = ideal_from_point(model, point)?;
     let (bent, by_ideal, _) = model.bend(ideal);
     (by_ideal.determinant() > 0.0).then_some(bent)
@@ -56,7 +62,10 @@ pub(super) fn distort_or_axis<const N: usize>(
     )
 }
 
-fn ideal_from_point<const N: usize>(model: &impl PlaneDistortion<N>, point: &Point3<f64>) -> Option<Vector2<f64>> {
+fn ideal_from_point<const N: usize>(
+    model: &impl PlaneDistortion<N>,
+    point: &Point3<f64>,
+) -> Option<Vector2<f64>> {
     // Written so that NaN fails too.
     if !(point.z > 0.0) {
         return None;
@@ -65,8 +74,12 @@ fn ideal_from_point<const N: usize>(model: &impl PlaneDistortion<N>, point: &Poi
     (ideal.norm_squared() < model.radius2_limit()).then_some(ideal)
 }
 
-/// Newton's method on the plane from the radial solution, which lies on the invertible branch by construction.
-pub(super) fn undistort<const N: usize>(model: &impl PlaneDistortion<N>, distorted: Vector2<f64>) -> Option<Bearing> {
+/// Newton's method on the plane from the radial solution, which lies on the invertible branch by
+/// construction.
+pub(super) fn undistort<const N: usize>(
+    model: &impl PlaneDistortion<N>,
+    distorted: Vector2<f64>,
+) -> Option<Bearing> {
     let radius = distorted.norm();
     if !radius.is_finite() {
         return None;
@@ -90,7 +103,9 @@ pub(super) fn undistort<const N: usize>(model: &impl PlaneDistortion<N>, distort
         ) / determinant;
         let size = step.norm();
         // Converged: the steps are at the rounding of the coordinates and no longer shrink.
-        if size <= 1e-15 * (1.0 + ideal.norm()) || (size < 1e-12 * (1.0 + ideal.norm()) && size >= best) {
+        if size <= 1e-15 * (1.0 + ideal.norm())
+            || (size < 1e-12 * (1.0 + ideal.norm()) && size >= best)
+        {
             let inside = ideal.norm_squared() < model.radius2_limit();
             return inside.then(|| Unit::new_normalize(Vector3::new(ideal.x, ideal.y, 1.0)));
         }
@@ -104,7 +119,8 @@ pub(super) fn undistort<const N: usize>(model: &impl PlaneDistortion<N>, distort
     None
 }
 
-/// The ideal radius whose distorted radius is `radius`, on the branch around the axis; the limit itself beyond it.
+/// The ideal radius whose distorted radius is `radius`, on the branch around the axis; the limit
+/// itself beyond it.
 fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, limit: f64) -> f64 {
     let distorted_radius = |r: f64| r * model.radial_factor(r * r);
     let (mut low, mut high) = (0.0, radius.min(limit));
@@ -116,7 +132,8 @@ fn radial_inverse<const N: usize>(model: &impl PlaneDistortion<N>, radius: f64, 
         high = (high * 2.0).min(limit * (1.0 - 1e-6));
     }
     // False position by the Illinois rule: an end that stays twice counts half.
-    let (mut at_low, mut at_high, mut moved) = (distorted_radius(low) - radius, distorted_radius(high) - radius, 0);
+    let (mut at_low, mut at_high, mut moved) =
+        (distorted_radius(low) - radius, distorted_radius(high) - radius, 0);
     if at_high <= NEARLY * radius {
         return high;
     }

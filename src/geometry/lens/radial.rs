@@ -28,8 +28,12 @@ impl PlaneDistortion<1> for Radial {
         let factor = self.radial_factor(r2);
         let slope = 2.0 * self.k1;
         let across = slope * ideal.x * ideal.y;
-        let by_ideal =
-            Matrix2::new(factor + slope * ideal.x * ideal.x, across, across, factor + slope * ideal.y * ideal.y);
+        let by_ideal = Matrix2::new(
+            factor + slope * ideal.x * ideal.x,
+            across,
+            across,
+            factor + slope * ideal.y * ideal.y,
+        );
         (ideal * factor, by_ideal, ideal * r2)
     }
 }

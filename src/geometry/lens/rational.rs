@@ -7,8 +7,8 @@ use crate::geometry::lens::{Distorted, DistortionModel};
 use crate::geometry::pixel::Bearing;
 use crate::geometry::polynomial;
 
-/// [`crate::geometry::lens::Brown`] with d = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6 r⁶): OpenCV's
-/// `CALIB_RATIONAL_MODEL`, in its order k1, k2, p1, p2, k3, k4, k5, k6.
+/// [`crate::geometry::lens::Brown`] with d = (1 + k1 r² + k2 r⁴ + k3 r⁶) / (1 + k4 r² + k5 r⁴ + k6
+/// r⁶): OpenCV's `CALIB_RATIONAL_MODEL`, in its order k1, k2, p1, p2, k3, k4, k5, k6.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Rational {
     numerator: [f64; 4],
@@ -25,7 +25,11 @@ impl Rational {
         let slope = |c: &[f64; 4]| c[1] + r2 * (2.0 * c[2] + 3.0 * r2 * c[3]);
         let denominator = polynomial::evaluate(&self.denominator, r2);
         let factor = polynomial::evaluate(&self.numerator, r2) / denominator;
-        (factor, (slope(&self.numerator) - factor * slope(&self.denominator)) / denominator, denominator)
+        (
+            factor,
+            (slope(&self.numerator) - factor * slope(&self.denominator)) / denominator,
+            denominator,
+        )
     }
 }
 
@@ -48,7 +52,10 @@ impl PlaneDistortion<8> for Rational {
         let (factor, half_slope, denominator) = self.factor_and_slope(r2);
         let slope = 2.0 * half_slope;
         let (ax, ay) = (r2 + 2.0 * xx, r2 + 2.0 * yy);
-        let bent = Vector2::new(factor * x + 2.0 * p1 * xy + p2 * ax, factor * y + p1 * ay + 2.0 * p2 * xy);
+        let bent = Vector2::new(
+            factor * x + 2.0 * p1 * xy + p2 * ax,
+            factor * y + p1 * ay + 2.0 * p2 * xy,
+        );
         let across = slope * xy + 2.0 * (p1 * x + p2 * y);
         let by_ideal = Matrix2::new(
             factor + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x,
