@@ -43,7 +43,7 @@ struct Case {
     distortion: f64,
     /// Quality of a JPEG that the picture goes through.
     jpeg: Option<u8>,
-    /// A grey bar over the board: left, top, right, bottom.
+    /// A gray bar over the board: left, top, right, bottom.
     bar: Option<[u32; 4]>,
 }
 

@@ -37,7 +37,7 @@
 //!
 //! # Words
 //!
-//! *device* (hardware), *source* (yields frames), *sensor* (colour, infrared, depth), *frame* (one
+//! *device* (hardware), *source* (yields frames), *sensor* (color, infrared, depth), *frame* (one
 //! image), *frame set* (taken together), *detection* (a board found), *view* (a detection kept),
 //! *session* (collecting towards one result), *solve* (the computation), *calibration* (the
 //! result), *recording* (frames on disk), *space* (where coordinates live).

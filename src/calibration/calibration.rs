@@ -79,7 +79,7 @@ pub struct SensorCalibration {
     pub views: Vec<CalibratedView>,
     /// Lens models that were compared, when the choice was left to the solve; empty otherwise.
     pub compared: Vec<ComparedLens>,
-    /// How far the board was bowed at its middle along its x and its y, in metres, where that was
+    /// How far the board was bowed at its middle along its x and its y, in meters, where that was
     /// estimated.
     pub board_warp_m: Option<[f64; 2]>,
 }
@@ -87,7 +87,7 @@ pub struct SensorCalibration {
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ProjectionUncertainty {
-    /// At the image's centre.
+    /// At the image's center.
     pub center: f64,
     /// The median over the image.
     pub median: f64,
@@ -119,7 +119,7 @@ pub struct Extrinsics {
     pub target_from_source: Pose,
     /// Standard deviation of the rotation about each axis, in radians.
     pub rotation_std: [f64; 3],
-    /// Standard deviation of the translation, in metres.
+    /// Standard deviation of the translation, in meters.
     pub translation_std_m: [f64; 3],
 }
 

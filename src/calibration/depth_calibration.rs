@@ -19,7 +19,7 @@ pub struct DepthCalibration {
     pub bias: Vec<DepthBias>,
     /// The noise of single readings.
     pub noise: DepthNoise,
-    /// By how much its pictures are taken later than colour's, where the board's motion tells.
+    /// By how much its pictures are taken later than color's, where the board's motion tells.
     pub time_offset: Option<PictureDelay>,
 }
 
@@ -35,15 +35,15 @@ pub struct PictureDelay {
 /// The mean error of depth in one range of distances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthBias {
-    /// From this distance, in metres.
+    /// From this distance, in meters.
     pub from_m: f64,
     /// To this one.
     pub to_m: f64,
-    /// As the device gives it: measured − true, in metres.
+    /// As the device gives it: measured − true, in meters.
     pub before_m: f64,
-    /// Corrected by what was fitted to other views, in metres.
+    /// Corrected by what was fitted to other views, in meters.
     pub after_m: f64,
-    /// Root mean square over the patches of what is left, in metres.
+    /// Root mean square over the patches of what is left, in meters.
     pub rms_after_m: f64,
     /// Patches of the board that tell.
     pub patches: u32,
@@ -52,14 +52,14 @@ pub struct DepthBias {
 /// σ(z) = constant + quadratic · z².
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DepthNoise {
-    /// In metres.
+    /// In meters.
     pub constant_m: f64,
     /// In 1/m.
     pub quadratic_per_m: f64,
 }
 
 impl DepthNoise {
-    /// Standard deviation of one reading at `z_m`, in metres.
+    /// Standard deviation of one reading at `z_m`, in meters.
     pub fn at(self, z_m: f64) -> f64 {
         self.constant_m + self.quadratic_per_m * z_m * z_m
     }

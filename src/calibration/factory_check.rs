@@ -1,8 +1,8 @@
 //! What the factory says of a depth camera, beside what was found: which of the two is closer to
 //! the board on views that the latter was not fitted to.
 //!
-//! The board's planes are colour's alone, so that they lean to neither. Every view is judged by
-//! what the other half of the views gives; the factory's is given by none. Colour's own lens, which
+//! The board's planes are color's alone, so that they lean to neither. Every view is judged by
+//! what the other half of the views gives; the factory's is given by none. Color's own lens, which
 //! may be off by what its corners leave open, scales all of its planes alike: what was found
 //! follows that, so that it must be better by more.
 
@@ -25,7 +25,7 @@ pub struct FactoryCheck {
     pub own: f64,
     /// How many views tell.
     pub views: usize,
-    /// What colour's own lens leaves open of all distances, as a part of them: one standard
+    /// What color's own lens leaves open of all distances, as a part of them: one standard
     /// deviation.
     pub open: f64,
     /// The estimate with depth's lens, pose and error as the factory has them, where that is no
@@ -33,7 +33,7 @@ pub struct FactoryCheck {
     pub kept: Option<Box<RgbdEstimate>>,
 }
 
-/// What was found must be better by this many standard deviations of what colour's lens leaves
+/// What was found must be better by this many standard deviations of what color's lens leaves
 /// open.
 const SURE: f64 = 2.0;
 
@@ -86,7 +86,7 @@ impl FactoryCheck {
         let factory = percent(self.factory);
         match (self.kept.is_some(), self.own.is_finite()) {
             (true, true) => format!(
-                "the factory's depth calibration is kept: on {views} views depth lies {factory} of the distance off the board by it, {} by what other views give, where colour's own lens leaves {} open",
+                "the factory's depth calibration is kept: on {views} views depth lies {factory} of the distance off the board by it, {} by what other views give, where color's own lens leaves {} open",
                 percent(self.own),
                 percent(self.open)
             ),
@@ -126,7 +126,7 @@ impl Squares {
     }
 }
 
-/// Each patch of the board with the 1/z that colour's plane has there.
+/// Each patch of the board with the 1/z that color's plane has there.
 fn planes<'a>(
     view: &'a RgbdView,
     lens: &'a Lens,

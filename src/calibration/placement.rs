@@ -140,7 +140,7 @@ pub(crate) mod tests {
     pub(crate) const SIZE: ImageSize = ImageSize::new(640, 480);
 
     /// What a perfect detector sees of a 9×6 board of 25 mm squares, its middle at `position`
-    /// (metres in the camera frame), turned by `axis_angle` about its middle.
+    /// (meters in the camera frame), turned by `axis_angle` about its middle.
     pub(crate) fn detection_at(position: Vector3<f64>, axis_angle: Vector3<f64>) -> Detection {
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
         let matrix = CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 };

@@ -1,4 +1,4 @@
-//! How far depth is off the board's plane, as colour sees it, reading by reading.
+//! How far depth is off the board's plane, as color sees it, reading by reading.
 
 use nalgebra::{Point3, Vector3};
 
@@ -8,7 +8,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::imaging::depth_image::DepthImage;
 
-/// Measured less true depth at each pixel of a depth picture, in metres, row by row; NaN beside the
+/// Measured less true depth at each pixel of a depth picture, in meters, row by row; NaN beside the
 /// board, and where nothing was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneError {
@@ -23,7 +23,7 @@ pub struct PlaneError {
 /// The board's surface reaches this many squares past its outer inner corners.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// The error of `picture` (whose reading `invalid` means none) on a board that colour sees at
+/// The error of `picture` (whose reading `invalid` means none) on a board that color sees at
 /// `color_from_board`.
 pub fn plane_error(
     (camera, color_from_depth): (&DepthCamera, &Pose),
@@ -61,7 +61,7 @@ pub fn plane_error(
     PlaneError { size: picture.size(), before_m, after_m }
 }
 
-/// Mean and root mean square of the errors that there are, in metres; `None` without any.
+/// Mean and root mean square of the errors that there are, in meters; `None` without any.
 pub fn mean_and_rms_m(errors_m: &[f32]) -> Option<[f64; 2]> {
     let known = || errors_m.iter().filter(|error| error.is_finite()).map(|error| f64::from(*error));
     let count = known().count();

@@ -1,4 +1,4 @@
-//! A calibration of colour, infrared and depth as one document.
+//! A calibration of color, infrared and depth as one document.
 
 use nalgebra::DMatrix;
 
@@ -9,7 +9,7 @@ use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
 
-/// `calibration`, which holds what colour gave by itself, with everything that the joint solve adds
+/// `calibration`, which holds what color gave by itself, with everything that the joint solve adds
 /// or makes surer.
 pub fn with_depth(
     mut calibration: Calibration,
@@ -53,18 +53,18 @@ pub fn with_depth(
     calibration
 }
 
-/// Views that colour tells nothing of, where they are many.
+/// Views that color tells nothing of, where they are many.
 pub fn without_color(input: &RgbdInput) -> Option<String> {
     let views =
         || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
     let (all, without) =
         (views().count(), views().filter(|capture| capture.color.is_empty()).count());
     (3 * without > all).then(|| {
-        format!("the board was not seen in colour in {without} of {all} views with depth: keep it within both pictures")
+        format!("the board was not seen in color in {without} of {all} views with depth: keep it within both pictures")
     })
 }
 
-/// Sensors whose distance along colour's axis is less sure than this, in metres, are worth telling
+/// Sensors whose distance along color's axis is less sure than this, in meters, are worth telling
 /// of.
 const WEAK_M: f64 = 0.005;
 
@@ -74,7 +74,7 @@ fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let std_mm = 1e3 * pose_std(&estimate.color_from_depth_covariance).1.z;
     (std_mm > 1e3 * WEAK_M).then(|| {
         format!(
-            "how far the depth camera stands back from colour's is known to {std_mm:.0} mm only, by planes alone, which cannot tell it from the focal length and the curve of depth's error; depth as corrected agrees with colour for all that: tilt the board more, near and far, or record infrared"
+            "how far the depth camera stands back from color's is known to {std_mm:.0} mm only, by planes alone, which cannot tell it from the focal length and the curve of depth's error; depth as corrected agrees with color for all that: tilt the board more, near and far, or record infrared"
         )
     })
 }
@@ -82,7 +82,7 @@ fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
 fn not_together(joint: &RgbdEstimate) -> String {
     let (apart, all) = (joint.not_together.len(), joint.color_from_board.len());
     format!(
-        "colour and depth of {apart} of {all} views are of different moments, and these take no part in where the sensors are: hold the board still, or let the device take both together"
+        "color and depth of {apart} of {all} views are of different moments, and these take no part in where the sensors are: hold the board still, or let the device take both together"
     )
 }
 

@@ -1,4 +1,4 @@
-//! Answers of the joint solve of colour and depth that fit, but cannot be: another unit, another
+//! Answers of the joint solve of color and depth that fit, but cannot be: another unit, another
 //! device, a mirrored picture.
 
 use crate::calibration::solve_rgbd::RgbdError;
@@ -20,7 +20,7 @@ const LEAST_FOLLOWING: f64 = 0.6;
 /// all patches.
 const MOST_LEFT: f64 = 0.02;
 
-/// Sensors of one device are not this far apart, in metres, and not turned this much, in degrees.
+/// Sensors of one device are not this far apart, in meters, and not turned this much, in degrees.
 const FURTHEST: (f64, f64) = (0.5, 45.0);
 
 /// # Errors

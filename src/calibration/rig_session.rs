@@ -402,12 +402,12 @@ const WANTED_SHARED: u32 = 6;
 
 /// What to do next for the camera that lacks most.
 fn next_step(members: &[SessionMember]) -> String {
-    if let Some(lonely) =
+    if let Some(isolated) =
         members.iter().find(|member| member.views_kept > 2 && member.views_shared < WANTED_SHARED)
     {
         return format!(
             "hold the board still where {} and another camera see all of it",
-            lonely.camera
+            isolated.camera
         );
     }
     let open = members.iter().filter(|member| !member.guidance.message.is_empty());

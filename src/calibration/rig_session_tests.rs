@@ -31,7 +31,7 @@ fn frame(time_ms: i64) -> FrameFacts {
     }
 }
 
-/// A board `across` metres to the right, `far` away, tilted.
+/// A board `across` meters to the right, `far` away, tilted.
 fn board(across: f64, far: f64, tilt: f64) -> Detection {
     detection_at(Vector3::new(across, 0.02, far), Vector3::new(tilt, 0.0, 0.0))
 }

@@ -1,5 +1,5 @@
 //! The estimate that a session shows while it collects: gone on from view to view, which costs a
-//! fraction of a solve, and made anew where going on is doubtful. The calibration itself never
+//! fraction of a solve, and made anew where going on is suspect. The calibration itself never
 //! comes this way: it is solved from nothing at the end.
 
 use crate::calibration::calibration::ProjectionUncertainty;
@@ -55,7 +55,7 @@ impl GoingOn {
     }
 
     /// The estimate of `problem` from here, its first views being those of this one; `None` where
-    /// it cannot be made or is doubtful.
+    /// it cannot be made or is suspect.
     fn go_on(&self, problem: &CameraProblem) -> Option<EstimateSoFar> {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =

@@ -1,7 +1,7 @@
-//! The right infrared sensor of a stereo depth camera: its lens, and where it is beside colour.
+//! The right infrared sensor of a stereo depth camera: its lens, and where it is beside color.
 //!
 //! Depth is measured in the left one's view, so that the right one adds nothing to depth: it is
-//! solved with colour alone, as a rig of two cameras.
+//! solved with color alone, as a rig of two cameras.
 
 use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::solve_rig::{RigCameraInput, RigError, RigInput, SolvedRig, solve_rig};
@@ -15,18 +15,18 @@ use crate::geometry::pixel::ImageSize;
 pub struct StereoCapture {
     /// Its path or sequence number.
     pub name: String,
-    /// The board in the colour picture; empty where it wasn't found.
+    /// The board in the color picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
     /// The board in the right infrared picture; empty where it wasn't found.
     pub infrared2: Vec<Correspondence>,
 }
 
-/// Colour and right infrared of one camera.
+/// Color and right infrared of one camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StereoInput {
     /// The board.
     pub board: Chessboard,
-    /// The size of the colour pictures.
+    /// The size of the color pictures.
     pub color_size: ImageSize,
     /// The size of the right infrared pictures.
     pub infrared2_size: ImageSize,
@@ -34,7 +34,7 @@ pub struct StereoInput {
     pub captures: Vec<StereoCapture>,
 }
 
-/// Solves colour and right infrared together, both with the lens model that colour has taken.
+/// Solves color and right infrared together, both with the lens model that color has taken.
 ///
 /// # Errors
 /// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
@@ -60,8 +60,8 @@ pub fn solve_second_infrared(
     solve_rig(&RigInput { board: input.board, cameras }, options)
 }
 
-/// `calibration`, which has colour, with its right infrared sensor and where that is; where it
-/// cannot be had, colour stays as it is and the verdict says why.
+/// `calibration`, which has color, with its right infrared sensor and where that is; where it
+/// cannot be had, color stays as it is and the verdict says why.
 pub fn with_second_infrared(
     mut calibration: Calibration,
     input: &StereoInput,
@@ -98,7 +98,7 @@ mod tests {
     const NOISE_PX: f64 = 0.05;
     const SIZE: ImageSize = ImageSize::new(640, 480);
 
-    /// A board that is turned and carried about before colour and, 75 mm beside it, right infrared.
+    /// A board that is turned and carried about before color and, 75 mm beside it, right infrared.
     fn input(color: &Lens, infrared2: &Lens, color_from_infrared2: Pose) -> StereoInput {
         let board = Chessboard::new(BoardSize::new(8, 5).unwrap(), 0.03).unwrap();
         let mut noise = rand_chacha::ChaCha8Rng::seed_from_u64(5);
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_right_sensor_is_placed_beside_colour() {
+    fn the_right_sensor_is_placed_beside_color() {
         let lens =
             |fx: f64| Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 322.0, cy: 238.0, skew: 0.0 });
         let truth = Pose::from_axis_angle(

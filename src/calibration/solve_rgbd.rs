@@ -1,4 +1,4 @@
-//! The solve of a camera with colour and depth: from corners and depth pictures to lenses, the
+//! The solve of a camera with color and depth: from corners and depth pictures to lenses, the
 //! sensors' pose, the depth camera's correction, and how far to trust them.
 
 use nalgebra::{Matrix6, Point3, Vector3};
@@ -48,13 +48,13 @@ pub struct DepthSensor {
 pub struct RgbdCapture {
     /// Its path or sequence number.
     pub name: String,
-    /// When the colour picture was taken, in seconds since any moment; `None` where times mean
+    /// When the color picture was taken, in seconds since any moment; `None` where times mean
     /// nothing.
     pub time_s: Option<f64>,
     /// Whether it is a view. Others tell how the board moved, and by how much the sensors are apart
     /// in time.
     pub is_view: bool,
-    /// The board in the colour picture; empty where it wasn't found.
+    /// The board in the color picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
     /// The board in the infrared picture; empty where it wasn't found.
     pub infrared: Vec<Correspondence>,
@@ -62,12 +62,12 @@ pub struct RgbdCapture {
     pub depth: Option<DepthImage>,
 }
 
-/// A camera with colour and depth to calibrate.
+/// A camera with color and depth to calibrate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdInput {
     /// The board.
     pub board: Chessboard,
-    /// The size of the colour pictures.
+    /// The size of the color pictures.
     pub color_size: ImageSize,
     /// What is known of the depth camera.
     pub depth: DepthSensor,
@@ -75,10 +75,10 @@ pub struct RgbdInput {
     pub captures: Vec<RgbdCapture>,
 }
 
-/// A solved camera with colour and depth.
+/// A solved camera with color and depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedRgbd {
-    /// Colour by itself, its verdict and views; its lens is the joint estimate's.
+    /// Color by itself, its verdict and views; its lens is the joint estimate's.
     pub color: SolvedCamera,
     /// Infrared by itself, where it was seen.
     pub infrared: Option<SolvedCamera>,
@@ -92,7 +92,7 @@ pub struct SolvedRgbd {
     pub without_depth: Vec<(String, NoPlane)>,
 }
 
-/// Why colour and depth could not be calibrated.
+/// Why color and depth could not be calibrated.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RgbdError {
     /// One sensor by itself could not be.
@@ -105,19 +105,19 @@ pub enum RgbdError {
     },
     /// Too few captures have the board's surface in depth.
     #[error(
-        "only {usable} of {all} views have the board in the depth picture, 3 are needed{first}: check that depth and colour are of the same device and moment"
+        "only {usable} of {all} views have the board in the depth picture, 3 are needed{first}: check that depth and color are of the same device and moment"
     )]
     TooLittleDepth {
         /// How many.
         usable: usize,
-        /// Of how many with the board in colour.
+        /// Of how many with the board in color.
         all: usize,
         /// Why the first one has not, as `; view: reason`, or nothing.
         first: String,
     },
     /// Depth is a multiple of what the board says.
     #[error(
-        "depth reads {factor:.3} times the board's distance: check the unit of depth (metres per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and colour are of the same device"
+        "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"
     )]
     Unit {
         /// How many times.
@@ -127,7 +127,7 @@ pub enum RgbdError {
     },
     /// Depth is not the board's.
     #[error(
-        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that colour sees: check that depth and colour are of the same device, not swapped, not mirrored, and taken together"
+        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that color sees: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     Disagree {
         /// Part of the patches.
@@ -135,21 +135,21 @@ pub enum RgbdError {
     },
     /// The sensors would be too far apart for one device.
     #[error(
-        "depth and colour only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
+        "depth and color only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
     )]
     Apart {
-        /// How far, in metres.
+        /// How far, in meters.
         apart_m: f64,
         /// How much they are turned against each other.
         degrees: f64,
     },
     /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.
     #[error(
-        "no pose of the sensors lets depth and colour agree: check that depth and colour are of the same device, not swapped, not mirrored, and taken together"
+        "no pose of the sensors lets depth and color agree: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
     )]
     NotOneDevice,
     /// All together could not be.
-    #[error("colour and depth together: {0}")]
+    #[error("color and depth together: {0}")]
     Joint(EstimationError),
 }
 
@@ -157,7 +157,7 @@ pub enum RgbdError {
 /// far.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// Calibrates colour, infrared where it is seen, and depth jointly.
+/// Calibrates color, infrared where it is seen, and depth jointly.
 ///
 /// # Errors
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
@@ -209,7 +209,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     Ok(SolvedRgbd { color, infrared, joint, factory, captures, without_depth })
 }
 
-/// The same with infrared's corners counted from where colour's are, for a board that looks the
+/// The same with infrared's corners counted from where color's are, for a board that looks the
 /// same after a turn; `None` where the board has no such turn.
 fn labelled_as_in_color(
     input: &RgbdInput,
@@ -233,7 +233,7 @@ fn labelled_as_in_color(
         .iter_mut()
         .filter(|capture| !capture.is_view)
         .for_each(|capture| capture.infrared.clear());
-    // Colour comes first, and keeps its labels.
+    // Color comes first, and keeps its labels.
     for ((index, _), turn) in sensors[1].iter().zip(&chosen[1]) {
         let board_from_labels = turns[*turn].inverse();
         let corners = &mut labelled.captures[*index].infrared;
@@ -379,7 +379,7 @@ impl Guess {
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
-    /// What disparity means, from what is read in the board's middle and how far away colour says
+    /// What disparity means, from what is read in the board's middle and how far away color says
     /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
         let middle = Point3::from(far_corner(&input.board).coords * 0.5);
@@ -574,7 +574,7 @@ fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
     Lens::pinhole(CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 })
 }
 
-/// Standard deviations of a pose's turn (radians) and translation (metres), axis by axis.
+/// Standard deviations of a pose's turn (radians) and translation (meters), axis by axis.
 pub fn pose_std(covariance: &Matrix6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
     (Vector3::from_fn(|k, _| std(k)), Vector3::from_fn(|k, _| std(k + 3)))

@@ -118,8 +118,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     for group in &groups {
-        if let [lonely] = group.as_slice() {
-            let name = &alone[*lonely].input.name;
+        if let [isolated] = group.as_slice() {
+            let name = &alone[*isolated].input.name;
             let reason = "saw the whole board at no moment at which another camera did: show it to both at once";
             findings
                 .push((Grade::Usable, format!("where camera `{name}` is stays open: it {reason}")));
@@ -206,7 +206,7 @@ struct Joint {
     sensors: Vec<SensorCalibration>,
     extrinsics: Vec<Extrinsics>,
     /// For each camera: its noise together with the others over that by itself.
-    strain: Vec<(String, f64)>,
+    rms_ratio: Vec<(String, f64)>,
 }
 
 impl Joint {
@@ -227,7 +227,7 @@ impl Joint {
         let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();
         let instants =
             sensors.iter().flat_map(|sensor| &sensor.views).map(|(moment, _)| moment + 1).max();
-        let problem = RigProblem { sensors, instants: instants.unwrap_or(0) };
+        let problem = RigProblem { sensors, frame_sets: instants.unwrap_or(0) };
         let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
         let reference = &group[0].input.name;
         let placed = group.iter().zip(&estimate.places).skip(1);
@@ -235,7 +235,7 @@ impl Joint {
             compared: one.solved.sensor.compared.clone(),
             ..sensor_calibration(camera)
         };
-        let strain = group.iter().zip(&estimate.cameras).map(|(one, camera)| {
+        let rms_ratio = group.iter().zip(&estimate.cameras).map(|(one, camera)| {
             (one.input.name.clone(), camera.rms_px / one.solved.estimate.rms_px.max(1e-3))
         });
         Ok(Self {
@@ -243,17 +243,17 @@ impl Joint {
             extrinsics: placed
                 .map(|(one, place)| reference_from(reference, &one.input.name, place))
                 .collect(),
-            strain: strain.collect(),
+            rms_ratio: rms_ratio.collect(),
         })
     }
 
     fn findings(&self) -> Vec<(Grade, String)> {
-        let strained = self.strain.iter().filter(|(_, strain)| *strain > STRAINED).map(|(name, strain)| {
+        let misfitting = self.rms_ratio.iter().filter(|(_, rms_ratio)| *rms_ratio > MISFITTING).map(|(name, rms_ratio)| {
             let cause =
                 "the board moved between the cameras' pictures, or the cameras against each other: hold it still";
             (
                 Grade::Usable,
-                format!("camera `{name}` fits {strain:.1} times worse with the others than by itself; {cause}"),
+                format!("camera `{name}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
             )
         });
         let open = self.extrinsics.iter().filter_map(|known| {
@@ -271,13 +271,13 @@ impl Joint {
                 (Grade::Usable, reason)
             })
         });
-        strained.chain(open).collect()
+        misfitting.chain(open).collect()
     }
 }
 
 /// A camera whose residuals grow by more than this when it is solved with the others was not where
 /// they say.
-const STRAINED: f64 = 1.5;
+const MISFITTING: f64 = 1.5;
 /// A turn that is less known than this, in degrees, or a shift by this part of its length, is worth
 /// telling.
 const LOOSE_DEG: f64 = 0.1;

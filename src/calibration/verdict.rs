@@ -9,12 +9,12 @@ use crate::estimation::uncertainty::UncertaintyMap;
 /// What a good calibration knows, and what a usable one does: this part of the image …
 const KNOWN_PART: [f64; 2] = [0.95, 0.67];
 /// … to within this part of the image's diagonal (1 sigma): 0.4 and 1 px at 640x480, which with a
-/// lens 60 degrees wide are 0.7 and 1.8 mm at a metre.
+/// lens 60 degrees wide are 0.7 and 1.8 mm at a meter.
 const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
 /// The split-half ratio likewise: about 1 where the model is right, and above 2 once in a hundred
 /// such sets.
 const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
-/// The correlation of neighbouring corners' residuals; blur and pixels alone make some.
+/// The correlation of neighboring corners' residuals; blur and pixels alone make some.
 const CORRELATION: [f64; 2] = [0.5, 0.8];
 /// How many times larger the uncertainty is than if each corner erred by itself.
 const SHARED: [f64; 2] = [2.0, 8.0];
@@ -37,7 +37,7 @@ pub(crate) fn judge(
     // first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
-    findings.extend(self::uncertainty(uncertainty, estimate.shared_error.sqrt()));
+    findings.extend(self::uncertainty(uncertainty, estimate.variance_inflation.sqrt()));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
@@ -105,7 +105,7 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
 /// That the model does not fit: first why, as far as it can be told, then what shows it.
 fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
     let signs: Vec<(Grade, String)> =
-        [halves(estimate, check), shared_error(estimate), smooth_residuals(check)]
+        [halves(estimate, check), variance_inflation(estimate), smooth_residuals(check)]
             .into_iter()
             .flatten()
             .collect();
@@ -124,10 +124,10 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
             "board or camera moved while the rows of a picture were read one after another (rolling shutter), which explains {percent:.0} % of what is left: hold both still for each view"
         )
     });
-    let uneven = check.misfit.unevenness_m.map(|metres| {
-        let millimetres = metres * 1000.0;
+    let uneven = check.misfit.unevenness_m.map(|meters| {
+        let millimeters = meters * 1000.0;
         format!(
-            "what is left turns with the board, which seems bent or uneven by {millimetres:.2} mm: mount it on something flat and stiff"
+            "what is left turns with the board, which seems bent or uneven by {millimeters:.2} mm: mount it on something flat and stiff"
         )
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
@@ -159,8 +159,8 @@ fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, Strin
     worse_than_good(graded(ratio, SPLIT_HALF), sign)
 }
 
-fn shared_error(estimate: &CameraEstimate) -> Option<(Grade, String)> {
-    let factor = estimate.shared_error.sqrt();
+fn variance_inflation(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+    let factor = estimate.variance_inflation.sqrt();
     let sign = format!(
         "views are off as a whole, which makes the result {factor:.1} times as uncertain as the scatter of their corners alone would"
     );
@@ -170,7 +170,7 @@ fn shared_error(estimate: &CameraEstimate) -> Option<(Grade, String)> {
 fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
     let correlation = check.residual_correlation?;
     let sign = format!(
-        "neighbouring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
+        "neighboring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
     );
     worse_than_good(graded(correlation, CORRELATION), sign)
 }

@@ -71,7 +71,7 @@ impl SearchArgs {
 /// # Errors
 /// When a source is not there, the board is in too few pictures, or they leave the lens open.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let target = Chessboard::new(args.search.board, args.square.metres).map_err(Failure::usage)?;
+    let target = Chessboard::new(args.search.board, args.square.meters).map_err(Failure::usage)?;
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
     args.estimated.add_to(&mut options);

@@ -1,4 +1,4 @@
-//! `plumb calibrate` of a recording with colour and depth.
+//! `plumb calibrate` of a recording with color and depth.
 
 use std::fs;
 use std::path::Path;
@@ -44,7 +44,7 @@ pub fn has_depth(source: &str) -> bool {
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
 
-/// Calibrates the colour, infrared (left and right) and depth sensors of one recording; answers
+/// Calibrates the color, infrared (left and right) and depth sensors of one recording; answers
 /// what their solve took, in milliseconds, too.
 ///
 /// # Errors
@@ -81,7 +81,7 @@ pub fn calibrate(
     Ok((calibration, elapsed_ms))
 }
 
-/// What is said of a recording's depth. In a recording file 16-bit depth is in millimetres (ROS REP
+/// What is said of a recording's depth. In a recording file 16-bit depth is in millimeters (ROS REP
 /// 118).
 fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
     let path = Path::new(source);
@@ -157,7 +157,7 @@ impl<'a> Gathered<'a> {
             Some(frame) => {
                 let picture = DepthImage::from_frame(frame)
                     .map_err(|error| Failure::failed(format!(
-                        "{path}: depth: {error}: give 16-bit PNG or PGM, and check that colour and depth are not swapped"
+                        "{path}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped"
                     )))?;
                 self.same_size(picture.size(), "depth", &path)?;
                 Some(picture)
@@ -260,7 +260,7 @@ impl<'a> Gathered<'a> {
         View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
     }
 
-    /// Colour and right infrared, where there is the latter.
+    /// Color and right infrared, where there is the latter.
     fn stereo(&self) -> Option<StereoInput> {
         let (color_size, infrared2_size) = (self.color_size?, self.infrared2_size?);
         let views =
@@ -291,7 +291,7 @@ impl<'a> Gathered<'a> {
                 self.first_reason.unwrap_or_default()
             ))),
             None => Err(Failure::failed(format!(
-                "{}: it has depth but no colour pictures, in which the board is seen",
+                "{}: it has depth but no color pictures, in which the board is seen",
                 self.source
             ))),
         }

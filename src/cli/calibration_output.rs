@@ -109,7 +109,7 @@ fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
         format!("{name}: {} lens for {} images", model, sensor.image_size),
         format!("  views: {used} of {} used, rms {:.4} px", sensor.views.len(), sensor.rms_px),
         format!(
-            "  projections are known to {:.3} px in the centre, {:.3} px in the median, {:.3} px at worst (1 sigma)",
+            "  projections are known to {:.3} px in the center, {:.3} px in the median, {:.3} px at worst (1 sigma)",
             sensor.uncertainty_px.center, sensor.uncertainty_px.median, sensor.uncertainty_px.worst
         ),
     ];

@@ -1,4 +1,4 @@
-//! `plumb correct`: depth pictures without their systematic error, on request as the colour camera
+//! `plumb correct`: depth pictures without their systematic error, on request as the color camera
 //! would see them.
 
 use std::cell::LazyCell;
@@ -22,21 +22,21 @@ use crate::imaging::picture_file::frame_from_file;
 use crate::imaging::point_cloud::to_ply;
 use crate::imaging::registration::DepthRegistration;
 
-/// Writes corrected (and registered) depth as 16-bit PNG, and coloured point clouds
+/// Writes corrected (and registered) depth as 16-bit PNG, and colored point clouds
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Bring depth into the colour picture (color), or colour into the depth picture, as
+    /// Bring depth into the color picture (color), or color into the depth picture, as
     /// NAME-color.png beside it (depth)
     #[arg(long, value_name = "SENSOR", value_parser = ["color", "depth"])]
     register: Option<String>,
-    /// Write the points as NAME.ply too, in the colour camera's frame; with their colours where the
-    /// colour picture is there
+    /// Write the points as NAME.ply too, in the color camera's frame; with their colors where the
+    /// color picture is there
     #[arg(long)]
     cloud: bool,
-    /// Where the colour picture shows the calibration's board (held still), say how far depth is
+    /// Where the color picture shows the calibration's board (held still), say how far depth is
     /// off it before and after correction, and draw it as NAME-error.png
     #[arg(long)]
     errors: bool,
@@ -74,7 +74,7 @@ struct Written {
     too_far_for_unit: usize,
     /// Correction and registration alone, without reading and writing.
     elapsed_ms: f64,
-    /// Off the board that colour sees, where that was asked for and is seen.
+    /// Off the board that color sees, where that was asked for and is seen.
     #[serde(skip_serializing_if = "Option::is_none")]
     off_board: Option<BeforeAndAfter>,
 }
@@ -93,7 +93,7 @@ struct Colored {
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(args.unit > 0.0 && args.unit < 1.0) {
         return Err(Failure::usage(format!(
-            "--unit {}: give metres per unit, as in 0.001",
+            "--unit {}: give meters per unit, as in 0.001",
             args.unit
         )));
     }
@@ -102,11 +102,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let file = args.calibration.display();
     let missing = |what: &str| {
         Failure::failed(format!(
-            "{file}: calibrates no {what}; calibrate from a recording with colour and depth"
+            "{file}: calibrates no {what}; calibrate from a recording with color and depth"
         ))
     };
     let depth = calibration.depth.ok_or_else(|| missing("depth sensor"))?;
-    let color = calibration.color.ok_or_else(|| missing("colour sensor"))?;
+    let color = calibration.color.ok_or_else(|| missing("color sensor"))?;
     let stated =
         calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
     let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
@@ -156,7 +156,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                     .unwrap_or_else(|| format!("{:06}", frames.set.sequence));
                 let color = frames.set.frame(SensorKind::Color);
                 let picture = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
-                let picture = picture.map_err(|error| format!("its colour picture: {error}"));
+                let picture = picture.map_err(|error| format!("its color picture: {error}"));
                 let color = picture.map(|picture| Colored { picture, frame: color.cloned() });
                 give(frames.path(), name, decoded(frame).and_then(|depth| Ok((depth, color?))));
             }
@@ -186,7 +186,7 @@ fn correct(
         }
         if args.register.as_deref() == Some("depth") {
             let color = color.ok_or(
-                "there is no colour picture with it; give a recording with colour and depth",
+                "there is no color picture with it; give a recording with color and depth",
             )?;
             write(
                 format!("{name}-color.png"),
@@ -285,8 +285,8 @@ fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), F
     }
 }
 
-/// The middle of all pictures' root mean squares before and after correction, in metres: a moving
-/// board, which colour and depth see at different moments, is off in depth however right it is.
+/// The middle of all pictures' root mean squares before and after correction, in meters: a moving
+/// board, which color and depth see at different moments, is off in depth however right it is.
 fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
     match (middle_mm(0), middle_mm(1)) {
@@ -294,7 +294,7 @@ fn off_line(off: &[[f64; 2]]) -> String {
             "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} pictures",
             off.len()
         ),
-        _ => "no colour picture with depth shows the calibration's board: give a recording of it"
+        _ => "no color picture with depth shows the calibration's board: give a recording of it"
             .to_owned(),
     }
 }

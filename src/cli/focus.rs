@@ -41,9 +41,9 @@ pub struct Args {
 /// A usage failure for a lens that cannot be.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let lens = ThinLens {
-        focal_m: args.focal.metres,
+        focal_m: args.focal.meters,
         f_number: args.f_number,
-        pixel_m: args.pixel.metres,
+        pixel_m: args.pixel.meters,
         focus_m: args.focus,
     };
     let lens = lens.check().map_err(Failure::usage)?;
@@ -78,5 +78,5 @@ fn distance_m(text: &str) -> Result<f64, String> {
     if matches!(text, "inf" | "infinity") {
         return Ok(f64::INFINITY);
     }
-    text.parse::<Length>().map(|length| length.metres).map_err(|error| error.to_string())
+    text.parse::<Length>().map(|length| length.meters).map_err(|error| error.to_string())
 }

@@ -2,11 +2,11 @@
 
 use std::str::FromStr;
 
-/// A length given on the command line. A bare number is refused: 25 could be millimetres or metres.
+/// A length given on the command line. A bare number is refused: 25 could be millimeters or meters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
-    /// In metres.
-    pub metres: f64,
+    /// In meters.
+    pub meters: f64,
 }
 
 /// A length that is not a number with a unit.
@@ -29,8 +29,8 @@ impl FromStr for Length {
         let number: f64 = number.trim().parse().map_err(|_| not_a_length())?;
         // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, 25 · 0.001 is not
         // always.
-        let metres = number / per_metre;
-        if metres.is_finite() && metres > 0.0 { Ok(Self { metres }) } else { Err(not_a_length()) }
+        let meters = number / per_metre;
+        if meters.is_finite() && meters > 0.0 { Ok(Self { meters }) } else { Err(not_a_length()) }
     }
 }
 
@@ -40,7 +40,7 @@ mod tests {
 
     #[test]
     fn units_and_refusals() {
-        for (text, metres) in [
+        for (text, meters) in [
             ("25mm", 0.025),
             ("2.5 cm", 0.025),
             ("0.025m", 0.025),
@@ -48,7 +48,7 @@ mod tests {
             ("3.45um", 3.45e-6),
         ] {
             let length: Length = text.parse().unwrap();
-            assert!((length.metres - metres).abs() < 1e-15, "{text}: {}", length.metres);
+            assert!((length.meters - meters).abs() < 1e-15, "{text}: {}", length.meters);
         }
         for text in ["25", "mm", "-1mm", "0m", "nanmm", "infm", "", "25 feet"] {
             assert!(text.parse::<Length>().is_err(), "{text}");

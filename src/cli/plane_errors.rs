@@ -1,4 +1,4 @@
-//! How far depth is off a board that colour sees, before and after correction, as numbers and as a
+//! How far depth is off a board that color sees, before and after correction, as numbers and as a
 //! picture.
 
 use serde::Serialize;
@@ -21,7 +21,7 @@ use crate::imaging::error_picture::draw_errors;
 use crate::imaging::frame::Frame;
 use crate::imaging::gray::GrayImage;
 
-/// Measures depth by the board in colour's pictures.
+/// Measures depth by the board in color's pictures.
 pub struct PlaneErrors {
     board: Chessboard,
     color: Lens,
@@ -33,7 +33,7 @@ pub struct PlaneErrors {
     image: GrayImage,
 }
 
-/// Depth less that of the board's plane, in metres.
+/// Depth less that of the board's plane, in meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OffPlane {
     mean_m: f64,
@@ -48,7 +48,7 @@ pub struct BeforeAndAfter {
 }
 
 impl BeforeAndAfter {
-    /// The root mean squares, in metres.
+    /// The root mean squares, in meters.
     pub fn rms_m(&self) -> [f64; 2] {
         [self.before.rms_m, self.after.rms_m]
     }
@@ -58,7 +58,7 @@ impl PlaneErrors {
     /// For the camera of `calibration`, by its own board.
     ///
     /// # Errors
-    /// For a calibration without a board, colour, depth or the pose between them.
+    /// For a calibration without a board, color, depth or the pose between them.
     pub fn new(calibration: &Calibration) -> Result<Self, Failure> {
         let stated =
             calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
@@ -69,7 +69,7 @@ impl PlaneErrors {
             .zip(stated);
         let (((board, color), depth), color_from_depth) = parts.ok_or_else(|| {
             Failure::failed(
-                "--errors needs a calibration by a board, of colour and depth; calibrate with plumb calibrate",
+                "--errors needs a calibration by a board, of color and depth; calibrate with plumb calibrate",
             )
         })?;
         Ok(Self {
@@ -88,18 +88,18 @@ impl PlaneErrors {
     /// nothing of it in depth.
     ///
     /// # Errors
-    /// For a colour picture that cannot be read, or is of another size than the calibration's.
+    /// For a color picture that cannot be read, or is of another size than the calibration's.
     pub fn of(
         &mut self,
         color: &Frame,
         picture: &DepthImage,
     ) -> Result<Option<(BeforeAndAfter, image::RgbImage)>, String> {
-        luma(color, &mut self.image).map_err(|error| format!("its colour picture: {error}"))?;
+        luma(color, &mut self.image).map_err(|error| format!("its color picture: {error}"))?;
         let image_size = self.image.size();
         if image_size != self.color_size {
             let expected = self.color_size;
             return Err(format!(
-                "its colour picture is {image_size}, the calibration is of {expected}; record at that size"
+                "its color picture is {image_size}, the calibration is of {expected}; record at that size"
             ));
         }
         let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default())

@@ -61,7 +61,7 @@ pub fn searcher(
     }
 }
 
-/// The luma of the colour picture, else of the infrared one.
+/// The luma of the color picture, else of the infrared one.
 fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
     let picture = [SensorKind::Color, SensorKind::Infrared]
         .into_iter()

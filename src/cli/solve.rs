@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
     /// The problem: {"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]},
-    /// metres and pixels; with "method":"dlt" one view of points that do not lie on a plane.
+    /// meters and pixels; with "method":"dlt" one view of points that do not lie on a plane.
     #[arg(value_name = "PROBLEM.json")]
     problem: PathBuf,
 }

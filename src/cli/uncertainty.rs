@@ -49,7 +49,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
     let (name, sensor) = found.ok_or_else(unknown)?;
     let distance =
-        args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.metres));
+        args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.meters));
     let none =
         || Failure::failed(format!("{file}: it tells no covariance of {name}; calibrate again"));
     let map = |columns| sensor_uncertainty(sensor, columns, distance).ok_or_else(none);
@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let (median, worst) = map.median_and_worst().ok_or_else(none)?;
     let center = map.center().ok_or_else(none)?;
     output::print_line(&format!(
-        "{name}: projections are known to {center:.3} px in the centre, {median:.3} px in the median, {worst:.3} px at worst (1 sigma)"
+        "{name}: projections are known to {center:.3} px in the center, {median:.3} px in the median, {worst:.3} px at worst (1 sigma)"
     ))
 }
 

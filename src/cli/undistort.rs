@@ -176,10 +176,10 @@ fn file_name(frames: &SourcedFrames) -> String {
     }
 }
 
-/// A PNG file: grey for a picture without colours.
+/// A PNG file: gray for a picture without colors.
 fn png(picture: RgbImage) -> Result<Vec<u8>, image::ImageError> {
-    let grey = picture.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
-    let picture = if grey {
+    let gray = picture.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    let picture = if gray {
         let values = picture.pixels().map(|pixel| pixel[0]).collect();
         GrayImage::from_raw(picture.width(), picture.height(), values)
             .map_or(DynamicImage::ImageRgb8(picture), DynamicImage::ImageLuma8)

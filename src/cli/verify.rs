@@ -91,7 +91,8 @@ fn verify(sensor: &SensorCalibration, problem: &CameraProblem) -> Result<Verifie
     let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();
     let as_calibrated = CameraOptions { lens: model, given, ..CameraOptions::default() };
     let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;
-    let start = CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), common_px: 0.0 };
+    let start =
+        CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), noise_floor_px: 0.0 };
     let best = calibrate_camera(
         problem,
         &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() },

@@ -38,7 +38,7 @@ pub(super) struct Candidate {
     /// Unit vectors along the two edges, in an order such that the bright wedges are those from the
     /// first to the second and opposite, turning from +x to +y.
     pub edges: [Vec2; 2],
-    /// Bright wedges less dark wedges, in grey levels.
+    /// Bright wedges less dark wedges, in gray levels.
     pub contrast: f32,
 }
 
@@ -236,17 +236,17 @@ fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
     Some(Candidate { pixel: cross.center, edges, contrast: cross.contrast })
 }
 
-/// The edges that leave the middle of the ring: it must cross its own middle grey four times, at
+/// The edges that leave the middle of the ring: it must cross its own middle gray four times, at
 /// opposite places in pairs.
 fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
     let ring = ring_about(image, x, y)?;
     let (least, most) = (ring.into_iter().fold(255, u8::min), ring.into_iter().fold(0, u8::max));
     let twice_middle = u16::from(least) + u16::from(most);
     // Above half of an odd sum is above it rounded down.
-    let middle_grey = (twice_middle / 2) as u8;
+    let middle_gray = (twice_middle / 2) as u8;
     let mut above = 0u16;
-    for (k, &grey) in ring.iter().enumerate() {
-        above |= u16::from(grey > middle_grey) << k;
+    for (k, &gray) in ring.iter().enumerate() {
+        above |= u16::from(gray > middle_gray) << k;
     }
     let mut changes = above ^ above.rotate_right(1);
     if changes.count_ones() != 4 {

@@ -44,7 +44,7 @@ const LANES: usize = 8;
 const TOUCHING: f32 = 1e-4;
 
 impl Window {
-    /// A window on a board whose neighbouring corners lie at ±`u` and ±`v`: `fraction` of the way
+    /// A window on a board whose neighboring corners lie at ±`u` and ±`v`: `fraction` of the way
     /// to them, at most `most_px` pixels.
     pub(super) fn on_board(center: Vec2, u: Vec2, v: Vec2, fraction: f32, most_px: f32) -> Self {
         let reach = |w: Vec2| w * fraction.min(most_px / w.norm().max(1e-3));

@@ -11,7 +11,7 @@ use super::placement::{Placement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
 use super::response::Response;
-use super::seeds::{Neighbourhood, Seed};
+use super::seeds::{Neighborhood, Seed};
 use super::tracking::LastBoard;
 use super::verification::verify;
 use crate::geometry::board::BoardSize;
@@ -42,7 +42,7 @@ const ROW_STEP: usize = 2;
 const MOST_STEP: f32 = 36.0;
 
 /// Windows in which the corners of a grid are looked at on their way to the image, as parts of the
-/// way to the neighbours.
+/// way to the neighbors.
 const EXACT: [f32; 2] = [0.2, 0.1];
 
 /// Finds one kind of board in images. Its buffers are kept from image to image.
@@ -52,7 +52,7 @@ pub struct Detector {
     pub(super) pyramid: Pyramid,
     pub(super) response: Response,
     pub(super) candidates: CandidateSearch,
-    pub(super) neighbourhood: Neighbourhood,
+    pub(super) neighborhood: Neighborhood,
     pub(super) used: Vec<bool>,
     pub(super) growth: Growth,
     pub(super) grid: Grid,
@@ -98,7 +98,7 @@ impl Detector {
             pyramid: Pyramid::default(),
             response: Response::default(),
             candidates: CandidateSearch::default(),
-            neighbourhood: Neighbourhood::default(),
+            neighborhood: Neighborhood::default(),
             used: Vec::new(),
             growth: Growth::default(),
             grid: Grid::default(),
@@ -181,7 +181,7 @@ impl Detector {
         seen: &mut Seen,
     ) -> Option<Placement> {
         let view = self.pyramid.level(image, level);
-        self.neighbourhood.fill(&self.candidates.found, view.width(), view.height());
+        self.neighborhood.fill(&self.candidates.found, view.width(), view.height());
         self.used.clear();
         self.used.resize(self.candidates.found.len(), false);
         if best.is_some() {
@@ -195,7 +195,7 @@ impl Detector {
             let seed = if self.used[first] {
                 None
             } else {
-                self.neighbourhood.seed(&self.candidates.found, first, reach)
+                self.neighborhood.seed(&self.candidates.found, first, reach)
             };
             let Some(seed) = seed else { continue };
             starts += 1;
@@ -231,7 +231,7 @@ impl Detector {
         self.growth.start(view, &self.candidates.found, seed, radius, &mut self.grid);
         if !self.is_whole() && self.grid.bounds().is_some_and(|bounds| !self.exceeds_board(bounds))
         {
-            self.growth.reach(view, &self.candidates.found, &self.neighbourhood, &mut self.grid);
+            self.growth.reach(view, &self.candidates.found, &self.neighborhood, &mut self.grid);
         }
         self.grid.members.len() >= LEAST_GROWN
     }
@@ -245,7 +245,7 @@ impl Detector {
         for &(i, j) in &grid.members {
             let Some(p) = grid.pixel(i, j) else { continue };
             let p = (p + offset) / scale - offset;
-            self.neighbourhood
+            self.neighborhood
                 .visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
         }
     }

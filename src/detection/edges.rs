@@ -1,4 +1,4 @@
-//! Whether the line between two neighbouring corners is an edge between a bright and a dark square
+//! Whether the line between two neighboring corners is an edge between a bright and a dark square
 //! all the way.
 //!
 //! A grid that skips corners, or joins corners of two things, fails here.
@@ -45,7 +45,7 @@ pub(super) fn is_edge(
 pub(super) struct EdgeCount {
     /// Edges between a bright and a dark square.
     pub held: u32,
-    /// Edges to known neighbours, inside the image.
+    /// Edges to known neighbors, inside the image.
     pub seen: u32,
 }
 

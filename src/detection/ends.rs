@@ -18,7 +18,7 @@ const BEYOND: f32 = 1.3;
 /// [`ALIKE`].
 const ALTERNATE: f32 = 0.5;
 const ALIKE: f32 = 0.3;
-/// Pairs of neighbouring squares beyond which it is all one: one with the colour of one of them, as
+/// Pairs of neighboring squares beyond which it is all one: one with the color of one of them, as
 /// a board's margin has, counts 2, another 1.
 const LEAST_WEIGHT: u32 = 2;
 /// The weight that leaves no doubt.
@@ -41,7 +41,7 @@ pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (En
     (sides.map(|side| side.may_end()), sides.map(|side| side.must_end()))
 }
 
-/// What the pairs of neighbouring squares outside a line of corners show.
+/// What the pairs of neighboring squares outside a line of corners show.
 #[derive(Debug, Clone, Copy, Default)]
 struct Side {
     /// How much shows that the board ends there.
@@ -133,7 +133,7 @@ impl Outside {
     /// How much this square and the next show that the board ends, and whether they show that it
     /// goes on.
     fn compare(&self, next: &Self) -> (u32, bool) {
-        // Signs alternate from square to square, so the difference of neighbours times the sign is
+        // Signs alternate from square to square, so the difference of neighbors times the sign is
         // the contrast.
         let contrast = 0.5 * (self.contrast + next.contrast);
         if (self.within - next.within) * self.sign <= ALTERNATE * contrast {

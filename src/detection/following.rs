@@ -1,7 +1,7 @@
 //! The corners of a board that was seen in the picture before, each looked for where it must be
 //! now.
 //!
-//! How far a corner is off where it was expected tells where its neighbours are: but for the first,
+//! How far a corner is off where it was expected tells where its neighbors are: but for the first,
 //! one small window is enough, as narrow as the blur allows. That it is the board is shown by all
 //! of it together: every square between the corners bright or dark by turns, and none beyond them.
 
@@ -10,22 +10,22 @@ use super::detector::Detector;
 use super::edges::sample;
 use super::grid::{Grid, Node};
 use super::growth::{FOLLOWED, Place, WINDOWS};
-use super::verification::{MOST_OFF, off_neighbours};
+use super::verification::{MOST_OFF, off_neighbors};
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
 /// A board of which more than this share is not where it should be is not followed.
 const MOST_LOST: usize = 4;
-/// How far off a corner may be whose neighbours are not found yet, in steps.
+/// How far off a corner may be whose neighbors are not found yet, in steps.
 const MOST_OFF_FIRST: f32 = 0.3;
 /// What windows reach across each edge: one as near as says most exactly where a corner is; and
-/// where that shows none, one as far as neighbours foretell it, in pixels and in steps. Both at
+/// where that shows none, one as far as neighbors predicts it, in pixels and in steps. Both at
 /// least so many times the width of the blur.
-const FORETOLD_PX: f32 = 5.0;
-const FORETOLD_STEPS: f32 = 0.06;
+const PREDICTED_PX: f32 = 5.0;
+const PREDICTED_STEPS: f32 = 0.06;
 /// The same where a wide window, coarsely sampled, has found it.
 const FOUND_STEPS: f32 = 0.12;
-const FORETOLD_BLURS: f32 = 2.5;
+const PREDICTED_BLURS: f32 = 2.5;
 /// From there windows narrow by this: each tells where the corner is to within the next.
 const NARROWER: f32 = 0.45;
 const EXACT_PX: f32 = 2.5;
@@ -103,14 +103,14 @@ impl Detector {
         true
     }
 
-    /// Looks for the corners that were not seen where they were expected where their neighbours put
+    /// Looks for the corners that were not seen where they were expected where their neighbors put
     /// them.
     pub(super) fn look_between(&mut self, image: GrayView<'_>) {
         let cols = self.board.cols as usize;
         for index in 0..self.board.corner_count() {
             let (i, j) = ((index % cols) as i32, (index / cols) as i32);
             if self.grid.get(i, j).is_none()
-                && let Some(node) = Place::by_neighbours(&self.grid, i, j)
+                && let Some(node) = Place::by_neighbors(&self.grid, i, j)
                     .and_then(|place| place.look(image, &WINDOWS))
             {
                 self.grid.set(i, j, node);
@@ -119,11 +119,11 @@ impl Detector {
     }
 
     /// Whether the whole board in the grid, in the board's own order, holds together: every corner
-    /// in its place among its neighbours and most of its edges between bright and dark.
+    /// in its place among its neighbors and most of its edges between bright and dark.
     pub(super) fn holds_together(&mut self, image: GrayView<'_>) -> bool {
         let Self { grid, followed, board, .. } = self;
         let in_place =
-            |&(i, j): &(i32, i32)| off_neighbours(grid, i, j).is_some_and(|off| off <= MOST_OFF);
+            |&(i, j): &(i32, i32)| off_neighbors(grid, i, j).is_some_and(|off| off <= MOST_OFF);
         grid.members.iter().all(in_place) && followed.edges_hold(image, grid, *board)
     }
 
@@ -133,7 +133,7 @@ impl Detector {
         let beside = (0..rows).flat_map(|j| [(-1, j), (cols, j)]);
         let above = (0..cols).flat_map(|i| [(i, -1), (i, rows)]);
         beside.chain(above).any(|(i, j)| {
-            Place::by_neighbours(&self.grid, i, j)
+            Place::by_neighbors(&self.grid, i, j)
                 .filter(|place| may_be_corner(image, place))
                 .is_some_and(|place| place.look(image, &[FOLLOWED]).is_some())
         })
@@ -161,7 +161,7 @@ pub(super) struct Expected {
 }
 
 impl Expected {
-    /// The corner, which is `off` as far as its neighbours foretell it.
+    /// The corner, which is `off` as far as its neighbors predicts it.
     fn look(
         &self,
         image: GrayView<'_>,
@@ -170,7 +170,7 @@ impl Expected {
         blur_px: f32,
     ) -> Option<Node> {
         let near = |place, steps| self.look_near(image, place, polarity, (steps, blur_px));
-        let near_by = off.and_then(|off| near(self.expected + off, FORETOLD_STEPS));
+        let near_by = off.and_then(|off| near(self.expected + off, PREDICTED_STEPS));
         near_by.or_else(|| {
             let contrast = [self.last.contrast.abs(), self.last.near_contrast.abs()];
             let expected = self.expected + off.unwrap_or_else(Vec2::zeros);
@@ -216,7 +216,7 @@ impl Expected {
         let exact = EXACT_PX.max(EXACT_BLURS * blur_px);
         let settled = settle(place, exact, 1).or_else(|| {
             let mut reach =
-                FORETOLD_PX.max(off * lengths[0].min(lengths[1])).max(FORETOLD_BLURS * blur_px);
+                PREDICTED_PX.max(off * lengths[0].min(lengths[1])).max(PREDICTED_BLURS * blur_px);
             let mut center = place;
             while reach > exact {
                 center = settle(center, reach, 0)?.center;

@@ -42,7 +42,7 @@ const STEPS_NEARBY: [(i32, i32, i32); 22] = [
 pub(super) struct Node {
     /// Where, in pixels of the level.
     pub pixel: Vec2,
-    /// Bright less dark around it, in grey levels.
+    /// Bright less dark around it, in gray levels.
     pub contrast: f32,
     /// The same very near to it: less, the more blur there is.
     pub near_contrast: f32,
@@ -89,7 +89,7 @@ pub(super) struct Grid {
     /// Indices of the corners, in the order they were found.
     pub members: Vec<(i32, i32)>,
     /// Those of which a finer level shows nothing where they were taken to.
-    pub doubtful: Vec<(i32, i32)>,
+    pub suspect: Vec<(i32, i32)>,
     /// Whether square (0, 0) is bright.
     pub bright: bool,
 }
@@ -247,7 +247,7 @@ impl Grid {
         (count > 0.0).then(|| sum / count)
     }
 
-    /// Where the corner (i, j) must be, from its known neighbours: along lines and across squares.
+    /// Where the corner (i, j) must be, from its known neighbors: along lines and across squares.
     pub(super) fn predict(&self, i: i32, j: i32) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
         let mut add = |p: Vec2, w: f32| {
@@ -323,7 +323,7 @@ mod tests {
             grid.set(i, j, at(i, j));
         }
         for (i, j) in [(4, 1), (1, 3), (-1, 2), (4, 0)] {
-            let off = grid.predict(i, j).expect("neighbours") - at(i, j).pixel;
+            let off = grid.predict(i, j).expect("neighbors") - at(i, j).pixel;
             assert!(off.norm() < 0.4, "({i}, {j}) is off by {off}");
         }
         assert_eq!(grid.predict(7, 7), None);

@@ -12,14 +12,14 @@ use super::cross::{Vec2, Window};
 use super::edges::is_edge;
 use super::grid::{Bounds, Grid, Node};
 use super::perspective::Perspective;
-use super::seeds::{Neighbourhood, Seed};
+use super::seeds::{Neighborhood, Seed};
 use crate::imaging::gray::GrayView;
 
 /// Least alternation of the four squares, as a share of the contrast found.
 const LEAST_ALTERNATION: f32 = 0.3;
 /// How far a corner may lie from where it was predicted, in steps of the grid.
 const MOST_OFF: f32 = 0.4;
-/// The same where no neighbour is known.
+/// The same where no neighbor is known.
 const MOST_OFF_FAR: f32 = 0.2;
 /// How far a candidate may lie from where a corner was predicted, in steps: to the side, nearer and
 /// farther. Less than what a step that skips two covered corners, or the one after it, is off. And
@@ -30,9 +30,9 @@ const MOST_FARTHER: f32 = 0.75;
 const MOST_TURN: f32 = 0.5;
 /// A place this far from another, in steps, is worth a look of its own.
 const ELSEWHERE: f32 = 0.15;
-/// Part of the way to the neighbours that counts as very near.
+/// Part of the way to the neighbors that counts as very near.
 const NEAR: f32 = 0.16;
-/// Least contrast very near a corner, as a share of the neighbours'.
+/// Least contrast very near a corner, as a share of the neighbors'.
 const LEAST_NEAR_CONTRAST: f32 = 0.5;
 /// Least correlation with a chessboard corner very near it.
 const LEAST_NEAR_SCORE: f32 = 0.65;
@@ -53,13 +53,13 @@ const LEAST_NARROW_CONTRAST: f32 = 0.6;
 /// A window's size, and what it must show.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WindowSize {
-    /// Part of the way to the neighbours that it reaches.
+    /// Part of the way to the neighbors that it reaches.
     reach: f32,
     /// Most pixels it reaches.
     most_px: f32,
     /// Least correlation with a chessboard corner.
     least_score: f32,
-    /// Least contrast, as a share of the neighbours'.
+    /// Least contrast, as a share of the neighbors'.
     least_contrast: f32,
     /// How far off the expected place the corner may be, in steps.
     most_off: f32,
@@ -142,7 +142,7 @@ impl Growth {
                 continue;
             }
             if let Some(node) =
-                Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes))
+                Place::by_neighbors(grid, i, j).and_then(|place| place.look(image, sizes))
             {
                 grid.set(i, j, node);
                 self.push_around(i, j);
@@ -156,7 +156,7 @@ impl Growth {
         &mut self,
         image: GrayView<'_>,
         candidates: &[Candidate],
-        neighbourhood: &Neighbourhood,
+        neighborhood: &Neighborhood,
         grid: &mut Grid,
     ) {
         grid.forget_attempts();
@@ -165,7 +165,7 @@ impl Growth {
             for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
                 let place = Stretch::from(grid, (i, j), (di, dj));
                 if let Some(node) =
-                    place.and_then(|place| place.look(image, candidates, neighbourhood))
+                    place.and_then(|place| place.look(image, candidates, neighborhood))
                 {
                     grid.set(i + di, j + dj, node);
                     self.grow(image, grid, &WINDOWS[..1]);
@@ -211,14 +211,14 @@ pub(super) struct Place {
     pub steps: [Vec2; 2],
     /// Sign of its contrast.
     pub polarity: f32,
-    /// Contrast of its neighbours, and the same very near to them.
+    /// Contrast of its neighbors, and the same very near to them.
     pub contrast: [f32; 2],
     /// How far off it may be, in steps.
     pub most_off: f32,
 }
 
 impl Place {
-    pub(super) fn by_neighbours(grid: &Grid, i: i32, j: i32) -> Option<Self> {
+    pub(super) fn by_neighbors(grid: &Grid, i: i32, j: i32) -> Option<Self> {
         Some(Self {
             expected: grid.predict(i, j)?,
             steps: grid.steps(i, j)?,
@@ -245,7 +245,7 @@ impl Place {
             .any(|(di, dj)| grid.get(i + di, j + dj).is_some());
         let place = Self {
             expected: predict_bent(grid, i, j).filter(|_| beside)?,
-            ..Self::by_neighbours(grid, i, j)?
+            ..Self::by_neighbors(grid, i, j)?
         };
         let off = before.and_then(|before| in_steps(place.expected - before.expected, place.steps));
         (off.is_none_or(|off| off.x.abs().max(off.y.abs()) > ELSEWHERE)).then_some(place)
@@ -289,19 +289,19 @@ impl Stretch {
         }
         let axis = usize::from(dj != 0);
         Some(Self {
-            place: Place::by_neighbours(grid, i, j)?,
+            place: Place::by_neighbors(grid, i, j)?,
             from,
             axis,
             forward: (di + dj) as f32,
         })
     }
 
-    /// The corner there: at a candidate of the right colours, with an edge all the way to it.
+    /// The corner there: at a candidate of the right colors, with an edge all the way to it.
     fn look(
         &self,
         image: GrayView<'_>,
         candidates: &[Candidate],
-        neighbourhood: &Neighbourhood,
+        neighborhood: &Neighborhood,
     ) -> Option<Node> {
         let Place { expected, steps, polarity, .. } = self.place;
         let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
@@ -319,7 +319,7 @@ impl Stretch {
         };
         let reach =
             MOST_FARTHER * steps[self.axis].norm() + MOST_ASIDE * steps[1 - self.axis].norm();
-        let at = candidates[neighbourhood.nearest(candidates, expected, reach, fits)?].pixel;
+        let at = candidates[neighborhood.nearest(candidates, expected, reach, fits)?].pixel;
         let mut steps = steps;
         steps[self.axis] = (at - self.from.pixel) * self.forward;
         let node = Place { expected: at, steps, ..self.place }.look(image, &WINDOWS[..1])?;
@@ -368,7 +368,7 @@ pub(super) fn settle(
 }
 
 /// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image`
-/// shows it. One that is not seen near where it was taken to is looked for where its neighbours put
+/// shows it. One that is not seen near where it was taken to is looked for where its neighbors put
 /// it.
 pub(super) fn sharpen_all(
     image: GrayView<'_>,
@@ -376,20 +376,20 @@ pub(super) fn sharpen_all(
     sizes: &[WindowSize],
     reaches: &[f32],
 ) {
-    grid.doubtful.clear();
+    grid.suspect.clear();
     for index in 0..grid.members.len() {
         let (i, j) = grid.members[index];
         if let (Some(node), Some(steps)) = (grid.get(i, j), grid.steps(i, j)) {
             match sharpen(image, &node, steps, reaches) {
                 Some(sharp) => grid.set(i, j, sharp),
-                None => grid.doubtful.push((i, j)),
+                None => grid.suspect.push((i, j)),
             }
         }
     }
-    for index in 0..grid.doubtful.len() {
-        let (i, j) = grid.doubtful[index];
+    for index in 0..grid.suspect.len() {
+        let (i, j) = grid.suspect[index];
         if let Some(node) =
-            Place::by_neighbours(grid, i, j).and_then(|place| place.look(image, sizes))
+            Place::by_neighbors(grid, i, j).and_then(|place| place.look(image, sizes))
         {
             grid.set(i, j, node);
         }

@@ -12,7 +12,7 @@ type Right = SVector<f64, 8>;
 
 /// A homography from grid indices to pixels, fitted to all corners of a grid.
 ///
-/// It minimises the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w
+/// It minimizes the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w
 /// = 1 + h₃₁i + h₃₂j, indices counted from the grid's middle and pixels from the corners' mean.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Perspective {

@@ -2,7 +2,7 @@
 //!
 //! Column and row of the board turn from +x to +y like the grid's i and j, because a camera sees
 //! the board's front; so the grid lies in the board by one of four quarter turns and a shift. The
-//! colours of squares, the seen ends of the board and the number of corners leave one of these, or
+//! colors of squares, the seen ends of the board and the number of corners leave one of these, or
 //! say that it cannot be known.
 
 use super::cross::Vec2;
@@ -170,7 +170,7 @@ mod tests {
                     placed(&grid(width, height, 0, bright), [false; 4], "9x6").expect("it fits");
                 assert!(placement.known);
                 let (i, j) = placement.in_grid(-1, -1);
-                // Of two diagonal neighbours, in_grid gives the corner; its outer square lies
+                // Of two diagonal neighbors, in_grid gives the corner; its outer square lies
                 // between it and the first.
                 let square = (i.min(placement.first.0), j.min(placement.first.1));
                 assert_eq!((square.0 + square.1) % 2 == 0, !bright);

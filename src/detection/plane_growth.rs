@@ -17,7 +17,7 @@ use crate::imaging::depth_image::DepthImage;
 /// About how many patches cover a picture.
 const PATCHES: f64 = 400.0;
 
-/// A patch goes on from its neighbour if it differs from what the plane says between them by no
+/// A patch goes on from its neighbor if it differs from what the plane says between them by no
 /// more than this many standard deviations of both, and this part of 1/z: the systematic error
 /// changes by less from patch to patch.
 const STEP: [f64; 2] = [4.0, 0.0015];
@@ -88,7 +88,7 @@ pub fn grow_plane(
         let mut next = Vec::new();
         for from in &layer {
             let Some(near) = patch_at(*from) else { continue };
-            for cell in neighbours(*from, across, down) {
+            for cell in neighbors(*from, across, down) {
                 let Some(patch) = (if taken[cell] { None } else { patch_at(cell) }) else {
                     continue;
                 };
@@ -138,7 +138,7 @@ fn goes_on(plane: &Vector3<f64>, (near, next): (&Patch, &Patch), tolerance: f64)
     (off(next) - off(near)).abs() <= limit && off(next).abs() <= tolerance * next.tile.inverse_depth
 }
 
-fn neighbours(cell: usize, across: usize, down: usize) -> impl Iterator<Item = usize> {
+fn neighbors(cell: usize, across: usize, down: usize) -> impl Iterator<Item = usize> {
     let (x, y) = (cell % across, cell / across);
     let left = (x > 0).then(|| cell - 1);
     let right = (x + 1 < across).then_some(cell + 1);
@@ -195,7 +195,7 @@ mod tests {
         Lens::pinhole(CameraMatrix { fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, skew: 0.0 })
     }
 
-    /// Grows from a board in the middle of a picture with this depth, in metres.
+    /// Grows from a board in the middle of a picture with this depth, in meters.
     fn grown(z_m: impl Fn(f64, f64) -> f64) -> Vec<DepthTile> {
         let noise = |k: usize| 0.0004 * ((k as f64 * 12.9898).sin() * 43_758.545_3).fract();
         let reading = |k: usize| {

@@ -5,7 +5,7 @@ use super::cross::Vec2;
 use super::detector::{Detector, Seen};
 use crate::imaging::gray::GrayView;
 
-/// Range of brightness that is no picture at all, in grey levels.
+/// Range of brightness that is no picture at all, in gray levels.
 const LEAST_RANGE: u8 = 8;
 
 /// Corners of a grid to speak of.

@@ -10,24 +10,24 @@ use super::grid::Node;
 use super::perspective::Perspective;
 use super::placement::{Placement, place};
 use super::refine::{GridCorner, RefinedCorner};
-use super::verification::{astray, off_bent, off_neighbours};
+use super::verification::{off_bent, off_neighbors, outlier};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 /// Least correlation with a chessboard corner of one that is reported without refinement.
 const STANDING_SCORE: f32 = 0.7;
-/// How far such a one may lie from where its neighbours put it, in steps.
+/// How far such a one may lie from where its neighbors put it, in steps.
 const STANDING_OFF: f32 = 0.05;
 /// Least standard deviation of a corner with something in front of it a few pixels away, whose edge
 /// may pull it.
 const TIGHT_STD_PX: f64 = 0.3;
-/// How far a corner of a part may lie from where its neighbours put it, in steps; one with
+/// How far a corner of a part may lie from where its neighbors put it, in steps; one with
 /// something in front of it.
-const MOST_ASTRAY: f32 = 0.12;
-const MOST_ASTRAY_TIGHT: f32 = 0.08;
+const MAX_OFFSET: f32 = 0.12;
+const MAX_OFFSET_NEAR_OCCLUDER: f32 = 0.08;
 /// A corner whose standard deviation is so many of the usual ones may be another thing's, and is
 /// held to the same.
-const DOUBTFUL_STDS: f64 = 5.0;
+const SUSPECT_STDS: f64 = 5.0;
 /// Corners that tell where those must be that have no square of their own.
 const LEAST_FIRM: usize = 8;
 
@@ -62,7 +62,7 @@ impl Detector {
             }
         }
         if corners.len() < self.board.corner_count() {
-            self.drop_astray(placement, &mut corners);
+            self.drop_outliers(placement, &mut corners);
         }
         let partial = corners.len() < self.board.corner_count();
         if partial && (!options.allow_partial || corners.len() < self.least_part()) {
@@ -103,7 +103,7 @@ impl Detector {
         self.guesses.extend(part.members.iter().filter_map(|&(i, j)| {
             let (col, row) = placement.in_board(i, j);
             let seen = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
-            let neighbours = if (seen[0].or(seen[2])).and(seen[1].or(seen[3])).is_some() {
+            let neighbors = if (seen[0].or(seen[2])).and(seen[1].or(seen[3])).is_some() {
                 seen
             } else {
                 // Alone in its line: the nearest corners tell where the next would be.
@@ -120,14 +120,14 @@ impl Detector {
                     seen[3],
                 ]
             };
-            Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours })
+            Some(GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbors })
         }));
         self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
     }
 
-    /// Drops refined corners that do not lie where their refined neighbours put them: what covers a
+    /// Drops refined corners that do not lie where their refined neighbors put them: what covers a
     /// board may end beside a corner, and be taken for one of its edges.
-    fn drop_astray(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
+    fn drop_outliers(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
         let part = &mut self.part;
         for corner in corners.iter() {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
@@ -145,8 +145,8 @@ impl Detector {
         let usual_px = middle_one(&mut self.stds);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            let doubtful = corner.std_px > DOUBTFUL_STDS * usual_px;
-            let most = if doubtful { MOST_ASTRAY_TIGHT } else { MOST_ASTRAY };
+            let suspect = corner.std_px > SUSPECT_STDS * usual_px;
+            let most = if suspect { MAX_OFFSET_NEAR_OCCLUDER } else { MAX_OFFSET };
             let near = |off: f32| off < most;
             if !firm(i, j)
                 && let Some(off) = of_firm.as_ref().and_then(|board| board.off(part, i, j, firm))
@@ -155,11 +155,11 @@ impl Detector {
                 // edge, corner by corner.
                 let tight = part.get(i, j).is_some_and(|node| node.tight);
                 let bent = off_bent(part, i, j).filter(|_| tight).unwrap_or(off);
-                return if tight { off.min(bent) < MOST_ASTRAY_TIGHT } else { near(off) };
+                return if tight { off.min(bent) < MAX_OFFSET_NEAR_OCCLUDER } else { near(off) };
             }
-            // At the end of a line few neighbours tell, and a slant or a bend misleads them; the
+            // At the end of a line few neighbors tell, and a slant or a bend misleads them; the
             // whole board knows better.
-            astray(part, i, j, most).is_none_or(near)
+            outlier(part, i, j, most).is_none_or(near)
                 || perspective
                     .as_ref()
                     .and_then(|board| board.off(part, i, j, |_, _| true))
@@ -197,19 +197,19 @@ impl Detector {
     }
 
     /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its
-    /// neighbours, with all edges to them.
+    /// neighbors, with all edges to them.
     fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
         let GridIndex { col, row } = guess.index;
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
         let on_board = |&(c, r): &(i32, i32)| (0..cols).contains(&c) && (0..rows).contains(&r);
         let complete =
-            around.iter().zip(&guess.neighbours).all(|(at, seen)| seen.is_some() || !on_board(at));
+            around.iter().zip(&guess.neighbors).all(|(at, seen)| seen.is_some() || !on_board(at));
         let (i, j) = placement.in_grid(col, row);
         let EdgeCount { held, seen } = count_edges(image, &self.part, i, j);
         let clear = self.part.get(i, j).is_some_and(|node| node.score >= STANDING_SCORE);
         let in_place =
-            clear && off_neighbours(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
+            clear && off_neighbors(&self.part, i, j).is_some_and(|off| off < STANDING_OFF);
         complete && seen >= 2 && held == seen && in_place
     }
 }
@@ -224,7 +224,7 @@ fn middle_one(values: &mut [f64]) -> f64 {
 /// a square, at least 0.3.
 fn guess_std_px(guess: &GridCorner) -> f64 {
     let nearest = guess
-        .neighbours
+        .neighbors
         .iter()
         .flatten()
         .map(|p| p.distance_px(guess.pixel))
@@ -233,10 +233,10 @@ fn guess_std_px(guess: &GridCorner) -> f64 {
 }
 
 /// Whether a refined corner is still the one that was guessed: within a quarter of the way to its
-/// nearest neighbour.
+/// nearest neighbor.
 fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
     let nearest = guess
-        .neighbours
+        .neighbors
         .iter()
         .flatten()
         .map(|p| p.distance_px(guess.pixel))

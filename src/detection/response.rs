@@ -104,7 +104,7 @@ fn apart(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
-/// A function of two neighbours at a time, of eight: the shape of a mean, a most and a least.
+/// A function of two neighbors at a time, of eight: the shape of a mean, a most and a least.
 /// Written out, because a closure in the loop over pixels may be left uninlined, and then none of
 /// it is vectorised.
 macro_rules! of_eight {

@@ -1,6 +1,6 @@
 //! Four candidates that close a square of a chessboard: where a grid starts.
 //!
-//! From a candidate its two edges lead to its neighbours, whose colours are the other way round; if
+//! From a candidate its two edges lead to its neighbors, whose colors are the other way round; if
 //! both ways to the fourth corner end at the same candidate, the four are very likely one square.
 
 use super::candidates::Candidate;
@@ -10,9 +10,9 @@ use super::cross::Vec2;
 const BIN: f32 = 16.0;
 /// Nearer than this is the same corner.
 const LEAST_STEP: f32 = 3.5;
-/// Tangent of how far a neighbour may lie off the edge that leads to it.
+/// Tangent of how far a neighbor may lie off the edge that leads to it.
 const OFF_EDGE: f32 = 0.4;
-/// Sine of how far the edges of neighbours may differ in direction.
+/// Sine of how far the edges of neighbors may differ in direction.
 const EDGE_TURN: f32 = 0.5;
 
 /// Four corners of one square, in the grid's own axes: at (0, 0), (1, 0), (0, 1) and (1, 1).
@@ -26,7 +26,7 @@ pub(super) struct Seed {
 
 /// Candidates sorted into bins, to find the nearest in a direction.
 #[derive(Debug, Default)]
-pub(super) struct Neighbourhood {
+pub(super) struct Neighborhood {
     across: usize,
     down: usize,
     starts: Vec<u32>,
@@ -34,7 +34,7 @@ pub(super) struct Neighbourhood {
     known: Vec<Option<[Option<usize>; 4]>>,
 }
 
-impl Neighbourhood {
+impl Neighborhood {
     /// Sorts `candidates` of an image of `width` × `height` pixels.
     pub(super) fn fill(&mut self, candidates: &[Candidate], width: usize, height: usize) {
         self.across = width / BIN as usize + 1;
@@ -68,7 +68,7 @@ impl Neighbourhood {
         (at(p.x, self.across), at(p.y, self.down))
     }
 
-    /// The square that starts at candidate `first`, if its neighbours close one within `reach`
+    /// The square that starts at candidate `first`, if its neighbors close one within `reach`
     /// pixels a side.
     pub(super) fn seed(
         &mut self,
@@ -93,7 +93,7 @@ impl Neighbourhood {
         None
     }
 
-    /// The nearest neighbours of `from` along its edges: +first, +second, −first, −second.
+    /// The nearest neighbors of `from` along its edges: +first, +second, −first, −second.
     fn links(&mut self, candidates: &[Candidate], from: usize, reach: f32) -> [Option<usize>; 4] {
         if let Some(links) = self.known[from] {
             return links;
@@ -121,7 +121,7 @@ impl Neighbourhood {
                 let distance = along + off;
                 let nearer =
                     along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
-                if nearer && opposite_colours(origin, other) {
+                if nearer && opposite_colors(origin, other) {
                     best[quarter] = (distance, Some(index));
                     farthest = best.iter().fold(0.0, |most, &(distance, _)| distance.max(most));
                 }
@@ -210,9 +210,9 @@ fn nearest_direction(candidate: &Candidate, step: Vec2) -> usize {
     if along[edge] > 0.0 { edge } else { edge + 2 }
 }
 
-/// Neighbours on a board share their edges' directions, with the bright wedges where the other has
+/// Neighbors on a board share their edges' directions, with the bright wedges where the other has
 /// the dark ones.
-fn opposite_colours(p: &Candidate, q: &Candidate) -> bool {
+fn opposite_colors(p: &Candidate, q: &Candidate) -> bool {
     let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
     turn(p.edges[0], q.edges[1]) < EDGE_TURN && turn(p.edges[1], q.edges[0]) < EDGE_TURN
 }
@@ -236,10 +236,10 @@ mod tests {
     #[test]
     fn a_square_closes_wherever_it_starts() {
         let candidates = checker(4, 3);
-        let mut neighbourhood = Neighbourhood::default();
-        neighbourhood.fill(&candidates, 120, 90);
+        let mut neighborhood = Neighborhood::default();
+        neighborhood.fill(&candidates, 120, 90);
         for first in 0..candidates.len() {
-            let seed = neighbourhood.seed(&candidates, first, 40.0).expect("a square");
+            let seed = neighborhood.seed(&candidates, first, 40.0).expect("a square");
             let [p, i, j, both] = seed.corners.map(|k| candidates[k].pixel);
             assert!((i + j - p - both).norm() < 1e-4);
             let (u, v) = (i - p, j - p);
@@ -249,11 +249,11 @@ mod tests {
     }
 
     #[test]
-    fn equal_colours_close_no_square() {
+    fn equal_colors_close_no_square() {
         let mut candidates = checker(2, 2);
         candidates[3].edges.swap(0, 1);
-        let mut neighbourhood = Neighbourhood::default();
-        neighbourhood.fill(&candidates, 120, 90);
-        assert!((0..4).all(|first| neighbourhood.seed(&candidates, first, 40.0).is_none()));
+        let mut neighborhood = Neighborhood::default();
+        neighborhood.fill(&candidates, 120, 90);
+        assert!((0..4).all(|first| neighborhood.seed(&candidates, first, 40.0).is_none()));
     }
 }

@@ -1,4 +1,4 @@
-//! The last look, which can only drop: every corner's edges and its place among its neighbours.
+//! The last look, which can only drop: every corner's edges and its place among its neighbors.
 
 use super::bend::predict_bent;
 use super::edges::{EdgeCount, count_edges};
@@ -8,7 +8,7 @@ use crate::imaging::gray::GrayView;
 
 /// Part of all edges that must hold.
 const LEAST_HELD: f32 = 0.75;
-/// How far a corner may lie from where its neighbours put it, in steps.
+/// How far a corner may lie from where its neighbors put it, in steps.
 pub(super) const MOST_OFF: f32 = 0.22;
 /// A grid with more misplaced corners than this is none.
 const MOST_MISPLACED: usize = 12;
@@ -45,11 +45,11 @@ fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
     total
 }
 
-/// Drops the corner that lies farthest from its neighbours' prediction, until all lie near. False
+/// Drops the corner that lies farthest from its neighbors' prediction, until all lie near. False
 /// if too many must go.
 fn drop_misplaced(grid: &mut Grid) -> bool {
     for _ in 0..MOST_MISPLACED {
-        let off = |&(i, j): &(i32, i32)| Some((astray(grid, i, j, MOST_OFF)?, (i, j)));
+        let off = |&(i, j): &(i32, i32)| Some((outlier(grid, i, j, MOST_OFF)?, (i, j)));
         let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
             Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
@@ -59,10 +59,10 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
     false
 }
 
-/// How far the corner (i, j) lies from where its neighbours put it, in steps; if that is more than
+/// How far the corner (i, j) lies from where its neighbors put it, in steps; if that is more than
 /// `most`, on a board that may be bent.
-pub(super) fn astray(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
-    let off = off_neighbours(grid, i, j)?;
+pub(super) fn outlier(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
+    let off = off_neighbors(grid, i, j)?;
     Some(if off > most { off_bent(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
 }
 
@@ -72,8 +72,8 @@ pub(super) fn off_bent(grid: &Grid, i: i32, j: i32) -> Option<f32> {
     Some(off.x.abs().max(off.y.abs()))
 }
 
-/// How far the corner (i, j) lies from where its neighbours put it, in steps.
-pub(super) fn off_neighbours(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+/// How far the corner (i, j) lies from where its neighbors put it, in steps.
+pub(super) fn off_neighbors(grid: &Grid, i: i32, j: i32) -> Option<f32> {
     let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
     Some(off.x.abs().max(off.y.abs()))
 }

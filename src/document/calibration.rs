@@ -35,7 +35,7 @@ pub struct CalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// The board; null where correspondences were given without one.
     pub target: Option<TargetDocument>,
-    /// Each calibrated sensor. A camera with one sensor has it under `color`, grey or not.
+    /// Each calibrated sensor. A camera with one sensor has it under `color`, gray or not.
     pub sensors: SensorsDocument,
     /// The cameras of a rig, in its order; left out for one camera.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -105,7 +105,7 @@ pub struct SensorDocument {
     /// The lens models that were compared, where the choice was left to the solve.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub compared: Vec<ComparedLensDocument>,
-    /// How far the board was bowed at its middle along its x and its y, in metres, away from the
+    /// How far the board was bowed at its middle along its x and its y, in meters, away from the
     /// side that is seen; only where that was to be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_warp_m: Option<[f64; 2]>,
@@ -117,7 +117,7 @@ pub struct SensorDocument {
 /// pixels; null where the views leave it without bound.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct UncertaintyDocument {
-    /// At the image's centre.
+    /// At the image's center.
     pub center: Option<f64>,
     /// The median over the image.
     pub median: Option<f64>,
@@ -157,11 +157,11 @@ pub struct ExtrinsicsDocument {
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
-    /// The translation, in metres.
+    /// The translation, in meters.
     pub translation: [f64; 3],
     /// Standard deviation of the rotation about each axis, in radians.
     pub rotation_std: [f64; 3],
-    /// Standard deviation of the translation, in metres.
+    /// Standard deviation of the translation, in meters.
     pub translation_std: [f64; 3],
 }
 

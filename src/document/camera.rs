@@ -80,7 +80,7 @@ pub struct CameraIdentityDocument {
 pub struct FactoryDocument {
     /// Its sensors, by name.
     pub sensors: BTreeMap<String, FactorySensorDocument>,
-    /// Where they are, against colour.
+    /// Where they are, against color.
     pub extrinsics: Vec<FactoryExtrinsicsDocument>,
 }
 
@@ -105,7 +105,7 @@ pub struct FactoryExtrinsicsDocument {
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
-    /// The translation, in metres.
+    /// The translation, in meters.
     pub translation: [f64; 3],
 }
 

@@ -39,9 +39,9 @@ pub struct DepthDocument {
     pub correction: Option<CorrectionDocument>,
     /// Mean errors of flat surfaces.
     pub bias_m: BiasDocument,
-    /// Noise of a reading: constant + quadratic · z², in metres.
+    /// Noise of a reading: constant + quadratic · z², in meters.
     pub noise_m: NoiseDocument,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// By how much infrared and depth are taken later than the color picture they come with, in
     /// milliseconds; left out where the board's motion does not tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_ms: Option<f64>,
@@ -80,7 +80,7 @@ pub struct CorrectionDocument {
     pub cells: [u32; 2],
     /// Power by power, the nodes of g_k.
     pub coefficients: Vec<Vec<f64>>,
-    /// The nearest and the farthest depth that it was fitted over, in metres; x is held at these
+    /// The nearest and the farthest depth that it was fitted over, in meters; x is held at these
     /// ends in the sum.
     pub seen_m: [f64; 2],
 }
@@ -92,7 +92,7 @@ pub struct BiasDocument {
     pub ranges: Vec<BiasRangeDocument>,
 }
 
-/// The mean error of depth in one range of distances, measured − true, in metres.
+/// The mean error of depth in one range of distances, measured − true, in meters.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct BiasRangeDocument {
     /// From this distance.
@@ -112,7 +112,7 @@ pub struct BiasRangeDocument {
 /// σ(z) = constant + quadratic · z².
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct NoiseDocument {
-    /// In metres.
+    /// In meters.
     pub constant: f64,
     /// In 1/m.
     pub quadratic: f64,
@@ -165,7 +165,7 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
             (DepthKind::Depth, ..) => {
                 return Err(DocumentError::field(
                     "unit_m",
-                    "must be metres per unit, above 0, for kind depth",
+                    "must be meters per unit, above 0, for kind depth",
                 ));
             }
             (DepthKind::Disparity, _, Some(DisparityDocument { offset, slope })) => {

@@ -8,14 +8,14 @@ use crate::geometry::thin_lens::{BoardAdvice, ThinLens};
 /// How much of the image's width the advised board fills.
 const FILL: f64 = 0.5;
 
-/// What a lens keeps sharp: distances in metres from the lens, null for infinity.
+/// What a lens keeps sharp: distances in meters from the lens, null for infinity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FocusDocument {
-    /// Focal length, in metres.
+    /// Focal length, in meters.
     pub focal_m: f64,
     /// Focal length over the aperture's diameter.
     pub f_number: f64,
-    /// The width of one pixel, in metres.
+    /// The width of one pixel, in meters.
     pub pixel_m: f64,
     /// The distance in focus.
     pub focus_m: Option<f64>,
@@ -45,7 +45,7 @@ pub struct DepthOfFieldDocument {
 pub struct BoardAdviceDocument {
     /// Inner corners along a row.
     pub cols: u32,
-    /// The side of one square, in metres.
+    /// The side of one square, in meters.
     pub square_m: f64,
     /// Where to hold it.
     pub distance_m: f64,

@@ -107,7 +107,7 @@ pub struct LensDocument {
     pub cx: f64,
     /// Principal point, y, in pixels.
     pub cy: f64,
-    /// How much x moves with normalised y, in pixels: 0 unless asked for.
+    /// How much x moves with normalized y, in pixels: 0 unless asked for.
     #[serde(default)]
     pub skew: f64,
     /// The model's coefficients.

@@ -29,7 +29,7 @@ pub struct RotationDocument {
 pub struct PoseDocument {
     /// The rotation.
     pub rotation: RotationDocument,
-    /// The translation, in metres.
+    /// The translation, in meters.
     pub translation: [f64; 3],
 }
 
@@ -55,7 +55,7 @@ impl TryFrom<&PoseDocument> for Pose {
                 format!("has length {length}; a unit quaternion has length 1"),
             ));
         }
-        // Not normalised again: a pose read back is the pose written, to the bit.
+        // Not normalized again: a pose read back is the pose written, to the bit.
         Ok(Self::new(
             UnitQuaternion::new_unchecked(quaternion),
             Vector3::from(a_from_b.translation),

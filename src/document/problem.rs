@@ -76,7 +76,7 @@ pub struct ProblemViewDocument {
     /// What it is called in errors and in the result; its index when left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// Points of the object, in metres: `[X, Y, Z]`.
+    /// Points of the object, in meters: `[X, Y, Z]`.
     pub object: Vec<[f64; 3]>,
     /// Where each was seen, in pixels: `[u, v]`.
     pub image: Vec<[f64; 2]>,

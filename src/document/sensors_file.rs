@@ -55,7 +55,7 @@ pub struct StatedExtrinsics {
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
-    /// The translation, in metres.
+    /// The translation, in meters.
     pub translation: [f64; 3],
 }
 
@@ -99,7 +99,7 @@ impl StatedDepth {
             }
             (DepthKind::Depth, None, _) => Err(DocumentError::field(
                 "depth.unit_m",
-                "is missing: say how many metres one unit is, as in unit_m = 0.001",
+                "is missing: say how many meters one unit is, as in unit_m = 0.001",
             )),
             (DepthKind::Depth, ..) => {
                 Err(DocumentError::field("depth.unit_m", "must be above 0 and below 1 m"))
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
         for (text, word) in [
             ("[depth]\nkind = \"depth\"", "unit_m"),
-            ("[depth]\nkind = \"metres\"", "metres"),
+            ("[depth]\nkind = \"meters\"", "meters"),
             ("[color]", "depth"),
         ] {
             let line = SensorsFile::from_toml(text).unwrap_err().to_string();

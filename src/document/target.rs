@@ -24,7 +24,7 @@ pub struct TargetDocument {
     pub cols: u32,
     /// Rows of inner corners, 3 to 100.
     pub rows: u32,
-    /// The side of one square, in metres.
+    /// The side of one square, in meters.
     pub square_m: f64,
 }
 

@@ -52,7 +52,7 @@ pub struct TrueDepthDocument {
     pub noise_per_m: f64,
     /// The step, in 1/m.
     pub step_per_m: f64,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// By how much infrared and depth are taken later than the color picture they come with, in
     /// seconds.
     pub time_offset_s: f64,
 }
@@ -73,7 +73,7 @@ pub struct TrueSensorDocument {
 pub struct TrueFrameDocument {
     /// The frame's sequence number.
     pub sequence: u64,
-    /// Where the board was in the middle of the colour sensor's exposure.
+    /// Where the board was in the middle of the color sensor's exposure.
     pub camera_from_board: PoseDocument,
     /// How far the board's image moved during the exposure at most, in pixels; null where part of
     /// it was out of view.

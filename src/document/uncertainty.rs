@@ -11,7 +11,7 @@ use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 pub struct UncertaintyMapDocument {
     /// Whose: `color`, `infrared`, `infrared2`, or a rig's camera.
     pub sensor: String,
-    /// How far away things are, in metres; null at infinity.
+    /// How far away things are, in meters; null at infinity.
     pub distance_m: Option<f64>,
     /// Width and height of the image, in pixels.
     pub image_size: [u32; 2],
@@ -33,7 +33,7 @@ impl UncertaintyMapDocument {
             sensor: sensor.to_owned(),
             distance_m: match distance {
                 Distance::Infinity => None,
-                Distance::Meters(metres) => Some(metres),
+                Distance::Meters(meters) => Some(meters),
             },
             image_size: [grid.size.width, grid.size.height],
             x_px: grid.pixels().take(cols).map(|pixel| pixel.x).collect(),

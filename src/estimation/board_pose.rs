@@ -22,7 +22,7 @@ pub struct BoardPose {
     /// Root mean square of the distance between seen and projected, in pixels.
     pub rms_px: f64,
     /// Covariance for corners with a standard deviation of their `std_px`: a turn about the
-    /// camera's axes (radians) and a shift of the view's mean point (metres).
+    /// camera's axes (radians) and a shift of the view's mean point (meters).
     pub covariance: Matrix6<f64>,
 }
 
@@ -61,9 +61,9 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
 
 /// The pose that looks the same from infinitely far: depth reversed along the line of sight.
 fn tilt_reversed(camera_from_center: &Pose, normal: Vector3<f64>) -> Pose {
-    let sight = camera_from_center.translation().normalize();
+    let observation = camera_from_center.translation().normalize();
     let reversed = |axis: Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
-    let rotation = reversed(sight) * camera_from_center.rotation_matrix() * reversed(normal);
+    let rotation = reversed(observation) * camera_from_center.rotation_matrix() * reversed(normal);
     Pose::from_matrix(&rotation, camera_from_center.translation())
 }
 
@@ -76,23 +76,23 @@ fn refine(prepared: &Prepared, lens: &Lens, camera_from_center: Pose) -> Option<
         rig_from_board: vec![camera_from_center],
         warp: [0.0; 2],
     };
-    let (sights, loss) = (&prepared.sights, Loss::Squares);
-    let minimum = Minimum::start(&layout, start, sights, loss)?.descend(
+    let (observations, loss) = (&prepared.observations, Loss::Squares);
+    let minimum = Minimum::start(&layout, start, observations, loss)?.descend(
         &layout,
-        sights,
+        observations,
         loss,
         Stop::default(),
     );
     let found = minimum.state.rig_from_board[0];
-    let residuals = minimum.equations.residuals[0].iter().zip(&sights[0].inverse_std);
+    let residuals = minimum.equations.residuals[0].iter().zip(&observations[0].inverse_std);
     let squares: f64 = residuals.map(|([x, y], s)| (x * x + y * y) / (s * s)).sum();
     Some(BoardPose {
         camera_from_board: Pose::new(
             found.rotation(),
             found.translation() - found * prepared.center_in_board,
         ),
-        rms_px: (squares / sights[0].points.len() as f64).sqrt(),
-        covariance: minimum.equations.instant_covariance(0, &nalgebra::DMatrix::zeros(0, 0))?,
+        rms_px: (squares / observations[0].points.len() as f64).sqrt(),
+        covariance: minimum.equations.frame_set_covariance(0, &nalgebra::DMatrix::zeros(0, 0))?,
     })
 }
 

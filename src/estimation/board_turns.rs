@@ -84,7 +84,7 @@ fn agreed(
 }
 
 /// The turn that brings a pose nearest to the expected one, and how far from it (radians plus
-/// metres).
+/// meters).
 fn nearest_turn(
     sensor_from_board: &Pose,
     expected_from_board: &Pose,

@@ -6,15 +6,15 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::normal::chain;
-use crate::estimation::joint::{FreeLens, Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::lens_choice::{self, LensTrial};
 use crate::estimation::model_check::ModelCheck;
-use crate::estimation::model_error::{common_error_px, with_common_error};
+use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::robust_fit::{RobustFit, robust_fit};
-use crate::estimation::shared_error::shared_error;
 use crate::estimation::start::{self, Prepared};
+use crate::estimation::variance_inflation::variance_inflation;
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
@@ -58,8 +58,8 @@ pub struct CameraStart {
     /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are
     /// found anew.
     pub camera_from_board: Vec<Option<Pose>>,
-    /// Its [`CameraEstimate::common_px`].
-    pub common_px: f64,
+    /// Its [`CameraEstimate::noise_floor_px`].
+    pub noise_floor_px: f64,
 }
 
 /// A calibrated camera.
@@ -74,19 +74,19 @@ pub struct CameraEstimate {
     pub lens_covariance: DMatrix<f64>,
     /// The error that all corners were taken to have beyond their own `std_px`, in pixels: what the
     /// residuals show of one. It brings weights nearer to equal.
-    pub common_px: f64,
+    pub noise_floor_px: f64,
     /// The noise that the residuals tell of: the factor on each corner's `std_px`, with
-    /// [`Self::common_px`] in it.
+    /// [`Self::noise_floor_px`] in it.
     pub noise: f64,
     /// How many times greater all variances are than if each corner erred by itself: 1 unless the
     /// views show that the corners of a view err together. Covariances have it in them.
-    pub shared_error: f64,
+    pub variance_inflation: f64,
     /// Root mean square over the used corners of the distance between seen and projected, in
     /// pixels.
     pub rms_px: f64,
     /// Every view of the problem, in order.
     pub views: Vec<ViewEstimate>,
-    /// The board's bow along x and y at its middle, in metres, where it was estimated.
+    /// The board's bow along x and y at its middle, in meters, where it was estimated.
     pub warp_m: Option<[f64; 2]>,
     /// The models that were compared, where the choice was left open; the chosen one is
     /// [`Self::lens`]'s.
@@ -103,7 +103,7 @@ pub struct ViewEstimate {
     /// Where the board was; for a view that took no part the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
     /// Covariance of that pose, as a turn about the camera's axes (radians) and a shift of the
-    /// problem's mean point (metres); `None` for a view that took no part.
+    /// problem's mean point (meters); `None` for a view that took no part.
     pub covariance: Option<Matrix6<f64>>,
     /// Root mean square over the corners that took part (over all of them in a view that did not),
     /// in pixels.
@@ -126,7 +126,7 @@ impl CameraEstimate {
         let good =
             |view: &ViewEstimate| view.fault.is_none().then_some(view.camera_from_board).flatten();
         let camera_from_board = self.views.iter().map(good).collect();
-        CameraStart { lens: self.lens, camera_from_board, common_px: self.common_px }
+        CameraStart { lens: self.lens, camera_from_board, noise_floor_px: self.noise_floor_px }
     }
 
     /// The part of all corners that took no part.
@@ -169,30 +169,36 @@ fn solve(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
-    let known_px = options.start.as_ref().map_or(0.0, |start| start.common_px);
+    let known_px = options.start.as_ref().map_or(0.0, |start| start.noise_floor_px);
     let (first, first_fit) = solve_weighted((problem, known_px), options)?;
-    let Some(common_px) = common_error_px(problem, &first) else { return Ok((first, first_fit)) };
+    let Some(noise_floor_px) = noise_floor_px_of(problem, &first) else {
+        return Ok((first, first_fit));
+    };
     let model = LensChoice::Model(first.lens.model());
     let again = CameraOptions { lens: model, start: Some(first.to_start()), ..options.clone() };
-    match solve_weighted((problem, common_px), &again) {
+    match solve_weighted((problem, noise_floor_px), &again) {
         Ok((estimate, fit)) => Ok((CameraEstimate { compared: first.compared, ..estimate }, fit)),
         Err(_) => Ok((first, first_fit)),
     }
 }
 
-/// As [`solve`], with an error of `common_px` added to every corner's own.
+/// As [`solve`], with an error of `noise_floor_px` added to every corner's own.
 fn solve_weighted(
-    (problem, common_px): (&CameraProblem, f64),
+    (problem, noise_floor_px): (&CameraProblem, f64),
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
-    let problem = &*with_common_error(problem, common_px);
+    let problem = &*with_noise_floor(problem, noise_floor_px);
     let mut prepared = Prepared::of(problem);
     let (fit, compared) = match options.lens {
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
         LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
     };
     Ok((
-        CameraEstimate { common_px, compared, ..assemble(problem, &prepared, &fit, Part::WHOLE)? },
+        CameraEstimate {
+            noise_floor_px,
+            compared,
+            ..assemble(problem, &prepared, &fit, Part::WHOLE)?
+        },
         fit,
     ))
 }
@@ -224,12 +230,12 @@ pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
     Ok(())
 }
 
-/// A fitted camera, about the common centre of its points.
+/// A fitted camera, about the common center of its points.
 #[derive(Debug, Clone)]
 pub(crate) struct CameraFit {
     pub(crate) layout: Layout,
     pub(crate) robust: RobustFit,
-    pub(crate) sights: Vec<Sight>,
+    pub(crate) observations: Vec<BoardObservation>,
     pub(crate) faults: Vec<Option<ViewFault>>,
 }
 
@@ -240,10 +246,10 @@ impl CameraFit {
     pub(crate) fn new(
         layout: Layout,
         robust: RobustFit,
-        sights: Vec<Sight>,
+        observations: Vec<BoardObservation>,
         faults: Vec<Option<ViewFault>>,
     ) -> Self {
-        Self { layout, robust, sights, faults }
+        Self { layout, robust, observations, faults }
     }
 
     pub(crate) fn lens(&self) -> &Lens {
@@ -252,10 +258,13 @@ impl CameraFit {
 
     /// The variance that the residuals show, in units of the corners' own.
     pub(crate) fn noise_square(&self) -> f64 {
-        let used: usize =
-            self.sights.iter().map(|sight| sight.used.iter().filter(|used| **used).count()).sum();
-        let instants = self.robust.minimum.equations.seen_instants();
-        let freedom = (2 * used) as f64 - (self.layout.len + 6 * instants) as f64;
+        let used: usize = self
+            .observations
+            .iter()
+            .map(|observation| observation.used.iter().filter(|used| **used).count())
+            .sum();
+        let frame_sets = self.robust.minimum.equations.seen_frame_sets();
+        let freedom = (2 * used) as f64 - (self.layout.len + 6 * frame_sets) as f64;
         self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
@@ -281,15 +290,15 @@ impl CameraFit {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
     }
 
-    /// The good sights of each instant, by index: of all instants that have any, or of enough of
-    /// them, evenly. For a camera by itself an instant is a view.
-    pub(crate) fn some_instants(&self) -> Vec<Vec<usize>> {
+    /// The good observations of each frame set, by index: of all frame sets that have any, or of enough of
+    /// them, evenly. For a camera by itself a frame set is a view.
+    pub(crate) fn some_frame_sets(&self) -> Vec<Vec<usize>> {
         let mut all: Vec<Vec<usize>> =
             vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
-        for sight in self.good_views() {
-            all[self.sights[sight].instant].push(sight);
+        for observation in self.good_views() {
+            all[self.observations[observation].frame_set].push(observation);
         }
-        all.retain(|sights| !sights.is_empty());
+        all.retain(|observations| !observations.is_empty());
         let step = all.len().div_ceil(MAX_VIEWS).max(1);
         all.into_iter().step_by(step).collect()
     }
@@ -323,19 +332,21 @@ fn fit_from(
     (warp, needed): (bool, usize),
 ) -> Result<CameraFit, EstimationError> {
     let layout = Layout::new(vec![free_lens], warp.then(|| prepared.half_extent()));
-    let mut sights = prepared.sights.clone();
+    let mut observations = prepared.observations.clone();
     let mut faults = prepared.faults();
-    let fit = |start, sights: &mut _, faults: &mut _| robust_fit(&layout, start, sights, faults);
-    let mut robust = fit(state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
+    let fit = |start, observations: &mut _, faults: &mut _| {
+        robust_fit(&layout, start, observations, faults)
+    };
+    let mut robust = fit(state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
     enough_views(prepared, &faults, needed)?;
     let readmitted = readmit(prepared, &mut robust, &mut faults);
     let mirrored = name_mirrored(prepared, &robust.minimum.state, &mut faults);
     if readmitted || mirrored {
-        robust =
-            fit(robust.minimum.state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
+        robust = fit(robust.minimum.state, &mut observations, &mut faults)
+            .ok_or(EstimationError::NoFit)?;
         enough_views(prepared, &faults, needed)?;
     }
-    let mut fit = CameraFit::new(layout, robust, sights, faults);
+    let mut fit = CameraFit::new(layout, robust, observations, faults);
     place_rejected_views(prepared, &mut fit);
     Ok(fit)
 }
@@ -381,18 +392,18 @@ fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<
     let start = State { rig_from_board: vec![pose], ..state.clone() };
     let fixed = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
     let layout = Layout::new(vec![fixed], None);
-    let mut sight = Sight { instant: 0, ..prepared.sights[view].clone() };
-    let at_start = start.residuals(&layout, &sight);
-    sight.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();
+    let mut observation = BoardObservation { frame_set: 0, ..prepared.observations[view].clone() };
+    let at_start = start.residuals(&layout, &observation);
+    observation.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();
     let loss = Loss::Huber { scale: median_scale(at_start.into_iter()).max(1e-8) };
-    let sights = [sight];
-    let minimum = Minimum::start(&layout, start, &sights, loss)?.descend(
+    let observations = [observation];
+    let minimum = Minimum::start(&layout, start, &observations, loss)?.descend(
         &layout,
-        &sights,
+        &observations,
         loss,
         Stop::default(),
     );
-    let residuals = minimum.state.residuals(&layout, &sights[0]);
+    let residuals = minimum.state.residuals(&layout, &observations[0]);
     Some((minimum.state.rig_from_board[0], residuals))
 }
 
@@ -424,7 +435,7 @@ fn place_rejected_views(prepared: &Prepared, fit: &mut CameraFit) {
             Some((pose, residuals)) => {
                 state.rig_from_board[view] = pose;
                 if let ViewFault::NoPose { .. } = fault {
-                    let rms_px = rms(&residuals, &fit.sights[view].inverse_std, |_| true);
+                    let rms_px = rms(&residuals, &fit.observations[view].inverse_std, |_| true);
                     fit.faults[view] = Some(ViewFault::NoPose { rms_px });
                 }
                 fit.robust.minimum.equations.residuals[view] = residuals;
@@ -457,15 +468,15 @@ const LEAST_NOISE: f64 = 0.01;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Part {
     pub(crate) sensor: usize,
-    /// Its first sight; the others follow, one per view.
-    pub(crate) first_sight: usize,
+    /// Its first observation; the others follow, one per view.
+    pub(crate) first_observation: usize,
     /// What its corners' standard deviations were multiplied by.
     pub(crate) noise: f64,
 }
 
 impl Part {
     /// A camera by itself.
-    pub(crate) const WHOLE: Self = Self { sensor: 0, first_sight: 0, noise: 1.0 };
+    pub(crate) const WHOLE: Self = Self { sensor: 0, first_observation: 0, noise: 1.0 };
 }
 
 /// What a fit says of one of its cameras.
@@ -479,52 +490,59 @@ pub(crate) fn assemble(
     let noise2 = fit.noise_square();
     let lens = state.lenses[part.sensor];
     let at = &fit.layout.sensors[part.sensor];
-    let sights = part.first_sight..part.first_sight + problem.views.len();
-    let good: Vec<usize> = sights.clone().filter(|sight| fit.faults[*sight].is_none()).collect();
-    let pose_of = |sight: usize| state.sensor_from_board(part.sensor, fit.sights[sight].instant);
-    let camera_from_board: Vec<Pose> = good.iter().map(|sight| pose_of(*sight)).collect();
+    let observations = part.first_observation..part.first_observation + problem.views.len();
+    let good: Vec<usize> =
+        observations.clone().filter(|observation| fit.faults[*observation].is_none()).collect();
+    let pose_of = |observation: usize| {
+        state.sensor_from_board(part.sensor, fit.observations[observation].frame_set)
+    };
+    let camera_from_board: Vec<Pose> =
+        good.iter().map(|observation| pose_of(*observation)).collect();
     let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
     let unit = equations.global_covariance().ok_or_else(|| open(0, f64::INFINITY))?;
-    let shared_error = shared_error(fit, &unit, at.lens_at..at.lens_at + at.lens.free.len());
-    let variance = noise2 * shared_error;
+    let variance_inflation =
+        variance_inflation(fit, &unit, at.lens_at..at.lens_at + at.lens.free.len());
+    let variance = noise2 * variance_inflation;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
     let lens_covariance = &spread * of_lens * spread.transpose() * variance;
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
         let of_unit_noise = spread.row(axis) * of_lens * spread.row(axis).transpose();
-        let std = (of_unit_noise[(0, 0)] * shared_error).sqrt()
+        let std = (of_unit_noise[(0, 0)] * variance_inflation).sqrt()
             * noise2.sqrt().max(LEAST_NOISE / part.noise);
         if !(std < OPEN_FOCAL * lens.parameters()[axis]) {
             return Err(open(axis, std));
         }
     }
-    let views = sights.map(|index| {
-        let (fault, sight, residuals) =
-            (fit.faults[index], &fit.sights[index], &equations.residuals[index]);
+    let views = observations.map(|index| {
+        let (fault, observation, residuals) =
+            (fit.faults[index], &fit.observations[index], &equations.residuals[index]);
         let placed = residuals.iter().any(|r| r[0].is_finite());
         let pose = pose_of(index);
         let shift = pose.translation() - pose * prepared.center_in_board;
         let chained = at.pose_at.map(|pose_at| {
-            let (by_sensor, by_board) = chain(state, (part.sensor, sight.instant));
+            let (by_sensor, by_board) = chain(state, (part.sensor, observation.frame_set));
             (pose_at, by_sensor, by_board)
         });
         let known = fault.is_none();
-        let covariance =
-            known.then(|| equations.pose_covariance(sight.instant, &unit, chained)).flatten();
+        let covariance = known
+            .then(|| equations.pose_covariance(observation.frame_set, &unit, chained))
+            .flatten();
         ViewEstimate {
-            name: problem.views[index - part.first_sight].name.clone(),
+            name: problem.views[index - part.first_observation].name.clone(),
             fault,
             camera_from_board: placed.then(|| Pose::new(pose.rotation(), shift)),
             covariance: covariance.map(|c| c * variance),
-            rms_px: placed
-                .then(|| rms(residuals, &sight.inverse_std, |k| fault.is_some() || sight.used[k])),
+            rms_px: placed.then(|| {
+                rms(residuals, &observation.inverse_std, |k| fault.is_some() || observation.used[k])
+            }),
             residuals_px: residuals
                 .iter()
-                .zip(&sight.inverse_std)
+                .zip(&observation.inverse_std)
                 .map(|(r, s)| r.map(|r| r / s))
                 .collect(),
-            used: sight.used.clone(),
+            used: observation.used.clone(),
         }
     });
     let views: Vec<ViewEstimate> = views.collect();
@@ -532,9 +550,9 @@ pub(crate) fn assemble(
         image_size: problem.image_size,
         lens,
         lens_covariance,
-        common_px: 0.0,
+        noise_floor_px: 0.0,
         noise: part.noise * noise2.sqrt(),
-        shared_error,
+        variance_inflation,
         rms_px: rms_of_views(&views),
         views,
         warp_m: fit.layout.warp.map(|_| state.warp),

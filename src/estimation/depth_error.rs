@@ -28,7 +28,7 @@ pub struct Smoothness {
     /// What a term may do to 1/z at the middle of the depths seen, as a part of it: one standard
     /// deviation.
     pub amplitude: f64,
-    /// The same for how much a node may differ from the straight line through its neighbours.
+    /// The same for how much a node may differ from the straight line through its neighbors.
     pub bend: f64,
 }
 

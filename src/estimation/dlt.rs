@@ -1,7 +1,7 @@
 //! The direct linear transform: a projection matrix, and from it K, R and t, from one view of
 //! points in space.
 //!
-//! R. Hartley and A. Zisserman, *Multiple View Geometry*, 2nd edition, algorithm 7.1: normalised
+//! R. Hartley and A. Zisserman, *Multiple View Geometry*, 2nd edition, algorithm 7.1: normalized
 //! coordinates, the least algebraic error, RQ decomposition, then the least distance in the image.
 
 use nalgebra::{DMatrix, Matrix3, Matrix3x4, Matrix4, Point3, Vector3};
@@ -155,11 +155,11 @@ pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationE
     let options = CameraOptions { lens, skew: true, ..CameraOptions::default() };
     let (free_lens, _) = FreeLens::from_options(LensModel::Pinhole, &options)?;
     let (layout, loss) = (Layout::new(vec![free_lens], None), Loss::Squares);
-    let minimum =
-        Minimum::start(&layout, start, &prepared.sights, loss).ok_or(EstimationError::NoFit)?;
-    let minimum = minimum.descend(&layout, &prepared.sights, loss, Stop::default());
+    let minimum = Minimum::start(&layout, start, &prepared.observations, loss)
+        .ok_or(EstimationError::NoFit)?;
+    let minimum = minimum.descend(&layout, &prepared.observations, loss, Stop::default());
     let robust = RobustFit { minimum, limit: f64::INFINITY };
-    let fit = CameraFit::new(layout, robust, prepared.sights.clone(), vec![None]);
+    let fit = CameraFit::new(layout, robust, prepared.observations.clone(), vec![None]);
     Ok(DltEstimate { projection, camera: assemble(problem, &prepared, &fit, Part::WHOLE)? })
 }
 

@@ -107,7 +107,7 @@ pub enum EstimationError {
     },
     /// A sensor of a rig that never saw the board together with another.
     #[error(
-        "sensor `{sensor}` saw the board at no instant at which another sensor did: show it to both at once"
+        "sensor `{sensor}` saw the board at no frame_set at which another sensor did: show it to both at once"
     )]
     NothingShared {
         /// The sensor's name.

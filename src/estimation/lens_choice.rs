@@ -11,7 +11,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::joint::minimize::{Minimum, Stop};
-use crate::estimation::joint::{FreeLens, Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
@@ -50,7 +50,7 @@ const MOVED_FAR: f64 = 4.0;
 /// The picture is compared on this many columns of pixels.
 const COLUMNS: u32 = 12;
 
-/// A step's cost is as it was foreseen within this part: the problem is linear there, and the step
+/// A step's cost is as it was predicted within this part: the problem is linear there, and the step
 /// its minimum.
 const FORESEEN: f64 = 0.01;
 
@@ -95,7 +95,7 @@ pub(crate) fn choose_lens(
         views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
     let grid = PixelGrid::over(prepared.image_size, COLUMNS);
     let trials: Vec<Trial<'_>> =
-        fits.iter().filter_map(|fit| Trial::of(fit, &closest.sights, &views, grid)).collect();
+        fits.iter().filter_map(|fit| Trial::of(fit, &closest.observations, &views, grid)).collect();
     let mut by_size: Vec<&Trial<'_>> = trials.iter().collect();
     by_size.sort_by_key(|trial| standing(trial.fit.lens().model()));
     let enough = |(k, smaller): &(usize, &&Trial<'_>)| {
@@ -104,8 +104,10 @@ pub(crate) fn choose_lens(
     let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else {
         return Ok((closest, Vec::new()));
     };
-    let corners: usize =
-        views.iter().map(|v| closest.sights[*v].used.iter().filter(|used| **used).count()).sum();
+    let corners: usize = views
+        .iter()
+        .map(|v| closest.observations[*v].used.iter().filter(|used| **used).count())
+        .sum();
     let told = |trial: &Trial<'_>| LensTrial {
         model: trial.fit.lens().model(),
         held_out_rms_px: (trial.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt(),
@@ -153,7 +155,12 @@ struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    fn of(fit: &'a CameraFit, chosen: &[Sight], views: &[usize], grid: PixelGrid) -> Option<Self> {
+    fn of(
+        fit: &'a CameraFit,
+        chosen: &[BoardObservation],
+        views: &[usize],
+        grid: PixelGrid,
+    ) -> Option<Self> {
         let squares = held_out_squares(fit, chosen, views, FOLDS)?;
         Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
     }
@@ -197,7 +204,7 @@ fn gain_in_standard_errors(smaller_model: &[f64], larger_model: &[f64]) -> f64 {
 /// cannot be fitted.
 pub(crate) fn held_out_squares(
     fit: &CameraFit,
-    chosen: &[Sight],
+    chosen: &[BoardObservation],
     views: &[usize],
     folds: usize,
 ) -> Option<Vec<f64>> {
@@ -218,14 +225,14 @@ pub(crate) fn held_out_squares(
 /// The fit of some of the views, from the fit of all, where `apart` tells what each says.
 pub(crate) fn refit(
     fit: &CameraFit,
-    (chosen, apart): (&[Sight], &[LocalEquations]),
+    (chosen, apart): (&[BoardObservation], &[LocalEquations]),
     views: &[usize],
 ) -> Minimum {
     let all = &fit.robust.minimum.state;
-    let sights: Vec<Sight> = views
+    let observations: Vec<BoardObservation> = views
         .iter()
         .enumerate()
-        .map(|(k, view)| Sight { instant: k, ..chosen[*view].clone() })
+        .map(|(k, view)| BoardObservation { frame_set: k, ..chosen[*view].clone() })
         .collect();
     let state = State {
         rig_from_board: views.iter().map(|view| all.rig_from_board[*view]).collect(),
@@ -234,42 +241,46 @@ pub(crate) fn refit(
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
     let equations = together(apart, (&fit.layout, all), chosen, (parts, views.len()));
     let start = Minimum { state, equations, steps: 0 };
-    start.descend(&fit.layout, &sights, Loss::Squares, COMPARED)
+    start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
 }
 
 /// The sum of squared pixel errors of one view at its best pose under `lens`.
-pub(crate) fn squares_under(lens: &Lens, fit: &CameraFit, sight: &Sight) -> Option<f64> {
+pub(crate) fn squares_under(
+    lens: &Lens,
+    fit: &CameraFit,
+    observation: &BoardObservation,
+) -> Option<f64> {
     let all = &fit.robust.minimum.state;
     let layout = Layout::new(
         vec![FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false }],
         None,
     );
-    let pose = all.rig_from_board[sight.instant];
+    let pose = all.rig_from_board[observation.frame_set];
     let state = State { lenses: vec![*lens], rig_from_board: vec![pose], ..all.clone() };
-    let sights = [Sight { instant: 0, ..sight.clone() }];
+    let observations = [BoardObservation { frame_set: 0, ..observation.clone() }];
     let loss = Loss::Squares;
-    let mut minimum = Minimum::start(&layout, state, &sights, loss)?;
+    let mut minimum = Minimum::start(&layout, state, &observations, loss)?;
     let step = minimum.equations.solve(0.0)?;
     let mut residuals = minimum
         .state
-        .stepped(&layout, &step.global, &step.instants)?
-        .residuals(&layout, &sights[0]);
+        .stepped(&layout, &step.global, &step.frame_sets)?
+        .residuals(&layout, &observations[0]);
     let used =
-        || sight.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
+        || observation.used.iter().enumerate().filter(|(_, used)| **used).map(|(corner, _)| corner);
     let cost: f64 = used().map(|corner| residuals[corner]).map(|[x, y]| x * x + y * y).sum();
-    // A step that ends as it was foreseen needs no second one.
-    let foreseen = minimum.equations.cost - step.predicted_decrease;
-    if !cost.is_finite() || (cost - foreseen).abs() > FORESEEN * cost {
+    // A step that ends as it was predicted needs no second one.
+    let predicted = minimum.equations.cost - step.predicted_decrease;
+    if !cost.is_finite() || (cost - predicted).abs() > FORESEEN * cost {
         minimum = minimum.descend(
             &layout,
-            &sights,
+            &observations,
             loss,
             Stop { lambda: 0.0, decrease: 1e-4, ..Stop::default() },
         );
         residuals.clone_from(&minimum.equations.residuals[0]);
     }
     let squares = |corner: usize| {
-        residuals[corner].map(|r| (r / sight.inverse_std[corner]).powi(2)).iter().sum::<f64>()
+        residuals[corner].map(|r| (r / observation.inverse_std[corner]).powi(2)).iter().sum::<f64>()
     };
     let squares: f64 = used().map(squares).sum();
     squares.is_finite().then_some(squares)

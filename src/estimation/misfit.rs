@@ -19,7 +19,7 @@ pub struct Misfit {
     /// explains a good part.
     pub rolling_shutter: Option<f64>,
     /// How far the board's points seem to be off a plane, from the lowest to the highest, in
-    /// metres, where that explains a visible part of what is left.
+    /// meters, where that explains a visible part of what is left.
     pub unevenness_m: Option<f64>,
 }
 
@@ -48,7 +48,8 @@ enum Read {
 impl Misfit {
     /// Looks for the causes in `views` of a fitted camera by itself.
     pub(crate) fn of(fit: &CameraFit, views: &[usize], size: [f64; 2]) -> Self {
-        let is_flat = views.iter().flat_map(|view| &fit.sights[*view].points).all(|p| p.z == 0.0);
+        let is_flat =
+            views.iter().flat_map(|view| &fit.observations[*view].points).all(|p| p.z == 0.0);
         if fit.layout.warp.is_some() || fit.layout.sensors.len() > 1 {
             return Self::default();
         }
@@ -109,7 +110,7 @@ struct Score {
     decrease: f64,
     /// How many residuals more than unknowns.
     freedom: f64,
-    /// The step of the board's shape, in metres.
+    /// The step of the board's shape, in meters.
     shape: Vec<f64>,
 }
 
@@ -152,7 +153,7 @@ impl Score {
     fn unevenness_m(&self, fit: &CameraFit, views: &[usize]) -> f64 {
         let half = half_extent(fit);
         let points: Vec<&Point3<f64>> =
-            views.iter().flat_map(|view| &fit.sights[*view].points).collect();
+            views.iter().flat_map(|view| &fit.observations[*view].points).collect();
         let heights = points
             .iter()
             .map(|p| shape_at(p, half).iter().zip(&self.shape).map(|(b, s)| b * s).sum());
@@ -165,9 +166,9 @@ impl Score {
     }
 }
 
-/// Half the board's extent along x and y, about the common centre.
+/// Half the board's extent along x and y, about the common center.
 fn half_extent(fit: &CameraFit) -> [f64; 2] {
-    let points = || fit.sights.iter().flat_map(|sight| &sight.points);
+    let points = || fit.observations.iter().flat_map(|observation| &observation.points);
     [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
 }
 
@@ -179,16 +180,17 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
 /// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's corners that
 /// take part.
 fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
-    let (sight, lens) = (&fit.sights[view], fit.lens());
-    let pose = fit.robust.minimum.state.rig_from_board[sight.instant];
+    let (observation, lens) = (&fit.observations[view], fit.lens());
+    let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
     let (turn, half) = (pose.rotation_matrix(), half_extent(fit));
-    let used: Vec<usize> = (0..sight.points.len()).filter(|k| sight.used[*k]).collect();
+    let used: Vec<usize> = (0..observation.points.len()).filter(|k| observation.used[*k]).collect();
     let spread = fit.layout.sensors[0].lens.spread(lens);
     let columns = fit.layout.len + extra.shape + extra.per_view();
     let (mut jacobian, mut residual) =
         (DMatrix::zeros(2 * used.len(), columns), DVector::zeros(2 * used.len()));
     for (row, k) in used.into_iter().enumerate() {
-        let (point, seen, weight) = (sight.points[k], sight.pixels[k], sight.inverse_std[k]);
+        let (point, seen, weight) =
+            (observation.points[k], observation.pixels[k], observation.inverse_std[k]);
         let turned: Vector3<f64> = turn * point.coords;
         let projection = lens.project(&Point3::from(turned + pose.translation()))?;
         let by_point: Matrix2x3<f64> = projection.by_point * weight;

@@ -11,8 +11,8 @@
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], `misfit` |
-//! | whether the corners of a view err together | `shared_error` |
-//! | colour and depth as one camera | [`rgbd`], [`depth_error`] |
+//! | whether the corners of a view err together | `variance_inflation` |
+//! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
 //! | why there is no answer | [`error`] |
@@ -34,8 +34,8 @@ pub mod rgbd;
 pub mod rig;
 pub(crate) mod robust;
 mod robust_fit;
-mod shared_error;
 mod start;
 pub mod uncertainty;
+mod variance_inflation;
 pub mod view_fault;
 pub mod zhang;

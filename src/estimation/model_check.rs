@@ -29,9 +29,9 @@ pub struct ModelCheck {
     /// noise, near 1 where the model cannot follow the picture, and halves agree on the same wrong
     /// answer.
     pub residual_correlation: Option<f64>,
-    /// What seems to be wrong where halves or neighbouring corners show that something is.
+    /// What seems to be wrong where halves or neighboring corners show that something is.
     pub misfit: Misfit,
-    /// How far the board seems bent at its middle along x and y, in metres, where that explains a
+    /// How far the board seems bent at its middle along x and y, in meters, where that explains a
     /// visible part of what is left and was not estimated.
     pub bow_m: Option<[f64; 2]>,
 }
@@ -48,7 +48,7 @@ const SUSPICIOUS_CORRELATION: f64 = 0.25;
 /// out of it is far less.
 const NEARBY: f64 = 0.2;
 
-/// Neighbours that it takes to tell a correlation from chance.
+/// Neighbors that it takes to tell a correlation from chance.
 const MIN_PAIRS: usize = 100;
 
 impl ModelCheck {
@@ -60,12 +60,12 @@ impl ModelCheck {
         let residual_correlation = residual_correlation(estimate);
         let suspicious = halves.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
             || residual_correlation.is_some_and(|correlation| correlation > SUSPICIOUS_CORRELATION)
-            || estimate.shared_error > 1.0;
+            || estimate.variance_inflation > 1.0;
         let views = some_views(fit);
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let look = suspicious && views.len() >= Self::MIN_VIEWS;
         let misfit = if look { Misfit::of(fit, &views, size) } else { Misfit::default() };
-        // A bow leaves smooth residuals: where neighbours go apart rather than together, none is
+        // A bow leaves smooth residuals: where neighbors go apart rather than together, none is
         // worth looking for.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
         let bow_m = if smooth { bow_m(fit) } else { None };
@@ -82,7 +82,7 @@ impl ModelCheck {
         };
         let (even, odd) = (half(0), half(1));
         let apart = &fit.robust.minimum.equations.apart;
-        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.sights, apart), half));
+        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.observations, apart), half));
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
         let grid = PixelGrid::over(estimate.image_size, 10);
@@ -98,15 +98,18 @@ impl ModelCheck {
         let (count, sum) =
             ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
         let crossed = |lens: &Lens, views: &[usize]| -> Option<f64> {
-            let looked_at_again = |view: usize| squares_under(lens, fit, &fit.sights[view]);
+            let looked_at_again = |view: usize| squares_under(lens, fit, &fit.observations[view]);
             views
                 .iter()
                 .map(|view| squares_nearby(lens, fit, *view).or_else(|| looked_at_again(*view)))
                 .sum()
         };
         let held_out = crossed(&lens_b, &even).and_then(|sum| Some(sum + crossed(&lens_a, &odd)?));
-        let corners =
-            views.iter().flat_map(|view| &fit.sights[*view].used).filter(|used| **used).count();
+        let corners = views
+            .iter()
+            .flat_map(|view| &fit.observations[*view].used)
+            .filter(|used| **used)
+            .count();
         Some(Self {
             split_half_ratio: Some(f64::sqrt(sum / count)).filter(|ratio| ratio.is_finite()),
             held_out_rms_px: held_out.map(|squares| (squares / corners.max(1) as f64).sqrt()),
@@ -122,15 +125,21 @@ impl ModelCheck {
 /// to second order from what the view said there; `None` where that is not near enough, or its
 /// corners have not all the same to say.
 fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
-    let (minimum, sight) = (&fit.robust.minimum, &fit.sights[view]);
+    let (minimum, observation) = (&fit.robust.minimum, &fit.observations[view]);
     let free = &fit.layout.sensors[0].lens.free;
-    let inverse_std = *sight.inverse_std.first()?;
-    if fit.layout.len > free.len() || sight.inverse_std.iter().any(|other| *other != inverse_std) {
+    let inverse_std = *observation.inverse_std.first()?;
+    if fit.layout.len > free.len()
+        || observation.inverse_std.iter().any(|other| *other != inverse_std)
+    {
         return None;
     }
     let part = std::iter::once((view, 0));
-    let alone =
-        together(&minimum.equations.apart, (&fit.layout, &minimum.state), &fit.sights, (part, 1));
+    let alone = together(
+        &minimum.equations.apart,
+        (&fit.layout, &minimum.state),
+        &fit.observations,
+        (part, 1),
+    );
     let (information, score) = alone.reduced(0)?;
     let (there, here) = (lens.parameters(), fit.lens().parameters());
     let moved =
@@ -157,13 +166,13 @@ fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
 
 /// The views that take part, or enough of them, evenly.
 fn some_views(fit: &CameraFit) -> Vec<usize> {
-    fit.some_instants().into_iter().flatten().collect()
+    fit.some_frame_sets().into_iter().flatten().collect()
 }
 
 /// The bow of the board that one Gauss–Newton step from a flat one finds, if it explains enough.
 fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     let views = some_views(fit);
-    let points = || views.iter().flat_map(|view| &fit.sights[*view].points);
+    let points = || views.iter().flat_map(|view| &fit.observations[*view].points);
     let [only] = fit.layout.sensors.as_slice() else { return None };
     if fit.layout.warp.is_some()
         || views.len() < ModelCheck::MIN_VIEWS
@@ -175,9 +184,9 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
         [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
     let (layout, state) =
         (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
-    let apart = looked_at((&layout, state), &fit.sights, &views)?;
+    let apart = looked_at((&layout, state), &fit.observations, &views)?;
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = together(&apart, (&layout, state), &fit.sights, (parts, views.len()));
+    let equations = together(&apart, (&layout, state), &fit.observations, (parts, views.len()));
     let step = equations.solve(0.0)?;
     let enough = step.predicted_decrease > BOW_GAIN[0] * equations.cost
         && step.predicted_decrease > BOW_GAIN[1] * fit.noise_square();
@@ -195,5 +204,10 @@ fn lens_covariance(
     let unit = half.equations.global_covariance()?;
     let spread = free.spread(&estimate.lens);
     let unit = unit.view((0, 0), (free.free.len(), free.free.len())).into_owned();
-    Some(&spread * unit * spread.transpose() * (estimate.noise.powi(2) * estimate.shared_error))
+    Some(
+        &spread
+            * unit
+            * spread.transpose()
+            * (estimate.noise.powi(2) * estimate.variance_inflation),
+    )
 }

@@ -26,12 +26,16 @@ const CORNERS: usize = 1000;
 /// units of a blurred one's; in between each is twice the one before.
 const TRIED: [f64; 2] = [0.125, 64.0];
 
-/// The problem with a common error of `common_px` added to every corner's own.
-pub(crate) fn with_common_error(problem: &CameraProblem, common_px: f64) -> Cow<'_, CameraProblem> {
-    if common_px == 0.0 {
+/// The problem with a common error of `noise_floor_px` added to every corner's own.
+pub(crate) fn with_noise_floor(
+    problem: &CameraProblem,
+    noise_floor_px: f64,
+) -> Cow<'_, CameraProblem> {
+    if noise_floor_px == 0.0 {
         return Cow::Borrowed(problem);
     }
-    let corner = |c: &Correspondence| Correspondence { std_px: c.std_px.hypot(common_px), ..*c };
+    let corner =
+        |c: &Correspondence| Correspondence { std_px: c.std_px.hypot(noise_floor_px), ..*c };
     let view = |view: &BoardView| BoardView {
         name: view.name.clone(),
         correspondences: view.correspondences.iter().map(corner).collect(),
@@ -45,7 +49,7 @@ pub(crate) fn with_common_error(problem: &CameraProblem, common_px: f64) -> Cow<
 /// The common error that the residuals of `estimate` tell of, in pixels; `None` where weights with
 /// it would be near those that it was made with, or all corners have the same deviation and weights
 /// stay as they are.
-pub(crate) fn common_error_px(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
+pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
     let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
     let corners = views.flat_map(|(given, view)| {
         given.correspondences.iter().zip(&view.residuals_px).zip(&view.used)
@@ -66,11 +70,12 @@ pub(crate) fn common_error_px(problem: &CameraProblem, estimate: &CameraEstimate
     let doubled = |common: &f64| (*common < TRIED[1] * blurred).then_some(2.0 * common);
     let least = (TRIED[0] * sharp).max(f64::MIN_POSITIVE);
     let tried = std::iter::once(0.0).chain(std::iter::successors(Some(least), doubled));
-    let likelihoods = tried.map(|common| (unlikelihood(&seen, common), common));
+    let likelihoods = tried.map(|common| (negative_log_likelihood(&seen, common), common));
     let best = likelihoods.min_by(|a, b| a.0.total_cmp(&b.0))?.1;
     // How much more a sharp corner has to say than a blurred one.
     let contrast = |common: f64| ((blurred + common) / (sharp + common)).ln();
-    ((contrast(best) - contrast(estimate.common_px.powi(2))).abs() > NEAR).then_some(best.sqrt())
+    ((contrast(best) - contrast(estimate.noise_floor_px.powi(2))).abs() > NEAR)
+        .then_some(best.sqrt())
 }
 
 /// A corner that takes part.
@@ -89,7 +94,7 @@ impl Seen {
 }
 
 /// −ln of the likelihood, but for a constant, at the likeliest level.
-fn unlikelihood(seen: &[Seen], common: f64) -> f64 {
+fn negative_log_likelihood(seen: &[Seen], common: f64) -> f64 {
     let (mut level, mut spread) = (0.0, 0.0);
     for Seen { variance, square } in seen {
         level += square / (variance + common);

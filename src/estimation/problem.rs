@@ -9,7 +9,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 /// A point of the board and where it was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Correspondence {
-    /// In metres.
+    /// In meters.
     pub point_in_board: Point3<f64>,
     /// Where it was seen.
     pub pixel: Pixel,

@@ -1,6 +1,6 @@
 //! Several sensors that are fixed to each other, from views of one board: lenses, where the sensors
-//! are, and where the board was at each instant, in one joint problem. A sensor need not see every
-//! instant.
+//! are, and where the board was at each frame set, in one joint problem. A sensor need not see every
+//! frame set.
 
 use nalgebra::Matrix6;
 
@@ -8,13 +8,13 @@ use crate::estimation::camera::{
     CameraEstimate, CameraFit, CameraOptions, Part, assemble, check, fit_camera,
 };
 use crate::estimation::error::EstimationError;
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::robust::median;
 use crate::estimation::robust_fit::robust_fit;
-use crate::estimation::shared_error::shared_error;
 use crate::estimation::start::{Prepared, mean_point};
+use crate::estimation::variance_inflation::variance_inflation;
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -24,8 +24,8 @@ use crate::geometry::pose::Pose;
 pub struct RigProblem {
     /// Its sensors; the first is the rig's own frame.
     pub sensors: Vec<RigSensor>,
-    /// How many instants there are.
-    pub instants: usize,
+    /// How many frame sets there are.
+    pub frame_sets: usize,
 }
 
 /// One sensor of a rig and what it saw.
@@ -35,7 +35,7 @@ pub struct RigSensor {
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
-    /// What it saw, and at which instant (counted from 0).
+    /// What it saw, and at which frame set (counted from 0).
     pub views: Vec<(usize, BoardView)>,
     /// What to estimate of its lens; `warp` holds for the rig if it is set for the first sensor.
     pub options: CameraOptions,
@@ -55,12 +55,12 @@ pub struct RigEstimate {
 pub struct SensorPlace {
     /// The pose.
     pub sensor_from_rig: Pose,
-    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (metres); zero for
+    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (meters); zero for
     /// the first sensor.
     pub covariance: Matrix6<f64>,
     /// How many times greater that is than if each corner erred by itself, as
-    /// [`CameraEstimate::shared_error`].
-    pub shared_error: f64,
+    /// [`CameraEstimate::variance_inflation`].
+    pub variance_inflation: f64,
 }
 
 /// Calibrates a rig: each sensor by itself for a start, then everything jointly, each sensor
@@ -68,7 +68,7 @@ pub struct SensorPlace {
 ///
 /// # Errors
 /// As [`crate::estimation::camera::calibrate_camera`] for each sensor; a sensor that shares no
-/// instant with the others.
+/// frame set with the others.
 pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationError> {
     let cameras: Vec<CameraProblem> =
         problem.sensors.iter().map(RigSensor::to_camera_problem).collect();
@@ -85,21 +85,21 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     }
     let fit = fit_jointly(problem, &alone)?;
     let unit = fit.robust.minimum.equations.global_covariance().ok_or(EstimationError::NoFit)?;
-    let (mut estimates, mut places, mut first_sight) = (Vec::new(), Vec::new(), 0);
+    let (mut estimates, mut places, mut first_observation) = (Vec::new(), Vec::new(), 0);
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
-        let part = Part { sensor, first_sight, noise: own_noise(own) };
+        let part = Part { sensor, first_observation, noise: own_noise(own) };
         estimates.push(assemble(camera, prepared, &fit, part)?);
-        let (covariance, shared_error) = match fit.layout.sensors[sensor].pose_at {
+        let (covariance, variance_inflation) = match fit.layout.sensors[sensor].pose_at {
             Some(at) => {
-                let shared = shared_error(&fit, &unit, at..at + 6);
+                let shared = variance_inflation(&fit, &unit, at..at + 6);
                 (unit.fixed_view::<6, 6>(at, at) * (fit.noise_square() * shared), shared)
             }
             None => (Matrix6::zeros(), 1.0),
         };
         let sensor_from_rig = fit.robust.minimum.state.sensor_from_rig[sensor];
-        places.push(SensorPlace { sensor_from_rig, covariance, shared_error });
-        first_sight += camera.views.len();
+        places.push(SensorPlace { sensor_from_rig, covariance, variance_inflation });
+        first_observation += camera.views.len();
     }
     Ok(RigEstimate { cameras: estimates, places })
 }
@@ -112,11 +112,11 @@ impl RigSensor {
         }
     }
 
-    /// Each instant that it has a good pose of in `fit`, with that pose.
+    /// Each frame set that it has a good pose of in `fit`, with that pose.
     fn placed<'a>(&'a self, fit: &'a CameraFit) -> impl Iterator<Item = (usize, Pose)> + 'a {
         let state = &fit.robust.minimum.state;
         let views = self.views.iter().enumerate().filter(|(view, _)| fit.faults[*view].is_none());
-        views.map(|(view, (instant, _))| (*instant, state.rig_from_board[view]))
+        views.map(|(view, (frame_set, _))| (*frame_set, state.rig_from_board[view]))
     }
 }
 
@@ -131,16 +131,20 @@ fn fit_jointly(
     alone: &[(Prepared, CameraFit)],
 ) -> Result<CameraFit, EstimationError> {
     let (sensor_from_rig, rig_from_board) = place_sensors(problem, alone)?;
-    let (mut sights, mut faults) = (Vec::new(), Vec::new());
+    let (mut observations, mut faults) = (Vec::new(), Vec::new());
     for (index, (sensor, (_, fit))) in problem.sensors.iter().zip(alone).enumerate() {
         let noise = own_noise(fit);
-        for (view, (instant, _)) in sensor.views.iter().enumerate() {
-            let mut sight = Sight { sensor: index, instant: *instant, ..fit.sights[view].clone() };
-            sight.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
-            sights.push(sight);
+        for (view, (frame_set, _)) in sensor.views.iter().enumerate() {
+            let mut observation = BoardObservation {
+                sensor: index,
+                frame_set: *frame_set,
+                ..fit.observations[view].clone()
+            };
+            observation.inverse_std.iter_mut().for_each(|inverse| *inverse /= noise);
+            observations.push(observation);
             let own = fit.robust.minimum.state.rig_from_board[view];
             let expected = rig_from_board
-                .get(*instant)
+                .get(*frame_set)
                 .copied()
                 .flatten()
                 .map(|pose| sensor_from_rig[index] * pose);
@@ -160,8 +164,8 @@ fn fit_jointly(
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
     let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent));
     let robust =
-        robust_fit(&layout, state, &mut sights, &mut faults).ok_or(EstimationError::NoFit)?;
-    Ok(CameraFit::new(layout, robust, sights, faults))
+        robust_fit(&layout, state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
+    Ok(CameraFit::new(layout, robust, observations, faults))
 }
 
 /// A board seen further round than this, in radians, against the other sensors was labelled from
@@ -170,29 +174,30 @@ const HALF_TURN: f64 = 2.4;
 
 type Places = (Vec<Pose>, Vec<Option<Pose>>);
 
-/// `sensor_from_rig` of each sensor and `rig_from_board` of each instant, from the poses that each
+/// `sensor_from_rig` of each sensor and `rig_from_board` of each frame set, from the poses that each
 /// sensor found by itself: sensor by sensor, each joined to those already placed by the relative
-/// pose that most shared instants agree on.
+/// pose that most shared frame sets agree on.
 fn place_sensors(
     problem: &RigProblem,
     alone: &[(Prepared, CameraFit)],
 ) -> Result<Places, EstimationError> {
-    let mut rig_from_board: Vec<Option<Pose>> = vec![None; problem.instants];
+    let mut rig_from_board: Vec<Option<Pose>> = vec![None; problem.frame_sets];
     let mut sensor_from_rig: Vec<Option<Pose>> = vec![None; problem.sensors.len()];
-    let instant_out_of_range = problem
+    let frame_set_out_of_range = problem
         .sensors
         .iter()
         .flat_map(|s| &s.views)
-        .any(|(instant, _)| *instant >= problem.instants);
-    if instant_out_of_range || problem.sensors.is_empty() {
+        .any(|(frame_set, _)| *frame_set >= problem.frame_sets);
+    if frame_set_out_of_range || problem.sensors.is_empty() {
         return Err(EstimationError::NoFit);
     }
     for _ in 0..problem.sensors.len() {
         let next = (0..problem.sensors.len()).filter(|k| sensor_from_rig[*k].is_none()).find_map(
             |sensor| {
                 let placed = problem.sensors[sensor].placed(&alone[sensor].1);
-                let shared = placed
-                    .filter_map(|(instant, pose)| Some(pose * rig_from_board[instant]?.inverse()));
+                let shared = placed.filter_map(|(frame_set, pose)| {
+                    Some(pose * rig_from_board[frame_set]?.inverse())
+                });
                 let first = sensor == 0;
                 let sensor_from_rig: Vec<Pose> =
                     if first { vec![Pose::identity()] } else { shared.collect() };
@@ -200,14 +205,14 @@ fn place_sensors(
             },
         );
         let Some((sensor, sensor_from)) = next else {
-            let lonely = sensor_from_rig.iter().position(Option::is_none).unwrap_or(0);
+            let isolated = sensor_from_rig.iter().position(Option::is_none).unwrap_or(0);
             return Err(EstimationError::NothingShared {
-                sensor: problem.sensors[lonely].name.clone(),
+                sensor: problem.sensors[isolated].name.clone(),
             });
         };
         sensor_from_rig[sensor] = Some(sensor_from);
-        for (instant, pose) in problem.sensors[sensor].placed(&alone[sensor].1) {
-            rig_from_board[instant].get_or_insert(sensor_from.inverse() * pose);
+        for (frame_set, pose) in problem.sensors[sensor].placed(&alone[sensor].1) {
+            rig_from_board[frame_set].get_or_insert(sensor_from.inverse() * pose);
         }
     }
     Ok((sensor_from_rig.into_iter().flatten().collect(), rig_from_board))

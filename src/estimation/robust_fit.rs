@@ -3,7 +3,7 @@
 //! choice stands.
 
 use crate::estimation::joint::minimize::{Minimum, Stop};
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::view_fault::ViewFault;
 
@@ -36,38 +36,42 @@ pub(crate) struct RobustFit {
     pub(crate) limit: f64,
 }
 
-/// Fits from `start`; chooses `used` of the sights whose `faults` entry is `None`, and adds the
+/// Fits from `start`; chooses `used` of the observations whose `faults` entry is `None`, and adds the
 /// faults of views that have too few good corners. `None` where nothing can be projected or
 /// everything was rejected.
 pub(crate) fn robust_fit(
     layout: &Layout,
     start: State,
-    sights: &mut [Sight],
+    observations: &mut [BoardObservation],
     faults: &mut [Option<ViewFault>],
 ) -> Option<RobustFit> {
     let at_start: Vec<Vec<[f64; 2]>> =
-        sights.iter().map(|sight| start.residuals(layout, sight)).collect();
-    select(sights, &at_start, f64::INFINITY, faults);
-    let mut scale = scale_of(sights, &at_start).max(ROUNDING);
-    let clean = part_beyond(LIMIT * scale, sights, &at_start) < FEW;
+        observations.iter().map(|observation| start.residuals(layout, observation)).collect();
+    select(observations, &at_start, f64::INFINITY, faults);
+    let mut scale = scale_of(observations, &at_start).max(ROUNDING);
+    let clean = part_beyond(LIMIT * scale, observations, &at_start) < FEW;
     let mut loss = if clean { Loss::Squares } else { huber(scale) };
-    let minimum = Minimum::start(layout, start, sights, loss)?;
-    let mut minimum = minimum.descend(layout, sights, loss, ROUGH);
+    let minimum = Minimum::start(layout, start, observations, loss)?;
+    let mut minimum = minimum.descend(layout, observations, loss, ROUGH);
     for _ in 0..12 {
-        let next = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
+        let next = scale_of(observations, &minimum.equations.residuals).max(ROUNDING);
         let settled = next > 0.8 * scale
-            || part_beyond(LIMIT * next, sights, &minimum.equations.residuals) < FEW;
+            || part_beyond(LIMIT * next, observations, &minimum.equations.residuals) < FEW;
         scale = next;
         if settled {
             break;
         }
-        select(sights, &minimum.equations.residuals, f64::INFINITY, faults);
+        select(observations, &minimum.equations.residuals, f64::INFINITY, faults);
         loss = huber(scale);
-        minimum = Minimum::start(layout, minimum.state, sights, loss)?
-            .descend(layout, sights, loss, ROUGH);
+        minimum = Minimum::start(layout, minimum.state, observations, loss)?.descend(
+            layout,
+            observations,
+            loss,
+            ROUGH,
+        );
     }
     for round in 0..10 {
-        let changed = select(sights, &minimum.equations.residuals, LIMIT * scale, faults);
+        let changed = select(observations, &minimum.equations.residuals, LIMIT * scale, faults);
         if round > 0 && !changed {
             break;
         }
@@ -75,17 +79,18 @@ pub(crate) fn robust_fit(
         let was_squares = match loss {
             Loss::Squares => true,
             Loss::Huber { scale } => {
-                part_beyond(scale, sights, &minimum.equations.residuals) == 0.0
+                part_beyond(scale, observations, &minimum.equations.residuals) == 0.0
             }
         };
         if changed || !was_squares {
-            minimum = Minimum::start(layout, minimum.state, sights, Loss::Squares)?;
+            minimum = Minimum::start(layout, minimum.state, observations, Loss::Squares)?;
         }
         loss = Loss::Squares;
-        minimum = minimum.descend(layout, sights, loss, Stop { lambda: 0.0, ..Stop::default() });
-        scale = scale_of(sights, &minimum.equations.residuals).max(ROUNDING);
+        minimum =
+            minimum.descend(layout, observations, loss, Stop { lambda: 0.0, ..Stop::default() });
+        scale = scale_of(observations, &minimum.equations.residuals).max(ROUNDING);
     }
-    let anything = sights.iter().any(|sight| sight.used.contains(&true));
+    let anything = observations.iter().any(|observation| observation.used.contains(&true));
     anything.then_some(RobustFit { minimum, limit: LIMIT * scale })
 }
 
@@ -94,15 +99,18 @@ fn huber(scale: f64) -> Loss {
 }
 
 /// The scale of the residuals of all views without a fault.
-fn scale_of(sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
-    let taking_part = sights.iter().zip(residuals).filter(|(sight, _)| sight.used.contains(&true));
+fn scale_of(observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
+    let taking_part = observations
+        .iter()
+        .zip(residuals)
+        .filter(|(observation, _)| observation.used.contains(&true));
     median_scale(taking_part.flat_map(|(_, residuals)| residuals.iter().copied()))
 }
 
 /// The part of the corners taking part that are further off than `limit`.
-fn part_beyond(limit: f64, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64 {
+fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
     let corners = || {
-        sights
+        observations
             .iter()
             .zip(residuals)
             .flat_map(|(s, r)| s.used.iter().zip(r))
@@ -115,26 +123,26 @@ fn part_beyond(limit: f64, sights: &[Sight], residuals: &[Vec<[f64; 2]>]) -> f64
 /// Lets those corners take part that are within `limit` (and can be projected at all); answers
 /// whether that changed.
 fn select(
-    sights: &mut [Sight],
+    observations: &mut [BoardObservation],
     residuals: &[Vec<[f64; 2]>],
     limit: f64,
     faults: &mut [Option<ViewFault>],
 ) -> bool {
     let mut changed = false;
-    for ((sight, residuals), fault) in sights.iter_mut().zip(residuals).zip(faults) {
+    for ((observation, residuals), fault) in observations.iter_mut().zip(residuals).zip(faults) {
         let within = |[x, y]: &[f64; 2]| x.is_finite() && (*x * *x + *y * *y) <= limit * limit;
         let good = residuals.iter().filter(|r| within(r)).count();
         let points = residuals.len();
         if fault.is_none() && (good as f64) < MIN_USED * points as f64 {
-            let mean_std =
-                sight.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>() / points as f64;
+            let mean_std = observation.inverse_std.iter().map(|inverse| 1.0 / inverse).sum::<f64>()
+                / points as f64;
             *fault = Some(ViewFault::Outliers {
                 outliers: points - good,
                 points,
                 limit_px: limit * mean_std,
             });
         }
-        for (used, residual) in sight.used.iter_mut().zip(residuals) {
+        for (used, residual) in observation.used.iter_mut().zip(residuals) {
             let next = fault.is_none() && within(residual);
             changed |= next != *used;
             *used = next;

@@ -4,7 +4,7 @@
 use nalgebra::{Point2, Point3, Vector3};
 
 use crate::estimation::camera::CameraStart;
-use crate::estimation::joint::{Sight, State};
+use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::robust::median;
@@ -27,10 +27,10 @@ const MIN_POINTS: usize = 6;
 pub(crate) struct Prepared {
     pub(crate) image_size: ImageSize,
     pub(crate) names: Vec<String>,
-    /// Where the points' common centre lies in the board frame.
+    /// Where the points' common center lies in the board frame.
     pub(crate) center_in_board: Vector3<f64>,
-    /// One per view; `instant` is the view's index.
-    pub(crate) sights: Vec<Sight>,
+    /// One per view; `frame_set` is the view's index.
+    pub(crate) observations: Vec<BoardObservation>,
     pub(crate) views: Vec<PreparedView>,
 }
 
@@ -48,18 +48,18 @@ impl Prepared {
         Self::about(problem, mean_point(std::slice::from_ref(problem)))
     }
 
-    /// As [`Self::of`], about a centre that several problems share.
+    /// As [`Self::of`], about a center that several problems share.
     pub(crate) fn about(problem: &CameraProblem, center_in_board: Vector3<f64>) -> Self {
         // A flat board stays exactly flat.
-        let sights: Vec<_> = problem
+        let observations: Vec<_> = problem
             .views
             .iter()
             .enumerate()
-            .map(|(instant, view)| {
+            .map(|(frame_set, view)| {
                 let seen = &view.correspondences;
-                Sight {
+                BoardObservation {
                     sensor: 0,
-                    instant,
+                    frame_set,
                     points: seen.iter().map(|c| c.point_in_board - center_in_board).collect(),
                     pixels: seen.iter().map(|c| c.pixel).collect(),
                     inverse_std: seen.iter().map(|c| 1.0 / c.std_px).collect(),
@@ -67,10 +67,10 @@ impl Prepared {
                 }
             })
             .collect();
-        let mut views: Vec<_> = sights.iter().map(PreparedView::of).collect();
-        name_mislabelled(&sights, &mut views);
+        let mut views: Vec<_> = observations.iter().map(PreparedView::of).collect();
+        name_mislabelled(&observations, &mut views);
         let names = problem.views.iter().map(|view| view.name.clone()).collect();
-        Self { image_size: problem.image_size, names, center_in_board, sights, views }
+        Self { image_size: problem.image_size, names, center_in_board, observations, views }
     }
 
     /// What is known against each view.
@@ -91,9 +91,9 @@ impl Prepared {
         }
     }
 
-    /// Half the extent of all points along x and y, in metres.
+    /// Half the extent of all points along x and y, in meters.
     pub(crate) fn half_extent(&self) -> [f64; 2] {
-        let points = || self.sights.iter().flat_map(|sight| &sight.points);
+        let points = || self.observations.iter().flat_map(|observation| &observation.points);
         [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
     }
 
@@ -102,10 +102,10 @@ impl Prepared {
         (0..self.views.len()).filter(|index| self.views[*index].fault.is_none()).collect()
     }
 
-    /// `camera_from_board` (about the common centre) of each view under `lens`, linear; `None`
+    /// `camera_from_board` (about the common center) of each view under `lens`, linear; `None`
     /// where there is none.
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
-        let (prepared, sight) = (&self.views[view], &self.sights[view]);
+        let (prepared, observation) = (&self.views[view], &self.observations[view]);
         let straight = lens.model() != LensModel::KannalaBrandt
             && lens.distortion.coefficients().iter().all(|c| *c == 0.0);
         if let (true, Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
@@ -114,8 +114,8 @@ impl Prepared {
             return Some(zhang::camera_from_board(lens.matrix, homography)? * *plane_from_board);
         }
         let bearings: Vec<_> =
-            sight.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
-        pose_from_bearings(prepared.shape.as_ref()?, &sight.points, &bearings)
+            observation.pixels.iter().map(|pixel| lens.bearing_from_pixel(*pixel)).collect();
+        pose_from_bearings(prepared.shape.as_ref()?, &observation.points, &bearings)
     }
 }
 
@@ -129,22 +129,24 @@ pub(crate) fn mean_point(problems: &[CameraProblem]) -> Vector3<f64> {
 }
 
 impl PreparedView {
-    fn of(sight: &Sight) -> Self {
-        let points = sight.points.len();
+    fn of(observation: &BoardObservation) -> Self {
+        let points = observation.points.len();
         let faulty = |fault| Self { shape: None, homography: None, fault: Some(fault) };
         if points < MIN_POINTS {
             return faulty(ViewFault::TooFewPoints { points, needed: MIN_POINTS });
         }
-        let Some(shape) = Shape::of(&sight.points) else { return faulty(ViewFault::PointsOnLine) };
-        if spread_px(&sight.pixels).1 < 1e-6 {
+        let Some(shape) = Shape::of(&observation.points) else {
+            return faulty(ViewFault::PointsOnLine);
+        };
+        if spread_px(&observation.pixels).1 < 1e-6 {
             return faulty(ViewFault::PixelsOnLine);
         }
         let Shape::Flat { .. } = &shape else {
             return Self { shape: Some(shape), homography: None, fault: None };
         };
-        let pairs = plane_pairs(&shape, sight);
+        let pairs = plane_pairs(&shape, observation);
         let homography = Homography::fit(&pairs).ok().map(|h| (h, h.rms(&pairs)));
-        let spread = spread_px(&sight.pixels).0;
+        let spread = spread_px(&observation.pixels).0;
         let rms_px = homography.as_ref().map_or(spread, |(_, rms_px)| rms_px.min(spread));
         let fault = (rms_px > MISFIT * spread).then_some(ViewFault::NoPose { rms_px });
         Self { shape: Some(shape), homography, fault }
@@ -153,33 +155,33 @@ impl PreparedView {
 
 /// Looks for the names of those labels that no homography explains, to within what the other views
 /// leave.
-fn name_mislabelled(sights: &[Sight], views: &mut [PreparedView]) {
+fn name_mislabelled(observations: &[BoardObservation], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
     let Some(typical_px) =
         median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect())
     else {
         return;
     };
-    for (sight, view) in sights.iter().zip(views) {
+    for (observation, view) in observations.iter().zip(views) {
         let (Some(ViewFault::NoPose { .. }), Some(shape)) = (&view.fault, &view.shape) else {
             continue;
         };
         let Shape::Flat { plane_from_board, .. } = shape else { continue };
-        let on_plane: Vec<_> = sight.points.iter().map(|p| *plane_from_board * *p).collect();
-        let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&sight.pixels).0);
-        view.fault = mislabelling(&on_plane, &sight.pixels, limit_px).or(view.fault);
+        let on_plane: Vec<_> = observation.points.iter().map(|p| *plane_from_board * *p).collect();
+        let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&observation.pixels).0);
+        view.fault = mislabelling(&on_plane, &observation.pixels, limit_px).or(view.fault);
     }
 }
 
-fn plane_pairs(shape: &Shape, sight: &Sight) -> Vec<(Point2<f64>, Point2<f64>)> {
-    let pixels = sight.pixels.iter().map(|pixel| Point2::new(pixel.x, pixel.y));
+fn plane_pairs(shape: &Shape, observation: &BoardObservation) -> Vec<(Point2<f64>, Point2<f64>)> {
+    let pixels = observation.pixels.iter().map(|pixel| Point2::new(pixel.x, pixel.y));
     match shape {
         Shape::Flat { plane_from_board, .. } if plane_from_board.rotation().w == 1.0 => {
             let shift = plane_from_board.translation();
-            sight.points.iter().map(|p| (p + shift).xy()).zip(pixels).collect()
+            observation.points.iter().map(|p| (p + shift).xy()).zip(pixels).collect()
         }
         Shape::Flat { plane_from_board, .. } => {
-            sight.points.iter().map(|p| (*plane_from_board * *p).xy()).zip(pixels).collect()
+            observation.points.iter().map(|p| (*plane_from_board * *p).xy()).zip(pixels).collect()
         }
         Shape::Solid { .. } => Vec::new(),
     }
@@ -200,7 +202,7 @@ fn spread_px(pixels: &[Pixel]) -> (f64, f64) {
     ((trace / n).sqrt(), if trace > 0.0 { area.sqrt() / trace } else { 0.0 })
 }
 
-/// A first lens of `model` and the poses of the usable views, about the common centre; a view
+/// A first lens of `model` and the poses of the usable views, about the common center; a view
 /// without a pose gets the fault that says so. `None` where not one view has a pose.
 pub(crate) fn start(prepared: &mut Prepared, model: LensModel) -> Option<State> {
     let usable = prepared.usable();
@@ -324,14 +326,14 @@ fn sample(indices: &[usize], count: usize) -> Vec<usize> {
 /// infinitely far off.
 fn misfit_px(prepared: &Prepared, views: &[usize], lens: &Lens) -> f64 {
     let of_view = |view: &usize| {
-        let sight = &prepared.sights[*view];
+        let observation = &prepared.observations[*view];
         let Some(pose) = prepared.pose(*view, lens) else { return f64::INFINITY };
         let square = |(point, pixel): (&Point3<f64>, &Pixel)| {
             let seen = lens.pixel_from_point(&(pose * *point));
             seen.map_or(f64::INFINITY, |seen| (seen.to_vector() - pixel.to_vector()).norm_squared())
         };
-        let sum: f64 = sight.points.iter().zip(&sight.pixels).map(square).sum();
-        (sum / sight.points.len() as f64).sqrt()
+        let sum: f64 = observation.points.iter().zip(&observation.pixels).map(square).sum();
+        (sum / observation.points.len() as f64).sqrt()
     };
     median(views.iter().map(of_view).collect()).unwrap_or(f64::INFINITY)
 }

@@ -14,7 +14,7 @@ use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
 pub enum Distance {
     /// So far that only a turn of the camera compensates.
     Infinity,
-    /// At this many metres: a turn and a shift compensate.
+    /// At this many meters: a turn and a shift compensate.
     Meters(f64),
 }
 
@@ -108,7 +108,7 @@ impl Sample {
     fn of(lens: &Lens, bearing: Bearing, distance: Distance) -> Option<Self> {
         let (length, shifts) = match distance {
             Distance::Infinity => (1.0, 0.0),
-            Distance::Meters(metres) => (metres, 1.0),
+            Distance::Meters(meters) => (meters, 1.0),
         };
         let point = Point3::from(bearing.into_inner() * length);
         let Projection { by_point, by_parameters, .. } = lens.project(&point)?;

@@ -5,7 +5,7 @@ use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 
-/// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's centre:
+/// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's center:
 /// its cx and cy are ours plus one half.
 const CORNER_TO_CENTER_PX: f64 = 0.5;
 

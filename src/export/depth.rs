@@ -1,4 +1,4 @@
-//! A depth sensor's readings made metres, as a text file that thirty lines of any language read
+//! A depth sensor's readings made meters, as a text file that thirty lines of any language read
 //! (`docs/depth-correction` has it in Python and C++).
 
 use crate::calibration::depth_calibration::DepthCalibration;

@@ -86,7 +86,7 @@ fn a_refit_states_its_error_or_is_refused() {
     assert!(matches!(line, ExportError::Refit { worst_px, .. } if worst_px > 0.5), "{line}");
 }
 
-/// Two cameras of a rig, a quarter of a metre apart.
+/// Two cameras of a rig, a quarter of a meter apart.
 fn rig() -> Calibration {
     let camera = |name: &str| RigCamera { name: name.into(), sensor: example().color.unwrap() };
     let target_from_source =
@@ -98,7 +98,7 @@ fn rig() -> Calibration {
         rotation_std: [0.0; 3],
         translation_std_m: [0.0; 3],
     };
-    let cameras = vec![camera("left"), camera("right"), camera("lonely")];
+    let cameras = vec![camera("left"), camera("right"), camera("isolated")];
     Calibration {
         camera: Some("head".into()),
         color: None,
@@ -111,7 +111,7 @@ fn rig() -> Calibration {
 #[test]
 fn one_sensor_of_several_is_asked_for_by_name() {
     let of = |sensor: &str| ExportOptions { sensor: Some(sensor.into()) };
-    let known = || "left, right, lonely".to_owned();
+    let known = || "left, right, isolated".to_owned();
     let several = ExportError::SeveralSensors { format: Format::Ros, known: known() };
     assert_eq!(refused(&rig(), Format::Ros), several);
     let ros = export(&rig(), Format::Ros, &of("right")).unwrap();
@@ -130,7 +130,7 @@ fn one_sensor_of_several_is_asked_for_by_name() {
 #[test]
 fn places_are_written_from_the_first_sensor_and_what_has_none_is_told() {
     let urdf = export(&rig(), Format::Urdf, &ExportOptions::default()).unwrap();
-    assert!(urdf.note.as_ref().unwrap().contains("lonely"), "{urdf:?}");
+    assert!(urdf.note.as_ref().unwrap().contains("isolated"), "{urdf:?}");
     let text = String::from_utf8(urdf.bytes).unwrap();
     assert!(text.contains("<parent link=\"left_optical_frame\"/>"), "{text}");
     assert!(text.contains("<child link=\"right_optical_frame\"/>"), "{text}");

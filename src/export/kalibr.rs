@@ -10,7 +10,7 @@ use crate::geometry::pose::Pose;
 /// A refit that is further off than this anywhere in the image is refused.
 const WORST_REFIT_PX: f64 = 0.5;
 
-/// The cameras of a chain: colour and infrared (the depth sensor where there is no infrared
+/// The cameras of a chain: color and infrared (the depth sensor where there is no infrared
 /// picture), or a rig's.
 pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
     let mut cameras = sensors::all(calibration);

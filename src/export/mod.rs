@@ -7,7 +7,7 @@
 //! Numbers are written with every digit of their double.
 //!
 //! A calibration of several sensors goes whole into the formats that hold several; of the others,
-//! it is one sensor's: colour's unless [`ExportOptions::sensor`] says another.
+//! it is one sensor's: color's unless [`ExportOptions::sensor`] says another.
 
 mod colmap;
 mod depth;
@@ -187,7 +187,7 @@ pub enum ExportError {
     },
     /// There is nothing to place.
     #[error(
-        "the {format} format says where sensors are, and this calibration has no two whose places are known: calibrate a camera with colour and depth, or a rig"
+        "the {format} format says where sensors are, and this calibration has no two whose places are known: calibrate a camera with color and depth, or a rig"
     )]
     NoPlaces {
         /// The format.
@@ -216,7 +216,7 @@ pub enum ExportError {
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ExportOptions {
     /// The sensor, for formats that hold one: `color`, `infrared`, `infrared2`, `depth` or a camera
-    /// of a rig. Default: the only one, or colour's.
+    /// of a rig. Default: the only one, or color's.
     pub sensor: Option<String>,
 }
 

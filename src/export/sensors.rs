@@ -22,7 +22,7 @@ pub(super) struct Sensor<'a> {
 }
 
 impl Sensor<'_> {
-    /// What other programs call it: the camera's name for its colour picture, and for a rig's
+    /// What other programs call it: the camera's name for its color picture, and for a rig's
     /// camera its own.
     pub fn frame_name(&self, camera: &str) -> String {
         match self.name {
@@ -103,7 +103,7 @@ pub(super) fn pictures(calibration: &Calibration) -> Vec<Sensor<'_>> {
     all(calibration).into_iter().filter(|sensor| sensor.rms_px.is_some()).collect()
 }
 
-/// The sensor that is asked for, or the only one, or colour's; with what is left out, where nothing
+/// The sensor that is asked for, or the only one, or color's; with what is left out, where nothing
 /// was asked for.
 pub(super) fn one_sensor<'a>(
     calibration: &'a Calibration,

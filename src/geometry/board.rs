@@ -36,7 +36,7 @@ pub enum BoardError {
     /// A square that is not a positive length of at most 10 m.
     #[error("a square of {square_m} m cannot be used: give the side of one square, as in 25mm")]
     Square {
-        /// The side given, in metres.
+        /// The side given, in meters.
         square_m: f64,
     },
 }
@@ -91,12 +91,12 @@ impl std::fmt::Display for BoardSize {
 pub struct Chessboard {
     /// Its inner corners.
     pub size: BoardSize,
-    /// The side of one square, in metres.
+    /// The side of one square, in meters.
     pub square_m: f64,
 }
 
 impl Chessboard {
-    /// A board of `size` with squares of `square_m` metres.
+    /// A board of `size` with squares of `square_m` meters.
     ///
     /// # Errors
     /// [`BoardError::Square`] unless 0 < `square_m` ≤ 10.
@@ -108,13 +108,13 @@ impl Chessboard {
         }
     }
 
-    /// Where the corner (`col`, `row`) lies in the board frame, in metres. Indices outside the
+    /// Where the corner (`col`, `row`) lies in the board frame, in meters. Indices outside the
     /// board are allowed: the outer border of the squares is at −1 and `cols`.
     pub fn corner_in_board(&self, col: i32, row: i32) -> Point3<f64> {
         Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
     }
 
-    /// All corners in row-major order, in metres in the board frame.
+    /// All corners in row-major order, in meters in the board frame.
     pub fn corners_in_board(&self) -> Vec<Point3<f64>> {
         (0..self.size.rows as i32)
             .flat_map(|row| (0..self.size.cols as i32).map(move |col| (col, row)))

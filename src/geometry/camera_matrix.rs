@@ -1,4 +1,4 @@
-//! The camera matrix K: from normalised coordinates to pixels.
+//! The camera matrix K: from normalized coordinates to pixels.
 
 use nalgebra::{Matrix3, Vector2};
 
@@ -15,12 +15,12 @@ pub struct CameraMatrix {
     pub cx: f64,
     /// Principal point, y.
     pub cy: f64,
-    /// How much x moves with normalised y: 0 for every ordinary sensor.
+    /// How much x moves with normalized y: 0 for every ordinary sensor.
     pub skew: f64,
 }
 
 impl CameraMatrix {
-    /// K as a matrix acting on homogeneous normalised coordinates.
+    /// K as a matrix acting on homogeneous normalized coordinates.
     pub fn to_matrix(self) -> Matrix3<f64> {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }
@@ -35,7 +35,7 @@ impl CameraMatrix {
         usable.then_some(matrix)
     }
 
-    /// The pixel at normalised coordinates.
+    /// The pixel at normalized coordinates.
     pub fn pixel_from_normalized(self, normalized: Vector2<f64>) -> Pixel {
         Pixel::new(
             self.fx * normalized.x + self.skew * normalized.y + self.cx,
@@ -43,7 +43,7 @@ impl CameraMatrix {
         )
     }
 
-    /// Normalised coordinates of a pixel.
+    /// Normalized coordinates of a pixel.
     pub fn normalized_from_pixel(self, pixel: Pixel) -> Vector2<f64> {
         let y = (pixel.y - self.cy) / self.fy;
         Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y)

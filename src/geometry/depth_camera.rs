@@ -77,7 +77,7 @@ impl DepthCamera {
         }
     }
 
-    /// The point that a reading at `pixel` stands for, in the depth camera's frame, in metres;
+    /// The point that a reading at `pixel` stands for, in the depth camera's frame, in meters;
     /// `None` for what no surface gives and where the lens sees nothing.
     pub fn point_from_reading(&self, pixel: Pixel, reading: f64) -> Option<Point3<f64>> {
         let z = 1.0 / self.inverse_depth(pixel, reading)?;

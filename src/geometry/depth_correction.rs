@@ -18,7 +18,7 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 pub enum CorrectedQuantity {
     /// 1/z, in 1/m: the errors of a stereo camera are constant in it.
     InverseDepth,
-    /// z, in metres.
+    /// z, in meters.
     Depth,
 }
 
@@ -117,7 +117,7 @@ pub struct DepthCorrection {
     pub grid: SplineGrid,
     /// Power by power, the nodes of the grid.
     pub coefficients: Vec<f64>,
-    /// The nearest and the farthest depth it was fitted over, in metres.
+    /// The nearest and the farthest depth it was fitted over, in meters.
     pub seen_m: [f64; 2],
 }
 
@@ -180,7 +180,7 @@ pub struct PixelCorrection {
     pub quantity: CorrectedQuantity,
     /// Its coefficients, by power.
     pub terms: [f64; MAX_TERMS],
-    /// The depths it holds for, in metres.
+    /// The depths it holds for, in meters.
     pub seen_m: [f64; 2],
 }
 

@@ -54,7 +54,7 @@ impl Homography {
         Self::from_matrix(&self.matrix.try_inverse()?)
     }
 
-    /// The normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*,
+    /// The normalized direct linear transform (Hartley and Zisserman, *Multiple View Geometry*,
     /// algorithm 4.2): the least algebraic error over `pairs` of (source, target).
     ///
     /// # Errors

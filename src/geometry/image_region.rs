@@ -67,8 +67,8 @@ pub enum RegionError {
 }
 
 /// The lens of images of `to` pixels that show `region` of the images of `from` that `lens` holds
-/// for. A pixel's *area* is scaled, so centres map as x' = (x + ½ − left) · scale − ½; distortion
-/// is in normalised coordinates and stays.
+/// for. A pixel's *area* is scaled, so centers map as x' = (x + ½ − left) · scale − ½; distortion
+/// is in normalized coordinates and stays.
 ///
 /// # Errors
 /// An empty size, a region outside the image, or a change of shape by more than one pixel.

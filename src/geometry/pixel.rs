@@ -3,9 +3,9 @@
 
 use nalgebra::{Point2, Unit, Vector2, Vector3};
 
-/// A position in an image, in pixels: x right, y down, integer coordinates at pixel *centres*.
+/// A position in an image, in pixels: x right, y down, integer coordinates at pixel *centers*.
 ///
-/// The top-left pixel's centre is (0, 0), so an image of width w spans −0.5 … w − 0.5 (OpenCV's
+/// The top-left pixel's center is (0, 0), so an image of width w spans −0.5 … w − 0.5 (OpenCV's
 /// convention).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pixel {

@@ -7,7 +7,7 @@ use nalgebra::{
 
 /// A rigid transform between two frames. A value is named `a_from_b`, and `p_a = a_from_b * p_b`.
 ///
-/// Translation in metres; the rotation's quaternion is kept with w ≥ 0, so that equal rotations are
+/// Translation in meters; the rotation's quaternion is kept with w ≥ 0, so that equal rotations are
 /// equal values.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
@@ -20,7 +20,7 @@ impl Pose {
         Self { isometry: Isometry3::identity() }
     }
 
-    /// From a rotation and a translation in metres: `p_a = rotation · p_b + translation`.
+    /// From a rotation and a translation in meters: `p_a = rotation · p_b + translation`.
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         let q = rotation.into_inner();
         let q = if q.w < 0.0 { Quaternion::from(-q.coords) } else { q };
@@ -32,14 +32,14 @@ impl Pose {
         }
     }
 
-    /// From a rotation matrix (orthonormal, determinant +1) and a translation in metres.
+    /// From a rotation matrix (orthonormal, determinant +1) and a translation in meters.
     pub fn from_matrix(rotation: &Matrix3<f64>, translation: Vector3<f64>) -> Self {
         let rotation =
             UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*rotation));
         Self::new(rotation, translation)
     }
 
-    /// From an axis-angle (Rodrigues) vector in radians and a translation in metres.
+    /// From an axis-angle (Rodrigues) vector in radians and a translation in meters.
     pub fn from_axis_angle(axis_angle: Vector3<f64>, translation: Vector3<f64>) -> Self {
         Self::new(UnitQuaternion::from_scaled_axis(axis_angle), translation)
     }
@@ -54,7 +54,7 @@ impl Pose {
         self.isometry.rotation.to_rotation_matrix().into_inner()
     }
 
-    /// The translation, in metres: where b's origin is, in a.
+    /// The translation, in meters: where b's origin is, in a.
     pub fn translation(&self) -> Vector3<f64> {
         self.isometry.translation.vector
     }

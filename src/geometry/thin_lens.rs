@@ -7,13 +7,13 @@
 /// A lens in front of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ThinLens {
-    /// Focal length, in metres.
+    /// Focal length, in meters.
     pub focal_m: f64,
     /// Focal length over the aperture's diameter.
     pub f_number: f64,
-    /// The width of one pixel, in metres.
+    /// The width of one pixel, in meters.
     pub pixel_m: f64,
-    /// The distance in focus, in metres from the lens; infinite for a lens focused at infinity.
+    /// The distance in focus, in meters from the lens; infinite for a lens focused at infinity.
     pub focus_m: f64,
 }
 
@@ -40,7 +40,7 @@ pub enum ThinLensError {
     },
 }
 
-/// The distances between which things are sharp, in metres from the lens.
+/// The distances between which things are sharp, in meters from the lens.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthOfField {
     /// The nearest.
@@ -52,9 +52,9 @@ pub struct DepthOfField {
 /// A board to use, and where.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardAdvice {
-    /// Where to hold it, in metres from the lens.
+    /// Where to hold it, in meters from the lens.
     pub distance_m: f64,
-    /// The side of one square, in metres, for the board to fill the part of the image that was
+    /// The side of one square, in meters, for the board to fill the part of the image that was
     /// asked for.
     pub square_m: f64,
 }

@@ -32,7 +32,7 @@ struct Look {
     overlay: bool,
     guidance: bool,
     undistorted: bool,
-    /// Depth in colour's picture, or colour in depth's.
+    /// Depth in color's picture, or color in depth's.
     registered: bool,
 }
 
@@ -44,13 +44,13 @@ struct LookParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
     sensor: Option<String>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
-    /// colour. When left out: false for a picture, true for the preview.
+    /// color. When left out: false for a picture, true for the preview.
     overlay: Option<bool>,
     /// Draw where to hold the board next; as `overlay` when left out.
     guidance: Option<bool>,
     /// Through the current calibration; false when left out.
     undistorted: Option<bool>,
-    /// With `sensor=depth`, color: depth in colour's picture; with `sensor=color`, depth: colour in
+    /// With `sensor=depth`, color: depth in color's picture; with `sensor=color`, depth: color in
     /// depth's picture. By the current calibration.
     registered: Option<String>,
 }

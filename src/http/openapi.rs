@@ -12,7 +12,7 @@ use crate::http::{
     info(
         title = "Plumb",
         description = "Finds chessboards live, calibrates cameras, and says how far to trust the numbers. \
-            Pixels: x right, y down, integer coordinates are pixel centres. Units: metres, radians, seconds, pixels."
+            Pixels: x right, y down, integer coordinates are pixel centers. Units: meters, radians, seconds, pixels."
     ),
     paths(
         health::healthz,

@@ -1,4 +1,4 @@
-//! Depth in colour's picture and colour in depth's, by a camera's current calibration.
+//! Depth in color's picture and color in depth's, by a camera's current calibration.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use crate::imaging::registration::DepthRegistration;
 /// The registrations used lately, by calibration.
 pub(super) type Registrations = Kept<String, Registration>;
 
-/// How depth of a calibrated camera is brought into colour's picture.
+/// How depth of a calibrated camera is brought into color's picture.
 #[derive(Debug)]
 pub(super) struct Registration {
     map: DepthRegistration,
@@ -30,7 +30,7 @@ pub(super) struct Registration {
 /// The registration of a camera by its current calibration.
 ///
 /// # Errors
-/// 404 for an unknown camera; 409 without a current calibration of colour and depth.
+/// 404 for an unknown camera; 409 without a current calibration of color and depth.
 pub(super) async fn registration(
     shared: &Shared,
     camera: &str,
@@ -65,7 +65,7 @@ pub(super) async fn registration(
     Ok(shared.registrations.keep(id, made.await?))
 }
 
-/// Depth in colour's picture: its edges drawn over colour, or by itself.
+/// Depth in color's picture: its edges drawn over color, or by itself.
 pub(super) fn depth_in_color(
     registration: &Registration,
     frames: &FrameSet,
@@ -86,7 +86,7 @@ pub(super) fn depth_in_color(
     Ok(picture)
 }
 
-/// Colour in depth's picture.
+/// Color in depth's picture.
 pub(super) fn color_in_depth(
     registration: &Registration,
     frames: &FrameSet,
@@ -95,7 +95,7 @@ pub(super) fn color_in_depth(
     Ok(registration.map.color_in_depth(&depths, &color(registration, frames)?))
 }
 
-/// Depth as it comes, near bright and far dark; readings are taken as millimetres.
+/// Depth as it comes, near bright and far dark; readings are taken as millimeters.
 pub(super) fn shaded_depth(frames: &FrameSet) -> Result<RgbImage, Problem> {
     let picture = raw_depth(frames)?;
     let depths: Vec<f32> =

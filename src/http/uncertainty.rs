@@ -27,7 +27,7 @@ const COLUMNS: [u32; 2] = [13, 49];
 pub(super) struct UncertaintyParameters {
     /// color, infrared, infrared2, or a rig's camera; the first there is when left out.
     sensor: Option<String>,
-    /// How far away things are, in metres; at infinity when left out.
+    /// How far away things are, in meters; at infinity when left out.
     distance_m: Option<f64>,
 }
 

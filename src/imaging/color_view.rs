@@ -10,7 +10,7 @@ use crate::geometry::pose::Pose;
 use crate::imaging::distortion_lookup::{DistortionLookup, seen};
 use crate::imaging::nearest_canvas::SquareRow;
 
-/// The colour camera, as points of the depth camera's pictures come to it.
+/// The color camera, as points of the depth camera's pictures come to it.
 #[derive(Debug, Clone)]
 pub(super) struct ColorView {
     pub(super) size: ImageSize,
@@ -19,7 +19,7 @@ pub(super) struct ColorView {
     projection: Projection,
 }
 
-/// What a lens does to normalised coordinates.
+/// What a lens does to normalized coordinates.
 #[derive(Debug, Clone)]
 enum Projection {
     Plane(PlaneLens),
@@ -47,7 +47,7 @@ impl ColorView {
         Self { size, translation: color_from_depth.translation().cast(), projection }
     }
 
-    /// The pixel at normalised coordinates; NaN for what lies well outside the picture.
+    /// The pixel at normalized coordinates; NaN for what lies well outside the picture.
     pub(super) fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
         match &self.projection {
             Projection::Plane(lens) => lens.pixel(x, y),
@@ -55,8 +55,8 @@ impl ColorView {
         }
     }
 
-    /// Where the points that a row of depths stands for are, of rays turned to the colour camera's
-    /// axes; a reading reaches `half` pixels to each side where colour is as far as depth.
+    /// Where the points that a row of depths stands for are, of rays turned to the color camera's
+    /// axes; a reading reaches `half` pixels to each side where color is as far as depth.
     #[inline(always)]
     pub(super) fn project(
         &self,

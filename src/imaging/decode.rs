@@ -1,4 +1,4 @@
-//! From a frame's bytes to luma, colours or depth; and luma to JPEG.
+//! From a frame's bytes to luma, colors or depth; and luma to JPEG.
 //!
 //! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per
 //! picture.
@@ -71,7 +71,7 @@ pub enum DecodeError {
         /// What it has.
         bytes: usize,
     },
-    /// Colours asked for as depth, or depth as a picture.
+    /// Colors asked for as depth, or depth as a picture.
     #[error("a {format} frame cannot be read as {wanted}")]
     WrongKind {
         /// The frame's pixel format.
@@ -104,8 +104,8 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
 
 /// The 8-bit luma of a frame, into `luma`, whose buffer is used again.
 ///
-/// JPEG: its Y alone, nothing else is decoded. Colours: BT.601, as OpenCV's `cvtColor`. 16-bit
-/// grey: the upper byte.
+/// JPEG: its Y alone, nothing else is decoded. Colors: BT.601, as OpenCV's `cvtColor`. 16-bit
+/// gray: the upper byte.
 ///
 /// # Errors
 /// [`DecodeError`], never a panic, whatever the bytes; `luma` then holds nothing of use.
@@ -131,7 +131,7 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
     }
 }
 
-/// A frame's colours; a grey frame's as three equal channels.
+/// A frame's colors; a gray frame's as three equal channels.
 ///
 /// # Errors
 /// As [`luma`].
@@ -171,13 +171,13 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
     }
 }
 
-/// A grey JPEG of `image` with `quality` 1 to 100: the same bytes on every machine.
+/// A gray JPEG of `image` with `quality` 1 to 100: the same bytes on every machine.
 pub fn encode_jpeg(image: GrayView<'_>, quality: u8) -> Vec<u8> {
     let pixels: Vec<u8> = (0..image.height()).flat_map(|y| image.row(y)).copied().collect();
     encode(&pixels, image.size(), image::ExtendedColorType::L8, quality)
 }
 
-/// A colour JPEG of `image` with `quality` 1 to 100.
+/// A color JPEG of `image` with `quality` 1 to 100.
 pub fn encode_jpeg_rgb(image: &RgbImage, quality: u8) -> Vec<u8> {
     let size = ImageSize::new(image.width(), image.height());
     encode(image.as_raw(), size, image::ExtendedColorType::Rgb8, quality)
@@ -247,9 +247,9 @@ fn png_error(error: &image::ImageError, bytes: &[u8]) -> DecodeError {
 fn luma_from_picture(picture: &DynamicImage, luma: &mut GrayImage) -> Result<(), DecodeError> {
     luma.reshape(picture.width() as usize, picture.height() as usize);
     match picture {
-        DynamicImage::ImageLuma8(grey) => luma.pixels_mut().copy_from_slice(grey),
-        DynamicImage::ImageLuma16(grey) => {
-            for (value, out) in grey.iter().zip(luma.pixels_mut()) {
+        DynamicImage::ImageLuma8(gray) => luma.pixels_mut().copy_from_slice(gray),
+        DynamicImage::ImageLuma16(gray) => {
+            for (value, out) in gray.iter().zip(luma.pixels_mut()) {
                 *out = (value >> 8) as u8;
             }
         }
@@ -356,11 +356,11 @@ mod tests {
     }
 
     #[test]
-    fn jpeg_round_trip_in_grey_and_colour() {
+    fn jpeg_round_trip_in_gray_and_color() {
         for (width, height) in [(1, 1), (7, 5), (8, 8), (33, 17), (64, 48)] {
             let image = ramp(width, height);
-            let grey = luma_of(&file(PixelFormat::Jpeg, &encode_jpeg(image.view(), 95))).unwrap();
-            assert_eq!(grey.size(), image.size());
+            let gray = luma_of(&file(PixelFormat::Jpeg, &encode_jpeg(image.view(), 95))).unwrap();
+            assert_eq!(gray.size(), image.size());
             let rgb_in = RgbImage::from_fn(width as u32, height as u32, |x, y| {
                 let v = image.row(y as usize)[x as usize];
                 image::Rgb([v, v, v])
@@ -369,7 +369,7 @@ mod tests {
             let from_color = luma_of(&colored).unwrap();
             let rgb_out = rgb(&colored).unwrap();
             for (k, value) in image.pixels().iter().enumerate() {
-                assert!(grey.pixels()[k].abs_diff(*value) <= 3, "{width}x{height} at {k}");
+                assert!(gray.pixels()[k].abs_diff(*value) <= 3, "{width}x{height} at {k}");
                 assert!(from_color.pixels()[k].abs_diff(*value) <= 3, "{width}x{height} at {k}");
                 assert!(rgb_out.as_raw()[3 * k].abs_diff(*value) <= 4, "{width}x{height} at {k}");
             }
@@ -421,8 +421,8 @@ mod tests {
         let bytes = [10, 20, 30, 0, 40, 50, 60, 0, 128, 128, 128, 128];
         let nv12 = frame(PixelFormat::Nv12, ImageSize::new(3, 2), 4, &bytes);
         assert_eq!(luma_of(&nv12).unwrap().pixels(), [10, 20, 30, 40, 50, 60]);
-        let grey: Vec<u8> = [10, 20, 30, 40, 50, 60].iter().flat_map(|value| [*value; 3]).collect();
-        assert_eq!(rgb(&nv12).unwrap().as_raw(), &grey);
+        let gray: Vec<u8> = [10, 20, 30, 40, 50, 60].iter().flat_map(|value| [*value; 3]).collect();
+        assert_eq!(rgb(&nv12).unwrap().as_raw(), &gray);
         assert!(matches!(
             luma_of(&Frame { size: ImageSize::new(3, 3), ..nv12 }),
             Err(DecodeError::Buffer { .. })

@@ -1,4 +1,4 @@
-//! Readings of a whole depth picture to corrected metres: what `DepthCamera::inverse_depth` says
+//! Readings of a whole depth picture to corrected meters: what `DepthCamera::inverse_depth` says
 //! pixel by pixel, in single precision and without a branch, so that it runs at the speed of
 //! memory.
 
@@ -62,7 +62,7 @@ impl DepthConversion {
         Self { reading: camera.reading, width: size.width.max(1) as usize, correction }
     }
 
-    /// The depth of each reading in metres; 0 for `invalid` and for what no surface gives.
+    /// The depth of each reading in meters; 0 for `invalid` and for what no surface gives.
     pub(super) fn depths_m(&self, readings: &[u16], invalid: Option<u16>) -> Vec<f32> {
         let mut depths = vec![0.0; readings.len()];
         pulp::Arch::new().dispatch(Rows {
@@ -74,7 +74,7 @@ impl DepthConversion {
         depths
     }
 
-    /// The depth in metres of each reading of row `y`, as [`Self::depths_m`].
+    /// The depth in meters of each reading of row `y`, as [`Self::depths_m`].
     #[inline(always)]
     pub(super) fn convert_row(
         &self,

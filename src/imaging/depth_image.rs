@@ -62,7 +62,7 @@ impl DepthImage {
         Self::new(size, readings.collect()).ok_or(DecodeError::Empty)
     }
 
-    /// The picture as a 16-bit grey PNG file.
+    /// The picture as a 16-bit gray PNG file.
     pub fn to_png(&self) -> Vec<u8> {
         let size = self.size();
         let bytes: Vec<u8> =
@@ -113,12 +113,12 @@ mod tests {
 
     #[test]
     fn what_is_not_depth_is_refused_in_one_line() {
-        let grey = frame_from_file(SensorKind::Depth, b"P5 2 1 255\n\x07\xff".to_vec());
+        let gray = frame_from_file(SensorKind::Depth, b"P5 2 1 255\n\x07\xff".to_vec());
         let mut short =
             frame_from_file(SensorKind::Depth, b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec());
         assert_eq!(DepthImage::from_frame(&short).unwrap().readings(), [0x0102, 0xfffe]);
         short.bytes = short.bytes[..3].into();
-        for frame in [grey, short] {
+        for frame in [gray, short] {
             let line = DepthImage::from_frame(&frame).unwrap_err().to_string();
             assert!(!line.is_empty() && !line.contains('\n'), "{line}");
         }

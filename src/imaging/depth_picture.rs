@@ -5,7 +5,7 @@ use image::{Rgb, RgbImage};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::draw::shade;
 
-/// The distances between which shades change, in metres: equal ratios are equal steps.
+/// The distances between which shades change, in meters: equal ratios are equal steps.
 const NEAR_M: f32 = 0.25;
 const FAR_M: f32 = 8.0;
 /// Depth jumps where it grows by this part from one pixel to the next.
@@ -14,7 +14,7 @@ const JUMP: f32 = 0.04;
 /// nothing in its shadow.
 const GAP: usize = 64;
 
-/// A picture of `size` from depths in metres, row by row; 0 for none.
+/// A picture of `size` from depths in meters, row by row; 0 for none.
 pub fn shaded(depths: &[f32], size: ImageSize) -> RgbImage {
     let color = |depth: f32| match depth {
         depth if depth > 0.0 => shade(1.0 - (depth / NEAR_M).ln() / (FAR_M / NEAR_M).ln()),

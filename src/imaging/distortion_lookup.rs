@@ -1,4 +1,4 @@
-//! A lens as a table: where it maps normalised coordinates, at a small part of the cost of its
+//! A lens as a table: where it maps normalized coordinates, at a small part of the cost of its
 //! formula.
 
 use nalgebra::{Point3, Vector2};
@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector2};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Pixels by normalised coordinates (x/z, y/z), bilinear between the nodes of a grid: within a
+/// Pixels by normalized coordinates (x/z, y/z), bilinear between the nodes of a grid: within a
 /// hundredth of a pixel of the lens's own for lenses of up to 100°.
 #[derive(Debug, Clone)]
 pub(super) struct DistortionLookup {
@@ -52,7 +52,7 @@ impl DistortionLookup {
         }
     }
 
-    /// The pixel at normalised coordinates; NaN outside.
+    /// The pixel at normalized coordinates; NaN outside.
     #[inline]
     pub(crate) fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
         let (u, v) = ((x - self.low[0]) * self.per_unit[0], (y - self.low[1]) * self.per_unit[1]);
@@ -80,7 +80,7 @@ fn cell(value: f32) -> (usize, f32) {
     ((whole.to_bits() & ((1 << BINARY_PLACES) - 1)) as usize, value - (whole - MAGNITUDE))
 }
 
-/// The least and the greatest normalised coordinates of a picture's border, and a little beyond
+/// The least and the greatest normalized coordinates of a picture's border, and a little beyond
 /// them.
 pub(super) fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
     let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));

@@ -5,7 +5,7 @@ use image::{Rgb, RgbImage};
 
 use crate::geometry::pixel::Pixel;
 
-/// A colour.
+/// A color.
 pub type Color = Rgb<u8>;
 
 /// Where corners were found.
@@ -28,7 +28,7 @@ const SHADES: [[u8; 3]; 8] = [
     [253, 231, 37],
 ];
 
-/// The colour of a value between 0, the darkest, and 1, the brightest; beyond them, theirs.
+/// The color of a value between 0, the darkest, and 1, the brightest; beyond them, theirs.
 pub fn shade(value: f32) -> Color {
     let steps = (SHADES.len() - 1) as f32;
     let along = if value.is_finite() { (value * steps).clamp(0.0, steps) } else { 0.0 };
@@ -44,7 +44,7 @@ pub fn shade(value: f32) -> Color {
 /// How a line is drawn.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pen {
-    /// Its colour.
+    /// Its color.
     pub color: Color,
     /// Its width, in pixels.
     pub width_px: f64,
@@ -60,7 +60,7 @@ impl Pen {
 }
 
 /// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around
-/// each, the first one in another colour and larger. Every corner that is not a number is left out.
+/// each, the first one in another color and larger. Every corner that is not a number is left out.
 pub fn draw_corners(picture: &mut RgbImage, corners: &[Pixel]) {
     let pen = Pen::fitting(picture, FOUND);
     let thin = Pen { width_px: pen.width_px * 0.6, ..pen };

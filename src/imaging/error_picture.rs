@@ -1,4 +1,4 @@
-//! Errors of depth as colours, before and after correction beside each other: blue is too near, red
+//! Errors of depth as colors, before and after correction beside each other: blue is too near, red
 //! too far, white right.
 
 use image::{Rgb, RgbImage};
@@ -19,10 +19,10 @@ const INK: Rgb<u8> = Rgb([0, 0, 0]);
 const TOO_NEAR: [f32; 3] = [33.0, 102.0, 172.0];
 const RIGHT: [f32; 3] = [247.0, 247.0, 247.0];
 const TOO_FAR: [f32; 3] = [178.0, 24.0, 43.0];
-/// Colours reach so far that no more than this part of the errors before are beyond.
+/// Colors reach so far that no more than this part of the errors before are beyond.
 const BEYOND: f64 = 0.05;
 
-/// Draws what `before` and `after` (metres, row by row of a picture of `size`; not finite for none)
+/// Draws what `before` and `after` (meters, row by row of a picture of `size`; not finite for none)
 /// differ from 0 by: the part of the picture that has errors, on one scale for both, with a label
 /// each and the scale below. `None` without errors.
 pub fn draw_errors(
@@ -75,7 +75,7 @@ fn bounds(errors: &[f32], size: ImageSize) -> Option<([u32; 2], [u32; 2])> {
     }))
 }
 
-/// A round number of millimetres that most errors are within.
+/// A round number of millimeters that most errors are within.
 fn limit_mm(errors: &[f32]) -> Option<f32> {
     let mut sizes: Vec<f64> = errors
         .iter()

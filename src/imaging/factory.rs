@@ -20,7 +20,7 @@ impl FactoryCalibration {
     }
 
     /// `to_from_from`: takes coordinates in the frame of `from` to that of `to`, where both are
-    /// stated against colour.
+    /// stated against color.
     pub fn to_from_from(&self, to: SensorKind, from: SensorKind) -> Option<Pose> {
         let color_from_to = self.sensor(to)?.color_from_sensor?;
         let color_from_from = self.sensor(from)?.color_from_sensor?;
@@ -39,7 +39,7 @@ pub struct FactorySensor {
     pub stated: StatedLens,
     /// The same as a lens, where a model of Plumb's says the same.
     pub lens: Option<Lens>,
-    /// From this sensor's frame to the colour sensor's.
+    /// From this sensor's frame to the color sensor's.
     pub color_from_sensor: Option<Pose>,
     /// Metres per unit of depth.
     pub depth_unit_m: Option<f64>,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::timestamp::{DeviceTime, HostTime};
 
-/// Which of a camera's sensors. A camera with one sensor has it as `Color`, grey or not.
+/// Which of a camera's sensors. A camera with one sensor has it as `Color`, gray or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum SensorKind {
     /// The visible picture.
@@ -45,11 +45,11 @@ impl SensorKind {
 pub enum PixelFormat {
     /// A JPEG file (also a UVC camera's MJPG frame).
     Jpeg,
-    /// A PNG file: 8-bit grey or colour; for depth 16-bit grey.
+    /// A PNG file: 8-bit gray or color; for depth 16-bit gray.
     Png,
-    /// 8-bit grey rows.
+    /// 8-bit gray rows.
     Mono8,
-    /// 16-bit little-endian grey rows that use the whole range.
+    /// 16-bit little-endian gray rows that use the whole range.
     Mono16,
     /// Interleaved Y U Y V.
     Yuyv,

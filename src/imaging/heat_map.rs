@@ -1,4 +1,4 @@
-//! A quantity over a picture as colours, with contours that say their values.
+//! A quantity over a picture as colors, with contours that say their values.
 
 use image::{ImageFormat, Rgb, RgbImage};
 
@@ -22,7 +22,7 @@ pub struct GridValues<'a> {
 
 /// The longer side of the drawing, in pixels.
 const LONGER_SIDE: u32 = 800;
-/// The values of the darkest and the brightest colour: the same for all drawings, so that they can
+/// The values of the darkest and the brightest color: the same for all drawings, so that they can
 /// be compared.
 const COLORED: [f64; 2] = [0.01, 2.0];
 /// Where there is no value.
@@ -62,8 +62,8 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let mut crossings: Vec<Vec<(u32, u32)>> = vec![Vec::new(); levels.len()];
     let mut picture = RgbImage::from_fn(width, height, |x, y| {
         let Some(here) = value(x, y) else { return BLIND };
-        let neighbours = [value(x + 1, y), value(x, y + 1)].into_iter().flatten();
-        let Some(other) = neighbours.map(band).find(|other| *other != band(here)) else {
+        let neighbors = [value(x + 1, y), value(x, y + 1)].into_iter().flatten();
+        let Some(other) = neighbors.map(band).find(|other| *other != band(here)) else {
             return color(here);
         };
         crossings[other.max(band(here)) - 1].push((x, y));

@@ -1,4 +1,4 @@
-//! JPEG as cameras send it: luma without the colours, Huffman tables left out, ends cut off.
+//! JPEG as cameras send it: luma without the colors, Huffman tables left out, ends cut off.
 
 use std::borrow::Cow;
 

@@ -1,6 +1,6 @@
 //! A picture of the nearest of many depths, each of which covers a small square.
 //!
-//! Neighbouring squares have one of two sides, n and n − 1 pixels, according to where their centres
+//! Neighboring squares have one of two sides, n and n − 1 pixels, according to where their centers
 //! fall. So each is put down as a single pixel, its first, in one of four planes, by its columns
 //! and rows; what all of them cover is then the least value within those reaches, computed once for
 //! the whole picture.
@@ -12,7 +12,7 @@ pub(crate) trait HeldDepth: Copy + PartialOrd {
     /// What is held where there is none: beyond every other.
     const NONE: Self;
 
-    /// A depth in metres; beyond every other where it is none, or does not fit.
+    /// A depth in meters; beyond every other where it is none, or does not fit.
     fn held(depth_m: f32, per_unit: f32) -> Self;
 
     /// Whether a depth that there is can be held.
@@ -28,7 +28,7 @@ pub(crate) trait HeldDepth: Copy + PartialOrd {
     }
 }
 
-/// In metres.
+/// In meters.
 impl HeldDepth for f32 {
     const NONE: Self = f32::INFINITY;
 
@@ -89,11 +89,11 @@ pub(crate) struct NearestCanvas<T> {
 /// Squares of a row, kept from row to row.
 #[derive(Debug, Default)]
 pub(crate) struct SquareRow {
-    /// The centres along x and y.
+    /// The centers along x and y.
     pub(crate) center: [Vec<f32>; 2],
     /// How far they reach to each side.
     pub(crate) half: Vec<f32>,
-    /// The depths in metres; 0 for none.
+    /// The depths in meters; 0 for none.
     pub(crate) depth: Vec<f32>,
     first: Vec<u32>,
 }
@@ -126,7 +126,7 @@ impl<T: HeldDepth> NearestCanvas<T> {
         }
     }
 
-    /// Puts the depth of each square wherever nothing nearer is, at the pixels whose centres lie
+    /// Puts the depth of each square wherever nothing nearer is, at the pixels whose centers lie
     /// within its `half` of its `center` along both axes, at least half a pixel and at most one
     /// less than the border's width. A `center` that is not a number, or beyond the border, covers
     /// nothing.
@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn each_square_covers_the_pixels_whose_centres_it_holds() {
+    fn each_square_covers_the_pixels_whose_centers_it_holds() {
         for half in [0.5_f32, 0.8, 1.0, 1.3, 1.9, 2.6] {
             let mut squares = Vec::new();
             for k in 0..60_u16 {

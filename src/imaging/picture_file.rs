@@ -138,10 +138,10 @@ mod tests {
 
     #[test]
     fn portable_maps_are_unpacked() {
-        let grey =
+        let gray =
             frame_from_file(SensorKind::Color, b"P5 # made by hand\n2 1 255\n\x07\xff".to_vec());
         assert_eq!(
-            (grey.format, grey.size, &*grey.bytes),
+            (gray.format, gray.size, &*gray.bytes),
             (PixelFormat::Mono8, ImageSize::new(2, 1), &[7, 255][..])
         );
         let deep = b"P5 2 1 4095\n\x01\x02\xff\xfe".to_vec();
@@ -156,18 +156,18 @@ mod tests {
 
     #[test]
     fn bmp_tiff_and_webp_are_unpacked() {
-        let grey = DynamicImage::ImageLuma8(image::GrayImage::from_fn(3, 2, |x, y| {
+        let gray = DynamicImage::ImageLuma8(image::GrayImage::from_fn(3, 2, |x, y| {
             image::Luma([(x * 40 + y * 9) as u8])
         }));
         for format in [ImageFormat::Bmp, ImageFormat::Tiff, ImageFormat::WebP] {
             let mut file = Cursor::new(Vec::new());
-            grey.write_to(&mut file, format).unwrap();
+            gray.write_to(&mut file, format).unwrap();
             let whole = file.into_inner();
             let frame = frame_from_file(SensorKind::Color, whole.clone());
             let mut luma = crate::imaging::gray::GrayImage::default();
             crate::imaging::decode::luma(&frame, &mut luma).unwrap();
             let row: Vec<u8> =
-                grey.as_luma8().unwrap().rows().nth(1).unwrap().map(|pixel| pixel.0[0]).collect();
+                gray.as_luma8().unwrap().rows().nth(1).unwrap().map(|pixel| pixel.0[0]).collect();
             assert_eq!(luma.view().row(1), row);
             let cut = frame_from_file(SensorKind::Color, whole[..whole.len() / 2].to_vec());
             assert!(crate::imaging::decode::luma(&cut, &mut luma).is_err(), "{format:?}");

@@ -76,7 +76,7 @@ pub fn luma_row_from_bgr(bgr: &[u8], luma: &mut [u8]) {
     }
 }
 
-/// Luma of a row of 16-bit little-endian grey (its upper byte), or of interleaved U Y V Y.
+/// Luma of a row of 16-bit little-endian gray (its upper byte), or of interleaved U Y V Y.
 pub fn luma_row_from_upper_bytes(row: &[u8], luma: &mut [u8]) {
     for (pair, out) in row.chunks_exact(2).zip(luma) {
         *out = pair[1];
@@ -90,7 +90,7 @@ pub fn luma_row_from_yuyv(yuyv: &[u8], luma: &mut [u8]) {
     }
 }
 
-/// Red, green, blue of a row of interleaved Y U Y V with full-range BT.601 colours, as a JPEG's.
+/// Red, green, blue of a row of interleaved Y U Y V with full-range BT.601 colors, as a JPEG's.
 pub fn rgb_row_from_yuyv(yuyv: &[u8], rgb: &mut [u8]) {
     for (four, out) in yuyv.chunks_exact(4).zip(rgb.chunks_mut(6)) {
         for (y, pixel) in [four[0], four[2]].into_iter().zip(out.chunks_exact_mut(3)) {
@@ -109,7 +109,7 @@ pub fn rgb_row_from_uyvy(uyvy: &[u8], rgb: &mut [u8]) {
 }
 
 /// As [`rgb_row_from_yuyv`], of a row of Y and the row of interleaved U V that it shares with its
-/// neighbour.
+/// neighbor.
 pub fn rgb_row_from_nv12(luma: &[u8], chroma: &[u8], rgb: &mut [u8]) {
     let chroma = chroma.chunks_exact(2).flat_map(|pair| [pair, pair]);
     for ((y, uv), pixel) in luma.iter().zip(chroma).zip(rgb.chunks_exact_mut(3)) {
@@ -128,7 +128,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn grey_stays_what_it_is_in_every_format() {
+    fn gray_stays_what_it_is_in_every_format() {
         for value in 0..=255 {
             assert_eq!(luma_from_rgb(value, value, value), value);
             let mut rgb = [0; 6];
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_agree_with_bt_601() {
+    fn colors_agree_with_bt_601() {
         assert_eq!(luma_from_rgb(255, 0, 0), 76);
         assert_eq!(luma_from_rgb(0, 255, 0), 150);
         assert_eq!(luma_from_rgb(0, 0, 255), 29);

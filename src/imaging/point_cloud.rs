@@ -1,18 +1,18 @@
-//! Points with colours, as a PLY file that every viewer opens.
+//! Points with colors, as a PLY file that every viewer opens.
 
 /// A measured point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CloudPoint {
-    /// Where it is, in metres.
+    /// Where it is, in meters.
     pub point_m: [f32; 3],
-    /// Its colour: red, green, blue; black where no colour is known.
+    /// Its color: red, green, blue; black where no color is known.
     pub color: [u8; 3],
 }
 
 /// The points as binary little-endian PLY; `frame` says in which camera's frame they are.
 pub fn to_ply(points: &[CloudPoint], frame: &str) -> Vec<u8> {
     let header = format!(
-        "ply\nformat binary_little_endian 1.0\ncomment metres in the {frame} camera's frame: x right, y down, z forward\n\
+        "ply\nformat binary_little_endian 1.0\ncomment meters in the {frame} camera's frame: x right, y down, z forward\n\
          element vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
          property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n",
         points.len()

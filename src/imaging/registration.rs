@@ -1,4 +1,4 @@
-//! Depth corrected, and depth and colour brought into each other's pictures.
+//! Depth corrected, and depth and color brought into each other's pictures.
 
 use std::marker::PhantomData;
 
@@ -31,23 +31,23 @@ pub struct CorrectedDepth {
 #[derive(Debug, Clone)]
 pub struct DepthRegistration {
     camera: DepthCamera,
-    /// The ray (x, y, 1) of each pixel, turned to the colour camera's axes; NaN where the lens sees
+    /// The ray (x, y, 1) of each pixel, turned to the color camera's axes; NaN where the lens sees
     /// nothing.
     rays_in_color: [Vec<f32>; 3],
     conversion: DepthConversion,
     color: ColorView,
-    /// How many of colour's pixels a reading covers to each side, at the same distance from both.
+    /// How many of color's pixels a reading covers to each side, at the same distance from both.
     half: f32,
 }
 
-/// A reading covers this much of its pixel: a little more than all, so that noise in its neighbours
+/// A reading covers this much of its pixel: a little more than all, so that noise in its neighbors
 /// leaves no cracks between.
 const FOOTPRINT: f64 = 1.25;
-/// A point is hidden from the colour camera by what is nearer than this part of its distance.
+/// A point is hidden from the color camera by what is nearer than this part of its distance.
 const HIDDEN: f32 = 1.03;
 
 impl DepthRegistration {
-    /// For the pictures of `camera`, seen from a colour camera with `color` and pictures of
+    /// For the pictures of `camera`, seen from a color camera with `color` and pictures of
     /// `color_size`.
     pub fn new(
         camera: &DepthCamera,
@@ -80,7 +80,7 @@ impl DepthRegistration {
         }
     }
 
-    /// The corrected depth of each pixel in metres; 0 where there is none.
+    /// The corrected depth of each pixel in meters; 0 where there is none.
     pub fn depths_m(&self, picture: &DepthImage, invalid: Option<u16>) -> Vec<f32> {
         self.conversion.depths_m(picture.readings(), invalid)
     }
@@ -105,9 +105,9 @@ impl DepthRegistration {
         CorrectedDepth { picture, beyond, overflowed }
     }
 
-    /// Corrected depth in `unit_m`, as the colour camera would see it: what is behind something
+    /// Corrected depth in `unit_m`, as the color camera would see it: what is behind something
     /// nearer is hidden, and what the depth camera did not see is 0. Each reading covers what its
-    /// pixel covers of the colour picture.
+    /// pixel covers of the color picture.
     pub fn register(
         &self,
         picture: &DepthImage,
@@ -129,8 +129,8 @@ impl DepthRegistration {
         }
     }
 
-    /// The measured points in the colour camera's frame, row by row of the depth picture; each has
-    /// the colour that `color` shows there, black where the colour camera does not see it (outside
+    /// The measured points in the color camera's frame, row by row of the depth picture; each has
+    /// the color that `color` shows there, black where the color camera does not see it (outside
     /// its picture, or behind something nearer). `depths` are those of [`Self::depths_m`].
     pub fn points(&self, depths: &[f32], color: Option<&RgbImage>) -> Vec<CloudPoint> {
         let nearest = self.nearest_in_color(depths);
@@ -142,8 +142,8 @@ impl DepthRegistration {
         depths.iter().enumerate().filter_map(point).collect()
     }
 
-    /// The colour picture as the depth camera would see it, as far as depth was measured; black
-    /// elsewhere, and where something nearer hides a point from the colour camera. `depths` are
+    /// The color picture as the depth camera would see it, as far as depth was measured; black
+    /// elsewhere, and where something nearer hides a point from the color camera. `depths` are
     /// those of [`Self::depths_m`].
     pub fn color_in_depth(&self, depths: &[f32], color: &RgbImage) -> RgbImage {
         let nearest = self.nearest_in_color(depths);
@@ -155,7 +155,7 @@ impl DepthRegistration {
         })
     }
 
-    /// What the colour picture shows of a point, unless something nearer hides it.
+    /// What the color picture shows of a point, unless something nearer hides it.
     fn color_of(&self, point: &Vector3<f32>, nearest: &[f32], color: &RgbImage) -> Option<[u8; 3]> {
         let [x, y] = self.color.pixel(point.x / point.z, point.y / point.z);
         let ColorView { size, .. } = self.color;
@@ -169,7 +169,7 @@ impl DepthRegistration {
         (point.z <= *seen * HIDDEN).then(|| color.get_pixel(x, y).0)
     }
 
-    /// The nearest depth in the colour camera's frame, pixel by pixel of its picture, in metres; 0
+    /// The nearest depth in the color camera's frame, pixel by pixel of its picture, in meters; 0
     /// for none. `depths` are those of [`Self::depths_m`].
     pub fn nearest_in_color(&self, depths: &[f32]) -> Vec<f32> {
         let depths = Depths::Metres(depths);
@@ -178,7 +178,7 @@ impl DepthRegistration {
             .0
     }
 
-    /// The point that a depth at the `pixel`-th of the picture stands for, in the colour camera's
+    /// The point that a depth at the `pixel`-th of the picture stands for, in the color camera's
     /// frame; `None` for no reading, and behind the camera.
     fn point_in_color(&self, pixel: usize, depth: f32) -> Option<Vector3<f32>> {
         let [x, y, z] = &self.rays_in_color;
@@ -194,7 +194,7 @@ enum Depths<'a> {
     Metres(&'a [f32]),
 }
 
-/// Registering a whole picture, as one depth of each pixel of colour, and how many depths do not
+/// Registering a whole picture, as one depth of each pixel of color, and how many depths do not
 /// fit. A struct, not a closure: all of it must be inlined to be compiled for the processor.
 struct Registering<'a, T> {
     registration: &'a DepthRegistration,
@@ -222,9 +222,9 @@ impl<T: HeldDepth> pulp::NullaryFnOnce for Registering<'_, T> {
                     let Some(readings) = readings.get(here) else { break };
                     conversion.convert_row(row, (readings, invalid), &mut working, &mut depths);
                 }
-                Depths::Metres(metres) => {
-                    let Some(metres) = metres.get(here) else { break };
-                    depths.copy_from_slice(metres);
+                Depths::Metres(meters) => {
+                    let Some(meters) = meters.get(here) else { break };
+                    depths.copy_from_slice(meters);
                 }
             }
             color.project([x, y, z], &depths, *half, &mut squares);
@@ -298,7 +298,7 @@ mod tests {
         let middle = registered.row(47);
         let counts =
             |low: u16, high: u16| middle.iter().filter(|d| (low..high).contains(d)).count();
-        // 20 pixels at 0.5 m are 38 of colour's; the box moved by 5.5 px against 1.4 px of the
+        // 20 pixels at 0.5 m are 38 of color's; the box moved by 5.5 px against 1.4 px of the
         // wall.
         assert!((36..=40).contains(&counts(480, 520)), "{middle:?}");
         assert!((5..=12).contains(&counts(0, 1)), "{middle:?}");
@@ -320,7 +320,7 @@ mod tests {
         let picture = DepthImage::new(DEPTH_SIZE, (0..64 * 48).map(raw).collect()).unwrap();
         let registration = registration(None);
         let depths = registration.depths_m(&picture, None);
-        // Red where the colour camera sees the box, blue where it sees the wall.
+        // Red where the color camera sees the box, blue where it sees the wall.
         let nearest = registration.nearest_in_color(&depths);
         let color = RgbImage::from_fn(128, 96, |x, y| {
             let seen = nearest[(y * 128 + x) as usize];
@@ -367,7 +367,7 @@ mod tests {
         assert_eq!((corrected.beyond, corrected.overflowed), (2048, 0));
     }
 
-    /// Depth in colour by its definition, in double precision, with squares that reach `more`
+    /// Depth in color by its definition, in double precision, with squares that reach `more`
     /// pixels farther to each side.
     fn by_definition(
         camera: &DepthCamera,
@@ -429,14 +429,14 @@ mod tests {
             [110.0, 109.0, 63.0, 47.0, 0.1, 0.3, -0.1, 0.001, -0.002, 0.01, 0.35, -0.05, 0.01];
         let rational = Lens::from_parameters(LensModel::Rational, &rational);
         // In pixels: what the formulas and the table of the lens lose in single precision.
-        for (color, slack) in
+        for (color, pose_jitter) in
             [(color_lens(), 1e-3), (rational.unwrap(), 1e-3), (fisheye.unwrap(), 1e-2)]
         {
             let registration =
                 DepthRegistration::new(&camera, &color, COLOR_SIZE, &color_from_depth());
             let registered = registration.register(&picture, None, 0.0001).picture;
-            let most = by_definition(&camera, &color, &picture, slack);
-            let least = by_definition(&camera, &color, &picture, -slack);
+            let most = by_definition(&camera, &color, &picture, pose_jitter);
+            let least = by_definition(&camera, &color, &picture, -pose_jitter);
             let mut alike = 0;
             for (k, reading) in registered.readings().iter().enumerate() {
                 let depth = if *reading > 0 { f64::from(*reading) } else { f64::INFINITY };

@@ -82,7 +82,7 @@ impl PixelMap {
         seen as f64 / self.entries.len().max(1) as f64
     }
 
-    /// A grey picture through the map, black where the source shows nothing; `None` if `source` has
+    /// A gray picture through the map, black where the source shows nothing; `None` if `source` has
     /// another size than the map's.
     pub fn gray(&self, source: GrayView<'_>, interpolation: Interpolation) -> Option<GrayImage> {
         let rows: Vec<&[u8]> = (0..source.height()).map(|y| source.row(y)).collect();
@@ -95,7 +95,7 @@ impl PixelMap {
         Some(result)
     }
 
-    /// As [`Self::gray`], in colour.
+    /// As [`Self::gray`], in color.
     pub fn rgb(&self, source: &RgbImage, interpolation: Interpolation) -> Option<RgbImage> {
         if ImageSize::new(source.width(), source.height()) != self.source {
             return None;
@@ -131,7 +131,7 @@ impl PixelMap {
 }
 
 impl Entry {
-    /// `None` outside the centres of the outermost pixels, where there is nothing to interpolate
+    /// `None` outside the centers of the outermost pixels, where there is nothing to interpolate
     /// between.
     fn new(place: Pixel, source: ImageSize) -> Option<Self> {
         let steps = STEPS as f64;
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_go_as_grey_does_and_what_is_not_seen_is_black() {
+    fn colors_go_as_gray_does_and_what_is_not_seen_is_black() {
         let size = ImageSize::new(20, 10);
         let image = wavy(size, waves);
         let rgb = RgbImage::from_fn(20, 10, |x, y| {

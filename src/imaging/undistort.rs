@@ -51,7 +51,7 @@ impl Undistortion {
     }
 }
 
-/// A rectangle of normalised coordinates.
+/// A rectangle of normalized coordinates.
 #[derive(Debug, Clone, Copy)]
 struct Field {
     low: Vector2<f64>,

@@ -20,7 +20,7 @@ use crate::pipeline::board_look::picture_of;
 use crate::pipeline::view_picture::view_picture;
 use crate::store::{Companion, Picture};
 
-/// Depth in whole millimetres, as ROS has it (REP 118) and most devices, where nobody states
+/// Depth in whole millimeters, as ROS has it (REP 118) and most devices, where nobody states
 /// another unit.
 const USUAL_UNIT_M: f64 = 0.001;
 
@@ -114,7 +114,7 @@ pub(super) fn rgbd_input(
     Some(RgbdInput { board, color_size: session.image_size()?, depth, captures })
 }
 
-/// Colour and right infrared of a session whose views have `companions`; `None` where none has the
+/// Color and right infrared of a session whose views have `companions`; `None` where none has the
 /// latter.
 pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Option<StereoInput> {
     let board = session.record().request.target;

@@ -12,7 +12,7 @@ use crate::imaging::frame::FrameSet;
 pub struct LiveFrame {
     /// What the camera gave.
     pub frame_set: Arc<FrameSet>,
-    /// What was seen in its colour frame; `None` while no session says which board to look for.
+    /// What was seen in its color frame; `None` while no session says which board to look for.
     pub look: Option<Look>,
 }
 

@@ -79,7 +79,7 @@ impl Job {
     }
 
     /// The calibration, without the names that it gets when it is stored. Another sensor that
-    /// cannot be calibrated does not cost the colour's calibration: the verdict says why it is
+    /// cannot be calibrated does not cost the color's calibration: the verdict says why it is
     /// missing.
     fn solve(&self) -> Result<Box<Calibration>, String> {
         let options = self.options();

@@ -46,7 +46,7 @@ impl Folder {
         Ok(Self::new(moments, fps))
     }
 
-    /// The pictures `files`, in the order given, as the frames of one colour sensor, `fps` a
+    /// The pictures `files`, in the order given, as the frames of one color sensor, `fps` a
     /// second.
     pub fn from_files(files: Vec<PathBuf>, fps: f64) -> Self {
         Self::new(files.into_iter().map(Moment::of_picture).collect(), fps)

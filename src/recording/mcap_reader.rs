@@ -362,7 +362,7 @@ mod tests {
                 let line = error.to_string();
                 assert!(line.contains("walk.mcap") && !line.contains('\n'), "{line}");
             }
-            // Depth comes after colour: until the next set begins, a set may lack it.
+            // Depth comes after color: until the next set begins, a set may lack it.
             let complete =
                 sets.iter().rev().skip(1).zip(written[..sets.len()].iter().rev().skip(1));
             assert!({ complete }.all(|(a, b)| key(a) == key(b)), "at {cut}");

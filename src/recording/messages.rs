@@ -208,7 +208,7 @@ mod tests {
         for name in ["/front/color", "/a/b/depth", "/front/infrared/calibration"] {
             assert_eq!(Topic::parse(name).unwrap().name(), name);
         }
-        for name in ["/front/colour", "/color", "", "/front/color/info", "/fr\nont/color"] {
+        for name in ["/front/color", "/color", "", "/front/color/info", "/fr\nont/color"] {
             assert_eq!(Topic::parse(name), None, "{name}");
         }
     }

@@ -89,9 +89,11 @@ impl BoardPattern {
             }
         }
         let [left, right, top, bottom] = self.edges_in_squares();
-        let slack = [0.1 * (high[0] - low[0]), 0.1 * (high[1] - low[1])];
-        let [low, high] =
-            [[low[0] - slack[0], low[1] - slack[1]], [high[0] + slack[0], high[1] + slack[1]]];
+        let pose_jitter = [0.1 * (high[0] - low[0]), 0.1 * (high[1] - low[1])];
+        let [low, high] = [
+            [low[0] - pose_jitter[0], low[1] - pose_jitter[1]],
+            [high[0] + pose_jitter[0], high[1] + pose_jitter[1]],
+        ];
         if patch.iter().any(|vertex| vertex[0].is_nan()) {
             // All of it looks past the plane, or its edge runs through it.
             return patch.iter().all(|vertex| vertex[0].is_nan()).then(Shade::default);

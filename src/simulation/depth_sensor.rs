@@ -62,7 +62,7 @@ pub struct DepthSensor {
     pub noise_per_m: f64,
     /// Steps of inverse depth, in 1/m: a matcher's smallest fraction of a pixel.
     pub step_per_m: f64,
-    /// Focal length times baseline, in pixel metres: disparity is this times inverse depth. Nothing
+    /// Focal length times baseline, in pixel meters: disparity is this times inverse depth. Nothing
     /// is measured in the left band that the other eye doesn't see, nor in the shadow left of what
     /// stands in front.
     pub disparity_px_m: f64,

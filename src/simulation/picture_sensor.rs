@@ -8,7 +8,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::gray::GrayImage;
 use crate::simulation::noise::{Purpose, stream};
 
-/// An 8-bit grey sensor behind a lens.
+/// An 8-bit gray sensor behind a lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PictureSensor {
     /// Its size in pixels.

@@ -1,4 +1,4 @@
-//! A camera with colour, infrared and depth before a board that is carried about.
+//! A camera with color, infrared and depth before a board that is carried about.
 
 use nalgebra::{UnitQuaternion, Vector3};
 use rand::RngExt;
@@ -20,7 +20,7 @@ use crate::simulation::world::{FrameTruth, World, WorldOptions, exposed};
 /// What is simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdOptions {
-    /// The colour camera, the board and how it is carried.
+    /// The color camera, the board and how it is carried.
     pub color: WorldOptions,
     /// The infrared camera: its lens and size are the depth camera's.
     pub infrared: PictureSensor,
@@ -28,16 +28,16 @@ pub struct RgbdOptions {
     pub depth: DepthSensor,
     /// Where the depth and infrared camera is.
     pub color_from_depth: Pose,
-    /// By how much infrared and depth are taken later than the colour picture they come with, in
+    /// By how much infrared and depth are taken later than the color picture they come with, in
     /// seconds.
     pub time_offset_s: f64,
-    /// The wall behind the board in the depth camera's frame: its distance on the axis in metres,
+    /// The wall behind the board in the depth camera's frame: its distance on the axis in meters,
     /// its slopes against x and y.
     pub wall: [f64; 3],
 }
 
 impl RgbdOptions {
-    /// A stereo depth camera beside the colour camera of `color`: 25 mm and a degree apart, 640 ×
+    /// A stereo depth camera beside the color camera of `color`: 25 mm and a degree apart, 640 ×
     /// 480, with an error of some per cent; lens, pose and error follow from the seed.
     pub fn new(color: WorldOptions) -> Self {
         let mut rng = stream(color.seed, Purpose::Rig, 0);
@@ -106,13 +106,13 @@ impl RgbdOptions {
 /// Pictures that come together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdFrame {
-    /// The colour camera's, grey.
+    /// The color camera's, gray.
     pub color: GrayImage,
     /// The infrared camera's.
     pub infrared: GrayImage,
     /// The depth camera's.
     pub depth: DepthImage,
-    /// What is true of the colour picture.
+    /// What is true of the color picture.
     pub truth: FrameTruth,
     /// Where the board was in the middle of the infrared picture's exposure.
     pub infrared_from_board: Pose,
@@ -147,7 +147,7 @@ impl RgbdWorld {
 
     /// The `index`-th pictures.
     pub fn frame(&mut self, index: u64) -> RgbdFrame {
-        // The infrared picture's noise is another than the colour picture's.
+        // The infrared picture's noise is another than the color picture's.
         const INFRARED: u64 = 1 << 40;
         let color = self.color.frame(index);
         let depth_from_color = self.options.color_from_depth.inverse();

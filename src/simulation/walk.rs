@@ -28,7 +28,7 @@ pub struct WalkOptions {
     pub width: [f64; 2],
     /// Part of the places where a part of the board is outside the picture; 0 unless said.
     pub leaving: f64,
-    /// How far a hand trembles, in metres and in radians; 0.1 mm and 0.02° unless said.
+    /// How far a hand trembles, in meters and in radians; 0.1 mm and 0.02° unless said.
     pub tremor: [f64; 2],
 }
 
@@ -128,18 +128,18 @@ impl Walk {
         let [left, right, ..] = self.pattern.edges_in_squares();
         let card_m = (right - left) * self.pattern.board.square_m;
         let distance = self.lens.matrix.fx * card_m / (width * f64::from(self.size.width));
-        let slack_px = if leaving { -0.35 * width * f64::from(self.size.width) } else { 3.0 };
-        self.placed(rotation, distance, at, slack_px)
+        let jitter_px = if leaving { -0.35 * width * f64::from(self.size.width) } else { 3.0 };
+        self.placed(rotation, distance, at, jitter_px)
     }
 
-    /// Puts the card so that its bounding box in the picture, `slack_px` inside the edges, lies at
+    /// Puts the card so that its bounding box in the picture, `jitter_px` inside the edges, lies at
     /// the part `at` of the room that is left; farther away where there is none.
     fn placed(
         &self,
         rotation: UnitQuaternion<f64>,
         distance: f64,
         at: [f64; 2],
-        slack_px: f64,
+        jitter_px: f64,
     ) -> Pose {
         let [left, right, top, bottom] = self.pattern.edges_in_squares();
         let side = self.pattern.board.square_m;
@@ -159,7 +159,7 @@ impl Walk {
                 continue;
             };
             camera_from_board = here;
-            let room = |low: f64, high: f64, end: f64| end - 1.0 - 2.0 * slack_px - (high - low);
+            let room = |low: f64, high: f64, end: f64| end - 1.0 - 2.0 * jitter_px - (high - low);
             let rooms = [
                 room(low.x, high.x, f64::from(self.size.width)),
                 room(low.y, high.y, f64::from(self.size.height)),
@@ -168,8 +168,8 @@ impl Walk {
                 distance *= 1.12;
                 continue;
             }
-            target.x += slack_px + at[0] * rooms[0] - low.x;
-            target.y += slack_px + at[1] * rooms[1] - low.y;
+            target.x += jitter_px + at[0] * rooms[0] - low.x;
+            target.y += jitter_px + at[1] * rooms[1] - low.y;
         }
         camera_from_board
     }

@@ -173,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn a_companion_of_no_view_is_refused_with_its_neighbours() {
+    fn a_companion_of_no_view_is_refused_with_its_neighbors() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();

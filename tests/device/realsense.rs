@@ -146,7 +146,7 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
         ("opencv&sensor=depth", "331.3878"),
         ("kalibr", "613.4193"),
         ("mrcal", "319.9388"),
-        // Its pixels have their corners, not their centres, at integers.
+        // Its pixels have their corners, not their centers, at integers.
         ("colmap", "239.6829"),
         ("depth", "reading depth 0.001"),
         ("urdf", "0.0143113"),
@@ -239,7 +239,7 @@ fn stated(lens: &Value) -> StatedCamera {
     }
 }
 
-/// The shipped walk of a board before colour, infrared and depth.
+/// The shipped walk of a board before color, infrared and depth.
 fn walk_pictures(count: usize) -> Vec<Pictures> {
     let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
     let sets = std::iter::from_fn(|| walk.next_frame_set().unwrap());
@@ -380,7 +380,7 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
         calibration["verdict"]
     );
     eprintln!(
-        "colour from depth: off by {:.2} mm and {apart_deg:.4}°; {}",
+        "color from depth: off by {:.2} mm and {apart_deg:.4}°; {}",
         apart_m * 1e3,
         calibration["verdict"]
     );

@@ -47,17 +47,17 @@ pub struct Device {
     pub size: [u32; 2],
     pub fps: u32,
     pub depth_unit_m: f32,
-    /// Of depth and both infrared ones, then of colour.
+    /// Of depth and both infrared ones, then of color.
     pub cameras: [StatedCamera; 2],
-    /// Column by column, and metres.
+    /// Column by column, and meters.
     pub color_from_depth: ([f32; 9], [f32; 3]),
-    /// From the left infrared sensor to the right one, in metres.
+    /// From the left infrared sensor to the right one, in meters.
     pub baseline_m: f32,
     /// Options of the depth sensor that can be set, with what they stand at.
     pub options: Vec<(Rs2Option, f32)>,
 }
 
-/// Frames taken together: depth (16 bit), left and right infrared (8 bit), colour (RGB).
+/// Frames taken together: depth (16 bit), left and right infrared (8 bit), color (RGB).
 pub type Pictures = [(Stream, Vec<u8>); 4];
 
 #[repr(C)]

@@ -164,8 +164,8 @@ fn guesses(
     let place = |slot: usize| (slot as i32 % cols, slot as i32 / cols);
     let corner = |slot: usize| {
         let (col, row) = place(slot);
-        let neighbours = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
-        Some((slot, GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbours }))
+        let neighbors = [at(col + 1, row), at(col, row + 1), at(col - 1, row), at(col, row - 1)];
+        Some((slot, GridCorner { index: GridIndex { col, row }, pixel: at(col, row)?, neighbors }))
     };
     (0..truth.len()).filter_map(corner).collect()
 }

@@ -66,7 +66,7 @@ impl Scene {
         Self { image, board, corners, inverted }
     }
 
-    /// Shortest way between neighbouring corners, in pixels.
+    /// Shortest way between neighboring corners, in pixels.
     pub(crate) fn shortest_step_px(&self) -> f64 {
         let cols = self.board.cols as usize;
         let apart = |a: usize, b: usize| {

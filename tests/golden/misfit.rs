@@ -80,7 +80,7 @@ fn what_moves_whole_views_is_in_the_uncertainty() {
         let seen: Vec<_> = difference.into_iter().flatten().collect();
         observed += seen.iter().map(|[x, y]| x * x + y * y).sum::<f64>() / seen.len() as f64;
         predicted += map.mean_square_px2();
-        alone += map.mean_square_px2() / estimate.shared_error;
+        alone += map.mean_square_px2() / estimate.variance_inflation;
     }
     let (ratio, naive) = (f64::sqrt(observed / predicted), f64::sqrt(observed / alone));
     assert!(
@@ -103,7 +103,7 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
         for (view, pose) in problem.views.iter_mut().zip(&poses) {
             for corner in &mut view.correspondences {
                 let mut point = corner.point_in_board;
-                // A twist: half a millimetre up at two corners of the board, as much down at the
+                // A twist: half a millimeter up at two corners of the board, as much down at the
                 // others.
                 point.z = 0.0005 * (point.x / 0.12 - 1.0) * (point.y / 0.075 - 1.0);
                 let [flat, bent] = [corner.point_in_board, point]
@@ -130,6 +130,6 @@ fn a_right_model_is_not_accused() {
         let poses = camera.poses(8 + seed as usize, &mut rng);
         let solved = solve_views(&camera.problem(&poses, &mut rng), &brown()).unwrap();
         assert!(!says(&solved, "does not fit"), "seed {seed}: {:?}", solved.verdict);
-        assert_eq!(solved.estimate.shared_error, 1.0, "seed {seed}");
+        assert_eq!(solved.estimate.variance_inflation, 1.0, "seed {seed}");
     }
 }

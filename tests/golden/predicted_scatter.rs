@@ -154,7 +154,7 @@ fn a_bent_board_is_named_and_its_bow_can_be_estimated() {
     let mut rng = SeededCamera::rng(7);
     let poses = camera.poses(30, &mut rng);
     let mut problem = camera.problem(&poses, &mut rng);
-    // Two millimetres at the middle along x, none at the edges.
+    // Two millimeters at the middle along x, none at the edges.
     let half_m = 0.12;
     for (view, pose) in problem.views.iter_mut().zip(&poses) {
         for corner in &mut view.correspondences {

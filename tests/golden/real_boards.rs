@@ -1,4 +1,4 @@
-//! Boards in real photographs: found, whole, and every corner labelled as its neighbours are.
+//! Boards in real photographs: found, whole, and every corner labelled as its neighbors are.
 
 use std::path::{Path, PathBuf};
 

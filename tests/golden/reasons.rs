@@ -14,7 +14,7 @@ pub(crate) struct Straight {
     pub(crate) corners: (u32, u32),
     pub(crate) square_px: f64,
     pub(crate) middle: (f64, f64),
-    pub(crate) colours: [f64; 2],
+    pub(crate) colors: [f64; 2],
     pub(crate) blur_px: f64,
 }
 
@@ -25,7 +25,7 @@ impl Straight {
             corners: (9, 6),
             square_px,
             middle: (160.0, 120.0),
-            colours: [40.0, 210.0],
+            colors: [40.0, 210.0],
             blur_px: 0.7,
         }
     }
@@ -40,7 +40,7 @@ impl Straight {
 
     /// Squares in blur: a product of two waves, each blurred along its own axis, on white paper.
     fn light(&self, x: f64, y: f64) -> f64 {
-        let [dark, bright] = self.colours;
+        let [dark, bright] = self.colors;
         let (across, within_x) = self.wave(x - self.middle.0, self.corners.0);
         let (down, within_y) = self.wave(y - self.middle.1, self.corners.1);
         bright + (dark - bright) * 0.5 * (within_x * within_y + across * down)
@@ -79,7 +79,7 @@ fn the_board_itself_is_found() {
 
 #[test]
 fn a_flat_picture_has_too_little_contrast() {
-    let flat = Straight { colours: [100.0, 104.0], ..Straight::new(24.0) };
+    let flat = Straight { colors: [100.0, 104.0], ..Straight::new(24.0) };
     assert!(
         matches!(reason(&flat), NoBoard::LowContrast { range } if range <= 4),
         "{}",

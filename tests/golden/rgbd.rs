@@ -1,4 +1,4 @@
-//! Colour and depth together: the predicted uncertainty is the scatter that is observed, depth's
+//! Color and depth together: the predicted uncertainty is the scatter that is observed, depth's
 //! error goes away, and what the factory states stays where it is as good.
 
 use std::f64::consts::FRAC_PI_2;
@@ -124,7 +124,7 @@ fn a_square_board_is_labelled_alike_by_both_sensors() {
 }
 
 /// Mean over the picture of |bias| before and after correction and of a reading's σ at 1/z, in
-/// metres: exact, without noise.
+/// meters: exact, without noise.
 fn left_at(rig: &SeededRgbd, solved: &SolvedRgbd, z_m: f64) -> [f64; 3] {
     let (size, mut sums, mut count) = (rig.depth.size, [0.0; 3], 0.0);
     for (x, y) in (3..30).flat_map(|x| (3..22).map(move |y| (10 * x, 10 * y))) {

@@ -1,6 +1,6 @@
-//! A real Kinect (raw disparity and colour), judged by planes on views that were not fitted to,
+//! A real Kinect (raw disparity and color), judged by planes on views that were not fitted to,
 //! beside the published calibration (D. Herrera C., J. Kannala, J. Heikkilä, *Joint depth and color
-//! camera calibration with distortion correction*, PAMI 2012), computed with its own colour lens,
+//! camera calibration with distortion correction*, PAMI 2012), computed with its own color lens,
 //! extrinsics and distortion map on the same pixels.
 
 use std::path::Path;
@@ -31,7 +31,7 @@ use crate::seeded_rgbd::SeededRgbd;
 use crate::shared_data::shared_data;
 
 /// A view by distance, and what the published calibration of ten views leaves of it: the mean
-/// distance from colour's plane, with its sign, and the root mean square, in mm.
+/// distance from color's plane, with its sign, and the root mean square, in mm.
 struct Published {
     view: usize,
     /// It is one of the ten.
@@ -106,7 +106,7 @@ fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
 }
 
-/// The plane of the board as colour sees it: a unit normal and its distance, in the colour camera's
+/// The plane of the board as color sees it: a unit normal and its distance, in the color camera's
 /// frame.
 fn plane(lens: &Lens, view: &Value) -> (Vector3<f64>, f64) {
     let points = view["object_m"].as_array().unwrap().iter().map(numbers);
@@ -156,7 +156,7 @@ fn off(
     each.filter_map(point).map(|p| 1e3 * (normal.dot(&(*pose * p).coords) - distance)).collect()
 }
 
-/// Mean and root mean square distance of a view's readings from colour's plane, in mm.
+/// Mean and root mean square distance of a view's readings from color's plane, in mm.
 fn mean_and_rms(
     camera: (&Lens, &DepthCamera, &Pose),
     data: &Path,
@@ -236,7 +236,7 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     assert!(told.contains("fx is known to") && told.contains("stands back"), "{told}");
 }
 
-/// Everything that was taken with colour and depth, by view.
+/// Everything that was taken with color and depth, by view.
 fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
     let (mut detector, mut image) = (Detector::new(board.size), GrayImage::default());
     let mut numbers: Vec<usize> =

@@ -1,4 +1,4 @@
-//! Colour and depth that are not taken at the same time, through `plumb calibrate`: against exact
+//! Color and depth that are not taken at the same time, through `plumb calibrate`: against exact
 //! truth.
 
 use std::path::{Path, PathBuf};

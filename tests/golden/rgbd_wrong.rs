@@ -1,4 +1,4 @@
-//! What can be wrong with colour and depth: each is one line that says what, never a silent wrong
+//! What can be wrong with color and depth: each is one line that says what, never a silent wrong
 //! answer.
 
 use nalgebra::{Point3, Vector3};
@@ -74,7 +74,7 @@ fn each_wrong_thing_is_one_clear_line() {
         expect(
             &format!("{name}: mirrored depth"),
             &mirrored(right.clone()),
-            "check that depth and colour",
+            "check that depth and color",
         );
         expect(
             &format!("{name}: a depth frame of zeros each"),
@@ -89,11 +89,7 @@ fn each_wrong_thing_is_one_clear_line() {
         for (index, capture) in shuffled.captures.iter_mut().enumerate() {
             capture.depth = depths[(index + 5) % depths.len()].clone();
         }
-        expect(
-            &format!("{name}: depth of other moments"),
-            &shuffled,
-            "check that depth and colour",
-        );
+        expect(&format!("{name}: depth of other moments"), &shuffled, "check that depth and color");
     }
 }
 
@@ -120,7 +116,7 @@ fn a_board_that_is_not_flat_is_told() {
 }
 
 #[test]
-fn depth_without_colour_in_half_the_views_is_told() {
+fn depth_without_color_in_half_the_views_is_told() {
     let mut input = input(&SeededRgbd::new());
     let all = input.captures.len();
     for capture in input.captures.iter_mut().skip(1).step_by(2) {

@@ -11,10 +11,10 @@ use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
 
-/// Two sensors of different lens and noise, six centimetres apart, and what each sees of `instants`
+/// Two sensors of different lens and noise, six centimetres apart, and what each sees of `frame_sets`
 /// boards.
-fn stereo(instants: usize, seed: u64) -> (RigProblem, Pose) {
-    let (problem, right_from_left, _) = stereo_with_poses(instants, seed);
+fn stereo(frame_sets: usize, seed: u64) -> (RigProblem, Pose) {
+    let (problem, right_from_left, _) = stereo_with_poses(frame_sets, seed);
     (problem, right_from_left)
 }
 
@@ -29,7 +29,7 @@ fn center_in_board(problem: &RigProblem) -> Point3<f64> {
 }
 
 /// As [`stereo`], with where the left sensor sees the board at each instant.
-fn stereo_with_poses(instants: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>) {
+fn stereo_with_poses(frame_sets: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>) {
     let (left, mut right) = (SeededCamera::ordinary(), SeededCamera::ordinary());
     right.noise_px = 0.2;
     right.lens.matrix.fx = 500.0;
@@ -37,22 +37,22 @@ fn stereo_with_poses(instants: usize, seed: u64) -> (RigProblem, Pose, Vec<Pose>
     let right_from_left =
         Pose::from_axis_angle(Vector3::new(0.01, -0.05, 0.02), Vector3::new(-0.06, 0.002, 0.004));
     let mut rng = SeededCamera::rng(seed);
-    let left_from_board = left.poses(instants, &mut rng);
+    let left_from_board = left.poses(frame_sets, &mut rng);
     let sensor = |name: &str, camera: &SeededCamera, sensor_from_left: Pose, rng: &mut _| {
         let sees = |(_, pose): &(usize, Pose)| camera.exact(pose).is_some();
         let poses = left_from_board.iter().map(|pose| sensor_from_left * *pose).enumerate();
-        let (instants, poses): (Vec<usize>, Vec<Pose>) = poses.filter(sees).unzip();
+        let (frame_sets, poses): (Vec<usize>, Vec<Pose>) = poses.filter(sees).unzip();
         let views = camera.problem(&poses, rng).views;
         let lens = LensChoice::Model(camera.lens.model());
         let options = CameraOptions { lens, ..CameraOptions::default() };
-        let views = instants.into_iter().zip(views).collect();
+        let views = frame_sets.into_iter().zip(views).collect();
         RigSensor { name: name.to_owned(), image_size: camera.size, views, options }
     };
     let sensors = vec![
         sensor("left", &left, Pose::identity(), &mut rng),
         sensor("right", &right, right_from_left, &mut rng),
     ];
-    (RigProblem { sensors, instants }, right_from_left, left_from_board)
+    (RigProblem { sensors, frame_sets }, right_from_left, left_from_board)
 }
 
 #[test]
@@ -148,7 +148,7 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
         sheared(&mut problem, 1, 2.0, seed);
         let estimate = calibrate_rig(&problem).unwrap();
         let place = &estimate.places[1];
-        let [left, right] = [0, 1].map(|camera| estimate.cameras[camera].shared_error);
+        let [left, right] = [0, 1].map(|camera| estimate.cameras[camera].variance_inflation);
         assert!(
             right > 2.0,
             "seed {seed}: the right one's variances are {right} times as large, the left one's {left}"
@@ -157,7 +157,7 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
         for axis in 0..3 {
             let square = turn[axis].powi(2) / place.covariance[(axis, axis)];
             (seen, alone, count) =
-                (seen + square, alone + square * place.shared_error, count + 1.0);
+                (seen + square, alone + square * place.variance_inflation, count + 1.0);
         }
     }
     let [ratio, naive] = [seen, alone].map(|sum: f64| (sum / count).sqrt());
@@ -177,9 +177,9 @@ fn a_right_rig_is_not_accused() {
         let (problem, _) = stereo(20, seed);
         let estimate = calibrate_rig(&problem).unwrap();
         let factors = [
-            estimate.cameras[0].shared_error,
-            estimate.cameras[1].shared_error,
-            estimate.places[1].shared_error,
+            estimate.cameras[0].variance_inflation,
+            estimate.cameras[1].variance_inflation,
+            estimate.places[1].variance_inflation,
         ];
         assert_eq!(factors, [1.0; 3], "seed {seed}");
     }
@@ -205,7 +205,7 @@ fn sensors_that_share_nothing_are_refused() {
     for (instant, _) in &mut problem.sensors[1].views {
         *instant += 20;
     }
-    problem.instants = 40;
+    problem.frame_sets = 40;
     assert_eq!(
         calibrate_rig(&problem).unwrap_err(),
         EstimationError::NothingShared { sensor: "right".to_owned() }

@@ -1,4 +1,4 @@
-//! A seeded camera with colour, infrared and depth: exact corners and planes, plus known noise and
+//! A seeded camera with color, infrared and depth: exact corners and planes, plus known noise and
 //! a known error of depth.
 
 use nalgebra::{Point3, Vector3};
@@ -21,7 +21,7 @@ use crate::seeded_camera::SeededCamera;
 /// Readings in a patch of the board's surface.
 const TILE: u32 = 100;
 
-/// A colour camera of 640×480 with a depth camera of 320×240 beside it.
+/// A color camera of 640×480 with a depth camera of 320×240 beside it.
 pub struct SeededRgbd {
     pub color: SeededCamera,
     pub depth: SeededCamera,
@@ -31,9 +31,9 @@ pub struct SeededRgbd {
     pub noise_per_m: f64,
     pub unit_m: f64,
     pub with_infrared: bool,
-    /// What the board lies on: metres that it reaches past the corners.
+    /// What the board lies on: meters that it reaches past the corners.
     pub plate_m: f64,
-    /// How far the wall behind is, in metres.
+    /// How far the wall behind is, in meters.
     pub wall_m: f64,
 }
 

@@ -34,7 +34,7 @@ fn equally_weighted(problem: &CameraProblem) -> CameraProblem {
 fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f64) -> [f64; 3] {
     let camera = SeededCamera { noise_px: 1e-9, ..SeededCamera::ordinary() };
     let normal = Normal::new(0.0, 1.0).unwrap();
-    let (mut own, mut ours, mut equals, mut common_px) = (0.0, 0.0, 0.0, Vec::new());
+    let (mut own, mut ours, mut equals, mut noise_floor_px) = (0.0, 0.0, 0.0, Vec::new());
     for seed in 0..SEEDS {
         let mut rng = SeededCamera::rng(700 + seed);
         let poses = camera.poses(16, &mut rng);
@@ -51,35 +51,35 @@ fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f
         own += (error(&estimate) / estimate.lens_std()[0]).powi(2) / SEEDS as f64;
         ours += error(&estimate).powi(2);
         equals += error(&equal).powi(2);
-        common_px.push(estimate.common_px);
+        noise_floor_px.push(estimate.noise_floor_px);
     }
-    common_px.sort_by(f64::total_cmp);
-    [own, ours / equals, common_px[common_px.len() / 2]]
+    noise_floor_px.sort_by(f64::total_cmp);
+    [own, ours / equals, noise_floor_px[noise_floor_px.len() / 2]]
 }
 
 #[test]
 fn deviations_that_no_residual_bears_out_change_little() {
-    let [own, beside_equal, common_px] =
+    let [own, beside_equal, noise_floor_px] =
         over_seeds(|_| 0.1, |_, chance| 0.1 * (0.4 * chance).exp());
     println!(
-        "told at random: {own:.2} predicted variances, {beside_equal:.3} of equal weights, common {common_px:.3} px"
+        "told at random: {own:.2} predicted variances, {beside_equal:.3} of equal weights, common {noise_floor_px:.3} px"
     );
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
     assert!(
-        beside_equal < 1.05 && common_px > 0.1,
-        "{beside_equal} of equal weights, common error {common_px} px"
+        beside_equal < 1.05 && noise_floor_px > 0.1,
+        "{beside_equal} of equal weights, common error {noise_floor_px} px"
     );
 }
 
 #[test]
 fn deviations_that_residuals_bear_out_are_the_weights() {
     let of_view = |view: usize| if view.is_multiple_of(2) { 0.05 } else { 0.5 };
-    let [own, _, common_px] =
+    let [own, _, noise_floor_px] =
         over_seeds(of_view, |view, chance| of_view(view) * (0.1 * chance).exp());
-    println!("told rightly: {own:.2} predicted variances, common {common_px:.3} px");
+    println!("told rightly: {own:.2} predicted variances, common {noise_floor_px:.3} px");
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
     assert!(
-        common_px < 0.03,
-        "a common error of {common_px} px, where corners of 0.05 px err by that"
+        noise_floor_px < 0.03,
+        "a common error of {noise_floor_px} px, where corners of 0.05 px err by that"
     );
 }

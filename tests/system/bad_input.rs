@@ -16,9 +16,9 @@ struct BadFiles {
 impl BadFiles {
     fn new() -> Self {
         let files = Self { folder: tempfile::tempdir().unwrap() };
-        let grey = GrayImage::from_fn(320, 240, |x, y| Luma([(x / 2 + y / 4) as u8]));
-        let jpeg = encoded(&grey, ImageFormat::Jpeg);
-        files.write("grey.jpg", &jpeg);
+        let gray = GrayImage::from_fn(320, 240, |x, y| Luma([(x / 2 + y / 4) as u8]));
+        let jpeg = encoded(&gray, ImageFormat::Jpeg);
+        files.write("gray.jpg", &jpeg);
         files.write("cut.jpg", &jpeg[..jpeg.len() / 2]);
         files.write("empty.png", b"");
         files.write("dot.png", &encoded(&GrayImage::new(1, 1), ImageFormat::Png));
@@ -88,11 +88,11 @@ fn png_header(width: u32, height: u32) -> Vec<u8> {
 const TABLE: &[(&str, i32, &[&str])] = &[
     ("", 2, &["a command is missing", "--help"]),
     ("calibrat", 2, &["calibrat", "--help"]),
-    ("detect @grey.jpg", 2, &["--board"]),
+    ("detect @gray.jpg", 2, &["--board"]),
     ("detect --board 9x6", 2, &["PATH"]),
-    ("detect --board 9 @grey.jpg", 2, &["`9`", "COLSxROWS", "9x6"]),
-    ("detect --board 2x2 @grey.jpg", 2, &["2x2", "3 to 100", "inner corners"]),
-    ("detect --board 9x6 --repeat 0 @grey.jpg", 2, &["--repeat"]),
+    ("detect --board 9 @gray.jpg", 2, &["`9`", "COLSxROWS", "9x6"]),
+    ("detect --board 2x2 @gray.jpg", 2, &["2x2", "3 to 100", "inner corners"]),
+    ("detect --board 9x6 --repeat 0 @gray.jpg", 2, &["--repeat"]),
     ("detect --board 9x6 --json @gone.jpg", 1, &["gone.jpg", "cannot be read", "check the path"]),
     ("detect --board 9x6 --json @cut.jpg", 1, &["cut.jpg", "cut off"]),
     ("detect --board 9x6 --json @empty.png", 1, &["empty.png", "0 bytes"]),
@@ -105,18 +105,18 @@ const TABLE: &[(&str, i32, &[&str])] = &[
         1,
         &["2 images could not be read", "cut.jpg"],
     ),
-    ("calibrate --board 9x6 @grey.jpg", 2, &["--square"]),
-    ("calibrate --board 9x6 --square 25 @grey.jpg", 2, &["`25`", "25mm"]),
-    ("calibrate --board 9x6 --square 50m @grey.jpg", 2, &["50 m", "25mm"]),
-    ("calibrate --board 2x2 --square 25mm @grey.jpg", 2, &["2x2", "3 to 100"]),
+    ("calibrate --board 9x6 @gray.jpg", 2, &["--square"]),
+    ("calibrate --board 9x6 --square 25 @gray.jpg", 2, &["`25`", "25mm"]),
+    ("calibrate --board 9x6 --square 50m @gray.jpg", 2, &["50 m", "25mm"]),
+    ("calibrate --board 2x2 --square 25mm @gray.jpg", 2, &["2x2", "3 to 100"]),
     (
-        "calibrate --board 9x6 --square 25mm --lens fisheye @grey.jpg",
+        "calibrate --board 9x6 --square 25mm --lens fisheye @gray.jpg",
         2,
         &["fisheye", "kannala_brandt"],
     ),
-    ("calibrate --board 9x6 --square 25mm --json --format ros @grey.jpg", 2, &["--out"]),
+    ("calibrate --board 9x6 --square 25mm --json --format ros @gray.jpg", 2, &["--out"]),
     (
-        "calibrate --board 9x6 --square 25mm @gone.jpg @grey.jpg",
+        "calibrate --board 9x6 --square 25mm @gone.jpg @gray.jpg",
         1,
         &["gone.jpg", "no such file", "check the path"],
     ),
@@ -127,13 +127,13 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("calibrate --board 9x6 --square 25mm @empty.png", 1, &["empty.png", "0 bytes"]),
     ("calibrate --board 9x6 --square 25mm @dot.png", 1, &["dot.png", "1x1", "too small"]),
     ("calibrate --board 9x6 --square 25mm @huge.png", 1, &["huge.png", "120 megapixels"]),
-    ("calibrate --board 9x6 --square 25mm @grey.jpg", 1, &["grey.jpg", "board"]),
+    ("calibrate --board 9x6 --square 25mm @gray.jpg", 1, &["gray.jpg", "board"]),
     (
-        "calibrate --board 9x6 --square 25mm @grey.jpg @grey.jpg",
+        "calibrate --board 9x6 --square 25mm @gray.jpg @gray.jpg",
         1,
-        &["no 9x6 board", "any of 2 pictures", "grey.jpg"],
+        &["no 9x6 board", "any of 2 pictures", "gray.jpg"],
     ),
-    ("calibrate --board 9x6 --square 25mm @grey.jpg @small", 1, &["64x48", "320x240", "each size"]),
+    ("calibrate --board 9x6 --square 25mm @gray.jpg @small", 1, &["64x48", "320x240", "each size"]),
     ("solve", 2, &["PROBLEM.json"]),
     ("solve @gone.json", 1, &["gone.json", "cannot be read"]),
     ("solve @nan.json", 1, &["nan.json", "views[0].image[0][1]", "NaN", "finite"]),
@@ -141,8 +141,8 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("solve @fields.json", 1, &["fields.json", "views[0].image", "missing"]),
     ("solve @size.json", 1, &["size.json", "image_size"]),
     ("solve @syntax.json", 1, &["syntax.json", "not JSON at line 1"]),
-    ("verify --calibration @few.json --board 9x6 @grey.jpg", 1, &["few.json", "missing"]),
-    ("verify --calibration @gone.json --board 9x6 @grey.jpg", 1, &["gone.json", "cannot be read"]),
+    ("verify --calibration @few.json --board 9x6 @gray.jpg", 1, &["few.json", "missing"]),
+    ("verify --calibration @gone.json --board 9x6 @gray.jpg", 1, &["gone.json", "cannot be read"]),
     ("record --camera front --out @new.mcap --config @gone.toml", 2, &["gone.toml"]),
     (
         "record --camera front --out @new.mcap --config @back.toml",
@@ -205,13 +205,13 @@ fn a_port_in_use() {
 fn a_bad_picture_among_good_ones_costs_only_itself() {
     let files = BadFiles::new();
     let finished =
-        plumb(files.arguments("detect --board 9x6 --json @cut.jpg @grey.jpg @gone.jpg @dot.png"));
+        plumb(files.arguments("detect --board 9x6 --json @cut.jpg @gray.jpg @gone.jpg @dot.png"));
     assert_eq!(finished.code, Some(1));
     let lines: Vec<serde_json::Value> =
         finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let names: Vec<&str> =
         lines.iter().map(|line| file_name(line["path"].as_str().unwrap())).collect();
-    assert_eq!(names, ["cut.jpg", "grey.jpg", "gone.jpg", "dot.png"]);
+    assert_eq!(names, ["cut.jpg", "gray.jpg", "gone.jpg", "dot.png"]);
     for line in &lines {
         assert!(line["found"] == false && line["reason"].is_string(), "{line}");
     }

@@ -23,16 +23,16 @@ fn motion_jpeg_without_huffman_tables_and_with_stray_bytes_decodes_as_its_twin()
     assert_eq!((frame.size.width, frame.size.height), (960, 720));
     let total =
         |a: &[u8], b: &[u8]| a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
-    // The twin's colours were clipped, and its luma comes from them.
-    let (grey, grey_twin) = (luma(&frame), luma(&twin));
-    assert_eq!(grey.size(), grey_twin.size());
-    let difference = total(grey.pixels(), grey_twin.pixels());
+    // The twin's colors were clipped, and its luma comes from them.
+    let (gray, gray_twin) = (luma(&frame), luma(&twin));
+    assert_eq!(gray.size(), gray_twin.size());
+    let difference = total(gray.pixels(), gray_twin.pixels());
     assert!(
-        2 * difference < grey.pixels().len() as u64,
+        2 * difference < gray.pixels().len() as u64,
         "{difference} over {} pixels",
-        grey.pixels().len()
+        gray.pixels().len()
     );
-    // Colours differ where decoders interpolate the halved chroma differently; luma does not.
+    // Colors differ where decoders interpolate the halved chroma differently; luma does not.
     let (colors, color_twin) = (decode::rgb(&frame).unwrap(), decode::rgb(&twin).unwrap());
     let difference = total(colors.as_raw(), color_twin.as_raw());
     assert!(difference < 2 * colors.len() as u64, "{difference} over {} values", colors.len());

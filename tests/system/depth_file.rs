@@ -144,7 +144,7 @@ fn the_python_reader_gives_the_library_s_numbers() {
     };
     let folder = tempfile::tempdir().unwrap();
     let script = "import sys, numpy\nsys.path.insert(0, sys.argv[1])\nimport depth_correction as d\n\
-        print(*d.metres(d.read(sys.argv[2]), numpy.loadtxt(sys.argv[3])).ravel().tolist())";
+        print(*d.meters(d.read(sys.argv[2]), numpy.loadtxt(sys.argv[3])).ravel().tolist())";
     compared(folder.path(), |file, readings| {
         let mut command = Command::new(&python);
         command.args(["-B", "-c", script]).arg(readers()).arg(file).arg(readings);
@@ -166,7 +166,7 @@ fn the_cpp_reader_gives_the_library_s_numbers() {
           std::ifstream raw(argv[2]);
           for (int v = 0; v < correction.height; ++v)
             for (int u = 0, reading; u < correction.width && raw >> reading; ++u)
-              std::printf("%.17g ", correction.metres(u, v, reading));
+              std::printf("%.17g ", correction.meters(u, v, reading));
         }"#;
     let (source, program) = (folder.path().join("main.cpp"), folder.path().join("reader"));
     std::fs::write(&source, main).unwrap();

@@ -14,7 +14,7 @@ struct Straight {
     square_px: f64,
     /// Where the board's upper left corner is.
     origin: (f64, f64),
-    colours: [f64; 2],
+    colors: [f64; 2],
     /// Each pixel is the mean of a square reaching this far.
     soft_px: i32,
 }
@@ -27,7 +27,7 @@ impl Straight {
         corners: (9, 6),
         square_px: 24.0,
         origin: (40.3, 36.2),
-        colours: [40.0, 210.0],
+        colors: [40.0, 210.0],
         soft_px: 0,
     };
 
@@ -55,7 +55,7 @@ impl Straight {
             |at: i32, origin: f64| ((f64::from(at) - origin) / self.square_px).floor() as i32;
         let (col, row) = (square(x, self.origin.0), square(y, self.origin.1));
         let on_board = (0..=self.corners.0).contains(&col) && (0..=self.corners.1).contains(&row);
-        self.colours[usize::from(!on_board || (col + row) % 2 != 0)]
+        self.colors[usize::from(!on_board || (col + row) % 2 != 0)]
     }
 }
 
@@ -63,7 +63,7 @@ impl Straight {
 fn detect_says_why_there_is_no_board() {
     let pictures = [
         ("whole", Straight::WHOLE, None),
-        ("flat", Straight { colours: [100.0, 104.0], ..Straight::WHOLE }, Some("contrast")),
+        ("flat", Straight { colors: [100.0, 104.0], ..Straight::WHOLE }, Some("contrast")),
         ("soft", Straight { soft_px: 30, ..Straight::WHOLE }, Some("blur")),
         (
             "other",
@@ -107,7 +107,7 @@ fn a_session_counts_and_tells_each_reason_by_its_own_name() {
     let pictures = [
         (
             "low_contrast",
-            Straight { colours: [100.0, 104.0], ..Straight::WHOLE },
+            Straight { colors: [100.0, 104.0], ..Straight::WHOLE },
             "not enough contrast",
         ),
         ("blurred", Straight { soft_px: 30, ..Straight::WHOLE }, "too blurred"),

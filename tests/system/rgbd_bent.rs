@@ -1,4 +1,4 @@
-//! A board that is not flat, before a camera with colour and depth: rendered into a folder, and
+//! A board that is not flat, before a camera with color and depth: rendered into a folder, and
 //! told in one line of the verdict.
 
 use std::fs;

@@ -1,4 +1,4 @@
-//! Colour, infrared and depth through the daemon: a rendered camera, calibrated over HTTP, against
+//! Color, infrared and depth through the daemon: a rendered camera, calibrated over HTTP, against
 //! what is true of it.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -21,7 +21,7 @@ fn named<'a>(extrinsics: &'a Value, name: &str) -> &'a Value {
 }
 
 #[test]
-fn colour_and_depth_are_calibrated_together_through_the_daemon() {
+fn color_and_depth_are_calibrated_together_through_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("rgbd.mcap");
     let scene = recording("rgbd.toml");

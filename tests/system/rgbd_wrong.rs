@@ -1,4 +1,4 @@
-//! What can be wrong with a folder of colour and depth pictures: `plumb calibrate` says each in one
+//! What can be wrong with a folder of color and depth pictures: `plumb calibrate` says each in one
 //! clear line.
 
 use std::fs;
@@ -119,21 +119,21 @@ fn each_wrong_thing_is_one_clear_line() {
     let sets = taken();
     let other_unit = "[depth]\nkind = \"depth\"\nunit_m = 0.01\n";
     let table: [(&str, Change, &str); 9] = [
-        ("depth and colour swapped", Change::Swapped, "not swapped"),
+        ("depth and color swapped", Change::Swapped, "not swapped"),
         (
             "depth mirrored",
             Change::Depth(mirrored),
-            "check that depth and colour are of the same device",
+            "check that depth and color are of the same device",
         ),
         (
             "depth of other moments",
             Change::DepthOfOtherMoments,
-            "check that depth and colour are of the same device",
+            "check that depth and color are of the same device",
         ),
         (
             "depth of another lens",
             Change::Depth(of_another_lens),
-            "that depth and colour are of the same device",
+            "that depth and color are of the same device",
         ),
         ("a surface that is not flat", Change::Depth(uneven), "not flat"),
         ("zeros", Change::Depth(zeros), "only 0 of"),
@@ -166,14 +166,14 @@ fn each_wrong_thing_is_one_clear_line() {
 }
 
 #[test]
-fn what_is_right_is_calibrated_and_colour_in_half_the_views_told() {
+fn what_is_right_is_calibrated_and_color_in_half_the_views_told() {
     let sets = taken();
     for (change, is_told) in [(Change::Nothing, false), (Change::ColorInHalf, true)] {
         let finished = calibrated(&sets, change, true);
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         let document: Value = serde_json::from_str(&finished.stdout).unwrap();
         assert!(document["sensors"]["depth"].is_object(), "{}", document["verdict"]);
-        let told = document["verdict"].to_string().contains("the board was not seen in colour in");
+        let told = document["verdict"].to_string().contains("the board was not seen in color in");
         assert_eq!(told, is_told, "{}", document["verdict"]);
     }
 }

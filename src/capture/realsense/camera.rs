@@ -136,7 +136,7 @@ impl Camera {
         Ok((config, serial))
     }
 
-    /// Every stream that the device has and that we read, one each of colour, depth, left and right
+    /// Every stream that the device has and that we read, one each of color, depth, left and right
     /// infrared.
     fn stream_config(&self, device: &Device, serial: &str) -> Result<Config, String> {
         let (width, height) = self

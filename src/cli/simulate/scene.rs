@@ -30,7 +30,7 @@
 //! width = [0.38, 0.8]            # the card's width over the image's, farthest and nearest
 //! leaving = 0.0                  # part of the places with part of the board outside the picture
 //! [depth]                        # only if given: an infrared and a depth sensor beside the camera
-//! time_offset_ms = 0.0           # by how much they are taken later than the colour picture they come with
+//! time_offset_ms = 0.0           # by how much they are taken later than the color picture they come with
 //! noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth
 //! step_per_m = 0.002             # steps of inverse depth, in 1/m
 //! wall_m = 1.8                   # how far the wall behind the board is

@@ -4,7 +4,7 @@
 //! With u₁ and u₂ the distances to the two edges in units of the blur, ρ the correlation of the
 //! blur across them (the cosine between their normals, for a round blur), and Φ₂ the bivariate
 //! normal distribution, the pattern is t = 4Φ₂(u₁, u₂; ρ) − 2Φ(u₁) − 2Φ(u₂) + 1, in −1 … 1, here to
-//! third order in ρ (the tetrachoric series). The grey value is (level + amplitude·t + bend·(1 −
+//! third order in ρ (the tetrachoric series). The gray value is (level + amplitude·t + bend·(1 −
 //! t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
 
 /// How many unknowns [`CornerModel`] has, in the order of [`CornerModel::moved_by`].
@@ -33,7 +33,7 @@ pub(super) struct CornerModel {
     pub level: f64,
     /// Half the difference of white and black; its sign says which diagonal is white.
     pub amplitude: f64,
-    /// How far a grey value halfway lies above the mean.
+    /// How far a gray value halfway lies above the mean.
     pub bend: f64,
     /// Relative change of light per pixel.
     pub gradient: [f64; 2],
@@ -68,7 +68,7 @@ impl CornerModel {
 
     /// The model after a step in the unknowns: turn of each edge (radians), sharpness of each edge,
     /// level, amplitude, bend, shift of each edge along its normal. Steps beyond what the
-    /// linearisation can promise are cut short.
+    /// linearization can promise are cut short.
     pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
         let mut moved = *self;
         for edge in 0..2 {

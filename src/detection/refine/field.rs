@@ -1,5 +1,5 @@
 //! What changes smoothly over a board: a polynomial of the place on it, fitted to what the corners
-//! tell, of the order that foretells a corner left out best.
+//! tell, of the order that predicts a corner left out best.
 
 /// Terms of a polynomial of an order, from 0 to the highest.
 pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];

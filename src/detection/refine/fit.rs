@@ -3,14 +3,14 @@
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::elimination::solve;
 use crate::detection::refine::normal_equations::{
-    Columns, Linearised, Noise, NormalEquations, Residuals,
+    Columns, Linearized, Noise, NormalEquations, Residuals,
 };
 use crate::detection::refine::samples::Samples;
 
 /// How to fit.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FitOptions {
-    /// Linearisations: at least, unless the start was `alike`, and at most.
+    /// Linearizations: at least, unless the start was `alike`, and at most.
     pub iterations: [usize; 2],
     /// Stop when a step moves the corner by less than this, in standard deviations of the blur:
     /// what is then left to go is its square.
@@ -30,9 +30,9 @@ pub(super) struct Fit {
     /// How well it fits, before the last step.
     pub residuals: Residuals,
     /// Mean square of the residuals after the last step, in units of the noise: as far as the
-    /// linearisation can tell, and corrected for the unknowns and for the outliers' loss of weight.
+    /// linearization can tell, and corrected for the unknowns and for the outliers' loss of weight.
     pub mean_square: f64,
-    /// The same as grey levels.
+    /// The same as gray levels.
     pub residual_rms: f64,
     /// Covariance of the corner's position per unit of noise: xx, xy, yy, in squared samples.
     pub covariance: [f64; 3],
@@ -64,9 +64,9 @@ pub(super) fn fit(
     let (mut first, mut second) = (NormalEquations::default(), NormalEquations::default());
     let (mut equations, mut next) = (&mut first, &mut second);
     let [least, most] = options.iterations;
-    let linearised = Linearised { samples, noise, with_flat: options.with_flat };
+    let linearized = Linearized { samples, noise, with_flat: options.with_flat };
     for iteration in 1..=most {
-        linearised.at(&model, columns, next);
+        linearized.at(&model, columns, next);
         if iteration > 1 && next.residuals.mean_square() > 1.02 * equations.residuals.mean_square()
         {
             damping *= 10.0;

@@ -14,7 +14,7 @@ const LEAST_SHARE: f64 = 0.1;
 /// For each edge the square of the difference between the shifts that its two halves ask for, in
 /// units of the variance that white noise with the weights' standard deviations gives it. `reach`
 /// is how far the window goes along each edge, in samples; `columns` are those of the last
-/// linearisation. `None` where a half tells too little.
+/// linearization. `None` where a half tells too little.
 pub(super) fn disagreements(
     samples: &Samples,
     model: &CornerModel,

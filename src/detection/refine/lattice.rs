@@ -1,4 +1,4 @@
-//! What a corner's neighbours on the board tell about it: how the edges bend, how the light
+//! What a corner's neighbors on the board tell about it: how the edges bend, how the light
 //! changes.
 
 use crate::detection::board_detection::GridIndex;
@@ -13,7 +13,7 @@ pub(super) struct Known {
     pub at: [f64; 2],
     /// Unit vectors along the two edges, towards +col and +row.
     pub along: [[f64; 2]; 2],
-    /// The natural logarithm of the grey value of white.
+    /// The natural logarithm of the gray value of white.
     pub white: f64,
 }
 
@@ -151,12 +151,12 @@ fn place(index: GridIndex) -> [f64; 2] {
     [f64::from(index.col), f64::from(index.row)]
 }
 
-/// From a corner to its neighbours along the columns' and the rows' direction, in image pixels: the
-/// mean of both sides where both are seen. `None` where the neighbours leave no two directions.
+/// From a corner to its neighbors along the columns' and the rows' direction, in image pixels: the
+/// mean of both sides where both are seen. `None` where the neighbors leave no two directions.
 pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
     let axis = |k: usize| {
-        let ahead = corner.neighbours[k].map(|p| [p.x - corner.pixel.x, p.y - corner.pixel.y]);
-        let behind = corner.neighbours[k + 2].map(|p| [corner.pixel.x - p.x, corner.pixel.y - p.y]);
+        let ahead = corner.neighbors[k].map(|p| [p.x - corner.pixel.x, p.y - corner.pixel.y]);
+        let behind = corner.neighbors[k + 2].map(|p| [corner.pixel.x - p.x, corner.pixel.y - p.y]);
         match (ahead, behind) {
             (Some(a), Some(b)) => Some([(a[0] + b[0]) / 2.0, (a[1] + b[1]) / 2.0]),
             (one, other) => one.or(other),

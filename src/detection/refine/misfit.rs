@@ -15,7 +15,7 @@ const LEAST_TIMES: f64 = 0.1;
 /// What the excess over that adds to the factor on the standard deviation, and its square.
 const PULL: [f64; 2] = [1.2, 0.7];
 /// With this many times the usual mean square a corner tells nothing about the board.
-const WITNESS: f64 = 2.5;
+const REFERENCE: f64 = 2.5;
 /// No corner any more: this many times the usual mean square, and less than this part of the usual
 /// share of samples agrees.
 const NO_CORNER: (f64, f64) = (3.0, 0.66);
@@ -26,7 +26,7 @@ pub(super) struct Quality {
     /// Mean square of the residuals in units of the noise.
     pub mean_square: f64,
     /// The share of the samples that agree with the model.
-    pub agreeing: f64,
+    pub inlier_ratio: f64,
     /// How many these are.
     pub samples: f64,
 }
@@ -35,7 +35,7 @@ pub(super) struct Quality {
 #[derive(Clone, Copy)]
 struct Usual {
     mean_square: f64,
-    agreeing: f64,
+    inlier_ratio: f64,
 }
 
 /// The qualities of a board's corners.
@@ -58,13 +58,13 @@ impl Misfit {
 
     /// For each corner whether it fits well enough to tell about others.
     pub fn fits(&mut self) -> impl Iterator<Item = bool> + '_ {
-        let most = self.usual().map_or(f64::INFINITY, |usual| WITNESS * usual.mean_square);
+        let most = self.usual().map_or(f64::INFINITY, |usual| REFERENCE * usual.mean_square);
         self.of_corners
             .iter()
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
     }
 
-    /// For each corner the factor on the standard deviation that its own residuals foretell; `None`
+    /// For each corner the factor on the standard deviation that its own residuals predicts; `None`
     /// where what is seen is no corner beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
         let usual = self.usual();
@@ -72,7 +72,8 @@ impl Misfit {
             let (quality, Some(usual)) = ((*quality)?, usual) else { return Some(1.0) };
             let times = (quality.mean_square / usual.mean_square).max(LEAST_TIMES);
             let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
-            let no_corner = times > NO_CORNER.0 && quality.agreeing < NO_CORNER.1 * usual.agreeing;
+            let no_corner =
+                times > NO_CORNER.0 && quality.inlier_ratio < NO_CORNER.1 * usual.inlier_ratio;
             (!no_corner).then_some((1.0 + excess * (PULL[0] + PULL[1] * excess)) / times.sqrt())
         })
     }
@@ -87,8 +88,8 @@ impl Misfit {
             (sorted.len() >= FEWEST_CORNERS)
                 .then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
-        let (mean_square, agreeing) = (median(|q| q.mean_square)?, median(|q| q.agreeing)?);
-        (mean_square > 0.0).then_some(Usual { mean_square, agreeing })
+        let (mean_square, inlier_ratio) = (median(|q| q.mean_square)?, median(|q| q.inlier_ratio)?);
+        (mean_square > 0.0).then_some(Usual { mean_square, inlier_ratio })
     }
 }
 
@@ -99,9 +100,9 @@ mod tests {
     fn factors(qualities: &[Option<(f64, f64)>]) -> Vec<Option<f64>> {
         let mut misfit = Misfit::default();
         for quality in qualities {
-            misfit.take(quality.map(|(mean_square, agreeing)| Quality {
+            misfit.take(quality.map(|(mean_square, inlier_ratio)| Quality {
                 mean_square,
-                agreeing,
+                inlier_ratio,
                 samples: 450.0,
             }));
         }
@@ -118,7 +119,7 @@ mod tests {
                 .iter()
                 .all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12))
         );
-        // Three times the residuals foretell √3 times the deviation by themselves.
+        // Three times the residuals predicts √3 times the deviation by themselves.
         assert!(factors[12].is_some_and(|factor| (5.0..6.0).contains(&(factor * 3_f64.sqrt()))));
         assert_eq!((factors[13], factors[14]), (None, None));
         assert!(factors[15].is_some_and(|factor| factor > 4.0));
@@ -138,7 +139,7 @@ mod tests {
     fn what_fits_much_worse_tells_nothing_about_the_others() {
         let mut misfit = Misfit::default();
         for mean_square in [1.0, 1.1, 0.9, 1.0, 1.2, 1.0, 2.0, 1.0, 5.0] {
-            misfit.take(Some(Quality { mean_square, agreeing: 0.9, samples: 100.0 }));
+            misfit.take(Some(Quality { mean_square, inlier_ratio: 0.9, samples: 100.0 }));
         }
         misfit.take(None);
         let told: Vec<bool> = misfit.fits().collect();

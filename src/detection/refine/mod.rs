@@ -50,8 +50,8 @@ pub struct GridCorner {
     pub index: GridIndex,
     /// Where it is, to about 1.5 px (less where cells are small: a fifth of a cell).
     pub pixel: Pixel,
-    /// Its neighbours in the directions +col, +row, −col, −row, where they are known.
-    pub neighbours: [Option<Pixel>; 4],
+    /// Its neighbors in the directions +col, +row, −col, −row, where they are known.
+    pub neighbors: [Option<Pixel>; 4],
 }
 
 /// A corner as exactly as the picture tells.
@@ -64,7 +64,7 @@ pub struct RefinedCorner {
     /// Width of the blur across the edges, as a Gaussian's standard deviation in pixels, the
     /// pixel's own width not counted.
     pub blur_px: f64,
-    /// White less black, in grey levels.
+    /// White less black, in gray levels.
     pub contrast: f64,
 }
 
@@ -96,7 +96,7 @@ struct Fitted {
     /// The noise it was weighted with.
     noise: Noise,
     /// The share of the samples that agree with the model.
-    agreeing: f64,
+    inlier_ratio: f64,
 }
 
 /// Half width of the windows, in samples: a window that any corner can be fitted in alone, and one
@@ -305,7 +305,7 @@ impl Refiner {
         };
         let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: false };
         let second = self.fit(window, start, &noise, &options)?;
-        if second.agreeing > MOST_AGREE {
+        if second.inlier_ratio > MOST_AGREE {
             return Some(second);
         }
         // Much that disagrees may be another corner's or a hand's, or the start was too far off for
@@ -319,7 +319,7 @@ impl Refiner {
     }
 
     /// Notes how far the parts of the edges of the corner just fitted, the `slot`-th, disagree,
-    /// beside what its residuals foretell.
+    /// beside what its residuals predicts.
     fn note_scatter(&mut self, slot: usize, fitted: &Fitted) {
         let Fitted { window, fit, noise, .. } = fitted;
         let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
@@ -347,7 +347,7 @@ impl Refiner {
             window,
             fit,
             noise: *noise,
-            agreeing: fit.residuals.effective / self.samples.count as f64,
+            inlier_ratio: fit.residuals.effective / self.samples.count as f64,
         })
     }
 
@@ -413,7 +413,7 @@ impl Fitted {
 
     /// Whether the fit has come to rest at something that explains most of what is seen.
     fn has_settled(&self) -> bool {
-        self.agreeing > 0.4 && self.fit.last_step < 0.3
+        self.inlier_ratio > 0.4 && self.fit.last_step < 0.3
     }
 
     /// Whether this may be the corner that was asked for.
@@ -433,7 +433,7 @@ impl Fitted {
     fn is_corner(&self, corner: &GridCorner) -> bool {
         let model = &self.fit.model;
         self.may_be_corner(corner)
-            && self.agreeing > 0.42
+            && self.inlier_ratio > 0.42
             && self.fit.last_step < 0.25
             && model.bend.abs() < model.amplitude.abs()
             && self.fit.residual_rms < 0.6 * model.amplitude.abs()
@@ -441,7 +441,7 @@ impl Fitted {
 
     fn quality(&self) -> Quality {
         let samples = self.fit.residuals.effective.max(1.0);
-        Quality { mean_square: self.fit.mean_square, agreeing: self.agreeing, samples }
+        Quality { mean_square: self.fit.mean_square, inlier_ratio: self.inlier_ratio, samples }
     }
 
     /// The covariance of the position for a mean variance of 1 per axis.

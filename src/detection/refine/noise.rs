@@ -7,7 +7,7 @@ pub(super) struct PooledNoise {
     variances: [Vec<f64>; 2],
 }
 
-/// Rounding to whole grey levels alone makes this much variance.
+/// Rounding to whole gray levels alone makes this much variance.
 const ROUNDING: f64 = 1.0 / 12.0;
 
 impl PooledNoise {
@@ -26,7 +26,7 @@ impl PooledNoise {
         }
     }
 
-    /// Standard deviation of single pixels in grey levels, black then white: the median over the
+    /// Standard deviation of single pixels in gray levels, black then white: the median over the
     /// corners. Light's own noise grows with the light, and a camera's gamma turns that about, so
     /// that either may be the larger.
     pub fn of_pixels(&mut self) -> [f64; 2] {

@@ -1,4 +1,4 @@
-//! One linearisation of the corner model over its samples: residuals, derivatives and their sums of
+//! One linearization of the corner model over its samples: residuals, derivatives and their sums of
 //! products, in lanes.
 
 use pulp::{Simd, WithSimd};
@@ -14,11 +14,11 @@ pub(super) const RESIDUAL: usize = UNKNOWNS;
 /// How noisy a sample is, and how wrong the model may be.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Noise {
-    /// Standard deviation of the noise where the pattern is black, in grey levels.
+    /// Standard deviation of the noise where the pattern is black, in gray levels.
     pub black: f64,
-    /// Standard deviation of the noise where the pattern is white, in grey levels.
+    /// Standard deviation of the noise where the pattern is white, in gray levels.
     pub white: f64,
-    /// A residual of this many grey levels has lost three quarters of its weight.
+    /// A residual of this many gray levels has lost three quarters of its weight.
     pub tolerance: f64,
 }
 
@@ -47,7 +47,7 @@ impl Noise {
     }
 }
 
-/// The sums of a linearisation. Weights are 1/σ² of the noise, less for the window's border and for
+/// The sums of a linearization. Weights are 1/σ² of the noise, less for the window's border and for
 /// outliers.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct NormalEquations {
@@ -66,7 +66,7 @@ pub(super) struct Residuals {
     /// in effect.
     pub effective: f64,
     /// Residuals where the pattern is flat, if they were asked for: sum of squares about their mean
-    /// in grey levels and their number, black then white.
+    /// in gray levels and their number, black then white.
     pub flat: [(f64, f64); 2],
 }
 
@@ -77,7 +77,7 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// One column of the last linearisation, which was of `count` vectors.
+    /// One column of the last linearization, which was of `count` vectors.
     #[inline(always)]
     pub fn column<S: Simd>(&self, k: usize, count: usize) -> &[S::f32s] {
         let length = count * S::F32_LANES;
@@ -85,9 +85,9 @@ impl Columns {
     }
 }
 
-/// What to linearise, and how.
+/// What to linearize, and how.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Linearised<'a> {
+pub(super) struct Linearized<'a> {
     /// What is seen.
     pub samples: &'a Samples,
     /// How noisy that is.
@@ -96,21 +96,21 @@ pub(super) struct Linearised<'a> {
     pub with_flat: bool,
 }
 
-impl Linearised<'_> {
-    /// Linearises `model`.
+impl Linearized<'_> {
+    /// Linearizes `model`.
     pub fn at(&self, model: &CornerModel, columns: &mut Columns, equations: &mut NormalEquations) {
-        pulp::Arch::new().dispatch(Linearise { what: *self, model, columns, equations });
+        pulp::Arch::new().dispatch(Linearize { what: *self, model, columns, equations });
     }
 }
 
-struct Linearise<'a> {
-    what: Linearised<'a>,
+struct Linearize<'a> {
+    what: Linearized<'a>,
     model: &'a CornerModel,
     columns: &'a mut Columns,
     equations: &'a mut NormalEquations,
 }
 
-impl WithSimd for Linearise<'_> {
+impl WithSimd for Linearize<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -135,11 +135,11 @@ impl WithSimd for Linearise<'_> {
 #[inline(always)]
 fn derivatives<S: Simd, const WITH_FLAT: bool>(
     simd: S,
-    what: Linearised<'_>,
+    what: Linearized<'_>,
     model: &CornerModel,
     columns: &mut [f32],
 ) -> Residuals {
-    let Linearised { samples, noise, .. } = what;
+    let Linearized { samples, noise, .. } = what;
     let of = |value: f64| simd.splat_f32s(value as f32);
     let mul = |a, b| simd.mul_f32s(a, b);
     let mul_add = |a, b, c| simd.mul_add_f32s(a, b, c);
@@ -195,8 +195,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         }
         let light = mul_add(gradient[0], x, mul_add(gradient[1], y, one));
         let off = simd.negate_mul_add_f32s(t, t, one);
-        let grey = mul_add(bend, off, mul_add(amplitude, t, level));
-        let residual = simd.negate_mul_add_f32s(grey, light, value);
+        let gray = mul_add(bend, off, mul_add(amplitude, t, level));
+        let residual = simd.negate_mul_add_f32s(gray, light, value);
         // Noise grows from black to white; outliers lose weight (Geman & McClure).
         let sd = mul_add(noise_slope, t, noise_mean);
         let sd_scale = mul_add(residual, residual, tolerance);

@@ -35,7 +35,7 @@ impl Samples {
         pulp::Arch::new().dispatch(Gather { samples: self, image, rows: Rows::new(window), window })
     }
 
-    /// Positions x and y, grey values 0 … 255, and weights, in whole vectors: beyond the last
+    /// Positions x and y, gray values 0 … 255, and weights, in whole vectors: beyond the last
     /// sample weights and values are 0.
     #[inline(always)]
     pub fn vectors<S: Simd>(&self) -> [&[S::f32s]; 4] {
@@ -43,7 +43,7 @@ impl Samples {
         [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
-    /// Mean grey value where the product of the distances to two lines through the origin is
+    /// Mean gray value where the product of the distances to two lines through the origin is
     /// negative, and where it is positive.
     pub fn quarter_means(&self, along: [[f64; 2]; 2]) -> [f64; 2] {
         pulp::Arch::new()

@@ -1,10 +1,10 @@
-//! How much more or less corners scatter than the residuals of their fits foretell, over all
+//! How much more or less corners scatter than the residuals of their fits predicts, over all
 //! corners of a board.
 
 /// How far the halves of edges disagree.
 #[derive(Debug, Default)]
 pub(super) struct Scatter {
-    /// Of which corner, and squares in units of the variance that its residuals foretell.
+    /// Of which corner, and squares in units of the variance that its residuals predicts.
     ratios: Vec<(usize, f64)>,
 }
 
@@ -34,8 +34,8 @@ impl Scatter {
     /// `of_corners`.
     pub fn std_factor(&mut self, of_corners: &[Option<f64>]) -> f64 {
         for (corner, ratio) in &mut self.ratios {
-            let foretold = of_corners.get(*corner).copied().flatten().unwrap_or(1.0);
-            *ratio /= foretold * foretold;
+            let predicted = of_corners.get(*corner).copied().flatten().unwrap_or(1.0);
+            *ratio /= predicted * predicted;
         }
         let trusted = (TRUSTED * self.ratios.len() as f64).round() as usize;
         if self.ratios.len() < FEWEST_EDGES {

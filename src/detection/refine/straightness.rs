@@ -1,4 +1,4 @@
-//! How much more or less corners scatter than foretold, by how straight their lines are: noise that
+//! How much more or less corners scatter than predicted, by how straight their lines are: noise that
 //! spans a whole corner, as JPEG's blocks or light between corners make it, shows in no corner's
 //! own residuals, but it moves corners off their lines.
 //!
@@ -41,7 +41,7 @@ struct Point {
     t: f64,
     y: f64,
     n: f64,
-    /// One over the variance foretold.
+    /// One over the variance predicted.
     certainty: f64,
 }
 
@@ -49,7 +49,7 @@ struct Point {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
     pub pixel: Pixel,
-    /// Covariance foretold for it: xx, xy, yy. Where edges cross at a sharp angle, a corner is
+    /// Covariance predicted for it: xx, xy, yy. Where edges cross at a sharp angle, a corner is
     /// least certain along the middle between them, and more certain across each.
     pub covariance: [f64; 3],
 }
@@ -121,7 +121,7 @@ impl Straightness {
             let terms = solution.terms as f64 + CHOICE * (TERMS[order] - solution.terms) as f64;
             let free = (free as f64 - terms).max(1.0);
             // Of noise that a corner shares with the next a smooth line takes up more: of n numbers
-            // with neighbours correlated by ρ, a projection to the p smoothest leaves n − p −
+            // with neighbors correlated by ρ, a projection to the p smoothest leaves n − p −
             // 2ρ·(n/π)·sin(πp/n).
             let correlation = self.shared[axis] / self.windows.max(1.0);
             let smooth =
@@ -380,7 +380,7 @@ mod tests {
     }
 
     #[test]
-    fn corners_that_scatter_as_foretold_nearly_keep_their_std() {
+    fn corners_that_scatter_as_predicted_keep_their_std() {
         for k1 in [0.0, -0.02, -0.1] {
             assert!((0.9..1.1).contains(&factor(k1, 1.0)), "{k1}: {}", factor(k1, 1.0));
         }
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_neighbours_share_is_not_taken_for_little() {
+    fn noise_that_neighbors_share_is_not_taken_for_little() {
         let mut straightness = Straightness::default();
         straightness.note_window([0.85, 0.5]);
         assert_eq!(straightness.shared[1], 0.0);

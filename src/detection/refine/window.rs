@@ -10,7 +10,7 @@ pub(super) const PIXEL_VARIANCE: f64 = 1.0 / 12.0;
 pub(super) struct Window {
     /// The window's origin, in image pixels.
     pub origin: [f64; 2],
-    /// From the corner to its neighbours along the two edges, in image pixels.
+    /// From the corner to its neighbors along the two edges, in image pixels.
     pub axes: [[f64; 2]; 2],
     /// Half the window's extent along each axis, as a fraction of the axis.
     pub extent: [f64; 2],

@@ -22,11 +22,11 @@ use crate::geometry::depth_correction::{
 };
 use crate::geometry::lens::Lens;
 
-/// The board's surface as the depth sensor measured it at one instant.
+/// The board's surface as the depth sensor measured it at one frame set.
 #[derive(Debug, Clone)]
-pub(crate) struct PlaneSight {
+pub(crate) struct PlaneObservation {
     pub(crate) sensor: usize,
-    pub(crate) instant: usize,
+    pub(crate) frame_set: usize,
     pub(crate) tiles: Vec<DepthTile>,
     /// 1 over each tile's standard deviation, in m.
     pub(crate) inverse_std: Vec<f64>,
@@ -50,33 +50,34 @@ pub(crate) fn add_planes(
     equations: &mut NormalEquations,
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
-    (sights, free): (&[PlaneSight], bool),
+    (observations, free): (&[PlaneObservation], bool),
 ) -> Vec<Vec<f64>> {
     let mut row = Row { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
-    let residuals = sights.iter().map(|sight| {
-        let chained = (sight.sensor != 0).then(|| chain(state, (sight.sensor, sight.instant)));
-        let each = (0..sight.tiles.len()).map(|index| {
+    let residuals = observations.iter().map(|observation| {
+        let chained = (observation.sensor != 0)
+            .then(|| chain(state, (observation.sensor, observation.frame_set)));
+        let each = (0..observation.tiles.len()).map(|index| {
             if !linearize_tile(
                 (layout, state),
                 (correction, correction_at),
-                (sight, index),
+                (observation, index),
                 &mut row,
             ) {
                 return f64::INFINITY;
             }
-            if sight.used[index] {
+            if observation.used[index] {
                 let pose = nalgebra::RowVector6::from_row_slice(&row.by_pose);
                 let by_board = match &chained {
                     None => row.by_pose,
                     Some((by_sensor, by_board)) => {
-                        if let Some(at) = layout.sensors[sight.sensor].pose_at {
+                        if let Some(at) = layout.sensors[observation.sensor].pose_at {
                             let by_sensor = pose * by_sensor;
                             row.globals.extend((0..6).map(|k| (at + k, by_sensor[k])));
                         }
                         (pose * by_board).into()
                     }
                 };
-                add_row(equations, (sight.instant, free), &row, &by_board);
+                add_row(equations, (observation.frame_set, free), &row, &by_board);
             }
             row.residual
         });
@@ -87,13 +88,13 @@ pub(crate) fn add_planes(
 
 fn add_row(
     equations: &mut NormalEquations,
-    (instant, free): (usize, bool),
+    (frame_set, free): (usize, bool),
     row: &Row,
     by_board: &[f64; 6],
 ) {
     equations.cost += row.residual * row.residual;
     if free {
-        let block = &mut equations.instants[instant];
+        let block = &mut equations.frame_sets[frame_set];
         for (a, da) in by_board.iter().enumerate() {
             block.gradient[a] += da * row.residual;
             for (b, db) in by_board.iter().enumerate() {
@@ -108,7 +109,7 @@ fn add_row(
         for (j, dj) in &row.globals[k..] {
             upper[i.max(j) * size + i.min(j)] += di * dj;
         }
-        for (coupling, db) in equations.coupling[instant * size + i].iter_mut().zip(by_board) {
+        for (coupling, db) in equations.coupling[frame_set * size + i].iter_mut().zip(by_board) {
             *coupling += di * db;
         }
     }
@@ -122,12 +123,12 @@ const LEAST_GAIN: f64 = 0.1;
 fn linearize_tile(
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
-    (sight, index): (&PlaneSight, usize),
+    (observation, index): (&PlaneObservation, usize),
     row: &mut Row,
 ) -> bool {
-    let (tile, inverse_std) = (&sight.tiles[index], sight.inverse_std[index]);
-    let sensor_from_board = state.sensor_from_board(sight.sensor, sight.instant);
-    let lens = &state.lenses[sight.sensor];
+    let (tile, inverse_std) = (&observation.tiles[index], observation.inverse_std[index]);
+    let sensor_from_board = state.sensor_from_board(observation.sensor, observation.frame_set);
+    let lens = &state.lenses[observation.sensor];
     let Some(ray) = ray(lens, tile) else { return false };
     let normal = sensor_from_board * Vector3::z();
     let translation = sensor_from_board.translation();
@@ -153,7 +154,7 @@ fn linearize_tile(
     });
     add_lens_columns(
         (layout, lens),
-        (sight.sensor, &ray, &(normal * (-inverse_std / distance))),
+        (observation.sensor, &ray, &(normal * (-inverse_std / distance))),
         &mut row.globals,
     );
     let by_turn =

@@ -1,7 +1,7 @@
-//! Residuals and their derivatives, one sight of the board at a time, squared into normal
+//! Residuals and their derivatives, one observation of the board at a time, squared into normal
 //! equations.
 //!
-//! A sight's derivatives are kept as columns (one parameter each; all corners' x, then all corners'
+//! A observation's derivatives are kept as columns (one parameter each; all corners' x, then all corners'
 //! y), so that every product of the normal equations is a dot product of two contiguous columns.
 //! Local columns: the lens's free parameters, the warp's two, the pose's six (turn ω, shift τ in
 //! the sensor's frame), the residual.
@@ -9,12 +9,12 @@
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
 
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 
-/// The normal equations of one sight in its local columns: `products[i * columns + j]` for i ≤ j.
+/// The normal equations of one observation in its local columns: `products[i * columns + j]` for i ≤ j.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LocalEquations {
     pub(crate) columns: usize,
@@ -29,7 +29,7 @@ impl LocalEquations {
     }
 }
 
-/// Room for one sight's columns, kept between sights.
+/// Room for one observation's columns, kept between observations.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
     /// Turned points (without the shift), then points in the camera frame: x, y, z each.
@@ -44,30 +44,38 @@ pub(crate) struct Columns {
 /// Columns are padded with zeros to a multiple of this: the widest vectors there are.
 const LANES: usize = 8;
 
-/// Linearises one sight into `local`, with its unweighted residuals (in units of each corner's
+/// Linearizes one observation into `local`, with its unweighted residuals (in units of each corner's
 /// standard deviation) in `residuals`. Answers false where a corner that takes part cannot be
 /// projected.
-pub(crate) fn linearize_sight(
+pub(crate) fn linearize_observation(
     (layout, state): (&Layout, &State),
-    sight: &Sight,
+    observation: &BoardObservation,
     loss: Loss,
     columns: &mut Columns,
     (residuals, local): (&mut [[f64; 2]], &mut LocalEquations),
 ) -> bool {
-    Arch::new().dispatch(OneSight { layout, state, sight, loss, columns, residuals, local })
+    Arch::new().dispatch(ObservationRef {
+        layout,
+        state,
+        observation,
+        loss,
+        columns,
+        residuals,
+        local,
+    })
 }
 
-struct OneSight<'a> {
+struct ObservationRef<'a> {
     layout: &'a Layout,
     state: &'a State,
-    sight: &'a Sight,
+    observation: &'a BoardObservation,
     loss: Loss,
     columns: &'a mut Columns,
     residuals: &'a mut [[f64; 2]],
     local: &'a mut LocalEquations,
 }
 
-impl WithSimd for OneSight<'_> {
+impl WithSimd for ObservationRef<'_> {
     type Output = bool;
 
     /// The loops below are plain; compiled here they use the machine's widest vectors.
@@ -75,7 +83,8 @@ impl WithSimd for OneSight<'_> {
     fn with_simd<S: Simd>(mut self, simd: S) -> bool {
         self.transform();
         let points = [3, 4, 5].map(|k| self.columns.points[k].as_slice());
-        self.state.lenses[self.sight.sensor].distort_columns(points, &mut self.columns.distorted);
+        self.state.lenses[self.observation.sensor]
+            .distort_columns(points, &mut self.columns.distorted);
         if !self.weigh() {
             return false;
         }
@@ -85,30 +94,33 @@ impl WithSimd for OneSight<'_> {
     }
 }
 
-impl OneSight<'_> {
+impl ObservationRef<'_> {
     /// The corners, turned and moved into the sensor's frame; padded with points on the axis.
     #[inline(always)]
     fn transform(&mut self) {
-        let sensor_from_board = self.state.sensor_from_board(self.sight.sensor, self.sight.instant);
+        let sensor_from_board =
+            self.state.sensor_from_board(self.observation.sensor, self.observation.frame_set);
         let (r, t) = (sensor_from_board.rotation_matrix(), sensor_from_board.translation());
-        let padded = self.sight.points.len().max(1).next_multiple_of(LANES);
+        let padded = self.observation.points.len().max(1).next_multiple_of(LANES);
         let [x, y, z, moved @ ..] = &mut self.columns.points;
         for (column, (turned, moved)) in [x, y, z].into_iter().zip(moved).enumerate() {
             let row = [r[(column, 0)], r[(column, 1)], r[(column, 2)]];
             let on_axis = f64::from(u8::from(column == 2));
             turned.resize(padded, 0.0);
             moved.resize(padded, 0.0);
-            turned[self.sight.points.len()..].fill(on_axis);
-            moved[self.sight.points.len()..].fill(on_axis);
-            for (turned, point) in turned.iter_mut().zip(&self.sight.points) {
+            turned[self.observation.points.len()..].fill(on_axis);
+            moved[self.observation.points.len()..].fill(on_axis);
+            for (turned, point) in turned.iter_mut().zip(&self.observation.points) {
                 *turned = row[0] * point.x + row[1] * point.y + row[2] * point.z;
             }
             if self.layout.warp.is_some() {
-                for (turned, point) in turned.iter_mut().zip(&self.sight.points) {
+                for (turned, point) in turned.iter_mut().zip(&self.observation.points) {
                     *turned += row[2] * self.state.bow(self.layout, point);
                 }
             }
-            for (moved, turned) in moved.iter_mut().zip(&*turned).take(self.sight.points.len()) {
+            for (moved, turned) in
+                moved.iter_mut().zip(&*turned).take(self.observation.points.len())
+            {
                 *moved = turned + t[column];
             }
         }
@@ -117,7 +129,7 @@ impl OneSight<'_> {
     /// Residuals, weights and cost; false where a corner that takes part is not projected.
     #[inline(always)]
     fn weigh(&mut self) -> bool {
-        let matrix = self.state.lenses[self.sight.sensor].matrix;
+        let matrix = self.state.lenses[self.observation.sensor].matrix;
         let Columns { distorted, miss: [miss_x, miss_y], factor, points, .. } = &mut *self.columns;
         let ([xs, ys], inside) = (distorted.normalized(), distorted.inside());
         for column in [&mut *miss_x, &mut *miss_y, &mut *factor] {
@@ -126,15 +138,15 @@ impl OneSight<'_> {
         }
         let (mut cost, mut all_seen) = (0.0, true);
         for (index, residual) in self.residuals.iter_mut().enumerate() {
-            let observed = self.sight.pixels[index];
-            let inverse_std = self.sight.inverse_std[index];
+            let observed = self.observation.pixels[index];
+            let inverse_std = self.observation.inverse_std[index];
             let miss = [
                 matrix.fx * xs[index] + matrix.skew * ys[index] + matrix.cx - observed.x,
                 matrix.fy * ys[index] + matrix.cy - observed.y,
             ];
             let seen = inside[index] > 0.0;
             *residual = if seen { miss.map(|m| m * inverse_std) } else { [f64::INFINITY; 2] };
-            if self.sight.used[index] {
+            if self.observation.used[index] {
                 all_seen &= seen;
                 let (rho, weight) = self
                     .loss
@@ -151,8 +163,8 @@ impl OneSight<'_> {
     /// The weighted derivatives and residuals; answers how many columns there are.
     #[inline(always)]
     fn differentiate(&mut self) -> usize {
-        let lens_layout = &self.layout.sensors[self.sight.sensor].lens;
-        let matrix = self.state.lenses[self.sight.sensor].matrix;
+        let lens_layout = &self.layout.sensors[self.observation.sensor].lens;
+        let matrix = self.state.lenses[self.observation.sensor].matrix;
         let (free, warped) =
             (lens_layout.free.len(), if self.layout.warp.is_some() { 2 } else { 0 });
         let count = free + warped + 7;
@@ -174,8 +186,9 @@ impl OneSight<'_> {
         fill_pose_columns(points, &matrix, distorted, factor, by_pose);
         if warped == 2 {
             let normal =
-                self.state.sensor_from_board(self.sight.sensor, self.sight.instant) * Vector3::z();
-            fill_warp_columns((self.layout, self.sight), normal, by_pose, by_warp);
+                self.state.sensor_from_board(self.observation.sensor, self.observation.frame_set)
+                    * Vector3::z();
+            fill_warp_columns((self.layout, self.observation), normal, by_pose, by_warp);
         }
         for (column, miss) in residual.chunks_exact_mut(factor.len()).zip(&*miss) {
             for ((value, miss), factor) in column.iter_mut().zip(miss).zip(&*factor) {
@@ -256,7 +269,7 @@ fn fill_pose_columns(
 /// The two columns of the warp, which moves points along the board's normal.
 #[inline(always)]
 fn fill_warp_columns(
-    (layout, sight): (&Layout, &Sight),
+    (layout, observation): (&Layout, &BoardObservation),
     normal: Vector3<f64>,
     by_pose: &[f64],
     columns: &mut [f64],
@@ -265,7 +278,7 @@ fn fill_warp_columns(
     columns.fill(0.0);
     for (which, column) in columns.chunks_exact_mut(rows).enumerate() {
         for half in 0..2 {
-            for (index, point) in sight.points.iter().enumerate() {
+            for (index, point) in observation.points.iter().enumerate() {
                 let row = half * rows / 2 + index;
                 let by_normal: f64 =
                     (0..3).map(|axis| normal[axis] * by_pose[(3 + axis) * rows + row]).sum();

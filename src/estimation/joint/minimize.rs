@@ -6,7 +6,7 @@
 
 use crate::estimation::joint::linearize::Columns;
 use crate::estimation::joint::normal::{NormalEquations, Step, linearize, linearize_within};
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
 /// When to stop.
@@ -35,7 +35,7 @@ impl Default for Stop {
 pub(crate) struct Minimum {
     pub(crate) state: State,
     pub(crate) equations: NormalEquations,
-    /// Linearisations, kept or not.
+    /// Linearizations, kept or not.
     pub(crate) steps: usize,
 }
 
@@ -47,23 +47,29 @@ impl Minimum {
     pub(crate) fn start(
         layout: &Layout,
         start: State,
-        sights: &[Sight],
+        observations: &[BoardObservation],
         loss: Loss,
     ) -> Option<Self> {
-        let equations = linearize(layout, &start, sights, loss)?;
+        let equations = linearize(layout, &start, observations, loss)?;
         Some(Self { state: start, equations, steps: 1 })
     }
 
     /// Walks on to the nearest minimum.
-    pub(crate) fn descend(self, layout: &Layout, sights: &[Sight], loss: Loss, stop: Stop) -> Self {
+    pub(crate) fn descend(
+        self,
+        layout: &Layout,
+        observations: &[BoardObservation],
+        loss: Loss,
+        stop: Stop,
+    ) -> Self {
         let residual_count: usize =
-            sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+            observations.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
         let Self { state, equations, steps } = self;
         let mut columns = Columns::default();
         let linearize =
-            |state: &State| linearize_within((layout, state), sights, loss, &mut columns);
+            |state: &State| linearize_within((layout, state), observations, loss, &mut columns);
         let stepped =
-            |state: &State, step: &Step| state.stepped(layout, &step.global, &step.instants);
+            |state: &State, step: &Step| state.stepped(layout, &step.global, &step.frame_sets);
         let (state, equations, more) =
             walk((state, equations), residual_count, stop, (linearize, stepped));
         Self { state, equations, steps: steps + more }
@@ -71,7 +77,7 @@ impl Minimum {
 }
 
 /// Walks from a state, given with its normal equations, to the nearest minimum; answers the number
-/// of linearisations too.
+/// of linearizations too.
 pub(crate) fn walk<S>(
     (mut state, mut equations): (S, NormalEquations),
     residual_count: usize,

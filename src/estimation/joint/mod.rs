@@ -1,5 +1,5 @@
 //! The one least-squares problem behind every calibration: sensors × lenses × sensor-to-rig poses ×
-//! board poses per instant × an optional warp of the board.
+//! board poses per frame set × an optional warp of the board.
 //!
 //! ```text
 //! p = sensor_from_rig · rig_from_board · (X + warp)      residual = (lens(p) − pixel) / std
@@ -10,11 +10,11 @@
 //! | which parameters are free, and where each lies in the vector | [`Layout`] |
 //! | residuals, their derivatives, the loss | `linearize` |
 //! | normal equations, board poses eliminated (Schur complement) | `normal` |
-//! | the same for each sight by itself, to be put together in parts | `apart` |
+//! | the same for each observation by itself, to be put together in parts | `apart` |
 //! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
 //!
 //! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative
-//! to a common centre, so that a pose's rotation and translation hardly depend on each other. Cost
+//! to a common center, so that a pose's rotation and translation hardly depend on each other. Cost
 //! per iteration is linear in the number of views; no result depends on threads.
 
 pub(crate) mod apart;
@@ -31,12 +31,12 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
-/// What one sensor saw of the board at one instant.
+/// What one sensor saw of the board at one frame set.
 #[derive(Debug, Clone)]
-pub(crate) struct Sight {
+pub(crate) struct BoardObservation {
     pub(crate) sensor: usize,
-    pub(crate) instant: usize,
-    /// In the board frame, relative to the problem's centre.
+    pub(crate) frame_set: usize,
+    /// In the board frame, relative to the problem's center.
     pub(crate) points: Vec<Point3<f64>>,
     pub(crate) pixels: Vec<Pixel>,
     /// 1 over each corner's relative standard deviation, in 1/px.
@@ -51,7 +51,7 @@ pub(crate) struct State {
     pub(crate) lenses: Vec<Lens>,
     pub(crate) sensor_from_rig: Vec<Pose>,
     pub(crate) rig_from_board: Vec<Pose>,
-    /// The board's bow along x and y, in metres at its middle.
+    /// The board's bow along x and y, in meters at its middle.
     pub(crate) warp: [f64; 2],
 }
 
@@ -60,7 +60,7 @@ pub(crate) struct State {
 #[derive(Debug, Clone)]
 pub(crate) struct Layout {
     pub(crate) sensors: Vec<SensorLayout>,
-    /// The offset of the two warp parameters, and the board's half extents in metres along x and y.
+    /// The offset of the two warp parameters, and the board's half extents in meters along x and y.
     pub(crate) warp: Option<(usize, [f64; 2])>,
     /// How many global parameters there are.
     pub(crate) len: usize,
@@ -96,7 +96,7 @@ impl Layout {
         Self { sensors, warp, len }
     }
 
-    /// How far a point of the board is moved off its plane per metre of each of the two bows: 1 −
+    /// How far a point of the board is moved off its plane per meter of each of the two bows: 1 −
     /// (x/half extent)², 0 at the edges (mrcal's model).
     pub(crate) fn bows(&self, point: &Point3<f64>) -> [f64; 2] {
         let Some((_, [half_x, half_y])) = self.warp else { return [0.0; 2] };
@@ -106,25 +106,30 @@ impl Layout {
 
 impl State {
     /// The pose of the board in a sensor's frame.
-    pub(crate) fn sensor_from_board(&self, sensor: usize, instant: usize) -> Pose {
+    pub(crate) fn sensor_from_board(&self, sensor: usize, frame_set: usize) -> Pose {
         if sensor == 0 {
-            self.rig_from_board[instant]
+            self.rig_from_board[frame_set]
         } else {
-            self.sensor_from_rig[sensor] * self.rig_from_board[instant]
+            self.sensor_from_rig[sensor] * self.rig_from_board[frame_set]
         }
     }
 
-    /// How far the warp moves a point of the board along the board's normal, in metres.
+    /// How far the warp moves a point of the board along the board's normal, in meters.
     pub(crate) fn bow(&self, layout: &Layout, point: &Point3<f64>) -> f64 {
         let [by_x, by_y] = layout.bows(point);
         self.warp[0] * by_x + self.warp[1] * by_y
     }
 
-    /// (projected − observed) / std of each corner of a sight; infinite where nothing is projected.
-    pub(crate) fn residuals(&self, layout: &Layout, sight: &Sight) -> Vec<[f64; 2]> {
-        let sensor_from_board = self.sensor_from_board(sight.sensor, sight.instant);
-        let lens = &self.lenses[sight.sensor];
-        let corners = sight.points.iter().zip(&sight.pixels).zip(&sight.inverse_std);
+    /// (projected − observed) / std of each corner of an observation; infinite where nothing is projected.
+    pub(crate) fn residuals(
+        &self,
+        layout: &Layout,
+        observation: &BoardObservation,
+    ) -> Vec<[f64; 2]> {
+        let sensor_from_board = self.sensor_from_board(observation.sensor, observation.frame_set);
+        let lens = &self.lenses[observation.sensor];
+        let corners =
+            observation.points.iter().zip(&observation.pixels).zip(&observation.inverse_std);
         corners
             .map(|((point, observed), inverse_std)| {
                 let point = point + Vector3::z() * self.bow(layout, point);
@@ -138,13 +143,13 @@ impl State {
             .collect()
     }
 
-    /// The state after a step: `global` in the order of `layout`, `instants` six numbers each.
+    /// The state after a step: `global` in the order of `layout`, `frame_sets` six numbers each.
     /// `None` where a lens parameter leaves the finite numbers.
     pub(crate) fn stepped(
         &self,
         layout: &Layout,
         global: &[f64],
-        instants: &[[f64; 6]],
+        frame_sets: &[[f64; 6]],
     ) -> Option<Self> {
         let mut next = self.clone();
         for (sensor, at) in layout.sensors.iter().enumerate() {
@@ -168,7 +173,7 @@ impl State {
         if let Some((at, _)) = layout.warp {
             next.warp = [self.warp[0] + global[at], self.warp[1] + global[at + 1]];
         }
-        for (pose, step) in next.rig_from_board.iter_mut().zip(instants) {
+        for (pose, step) in next.rig_from_board.iter_mut().zip(frame_sets) {
             *pose = moved(pose, step);
         }
         Some(next)

@@ -1,42 +1,42 @@
 //! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6
-//! block per instant, and what couples them. Instants are eliminated one by one (Schur complement),
+//! block per frame set, and what couples them. Frame sets are eliminated one by one (Schur complement),
 //! so cost is linear in their number.
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
-use crate::estimation::joint::linearize::{self, Columns, LocalEquations, linearize_sight};
-use crate::estimation::joint::{Layout, Sight, State};
+use crate::estimation::joint::linearize::{self, Columns, LocalEquations, linearize_observation};
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
-/// The normal equations of all sights at one state.
+/// The normal equations of all observations at one state.
 #[derive(Debug, Clone)]
 pub(crate) struct NormalEquations {
     /// Σ ρ of the loss over the corners that take part.
     pub(crate) cost: f64,
     pub(crate) global: DMatrix<f64>,
     pub(crate) global_gradient: DVector<f64>,
-    pub(crate) instants: Vec<InstantBlock>,
-    /// Global × instants: row `instant * global parameters + k` couples global parameter k with
-    /// that instant's pose.
+    pub(crate) frame_sets: Vec<PoseBlock>,
+    /// Global × frame sets: row `frame_set * global parameters + k` couples global parameter k with
+    /// that frame set's pose.
     pub(crate) coupling: Vec<[f64; 6]>,
-    /// Per sight, per corner: (projected − observed) / std; infinite where nothing is projected.
+    /// Per observation, per corner: (projected − observed) / std; infinite where nothing is projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
-    /// Per sight, what it said by itself; empty where equations were put together otherwise.
+    /// Per observation, what it said by itself; empty where equations were put together otherwise.
     pub(crate) apart: Vec<LocalEquations>,
 }
 
-/// The part of one instant.
+/// The part of one frame set.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct InstantBlock {
+pub(crate) struct PoseBlock {
     pub(crate) hessian: [[f64; 6]; 6],
     pub(crate) gradient: [f64; 6],
 }
 
-/// A step, and by how much it lowers the linearised cost.
+/// A step, and by how much it lowers the linearized cost.
 #[derive(Debug, Clone)]
 pub(crate) struct Step {
     pub(crate) global: Vec<f64>,
-    pub(crate) instants: Vec<[f64; 6]>,
+    pub(crate) frame_sets: Vec<[f64; 6]>,
     pub(crate) predicted_decrease: f64,
 }
 
@@ -44,33 +44,34 @@ pub(crate) struct Step {
 pub(crate) fn linearize(
     layout: &Layout,
     state: &State,
-    sights: &[Sight],
+    observations: &[BoardObservation],
     loss: Loss,
 ) -> Option<NormalEquations> {
-    linearize_within((layout, state), sights, loss, &mut Columns::default())
+    linearize_within((layout, state), observations, loss, &mut Columns::default())
 }
 
 /// As [`linearize`], in room that is there already.
 pub(crate) fn linearize_within(
     (layout, state): (&Layout, &State),
-    sights: &[Sight],
+    observations: &[BoardObservation],
     loss: Loss,
     columns: &mut Columns,
 ) -> Option<NormalEquations> {
     let mut equations = NormalEquations::empty(layout.len, state.rig_from_board.len());
-    equations.residuals = sights.iter().map(|sight| vec![[0.0; 2]; sight.points.len()]).collect();
-    equations.apart.reserve_exact(sights.len());
-    for (index, sight) in sights.iter().enumerate() {
+    equations.residuals =
+        observations.iter().map(|observation| vec![[0.0; 2]; observation.points.len()]).collect();
+    equations.apart.reserve_exact(observations.len());
+    for (index, observation) in observations.iter().enumerate() {
         let mut local = LocalEquations::default();
         let results = (equations.residuals[index].as_mut_slice(), &mut local);
-        if !linearize_sight((layout, state), sight, loss, columns, results) {
+        if !linearize_observation((layout, state), observation, loss, columns, results) {
             return None;
         }
         equations.cost += local.cost;
-        let chained = layout.sensors[sight.sensor]
+        let chained = layout.sensors[observation.sensor]
             .pose_at
-            .map(|_| chain(state, (sight.sensor, sight.instant)));
-        equations.add(layout, (sight.sensor, sight.instant), chained, &local);
+            .map(|_| chain(state, (observation.sensor, observation.frame_set)));
+        equations.add(layout, (observation.sensor, observation.frame_set), chained, &local);
         equations.apart.push(local);
     }
     equations.mirror();
@@ -78,14 +79,14 @@ pub(crate) fn linearize_within(
 }
 
 impl NormalEquations {
-    /// Those of nothing, for `global` global parameters and this many instants.
-    pub(crate) fn empty(global: usize, instants: usize) -> Self {
+    /// Those of nothing, for `global` global parameters and this many frame sets.
+    pub(crate) fn empty(global: usize, frame_sets: usize) -> Self {
         Self {
             cost: 0.0,
             global: DMatrix::zeros(global, global),
             global_gradient: DVector::zeros(global),
-            instants: vec![InstantBlock::default(); instants],
-            coupling: vec![[0.0; 6]; instants * global],
+            frame_sets: vec![PoseBlock::default(); frame_sets],
+            coupling: vec![[0.0; 6]; frame_sets * global],
             residuals: Vec::new(),
             apart: Vec::new(),
         }
@@ -97,13 +98,13 @@ impl NormalEquations {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `instant`, but for its cost; `chained` is its [`chain`], where it
+    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` is its [`chain`], where it
     /// has a pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,
         layout: &Layout,
-        (sensor, instant): (usize, usize),
+        (sensor, frame_set): (usize, usize),
         chained: Option<(Matrix6<f64>, Matrix6<f64>)>,
         local: &LocalEquations,
     ) {
@@ -118,8 +119,8 @@ impl NormalEquations {
                 self.global[(*gi, *gj)] += local.product(i, j);
             }
         }
-        let block = &mut self.instants[instant];
-        let coupling = &mut self.coupling[instant * layout.len..][..layout.len];
+        let block = &mut self.frame_sets[frame_set];
+        let coupling = &mut self.coupling[frame_set * layout.len..][..layout.len];
         let (Some(pose_at), Some((by_sensor, by_board))) = (at.pose_at, chained) else {
             for a in 0..6 {
                 block.gradient[a] += local.product(pose + a, residual);
@@ -164,14 +165,14 @@ impl NormalEquations {
         }
     }
 
-    /// How many instants any corner tells of.
-    pub(crate) fn seen_instants(&self) -> usize {
-        self.instants.iter().filter(|block| block.hessian[0][0] > 0.0).count()
+    /// How many frame sets any corner tells of.
+    pub(crate) fn seen_frame_sets(&self) -> usize {
+        self.frame_sets.iter().filter(|block| block.hessian[0][0] > 0.0).count()
     }
 
-    pub(crate) fn coupling_of(&self, instant: usize) -> &[[f64; 6]] {
+    pub(crate) fn coupling_of(&self, frame_set: usize) -> &[[f64; 6]] {
         let size = self.global_gradient.len();
-        &self.coupling[instant * size..][..size]
+        &self.coupling[frame_set * size..][..size]
     }
 
     /// Solves (H + λ diag H) step = −gradient. `None` where the damped matrix is not positive
@@ -184,10 +185,10 @@ impl NormalEquations {
         }
         let mut right = -&self.global_gradient;
         let (mut eliminated, mut halves) =
-            (Vec::with_capacity(self.instants.len()), self.coupling.clone());
-        for (instant, block) in self.instants.iter().enumerate() {
+            (Vec::with_capacity(self.frame_sets.len()), self.coupling.clone());
+        for (frame_set, block) in self.frame_sets.iter().enumerate() {
             let factor = cholesky6(&block.hessian, lambda)?;
-            let half = &mut halves[instant * size..][..size];
+            let half = &mut halves[frame_set * size..][..size];
             half.iter_mut().for_each(|row| *row = forward6(&factor, row));
             let half_gradient = forward6(&factor, &block.gradient);
             for i in 0..size {
@@ -201,12 +202,12 @@ impl NormalEquations {
         let global = if size == 0 { right } else { schur.cholesky()?.solve(&right) };
         let mut decrease =
             -self.global_gradient.dot(&global) + lambda * diagonal_form(&self.global, &global);
-        let mut instants = Vec::with_capacity(self.instants.len());
-        for (instant, ((factor, half_gradient), block)) in
-            eliminated.iter().zip(&self.instants).enumerate()
+        let mut frame_sets = Vec::with_capacity(self.frame_sets.len());
+        for (frame_set, ((factor, half_gradient), block)) in
+            eliminated.iter().zip(&self.frame_sets).enumerate()
         {
             let mut rest = half_gradient.map(|g| -g);
-            for (row, step) in halves[instant * size..][..size].iter().zip(global.iter()) {
+            for (row, step) in halves[frame_set * size..][..size].iter().zip(global.iter()) {
                 for a in 0..6 {
                     rest[a] -= row[a] * step;
                 }
@@ -215,11 +216,11 @@ impl NormalEquations {
             for (a, step) in step.iter().enumerate() {
                 decrease += step * (lambda * block.hessian[a][a] * step - block.gradient[a]);
             }
-            instants.push(step);
+            frame_sets.push(step);
         }
         let step = Step {
             global: global.iter().copied().collect(),
-            instants,
+            frame_sets,
             predicted_decrease: decrease,
         };
         decrease.is_finite().then_some(step)
@@ -230,10 +231,10 @@ impl NormalEquations {
     pub(crate) fn global_covariance(&self) -> Option<DMatrix<f64>> {
         let size = self.global_gradient.len();
         let mut schur = self.global.clone();
-        for (instant, block) in self.instants.iter().enumerate() {
+        for (frame_set, block) in self.frame_sets.iter().enumerate() {
             let factor = cholesky6(&block.hessian, 0.0)?;
             let half: Vec<[f64; 6]> =
-                self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
+                self.coupling_of(frame_set).iter().map(|row| forward6(&factor, row)).collect();
             for i in 0..size {
                 for j in 0..=i {
                     schur[(i, j)] -= dot6(&half[i], &half[j]);
@@ -249,14 +250,14 @@ impl NormalEquations {
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// What one instant alone tells of the global parameters, its pose eliminated, where these are
-    /// the equations of that instant: its part of the Schur complement and its gradient.
-    pub(crate) fn reduced(&self, instant: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    /// What one frame set alone tells of the global parameters, its pose eliminated, where these are
+    /// the equations of that frame set: its part of the Schur complement and its gradient.
+    pub(crate) fn reduced(&self, frame_set: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let size = self.global_gradient.len();
-        let block = &self.instants[instant];
+        let block = &self.frame_sets[frame_set];
         let factor = cholesky6(&block.hessian, 0.0)?;
         let half: Vec<[f64; 6]> =
-            self.coupling_of(instant).iter().map(|row| forward6(&factor, row)).collect();
+            self.coupling_of(frame_set).iter().map(|row| forward6(&factor, row)).collect();
         let half_gradient = forward6(&factor, &block.gradient);
         let information =
             DMatrix::from_fn(size, size, |i, j| self.global[(i, j)] - dot6(&half[i], &half[j]));
@@ -265,27 +266,27 @@ impl NormalEquations {
         Some((information, gradient))
     }
 
-    /// The covariance of one instant's pose step (ω, τ), given that of the global parameters.
-    pub(crate) fn instant_covariance(
+    /// The covariance of one frame set's pose step (ω, τ), given that of the global parameters.
+    pub(crate) fn frame_set_covariance(
         &self,
-        instant: usize,
+        frame_set: usize,
         global: &DMatrix<f64>,
     ) -> Option<Matrix6<f64>> {
-        self.pose_covariance(instant, global, None)
+        self.pose_covariance(frame_set, global, None)
     }
 
-    /// As [`Self::instant_covariance`], of the board's pose as a sensor sees it that has a pose of
+    /// As [`Self::frame_set_covariance`], of the board's pose as a sensor sees it that has a pose of
     /// its own: where that lies among the global parameters, and A and B of [`chain`].
     pub(crate) fn pose_covariance(
         &self,
-        instant: usize,
+        frame_set: usize,
         global: &DMatrix<f64>,
         sensor: Option<(usize, Matrix6<f64>, Matrix6<f64>)>,
     ) -> Option<Matrix6<f64>> {
-        let block = &self.instants[instant];
+        let block = &self.frame_sets[frame_set];
         let inverse = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky()?.inverse();
         let by_board = sensor.map_or_else(Matrix6::identity, |(_, _, by_board)| by_board);
-        let rows = self.coupling_of(instant);
+        let rows = self.coupling_of(frame_set);
         let coupling = DMatrix::from_fn(6, global.nrows(), |a, k| rows[k][a]);
         let eliminated = by_board * inverse;
         let mut through = DMatrix::from_fn(6, 6, |a, b| -eliminated[(a, b)]) * coupling;
@@ -302,10 +303,10 @@ impl NormalEquations {
 /// A and B of δ_sensor_from_board = A δ_sensor_from_rig + B δ_rig_from_board.
 pub(crate) fn chain(
     state: &State,
-    (sensor, instant): (usize, usize),
+    (sensor, frame_set): (usize, usize),
 ) -> (Matrix6<f64>, Matrix6<f64>) {
     let rotation = state.sensor_from_rig[sensor].rotation_matrix();
-    let lever = rotation * state.rig_from_board[instant].translation();
+    let lever = rotation * state.rig_from_board[frame_set].translation();
     let mut by_sensor = Matrix6::identity();
     by_sensor.fixed_view_mut::<3, 3>(3, 0).copy_from(&-linearize::cross(&lever));
     let mut by_board = Matrix6::zeros();
@@ -323,7 +324,7 @@ fn dot6(a: &[f64; 6], b: &[f64; 6]) -> f64 {
 }
 
 /// L of L Lᵀ = A + λ diag A, with the reciprocals of its diagonal in place of the diagonal. An
-/// instant that nothing sees (A = 0) gets an L that solves to 0.
+/// frame set that nothing sees (A = 0) gets an L that solves to 0.
 fn cholesky6(matrix: &[[f64; 6]; 6], lambda: f64) -> Option<[[f64; 6]; 6]> {
     let mut factor = [[0.0; 6]; 6];
     if matrix.iter().flatten().all(|v| *v == 0.0) {

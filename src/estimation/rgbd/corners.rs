@@ -3,17 +3,17 @@
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
-use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_sight};
+use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{NormalEquations, Step, chain};
-use crate::estimation::joint::{Layout, Sight, State, moved};
+use crate::estimation::joint::{BoardObservation, Layout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
-use crate::estimation::rgbd::slack::{Apart, Slack, eliminate, pose_part};
+use crate::estimation::rgbd::pose_jitter::{Apart, PoseJitter, eliminate, pose_part};
 use crate::estimation::rgbd::{DepthLens, RgbdProblem, free, shifted};
 use crate::estimation::robust::{Loss, median};
 use crate::geometry::pose::Pose;
 
-/// The answer of the corners: sensor 0 is colour and the rig, sensor 1 infrared and depth.
+/// The answer of the corners: sensor 0 is color and the rig, sensor 1 infrared and depth.
 pub(super) struct Corners {
     pub(super) layout: Layout,
     pub(super) state: State,
@@ -32,11 +32,11 @@ pub(super) struct Corners {
 /// Corners further off than this many standard deviations take no part.
 const CORNER_LIMIT: f64 = 5.0;
 
-/// Infrared pictures whose board is further from colour's than this, as a χ² of six, are of another
+/// Infrared pictures whose board is further from color's than this, as a χ² of six, are of another
 /// moment.
 const VIEW_LIMIT: f64 = 36.0;
 
-/// How often noise, slack and what takes part are looked at again.
+/// How often noise, pose_jitter and what takes part are looked at again.
 const ROUNDS: usize = 10;
 
 /// Everything that is estimated.
@@ -50,13 +50,13 @@ struct Whole {
 /// What is fixed while the rest is estimated.
 struct Problem {
     layout: Layout,
-    sights: Vec<Sight>,
-    /// Each instant's, about the rig's axes and with the velocity of the board's centre.
+    observations: Vec<BoardObservation>,
+    /// Each frame set's, about the rig's axes and with the velocity of the board's center.
     motions: Vec<Option<BoardMotion>>,
     /// What was known of the time before, and the parameter that it is.
     offset: Option<(usize, TimeOffset)>,
-    slack: Slack,
-    /// How well infrared agrees with colour, in standard deviations of its own corners; at least 1.
+    pose_jitter: PoseJitter,
+    /// How well infrared agrees with color, in standard deviations of its own corners; at least 1.
     noise: f64,
 }
 
@@ -103,13 +103,16 @@ impl Corners {
             offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
         };
         let mut posed = Problem::of(problem, center);
-        posed.start_slack(&whole);
+        posed.start_jitter(&whole);
         for _ in 0..ROUNDS {
             let equations = posed.linearized(&whole)?;
             let stepped = |whole: &Whole, step: &Step| posed.stepped(whole, step);
             let linearized = |whole: &Whole| posed.linearized(whole);
-            let count =
-                posed.sights.iter().map(|s| 2 * s.used.iter().filter(|used| **used).count()).sum();
+            let count = posed
+                .observations
+                .iter()
+                .map(|s| 2 * s.used.iter().filter(|used| **used).count())
+                .sum();
             whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
             if posed.look_again(&whole) {
                 break;
@@ -123,7 +126,7 @@ impl Corners {
             ..before
         });
         let depth_state = posed.at_depth(&whole);
-        let apart = posed.instants_apart();
+        let apart = posed.frame_sets_apart();
         Some(Self {
             layout: posed.layout,
             state: whole.rig,
@@ -154,8 +157,8 @@ impl Problem {
         let known = problem.time_offset.filter(|_| layout.sensors.len() > 1);
         let offset = known.map(|offset| (layout.len, offset));
         layout.len += usize::from(offset.is_some());
-        let mut sights = Vec::new();
-        for (instant, view) in problem.views.iter().enumerate() {
+        let mut observations = Vec::new();
+        for (frame_set, view) in problem.views.iter().enumerate() {
             let seen = [
                 (0, &view.color, problem.color_noise),
                 (1, &view.infrared, problem.infrared_noise),
@@ -164,9 +167,9 @@ impl Problem {
                 if corners.is_empty() || sensor >= layout.sensors.len() {
                     continue;
                 }
-                sights.push(Sight {
+                observations.push(BoardObservation {
                     sensor,
-                    instant,
+                    frame_set,
                     points: corners.iter().map(|c| c.point_in_board - center).collect(),
                     pixels: corners.iter().map(|c| c.pixel).collect(),
                     inverse_std: corners.iter().map(|c| 1.0 / (c.std_px * noise)).collect(),
@@ -181,10 +184,10 @@ impl Problem {
         let motions = motions.collect();
         Self {
             layout,
-            sights,
+            observations,
             motions,
             offset,
-            slack: Slack { turn: 1e-10, shift: 1e-10 },
+            pose_jitter: PoseJitter { turn: 1e-10, shift: 1e-10 },
             noise: 1.0,
         }
     }
@@ -200,28 +203,33 @@ impl Problem {
         later
     }
 
-    fn variances(&self, instant: usize) -> Vector6<f64> {
+    fn variances(&self, frame_set: usize) -> Vector6<f64> {
         let jitter_s = self.offset.map_or(0.0, |(_, offset)| offset.jitter_s);
-        let step = self.motions[instant].map_or([0.0; 6], |motion| motion.step(jitter_s));
-        self.slack.covariance(&step)
+        let step = self.motions[frame_set].map_or([0.0; 6], |motion| motion.step(jitter_s));
+        self.pose_jitter.covariance(&step)
     }
 
     fn linearized(&self, whole: &Whole) -> Option<NormalEquations> {
         let later = self.later(whole);
         let mut equations = NormalEquations::empty(self.layout.len, whole.rig.rig_from_board.len());
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
-        for sight in &self.sights {
-            let state = if sight.sensor == 0 { &whole.rig } else { &later };
-            self.linearize_one(state, sight, &mut columns, &mut local)?;
-            if sight.sensor == 1 {
-                eliminate(&mut local, &self.variances(sight.instant))?;
-                self.add_offset(&mut equations, state, sight, &local);
+        for observation in &self.observations {
+            let state = if observation.sensor == 0 { &whole.rig } else { &later };
+            self.linearize_one(state, observation, &mut columns, &mut local)?;
+            if observation.sensor == 1 {
+                eliminate(&mut local, &self.variances(observation.frame_set))?;
+                self.add_offset(&mut equations, state, observation, &local);
             }
             equations.cost += local.cost;
-            let chained = self.layout.sensors[sight.sensor]
+            let chained = self.layout.sensors[observation.sensor]
                 .pose_at
-                .map(|_| chain(state, (sight.sensor, sight.instant)));
-            equations.add(&self.layout, (sight.sensor, sight.instant), chained, &local);
+                .map(|_| chain(state, (observation.sensor, observation.frame_set)));
+            equations.add(
+                &self.layout,
+                (observation.sensor, observation.frame_set),
+                chained,
+                &local,
+            );
         }
         if let Some((at, before)) = self.offset {
             let off = (whole.offset_s - before.seconds) / before.std_s;
@@ -236,24 +244,24 @@ impl Problem {
     fn linearize_one(
         &self,
         state: &State,
-        sight: &Sight,
+        observation: &BoardObservation,
         columns: &mut Columns,
         local: &mut LocalEquations,
     ) -> Option<()> {
-        let mut residuals = vec![[0.0; 2]; sight.points.len()];
+        let mut residuals = vec![[0.0; 2]; observation.points.len()];
         let weighted;
-        let sight = match sight.sensor {
-            0 => sight,
+        let observation = match observation.sensor {
+            0 => observation,
             _ => {
                 let inverse_std =
-                    sight.inverse_std.iter().map(|inverse| inverse / self.noise).collect();
-                weighted = Sight { inverse_std, ..sight.clone() };
+                    observation.inverse_std.iter().map(|inverse| inverse / self.noise).collect();
+                weighted = BoardObservation { inverse_std, ..observation.clone() };
                 &weighted
             }
         };
-        linearize_sight(
+        linearize_observation(
             (&self.layout, state),
-            sight,
+            observation,
             Loss::Squares,
             columns,
             (&mut residuals, local),
@@ -266,13 +274,14 @@ impl Problem {
         &self,
         equations: &mut NormalEquations,
         state: &State,
-        sight: &Sight,
+        observation: &BoardObservation,
         local: &LocalEquations,
     ) {
-        let (Some((at, _)), Some(motion)) = (self.offset, self.motions[sight.instant]) else {
+        let (Some((at, _)), Some(motion)) = (self.offset, self.motions[observation.frame_set])
+        else {
             return;
         };
-        let (by_sensor, by_board) = chain(state, (1, sight.instant));
+        let (by_sensor, by_board) = chain(state, (1, observation.frame_set));
         let velocity = by_board * Vector6::from_row_slice(&motion.step(1.0));
         let (square, gradient) = pose_part(local);
         let through = square * velocity;
@@ -288,39 +297,46 @@ impl Problem {
             (0..6).for_each(|a| equations.global[(pose_at + a, at)] += by_pose[a]);
         }
         let by_pose = by_board.transpose() * through;
-        let coupling = &mut equations.coupling[sight.instant * self.layout.len + at];
+        let coupling = &mut equations.coupling[observation.frame_set * self.layout.len + at];
         coupling.iter_mut().zip(by_pose.iter()).for_each(|(coupling, by)| *coupling += by);
     }
 
     fn stepped(&self, whole: &Whole, step: &Step) -> Option<Whole> {
-        let rig = whole.rig.stepped(&self.layout, &step.global, &step.instants)?;
+        let rig = whole.rig.stepped(&self.layout, &step.global, &step.frame_sets)?;
         let offset_s = whole.offset_s + self.offset.map_or(0.0, |(at, _)| step.global[at]);
         Some(Whole { rig, offset_s })
     }
 
-    /// How far infrared is from colour in each of its sights; `None` where colour saw nothing, or a
-    /// sight takes no part at all.
+    /// How far infrared is from color in each of its observations; `None` where color saw nothing, or a
+    /// observation takes no part at all.
     fn apart(&self, whole: &Whole) -> Vec<Option<Apart>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
         let mut by_color: Vec<Option<Matrix6<f64>>> = vec![None; self.motions.len()];
-        let mut found = Vec::with_capacity(self.sights.len());
-        for sight in &self.sights {
-            let state = if sight.sensor == 0 { &whole.rig } else { &later };
-            let all = Sight { used: vec![true; sight.used.len()], ..sight.clone() };
-            let used = if sight.sensor == 1 && !sight.used.contains(&true) { &all } else { sight };
+        let mut found = Vec::with_capacity(self.observations.len());
+        for observation in &self.observations {
+            let state = if observation.sensor == 0 { &whole.rig } else { &later };
+            let all = BoardObservation {
+                used: vec![true; observation.used.len()],
+                ..observation.clone()
+            };
+            let used = if observation.sensor == 1 && !observation.used.contains(&true) {
+                &all
+            } else {
+                observation
+            };
             let linearized = self.linearize_one(state, used, &mut columns, &mut local).is_some();
             let part = linearized.then(|| pose_part(&local));
-            if sight.sensor == 0 {
-                let (_, by_board) = chain(&later, (1, sight.instant));
+            if observation.sensor == 0 {
+                let (_, by_board) = chain(&later, (1, observation.frame_set));
                 let inverse =
                     part.and_then(|(square, _)| square.cholesky()).map(|factor| factor.inverse());
-                by_color[sight.instant] =
+                by_color[observation.frame_set] =
                     inverse.map(|inverse| by_board * inverse * by_board.transpose());
                 found.push(None);
             } else {
-                let both = part.zip(by_color[sight.instant]);
-                let variances = self.variances(sight.instant);
+                let both = part.zip(by_color[observation.frame_set]);
+                let variances = self.variances(observation.frame_set);
                 found.push(both.and_then(|((square, gradient), by_color)| {
                     Apart::of((&square, &gradient), &by_color, variances)
                 }));
@@ -329,77 +345,86 @@ impl Problem {
         found
     }
 
-    fn start_slack(&mut self, whole: &Whole) {
+    fn start_jitter(&mut self, whole: &Whole) {
         if self.layout.sensors.len() > 1 {
             let apart: Vec<Apart> = self.apart(whole).into_iter().flatten().collect();
-            self.slack = Slack::of_middle(&apart);
+            self.pose_jitter = PoseJitter::of_middle(&apart);
             let apart = self.apart(whole);
-            for (sight, apart) in self.sights.iter_mut().zip(apart) {
-                sight.used.fill(apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT));
+            for (observation, apart) in self.observations.iter_mut().zip(apart) {
+                observation.used.fill(apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT));
             }
         }
     }
 
-    /// Noise, slack and what takes part anew; answers whether all has settled.
+    /// Noise, pose_jitter and what takes part anew; answers whether all has settled.
     fn look_again(&mut self, whole: &Whole) -> bool {
         let later = self.later(whole);
         let apart = self.apart(whole);
         let residuals: Vec<Vec<[f64; 2]>> = self
-            .sights
+            .observations
             .iter()
             .zip(&apart)
-            .map(|(sight, apart)| {
-                let mut state = if sight.sensor == 0 { whole.rig.clone() } else { later.clone() };
+            .map(|(observation, apart)| {
+                let mut state =
+                    if observation.sensor == 0 { whole.rig.clone() } else { later.clone() };
                 if let Some(apart) = apart {
-                    let slack: [f64; 6] = apart.slack.into();
-                    let moved_pose = moved(&state.sensor_from_board(1, sight.instant), &slack);
-                    state.rig_from_board[sight.instant] =
+                    let pose_jitter: [f64; 6] = apart.pose_jitter.into();
+                    let moved_pose =
+                        moved(&state.sensor_from_board(1, observation.frame_set), &pose_jitter);
+                    state.rig_from_board[observation.frame_set] =
                         state.sensor_from_rig[1].inverse() * moved_pose;
                 }
-                state.residuals(&self.layout, sight)
+                state.residuals(&self.layout, observation)
             })
             .collect();
         let together =
             |apart: &Option<Apart>| apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT);
-        let infrared = self.sights.iter().zip(&residuals).zip(&apart);
-        let infrared = infrared.filter(|((sight, _), apart)| sight.sensor == 1 && together(apart));
+        let infrared = self.observations.iter().zip(&residuals).zip(&apart);
+        let infrared =
+            infrared.filter(|((observation, _), apart)| observation.sensor == 1 && together(apart));
         let noise = median(infrared.map(|((_, residuals), _)| rms(residuals)).collect())
             .unwrap_or(1.0)
             .max(1.0);
-        let slack =
-            self.slack.next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
-        let mut settled = (noise / self.noise - 1.0).abs() < 0.02 && slack.is_near(self.slack);
-        for ((sight, residuals), apart) in self.sights.iter_mut().zip(&residuals).zip(&apart) {
-            let limit = CORNER_LIMIT * if sight.sensor == 1 { noise } else { 1.0 };
-            for (used, [x, y]) in sight.used.iter_mut().zip(residuals) {
+        let pose_jitter = self
+            .pose_jitter
+            .next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
+        let mut settled =
+            (noise / self.noise - 1.0).abs() < 0.02 && pose_jitter.is_near(self.pose_jitter);
+        for ((observation, residuals), apart) in
+            self.observations.iter_mut().zip(&residuals).zip(&apart)
+        {
+            let limit = CORNER_LIMIT * if observation.sensor == 1 { noise } else { 1.0 };
+            for (used, [x, y]) in observation.used.iter_mut().zip(residuals) {
                 let next = together(apart) && x.hypot(*y) <= limit;
                 settled &= next == *used;
                 *used = next;
             }
         }
-        (self.noise, self.slack) = (noise, slack);
+        (self.noise, self.pose_jitter) = (noise, pose_jitter);
         settled || self.layout.sensors.len() == 1
     }
 
-    /// Each board where infrared saw it: by its motion and its slack, or by infrared alone where
+    /// Each board where infrared saw it: by its motion and its pose_jitter, or by infrared alone where
     /// that is of another moment.
     fn at_depth(&self, whole: &Whole) -> State {
         let mut later = self.later(whole);
-        for (sight, apart) in self.sights.iter().zip(self.apart(whole)) {
+        for (observation, apart) in self.observations.iter().zip(self.apart(whole)) {
             let Some(apart) = apart else { continue };
-            let alone = !sight.used.contains(&true);
-            let step: [f64; 6] = if alone { apart.apart } else { apart.slack }.into();
-            let pose = moved(&later.sensor_from_board(1, sight.instant), &step);
-            later.rig_from_board[sight.instant] = later.sensor_from_rig[1].inverse() * pose;
+            let alone = !observation.used.contains(&true);
+            let step: [f64; 6] = if alone { apart.apart } else { apart.pose_jitter }.into();
+            let pose = moved(&later.sensor_from_board(1, observation.frame_set), &step);
+            later.rig_from_board[observation.frame_set] = later.sensor_from_rig[1].inverse() * pose;
         }
         later
     }
 
-    /// The instants whose infrared picture takes no part.
-    fn instants_apart(&self) -> Vec<usize> {
-        let unused =
-            self.sights.iter().filter(|sight| sight.sensor == 1 && !sight.used.contains(&true));
-        unused.map(|sight| sight.instant).collect()
+    /// The frame sets whose infrared picture takes no part.
+    fn frame_sets_apart(&self) -> Vec<usize> {
+        let unused = self
+            .observations
+            .iter()
+            .filter(|observation| observation.sensor == 1 && !observation.used.contains(&true));
+        unused.map(|observation| observation.frame_set).collect()
     }
 }
 

@@ -1,9 +1,9 @@
-//! Colour, infrared and depth as one instrument: lenses, where the sensors are, and the depth
+//! Color, infrared and depth as one instrument: lenses, where the sensors are, and the depth
 //! camera's systematic error, with the covariance of what follows from it.
 //!
 //! Corners and planes are not weighed against each other: a depth camera's unknown systematic error
 //! is as large as what its planes could add to corners, and would bend the lenses towards it. So
-//! corners (colour, and infrared where it sees the board) come first and decide lenses, poses and
+//! corners (color, and infrared where it sees the board) come first and decide lenses, poses and
 //! the sensors' pose; planes then tell what is left: the correction, and for a camera without an
 //! infrared picture its lens and pose. The covariance of the corners' answer is carried into the
 //! planes'.
@@ -13,7 +13,7 @@
 mod corners;
 pub mod motion;
 mod planes;
-mod slack;
+mod pose_jitter;
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
@@ -29,12 +29,12 @@ use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, Spli
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
 
-/// What was seen at one instant.
+/// What was seen at one frame set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdView {
     /// Its path or sequence number.
     pub name: String,
-    /// The board's corners in the colour picture; empty where it wasn't found.
+    /// The board's corners in the color picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
     /// The board's corners in the infrared picture; empty where it wasn't found.
     pub infrared: Vec<Correspondence>,
@@ -44,7 +44,7 @@ pub struct RgbdView {
     pub surround: Vec<DepthTile>,
     /// About where the board was.
     pub color_from_board: Pose,
-    /// How fast it moved, where neighbouring pictures tell.
+    /// How fast it moved, where neighboring pictures tell.
     pub motion: Option<BoardMotion>,
 }
 
@@ -59,12 +59,12 @@ pub enum DepthLens {
     Known,
 }
 
-/// A camera with colour and depth.
+/// A camera with color and depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdProblem {
-    /// About the colour camera's lens; all of it is estimated, but for a skew of 0.
+    /// About the color camera's lens; all of it is estimated, but for a skew of 0.
     pub color: Lens,
-    /// Standard deviation of a colour corner relative to its own `std_px`.
+    /// Standard deviation of a color corner relative to its own `std_px`.
     pub color_noise: f64,
     /// About the depth camera; its correction is ignored.
     pub depth: DepthCamera,
@@ -74,7 +74,7 @@ pub struct RgbdProblem {
     pub infrared_noise: f64,
     /// About where the sensors are.
     pub depth_from_color: Pose,
-    /// About by how much infrared and depth are taken later than colour, where that is known at
+    /// About by how much infrared and depth are taken later than color, where that is known at
     /// all.
     pub time_offset: Option<TimeOffset>,
     /// In what a correction makes sense for this device; empty for none.
@@ -83,10 +83,10 @@ pub struct RgbdProblem {
     pub views: Vec<RgbdView>,
 }
 
-/// A calibrated camera with colour and depth.
+/// A calibrated camera with color and depth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdEstimate {
-    /// The colour camera's lens.
+    /// The color camera's lens.
     pub color: Lens,
     /// Covariance of its parameters.
     pub color_covariance: DMatrix<f64>,
@@ -97,11 +97,11 @@ pub struct RgbdEstimate {
     pub depth_covariance: DMatrix<f64>,
     /// Where the depth (and infrared) camera is.
     pub color_from_depth: Pose,
-    /// Covariance of its turn about colour's axes and of its translation, in rad² and m².
+    /// Covariance of its turn about color's axes and of its translation, in rad² and m².
     pub color_from_depth_covariance: Matrix6<f64>,
-    /// By how much infrared and depth are taken later than colour, where the board's motion tells.
+    /// By how much infrared and depth are taken later than color, where the board's motion tells.
     pub time_offset: Option<TimeOffset>,
-    /// Views whose infrared and depth pictures are of another moment than their colour picture.
+    /// Views whose infrared and depth pictures are of another moment than their color picture.
     pub not_together: Vec<usize>,
     /// Where the board was, view by view.
     pub color_from_board: Vec<Pose>,
@@ -120,7 +120,7 @@ pub struct RgbdEstimate {
 
 const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, bend: 0.01 };
 
-/// Calibrates colour and depth.
+/// Calibrates color and depth.
 ///
 /// # Errors
 /// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open.

@@ -6,7 +6,7 @@
 //! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
 //! is from where the second sensor sees the board. Velocities come from cubic splines through the
 //! first sensor's poses: their slope follows motion up to the rate of the frames, where differences
-//! of neighbours flatten it.
+//! of neighbors flatten it.
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
@@ -141,7 +141,7 @@ const LIMIT: [f64; 2] = [6.0, 2.0];
 const MEDIAN_OF_SIX: f64 = 5.348;
 
 /// By how much the second sensor is later, given about where it is. `center` is the board's middle
-/// and `radius` about its half width, in metres: the length that weighs turns against shifts.
+/// and `radius` about its half width, in meters: the length that weighs turns against shifts.
 /// `None` for too few moments, or a board that never moves.
 ///
 /// Frames too far apart to follow the motion leave velocities too high at one moment and too low at
@@ -198,7 +198,7 @@ pub fn time_offset(
     })
 }
 
-/// How far apart the two sensors see the board at one moment, in metres (turns times the radius),
+/// How far apart the two sensors see the board at one moment, in meters (turns times the radius),
 /// and by what.
 struct Moment {
     apart: SVector<f64, 6>,

@@ -7,9 +7,9 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
-use crate::estimation::joint::depth_terms::{PlaneSight, add_planes, ray};
+use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes, ray};
 use crate::estimation::joint::minimize::{Stop, walk};
-use crate::estimation::joint::normal::{InstantBlock, NormalEquations, Step};
+use crate::estimation::joint::normal::{NormalEquations, PoseBlock, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::Corners;
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
@@ -29,7 +29,7 @@ const LEAST_READING_STDS: f64 = 0.1;
 pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     layout: Layout,
-    planes: Vec<PlaneSight>,
+    planes: Vec<PlaneObservation>,
     /// Each board's pose by corners with its normal equations, where planes may move it within what
     /// corners leave open.
     anchors: Option<Vec<Anchor>>,
@@ -95,21 +95,21 @@ impl<'a> Planes<'a> {
         };
         let with_depth =
             problem.views.iter().enumerate().filter(|(_, view)| !view.tiles.is_empty());
-        let planes = with_depth.map(|(instant, view)| {
+        let planes = with_depth.map(|(frame_set, view)| {
             let tiles = [view.tiles.as_slice(), &view.surround].concat();
-            PlaneSight {
+            PlaneObservation {
                 sensor: 1,
-                instant,
+                frame_set,
                 inverse_std: tiles.iter().map(inverse_std).collect(),
                 used: vec![true; tiles.len()],
                 tiles,
             }
         });
-        let anchor = |(pose, block): (&Pose, &InstantBlock)| Anchor {
+        let anchor = |(pose, block): (&Pose, &PoseBlock)| Anchor {
             rig_from_board: *pose,
             square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
         };
-        let each = corners.depth_state.rig_from_board.iter().zip(&corners.equations.instants);
+        let each = corners.depth_state.rig_from_board.iter().zip(&corners.equations.frame_sets);
         let anchors =
             (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
         let layout = Layout { sensors: vec![color, depth], warp: None, len };
@@ -138,14 +138,14 @@ impl<'a> Planes<'a> {
         let mut whole = Whole { rig: start.clone(), correction };
         let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
         for round in 0..6 {
-            let planes: Vec<PlaneSight> =
+            let planes: Vec<PlaneObservation> =
                 self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();
             let linearized = |whole: &Whole| {
                 linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0)
             };
             let stepped = |whole: &Whole, step: &Step| {
-                let rig = whole.rig.stepped(&layout, &step.global, &step.instants)?;
+                let rig = whole.rig.stepped(&layout, &step.global, &step.frame_sets)?;
                 let mut correction = whole.correction.clone();
                 for (coefficient, step) in
                     correction.coefficients.iter_mut().zip(&step.global[at..])
@@ -180,9 +180,9 @@ impl<'a> Planes<'a> {
     }
 
     /// Lets those tiles take part that lie on the plane; answers whether that changed.
-    fn select(&mut self, residuals: &[Vec<f64>], slack: f64) -> bool {
+    fn select(&mut self, residuals: &[Vec<f64>], pose_jitter: f64) -> bool {
         let sizes = residuals.iter().flatten().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
-        let limit = slack * LIMIT * median(sizes).unwrap_or(0.0) / 0.6745;
+        let limit = pose_jitter * LIMIT * median(sizes).unwrap_or(0.0) / 0.6745;
         let mut changed = false;
         for (plane, residuals) in self.planes.iter_mut().zip(residuals) {
             for (used, residual) in plane.used.iter_mut().zip(residuals) {
@@ -237,7 +237,7 @@ impl<'a> Planes<'a> {
     /// Part of the board's own tiles that take part.
     fn following(&self) -> f64 {
         let own = self.planes.iter().flat_map(|plane| {
-            plane.used.iter().take(self.problem.views[plane.instant].tiles.len())
+            plane.used.iter().take(self.problem.views[plane.frame_set].tiles.len())
         });
         let (used, all) = own.fold((0, 0), |(used, all), one| (used + u32::from(*one), all + 1));
         f64::from(used) / f64::from(all.max(1))
@@ -247,7 +247,7 @@ impl<'a> Planes<'a> {
     pub(super) fn judged(&self, fit: &Fit) -> Vec<Vec<JudgedTile>> {
         let mut views = vec![Vec::new(); self.problem.views.len()];
         for plane in &self.planes {
-            let depth_from_board = fit.state.sensor_from_board(1, plane.instant);
+            let depth_from_board = fit.state.sensor_from_board(1, plane.frame_set);
             let normal = depth_from_board * Vector3::z();
             let distance = normal.dot(&depth_from_board.translation());
             for ((tile, inverse_std), used) in
@@ -255,7 +255,7 @@ impl<'a> Planes<'a> {
             {
                 if let (true, Some(ray)) = (used, ray(&fit.state.lenses[1], tile)) {
                     let inverse_std = inverse_std / fit.tile_noise;
-                    views[plane.instant].push(JudgedTile {
+                    views[plane.frame_set].push(JudgedTile {
                         tile: *tile,
                         plane: normal.dot(&ray) / distance,
                         inverse_std,
@@ -267,20 +267,20 @@ impl<'a> Planes<'a> {
     }
 
     /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the
-    /// corners' answer, which moves all planes of a view together and, through colour's lens, those
+    /// corners' answer, which moves all planes of a view together and, through color's lens, those
     /// of all views.
     fn covariance(&self, corners: &Corners, fit: &Fit) -> Option<DMatrix<f64>> {
         let own = fit.equations.global_covariance()? * (fit.together * fit.together);
         let size = own.nrows();
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
         // The planes' equations hold the corners' of each pose, and so its own scatter: what is
-        // left is that of colour's lens, which moves the corners' poses of all views.
-        for (instant, block) in fit.equations.instants.iter().enumerate() {
+        // left is that of color's lens, which moves the corners' poses of all views.
+        for (frame_set, block) in fit.equations.frame_sets.iter().enumerate() {
             let Some(factor) = Matrix6::from_fn(|a, b| block.hessian[a][b]).cholesky() else {
                 continue;
             };
             let (planes, corners) =
-                (fit.equations.coupling_of(instant), corners.equations.coupling_of(instant));
+                (fit.equations.coupling_of(frame_set), corners.equations.coupling_of(frame_set));
             let coupled = DMatrix::from_fn(size, 6, |k, a| planes[k][a]);
             let inverse = factor.inverse();
             let inverse = DMatrix::from_fn(6, 6, |a, b| inverse[(a, b)]);
@@ -374,16 +374,16 @@ fn linearized(
     layout: &Layout,
     (whole, prior): (&Whole, &Prior),
     at: usize,
-    (planes, anchors): (&[PlaneSight], Option<&[Anchor]>),
+    (planes, anchors): (&[PlaneObservation], Option<&[Anchor]>),
 ) -> Option<(NormalEquations, Vec<Vec<f64>>)> {
     let mut equations = NormalEquations::empty(layout.len, whole.rig.rig_from_board.len());
-    let sights = (planes, anchors.is_some());
+    let observations = (planes, anchors.is_some());
     let residuals =
-        add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), sights);
+        add_planes(&mut equations, (layout, &whole.rig), (&whole.correction, at), observations);
     for plane in planes {
-        if let Some(anchor) = anchors.and_then(|anchors| anchors.get(plane.instant)) {
-            let pose = &whole.rig.rig_from_board[plane.instant];
-            anchor.hold(pose, &mut equations.cost, &mut equations.instants[plane.instant]);
+        if let Some(anchor) = anchors.and_then(|anchors| anchors.get(plane.frame_set)) {
+            let pose = &whole.rig.rig_from_board[plane.frame_set];
+            anchor.hold(pose, &mut equations.cost, &mut equations.frame_sets[plane.frame_set]);
         }
     }
     let size = whole.correction.coefficients.len();
@@ -397,7 +397,7 @@ fn linearized(
         }
     }
     equations.mirror();
-    let lost = |(residuals, plane): (&Vec<f64>, &PlaneSight)| {
+    let lost = |(residuals, plane): (&Vec<f64>, &PlaneObservation)| {
         residuals.iter().zip(&plane.used).any(|(residual, used)| *used && !residual.is_finite())
     };
     let usable = equations.cost.is_finite() && !residuals.iter().zip(planes).any(lost);
@@ -406,7 +406,7 @@ fn linearized(
 
 impl Anchor {
     /// Adds the corners' equations about their own answer.
-    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut InstantBlock) {
+    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut PoseBlock) {
         let turn =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
         let shift = rig_from_board.translation() - self.rig_from_board.translation();
@@ -422,8 +422,8 @@ impl Anchor {
     }
 }
 
-fn scaled(plane: &PlaneSight, noise: f64) -> PlaneSight {
-    PlaneSight {
+fn scaled(plane: &PlaneObservation, noise: f64) -> PlaneObservation {
+    PlaneObservation {
         inverse_std: plane.inverse_std.iter().map(|s| s / noise).collect(),
         ..plane.clone()
     }

@@ -5,7 +5,7 @@ use nalgebra::Point3;
 
 use crate::geometry::lens::DistortionModel;
 
-/// Distorted normalised coordinates of many points, with their derivatives: each quantity is one
+/// Distorted normalized coordinates of many points, with their derivatives: each quantity is one
 /// column over the points.
 #[derive(Debug, Clone, Default)]
 pub struct DistortedColumns {

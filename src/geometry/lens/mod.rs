@@ -1,7 +1,7 @@
 //! Lenses: from a point in the camera frame to a pixel, and back.
 //!
 //! A [`Lens`] is a [`CameraMatrix`] behind a [`Distortion`]. A distortion maps a point to
-//! *distorted normalised coordinates* (metres at unit distance), the camera matrix maps those to
+//! *distorted normalized coordinates* (meters at unit distance), the camera matrix maps those to
 //! pixels:
 //!
 //! ```text
@@ -47,7 +47,7 @@ pub trait DistortionModel<const N: usize>: Sized {
     /// Its coefficients.
     fn coefficients(&self) -> [f64; N];
 
-    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid
+    /// Distorted normalized coordinates of a point in the camera frame; `None` outside the valid
     /// region.
     fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>>;
 
@@ -65,7 +65,7 @@ pub trait DistortionModel<const N: usize>: Sized {
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing>;
 }
 
-/// Distorted normalised coordinates with their derivatives.
+/// Distorted normalized coordinates with their derivatives.
 #[derive(Debug, Clone, Copy)]
 pub struct Distorted<const N: usize> {
     /// (x_d, y_d).
@@ -196,13 +196,13 @@ impl Distortion {
         with_model!(self, model => model.coefficients().to_vec())
     }
 
-    /// Distorted normalised coordinates of a point in the camera frame; `None` outside the valid
+    /// Distorted normalized coordinates of a point in the camera frame; `None` outside the valid
     /// region.
     pub fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
         with_model!(self, model => model.distort(point_in_camera))
     }
 
-    /// The direction seen at distorted normalised coordinates; `None` outside the valid region.
+    /// The direction seen at distorted normalized coordinates; `None` outside the valid region.
     pub fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
         with_model!(self, model => model.undistort(distorted))
     }
@@ -222,7 +222,7 @@ pub struct Lens {
 pub struct Projection {
     /// Where the point is seen.
     pub pixel: Pixel,
-    /// Pixels by the point in the camera frame (per metre).
+    /// Pixels by the point in the camera frame (per meter).
     pub by_point: Matrix2x3<f64>,
     /// Pixels by each lens parameter, in the order of [`Lens::parameters`]; columns past the lens's
     /// own are zero.
@@ -263,7 +263,7 @@ impl Lens {
         Some(Self { matrix, distortion: Distortion::from_coefficients(model, coefficients)? })
     }
 
-    /// Where a point of the camera frame (metres) is seen; `None` outside the lens's valid region
+    /// Where a point of the camera frame (meters) is seen; `None` outside the lens's valid region
     /// (for every model but [`KannalaBrandt`] that includes all points with z ≤ 0). Agrees with
     /// OpenCV's `projectPoints` and `fisheye::projectPoints` inside it.
     pub fn pixel_from_point(&self, point_in_camera: &Point3<f64>) -> Option<Pixel> {
@@ -275,7 +275,7 @@ impl Lens {
         self.distortion.undistort(self.matrix.normalized_from_pixel(pixel))
     }
 
-    /// Distorted normalised coordinates of many points, with their derivatives, as columns; see
+    /// Distorted normalized coordinates of many points, with their derivatives, as columns; see
     /// [`DistortedColumns`].
     #[inline(always)]
     pub fn distort_columns(&self, points_in_camera: [&[f64]; 3], columns: &mut DistortedColumns) {

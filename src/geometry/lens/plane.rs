@@ -1,6 +1,6 @@
 //! What the models share that bend the image *plane*: pinhole, radial, brown, rational.
 //!
-//! Such a model maps ideal normalised coordinates (x/z, y/z) to distorted ones, and is one-to-one
+//! Such a model maps ideal normalized coordinates (x/z, y/z) to distorted ones, and is one-to-one
 //! up to a largest radius.
 
 use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};

@@ -1,8 +1,8 @@
-//! What may be between the board's pose when colour was taken and when infrared was: each view's
+//! What may be between the board's pose when color was taken and when infrared was: each view's
 //! own small turn and shift (ω, τ), Gaussian about nothing (or about what the board's motion says),
 //! with variances that the views themselves tell.
 //!
-//! The slack of a view is eliminated from its normal equations, where it takes away what they
+//! The pose_jitter of a view is eliminated from its normal equations, where it takes away what they
 //! cannot know: H − H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point
 //! (*Bayesian interpolation*, 1992): the sum of squares over the number of well determined
 //! parameters.
@@ -12,10 +12,10 @@ use nalgebra::{Matrix6, Vector6};
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::robust::median;
 
-/// Variances of the slack that all views share: of the turn about each axis in rad², of the shift
+/// Variances of the pose_jitter that all views share: of the turn about each axis in rad², of the shift
 /// along each in m².
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Slack {
+pub(super) struct PoseJitter {
     pub(super) turn: f64,
     pub(super) shift: f64,
 }
@@ -24,12 +24,12 @@ pub(super) struct Slack {
 const NONE: f64 = 1e-16;
 
 /// By how much a variance must make what was seen likelier, as a natural logarithm, to be taken for
-/// more than chance: of views without any slack, about one set in forty shows as much (half a χ² of
+/// more than chance: of views without any pose_jitter, about one set in forty shows as much (half a χ² of
 /// one, at the edge of what a variance can be: S. Self and K.-Y. Liang, *Asymptotic properties of
 /// maximum likelihood estimators under nonstandard conditions*, 1987).
 const LEAST_GAIN: f64 = 2.0;
 
-impl Slack {
+impl PoseJitter {
     /// With what a view's own motion adds.
     pub(super) fn covariance(self, motion: &[f64; 6]) -> Vector6<f64> {
         let of = |k: usize| motion[k..k + 3].iter().map(|m| m * m).sum::<f64>() / 3.0;
@@ -55,7 +55,7 @@ impl Slack {
             // Three numbers of the sensors' pose were fitted to the same views.
             let (mut squares, mut determined) = (0.0, -3.0);
             for view in apart.clone() {
-                let own = view.slack.fixed_rows::<3>(from).norm_squared();
+                let own = view.pose_jitter.fixed_rows::<3>(from).norm_squared();
                 let prior = view.prior.fixed_rows::<3>(from).sum() / 3.0;
                 let left =
                     (0..3).map(|k| view.posterior[(from + k, from + k)] / prior).sum::<f64>();
@@ -76,8 +76,8 @@ impl Slack {
         apart: &(impl Iterator<Item = &'a Apart> + Clone),
         held: Self,
     ) -> Self {
-        let likelihood = |slack: Self| -> f64 {
-            let (turn, shift) = (slack.turn - held.turn, slack.shift - held.shift);
+        let likelihood = |pose_jitter: Self| -> f64 {
+            let (turn, shift) = (pose_jitter.turn - held.turn, pose_jitter.shift - held.shift);
             apart.clone().map(|view| view.likelihood(turn, shift)).sum()
         };
         if likelihood(self) - likelihood(Self { turn: NONE, ..self }) < LEAST_GAIN {
@@ -95,13 +95,13 @@ impl Slack {
     }
 }
 
-/// How far apart colour and infrared see the board in one view.
+/// How far apart color and infrared see the board in one view.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Apart {
     /// As infrared alone says, in the infrared camera's frame.
     pub(super) apart: Vector6<f64>,
-    /// What is likely of it, with the slack's own variances.
-    pub(super) slack: Vector6<f64>,
+    /// What is likely of it, with the pose_jitter's own variances.
+    pub(super) pose_jitter: Vector6<f64>,
     pub(super) prior: Vector6<f64>,
     pub(super) posterior: Matrix6<f64>,
     /// What corners alone leave open of it.
@@ -111,8 +111,8 @@ pub(super) struct Apart {
 }
 
 impl Apart {
-    /// From infrared's equations (its pose's square and gradient), what colour says of the pose in
-    /// infrared's frame, and the slack's variances.
+    /// From infrared's equations (its pose's square and gradient), what color says of the pose in
+    /// infrared's frame, and the pose_jitter's variances.
     pub(super) fn of(
         (square, gradient): (&Matrix6<f64>, &Vector6<f64>),
         by_color: &Matrix6<f64>,
@@ -121,12 +121,12 @@ impl Apart {
         let own = square.cholesky()?;
         let apart = -own.solve(gradient);
         let precision = Matrix6::from_diagonal(&prior.map(|variance| 1.0 / variance));
-        let slack = -(square + precision).cholesky()?.solve(gradient);
+        let pose_jitter = -(square + precision).cholesky()?.solve(gradient);
         let measured = own.inverse() + by_color;
         let posterior = (precision + measured.cholesky()?.inverse()).cholesky()?.inverse();
         let spread = measured + Matrix6::from_diagonal(&prior);
         let surprise = apart.dot(&spread.cholesky()?.solve(&apart));
-        Some(Self { apart, slack, prior, posterior, measured, surprise })
+        Some(Self { apart, pose_jitter, prior, posterior, measured, surprise })
     }
 
     /// The logarithm of how likely it is, up to a constant, with variances of turn and shift that
@@ -142,7 +142,7 @@ impl Apart {
     }
 }
 
-/// Takes from a sight's equations what a slack with these variances leaves open.
+/// Takes from an observation's equations what a pose_jitter with these variances leaves open.
 pub(super) fn eliminate(local: &mut LocalEquations, variances: &Vector6<f64>) -> Option<()> {
     let (square, gradient) = pose_part(local);
     let precision = Matrix6::from_diagonal(&variances.map(|variance| 1.0 / variance));
@@ -160,7 +160,7 @@ pub(super) fn eliminate(local: &mut LocalEquations, variances: &Vector6<f64>) ->
     Some(())
 }
 
-/// A sight's equations for the board's pose: square and gradient.
+/// A observation's equations for the board's pose: square and gradient.
 pub(super) fn pose_part(local: &LocalEquations) -> (Matrix6<f64>, Vector6<f64>) {
     let (residual, pose) = (local.columns - 1, local.columns - 7);
     let square = Matrix6::from_fn(|a, b| local.product(pose + a, pose + b));

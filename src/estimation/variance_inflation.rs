@@ -3,7 +3,7 @@
 //! under a rolling shutter, a picture of a bent board, a lens that the model cannot follow), views
 //! differ by more than their corners' scatter explains, and so do estimates from other views.
 //!
-//! Each view (of a rig: what all sensors saw at one instant) pulls the parameters by its score s =
+//! Each view (of a rig: what all sensors saw at one frame set) pulls the parameters by its score s =
 //! g − C H⁻¹ h (its pose eliminated), whose covariance is A, its part of the information, if
 //! corners err by themselves. How much greater the scores are is the factor on the covariance: a
 //! scalar form of the clustered covariance of K.-Y. Liang and S. L. Zeger, *Longitudinal data
@@ -18,30 +18,30 @@ use crate::estimation::camera::CameraFit;
 use crate::estimation::joint::apart::together;
 use crate::estimation::joint::minimize::Minimum;
 
-/// Fewer instants tell nothing of how they differ.
-const MIN_INSTANTS: usize = 5;
+/// Fewer frame sets tell nothing of how they differ.
+const MIN_FRAME_SETS: usize = 5;
 
 /// A factor within this many standard deviations of 1 is chance.
 const CHANCE: f64 = 4.0;
 
 /// The factor on the variance of the parameters in `block`, 1 or more; `unit` is the covariance of
 /// all parameters for residuals of unit variance.
-pub(crate) fn shared_error(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> f64 {
+pub(crate) fn variance_inflation(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> f64 {
     factor(fit, unit, block).filter(|factor| factor.is_finite()).unwrap_or(1.0)
 }
 
 /// `None` where nothing tells of it, or chance would explain it.
 fn factor(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> Option<f64> {
-    let instants = fit.some_instants();
-    if instants.len() < MIN_INSTANTS || block.is_empty() {
+    let frame_sets = fit.some_frame_sets();
+    if frame_sets.len() < MIN_FRAME_SETS || block.is_empty() {
         return None;
     }
     let Minimum { state, equations, .. } = &fit.robust.minimum;
     let pulls = Pulls::on(block, unit)?;
     let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
-    for sights in instants {
-        let parts = sights.iter().map(|sight| (*sight, 0));
-        let alone = together(&equations.apart, (&fit.layout, state), &fit.sights, (parts, 1));
+    for observations in frame_sets {
+        let parts = observations.iter().map(|observation| (*observation, 0));
+        let alone = together(&equations.apart, (&fit.layout, state), &fit.observations, (parts, 1));
         let (information, score) = alone.reduced(0)?;
         let (part, taken_up) = pulls.expected(&information);
         seen += pulls.seen(&score);
@@ -52,7 +52,7 @@ fn factor(fit: &CameraFit, unit: &DMatrix<f64>, block: Range<usize>) -> Option<f
     (factor > 1.0 + CHANCE * variance.sqrt() / expected).then_some(factor)
 }
 
-/// What the scores of instants do to the parameters of a block, in units of the block's own
+/// What the scores of frame sets do to the parameters of a block, in units of the block's own
 /// covariance.
 struct Pulls<'a> {
     unit: &'a DMatrix<f64>,
@@ -87,7 +87,7 @@ impl<'a> Pulls<'a> {
         }
     }
 
-    /// The covariance of the pull that an instant with this information has if corners err by
+    /// The covariance of the pull that a frame set with this information has if corners err by
     /// themselves, and how much of that the estimate took up, which is gone.
     fn expected(&self, information: &DMatrix<f64>) -> (DMatrix<f64>, f64) {
         match &self.block {
