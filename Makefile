@@ -1,6 +1,6 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: build demo test lint rust-test device-test realsense-test python-test page-test elsewhere deb
+.PHONY: build demo test lint examples audit rust-test device-test realsense-test python-test page-test elsewhere deb
 .DEFAULT_GOAL := build
 
 VENV := target/venv
@@ -19,12 +19,21 @@ demo:
 	/usr/bin/python3 demo/calibrate.py target/release/plumb
 
 # Everything that must hold. One build serves the unit tests, the system tests, and the checks that run the same binary.
-test: rust-test python-test page-test device-test realsense-test
+test: lint rust-test examples python-test page-test device-test realsense-test
 
 rust-test:
 	$(PACKAGES) build test
 	$(TESTED) --no-run
 	timeout --kill-after=10 1200 $(TESTED)
+	timeout --kill-after=10 300 cargo test --doc
+
+# Each example, built and run; `tests/python/test_client.py` runs the one in Python.
+examples:
+	$(PACKAGES) build
+	cargo build --examples
+	timeout --kill-after=10 60 cargo run --quiet --example find_board -- examples/board.jpg 9x6
+	timeout --kill-after=10 60 cargo run --quiet --example solve_correspondences
+	timeout --kill-after=10 60 cargo run --quiet --example frame_source
 
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings.
 python-test: $(VENV)/installed
@@ -58,9 +67,17 @@ deb:
 	cargo deb --version >/dev/null 2>&1 || cargo install --locked cargo-deb
 	cargo deb --strip
 
+# Format, clippy and documentation: no warning is accepted.
 lint:
+	$(PACKAGES) build
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
+	RUSTDOCFLAGS=-Dwarnings cargo doc --no-deps --document-private-items
+
+# Licences, advisories, bans and sources of all dependencies; installs cargo-deny, which takes minutes.
+audit:
+	cargo deny --version >/dev/null 2>&1 || cargo install --locked cargo-deny
+	cargo deny check
 
 $(VENV)/installed: tests/python/requirements.txt
 	$(PACKAGES) test

@@ -23,6 +23,54 @@
 //! | [`http`] | axum | geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!
+//! # As a library
+//!
+//! [`detect`] finds a board in one luma image. Here the image is rendered, so the truth is known:
+//!
+//! ```
+//! use plumb::geometry::pixel::ImageSize;
+//! use plumb::simulation::{World, WorldOptions};
+//!
+//! let options = WorldOptions::new(7, ImageSize::new(640, 480));
+//! let frame = World::new(&options).frame(0);
+//! let detection = plumb::detect(frame.image.view(), options.board.size)?;
+//! assert_eq!(detection.corners.len(), options.board.size.corner_count());
+//! assert!(detection.corners.iter().all(|corner| corner.std_px < 0.1));
+//! # Ok::<(), plumb::NoBoard>(())
+//! ```
+//!
+//! [`calibrate`] solves lens and poses from correspondences of board points and pixels:
+//!
+//! ```
+//! # use plumb::Chessboard;
+//! # use plumb::geometry::pixel::ImageSize;
+//! # use plumb::simulation::{World, WorldOptions};
+//! use plumb::{BoardView, CameraOptions, CameraProblem, Correspondence, Detection};
+//!
+//! fn view(board: &Chessboard, name: String, detection: &Detection) -> BoardView {
+//!     let correspondences = detection.corners.iter().map(|corner| Correspondence {
+//!         point_in_board: board.corner_in_board(corner.index.col, corner.index.row),
+//!         pixel: corner.pixel,
+//!         std_px: corner.std_px,
+//!     });
+//!     BoardView { name, correspondences: correspondences.collect() }
+//! }
+//! # let options = WorldOptions::new(7, ImageSize::new(640, 480));
+//! # let (board, mut world) = (options.board, World::new(&options));
+//! # let views = (0..12).filter_map(|k| {
+//! #     let image = world.frame(10 * k).image;
+//! #     plumb::detect(image.view(), board.size).ok().map(|found| view(&board, k.to_string(), &found))
+//! # }).collect();
+//!
+//! let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
+//! let solved = plumb::calibrate(&problem, &CameraOptions::default())?;
+//! assert!(solved.estimate.rms_px < 0.1);
+//! # Ok::<(), plumb::EstimationError>(())
+//! ```
+//!
+//! `examples/` has these as programs, a [`capture::FrameSource`] of one's own, and a client of the
+//! daemon in Python.
+//!
 //! # Invariants
 //!
 //! 1. Below [`pipeline`] nothing is async and nothing reads a clock: time arrives inside frames.
@@ -58,3 +106,13 @@ pub mod pipeline;
 pub mod recording;
 pub mod simulation;
 pub mod store;
+
+pub use calibration::solve::{SolvedCamera, solve_views as calibrate};
+pub use detection::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
+pub use detection::detect;
+pub use detection::detector::Detector;
+pub use estimation::camera::{CameraEstimate, CameraOptions};
+pub use estimation::error::EstimationError;
+pub use estimation::problem::{BoardView, CameraProblem, Correspondence, LensChoice};
+pub use geometry::board::{BoardError, BoardSize, Chessboard};
+pub use imaging::gray::{GrayImage, GrayView};

@@ -25,3 +25,17 @@ mod response;
 mod seeds;
 pub mod tracking;
 mod verification;
+
+use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
+use crate::detection::detector::Detector;
+use crate::geometry::board::BoardSize;
+use crate::imaging::gray::GrayView;
+
+/// Finds the whole of `board` in one luma image: every inner corner in pixels, with its standard
+/// deviation. For partial boards, or many images, keep a [`Detector`].
+///
+/// # Errors
+/// [`NoBoard`] says why no board is reported.
+pub fn detect(image: GrayView<'_>, board: BoardSize) -> Result<Detection, NoBoard> {
+    Detector::new(board).find_board(image, &DetectOptions::default())
+}

@@ -23,3 +23,4 @@ mod served;
 mod service;
 mod shared_data;
 mod solve_requests;
+mod words;
