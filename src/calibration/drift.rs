@@ -5,7 +5,7 @@
 //! calibration allows as much of that as it is uncertain. One session's fresh views are the
 //! measure: it costs a pose a kept view, and needs nothing of the session.
 
-use crate::calibration::calibration::SensorCalibration;
+use crate::calibration::result::ImageCalibration;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::problem::BoardView;
 use crate::geometry::lens::Lens;
@@ -47,7 +47,7 @@ pub struct Drift {
 
 impl DriftWatch {
     /// Watches the picture sensor of the calibration with this id.
-    pub fn new(calibration: &str, sensor: &SensorCalibration) -> Self {
+    pub fn new(calibration: &str, sensor: &ImageCalibration) -> Self {
         let uncertain_px = LIMIT_SIGMAS * sensor.uncertainty_px.median;
         Self {
             calibration: calibration.to_owned(),
@@ -108,7 +108,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
-    use crate::calibration::calibration::ProjectionUncertainty;
+    use crate::calibration::result::ProjectionUncertainty;
     use crate::estimation::problem::Correspondence;
     use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::lens::LensModel;
@@ -138,7 +138,7 @@ mod tests {
 
     fn watch(lens: Lens) -> DriftWatch {
         let uncertainty_px = ProjectionUncertainty { center: 0.02, median: 0.05, worst: 0.3 };
-        let sensor = SensorCalibration {
+        let sensor = ImageCalibration {
             image_size: SIZE,
             lens,
             lens_std: Vec::new(),

@@ -2,8 +2,6 @@
 //! Pure; uses geometry, estimation and detection.
 
 pub mod admission;
-#[expect(clippy::module_inception, reason = "the layer's main noun, named as the house names it")]
-pub mod calibration;
 pub mod coverage;
 pub mod depth_calibration;
 pub mod drift;
@@ -11,11 +9,13 @@ pub mod factory_check;
 pub mod guidance;
 pub mod placement;
 pub mod plane_error;
+pub mod result;
 pub mod rgbd_calibration;
 mod rgbd_check;
 pub mod rig_session;
 pub mod running_estimate;
 pub mod second_infrared;
+pub mod sensor;
 pub mod session;
 pub mod session_end;
 pub mod session_record;

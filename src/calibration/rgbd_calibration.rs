@@ -2,12 +2,16 @@
 
 use nalgebra::DMatrix;
 
-use crate::calibration::calibration::{Calibration, Extrinsics, Grade, SensorCalibration, Verdict};
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
 use crate::calibration::factory_check::FactoryCheck;
+use crate::calibration::result::{
+    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
+};
+use crate::calibration::sensor::SensorId;
 use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
+use crate::imaging::frame::SensorKind;
 
 /// `calibration`, which holds what color gave by itself, with everything that the joint solve adds
 /// or makes surer.
@@ -20,22 +24,25 @@ pub fn with_depth(
     let of_depth = solved.factory.as_ref().and_then(|check| check.kept.as_deref()).unwrap_or(joint);
     let depth = DepthCalibration::of(of_depth, input.depth.invalid);
     let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
-    let extrinsics = |name: &str, estimate: &RgbdEstimate| {
+    let extrinsics = |source: SensorKind, estimate: &RgbdEstimate| {
         let (rotation_std, translation_std) = pose_std(&estimate.color_from_depth_covariance);
         Extrinsics {
-            name: name.to_owned(),
+            target: SensorId::own(SensorKind::Color),
+            source: SensorId::own(source),
             target_from_source: estimate.color_from_depth,
             rotation_std: rotation_std.into(),
             translation_std_m: translation_std.into(),
         }
     };
-    calibration.color =
-        calibration.color.map(|sensor| with_lens(sensor, joint.color, &joint.color_covariance));
-    calibration.extrinsics = vec![extrinsics("color_from_depth", of_depth)];
-    if let Some(infrared) = solved.infrared.clone() {
-        calibration.infrared =
-            Some(with_lens(infrared.sensor, joint.depth.lens, &joint.depth_covariance));
-        calibration.extrinsics.push(extrinsics("color_from_infrared", joint));
+    if let Some(color) = calibration.image_mut(SensorKind::Color) {
+        set_lens(color, joint.color, &joint.color_covariance);
+    }
+    calibration.extrinsics = vec![extrinsics(SensorKind::Depth, of_depth)];
+    if let Some(mut infrared) = solved.infrared.clone() {
+        set_lens(&mut infrared.sensor, joint.depth.lens, &joint.depth_covariance);
+        let id = SensorId::own(SensorKind::Infrared);
+        calibration.add_sensor(CalibratedSensor::image(id, infrared.sensor));
+        calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
     if let Some(reason) = without_color(input) {
@@ -49,7 +56,7 @@ pub fn with_depth(
     calibration.verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
     calibration.verdict =
         judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
-    calibration.depth = Some(depth);
+    calibration.add_sensor(CalibratedSensor::depth(None, depth));
     calibration
 }
 
@@ -86,17 +93,12 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
-fn with_lens(
-    mut sensor: SensorCalibration,
-    lens: Lens,
-    covariance: &DMatrix<f64>,
-) -> SensorCalibration {
+fn set_lens(sensor: &mut ImageCalibration, lens: Lens, covariance: &DMatrix<f64>) {
     sensor.lens = lens;
     sensor.lens_covariance =
         covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
     sensor.lens_std =
         covariance.diagonal().iter().map(|variance| variance.max(0.0).sqrt()).collect();
-    sensor
 }
 
 fn both(color: Verdict, infrared: Verdict) -> Verdict {

@@ -2,7 +2,7 @@
 //! fraction of a solve, and made anew where going on is suspect. The calibration itself never
 //! comes this way: it is solved from nothing at the end.
 
-use crate::calibration::calibration::ProjectionUncertainty;
+use crate::calibration::result::ProjectionUncertainty;
 use crate::calibration::session_record::RunningEstimate;
 use crate::calibration::solve::estimate_views;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart};

@@ -3,12 +3,16 @@
 //! Depth is measured in the left one's view, so that the right one adds nothing to depth: it is
 //! solved with color alone, as a rig of two cameras.
 
-use crate::calibration::calibration::{Calibration, Grade};
-use crate::calibration::solve_rig::{RigCameraInput, RigError, RigInput, SolvedRig, solve_rig};
+use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
+use crate::calibration::sensor::SensorId;
+use crate::calibration::solve_rig::{
+    RigCameraInput, RigError, RigInput, RigPose, SolvedRig, solve_rig,
+};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::SensorKind;
 
 /// What was seen at one instant.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,13 +71,18 @@ pub fn with_second_infrared(
     input: &StereoInput,
     options: &CameraOptions,
 ) -> Calibration {
-    let lens = calibration.color.as_ref().map(|color| LensChoice::Model(color.lens.model()));
+    let lens = calibration.color().map(|color| LensChoice::Model(color.lens.model()));
     let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
     match solve_second_infrared(input, &options) {
         Ok(SolvedRig { cameras, extrinsics, .. }) => {
-            calibration.infrared2 =
-                cameras.into_iter().find(|camera| camera.name == "infrared2").map(|c| c.sensor);
-            calibration.extrinsics.extend(extrinsics);
+            let infrared2 = SensorId::own(SensorKind::Infrared2);
+            let sensor = cameras.into_iter().find(|(name, _)| name == SensorKind::Infrared2.name());
+            if let Some((_, sensor)) = sensor {
+                calibration.add_sensor(CalibratedSensor::image(infrared2.clone(), sensor));
+            }
+            let color = SensorId::own(SensorKind::Color);
+            let placed = |pose: RigPose| pose.between(color.clone(), infrared2.clone());
+            calibration.extrinsics.extend(extrinsics.into_iter().map(placed));
         }
         Err(reason) => {
             calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
@@ -151,7 +160,6 @@ mod tests {
             ..CameraOptions::default()
         };
         let solved = solve_second_infrared(&input, &options).unwrap();
-        assert_eq!(solved.extrinsics[0].name, "color_from_infrared2");
         let found = &solved.extrinsics[0];
         let off_m = found.target_from_source.translation() - truth.translation();
         for (off_m, std_m) in off_m.iter().zip(found.translation_std_m) {
@@ -159,9 +167,9 @@ mod tests {
         }
         assert!(found.target_from_source.angle_to(&truth) < 1e-3, "{found:?}");
         let infrared2 = &solved.cameras[1];
-        let off_px = infrared2.sensor.lens.matrix.fx - 575.0;
+        let off_px = infrared2.1.lens.matrix.fx - 575.0;
         assert!(
-            infrared2.name == "infrared2" && off_px.abs() < 4.0 * infrared2.sensor.lens_std[0],
+            infrared2.0 == "infrared2" && off_px.abs() < 4.0 * infrared2.1.lens_std[0],
             "{off_px}"
         );
 

@@ -1,9 +1,9 @@
 //! What is known of a session from outside: the record that is stored, served and resumed from.
 
 use crate::calibration::admission::Rejections;
-use crate::calibration::calibration::ProjectionUncertainty;
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
+use crate::calibration::result::ProjectionUncertainty;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;

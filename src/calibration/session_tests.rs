@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use super::*;
-use crate::calibration::calibration::ProjectionUncertainty;
 use crate::calibration::placement::tests::{SIZE, detection_at};
+use crate::calibration::result::ProjectionUncertainty;
 use crate::calibration::session_record::{RunningEstimate, SessionRequest};
 use crate::detection::board_detection::NoBoard;
 use crate::estimation::problem::LensChoice;

@@ -2,10 +2,12 @@
 
 use nalgebra::DMatrix;
 
-use crate::calibration::calibration::{
-    CalibratedView, Checks, ComparedLens, ProjectionUncertainty, SensorCalibration, Verdict,
-};
 use crate::calibration::coverage::Coverage;
+use crate::calibration::result::{
+    CalibratedSensor, CalibratedView, Calibration, Checks, ComparedLens, ImageCalibration,
+    ProjectionUncertainty, Verdict,
+};
+use crate::calibration::sensor::SensorId;
 use crate::calibration::verdict;
 use crate::estimation::camera::{
     CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera,
@@ -15,20 +17,30 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
+use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::SensorKind;
 
 /// A solved camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedCamera {
     /// What the calibration says of the sensor.
-    pub sensor: SensorCalibration,
+    pub sensor: ImageCalibration,
     /// How it does beyond the views it was fitted to.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
     /// The estimate itself: residuals, covariances, and what to start from when views are added.
     pub estimate: CameraEstimate,
+}
+
+impl SolvedCamera {
+    /// The calibration that it amounts to, of an instrument that is this one sensor.
+    pub fn into_calibration(self, target: Option<Chessboard>) -> Calibration {
+        let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), self.sensor);
+        Calibration::unnamed(target, vec![color], (self.checks, self.verdict))
+    }
 }
 
 /// Columns of the grid that uncertainty is summed up over.
@@ -98,7 +110,7 @@ pub fn uncertainty_map(
 
 /// As [`uncertainty_map`], of a finished calibration; `None` where it tells no covariance.
 pub fn sensor_uncertainty(
-    sensor: &SensorCalibration,
+    sensor: &ImageCalibration,
     columns: u32,
     distance: Distance,
 ) -> Option<UncertaintyMap> {
@@ -134,7 +146,7 @@ fn summed_up(map: Option<&UncertaintyMap>) -> ProjectionUncertainty {
     ProjectionUncertainty { center, median, worst }
 }
 
-pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration {
+pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> ImageCalibration {
     with_uncertainty(
         estimate,
         uncertainty_map(estimate, UNCERTAINTY_COLUMNS, Distance::Infinity).as_ref(),
@@ -144,7 +156,7 @@ pub(super) fn sensor_calibration(estimate: &CameraEstimate) -> SensorCalibration
 fn with_uncertainty(
     estimate: &CameraEstimate,
     uncertainty: Option<&UncertaintyMap>,
-) -> SensorCalibration {
+) -> ImageCalibration {
     let view = |view: &crate::estimation::camera::ViewEstimate| CalibratedView {
         name: view.name.clone(),
         used: view.fault.is_none(),
@@ -156,7 +168,7 @@ fn with_uncertainty(
         model: trial.model,
         held_out_rms_px: trial.held_out_rms_px,
     };
-    SensorCalibration {
+    ImageCalibration {
         image_size: estimate.image_size,
         lens: estimate.lens,
         lens_std: estimate.lens_std(),

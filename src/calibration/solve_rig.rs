@@ -3,9 +3,10 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use crate::calibration::calibration::{
-    Checks, Extrinsics, Grade, RigCamera, SensorCalibration, Verdict,
+use crate::calibration::result::{
+    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict,
 };
+use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
 use crate::calibration::solve_rgbd::pose_std;
 use crate::estimation::board_turns::{SensorPoses, consistent_turns};
@@ -16,6 +17,7 @@ use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
 use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
 
 /// A rig to calibrate.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,14 +43,59 @@ pub struct RigCameraInput {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedRig {
     /// The cameras that could be calibrated, in the rig's order.
-    pub cameras: Vec<RigCamera>,
+    pub cameras: Vec<(String, ImageCalibration)>,
     /// `a_from_b` of each camera b that shares views, directly or through others, with an earlier
     /// camera a; a is the first of those that it is connected with.
-    pub extrinsics: Vec<Extrinsics>,
+    pub extrinsics: Vec<RigPose>,
     /// The worst of each figure over the cameras.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
+}
+
+impl SolvedRig {
+    /// The calibration that it amounts to.
+    pub fn into_calibration(self, target: Chessboard) -> Calibration {
+        let color = |camera: &str| SensorId::of(camera, SensorKind::Color);
+        let sensors = self.cameras.into_iter();
+        let sensors =
+            sensors.map(|(camera, sensor)| CalibratedSensor::image(color(&camera), sensor));
+        let placed = |pose: RigPose| {
+            let (target, source) = (color(&pose.target), color(&pose.source));
+            pose.between(target, source)
+        };
+        let made = (self.checks, self.verdict);
+        let extrinsics = self.extrinsics.into_iter().map(placed).collect();
+        Calibration { extrinsics, ..Calibration::unnamed(Some(target), sensors.collect(), made) }
+    }
+}
+
+/// Where a camera of a rig is, in the frame of another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RigPose {
+    /// The name of the camera whose frame it leads to.
+    pub target: String,
+    /// The name of the camera whose frame it leads from.
+    pub source: String,
+    /// Where the source is.
+    pub target_from_source: Pose,
+    /// Standard deviation of the rotation about each axis, in radians.
+    pub rotation_std: [f64; 3],
+    /// Standard deviation of the translation, in meters.
+    pub translation_std_m: [f64; 3],
+}
+
+impl RigPose {
+    /// Between two sensors of an instrument.
+    pub fn between(self, target: SensorId, source: SensorId) -> Extrinsics {
+        let Self { target_from_source, rotation_std, translation_std_m, .. } = self;
+        Extrinsics { target, source, target_from_source, rotation_std, translation_std_m }
+    }
+
+    /// What it maps, as in `left_from_right`.
+    fn name(&self) -> String {
+        format!("{}_from_{}", self.target, self.source)
+    }
 }
 
 /// Why a rig could not be calibrated.
@@ -114,7 +161,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     for (camera, source) in &failed {
         findings.push((Grade::Usable, format!("camera `{camera}` is left out: {source}")));
     }
-    let mut sensors: Vec<SensorCalibration> =
+    let mut sensors: Vec<ImageCalibration> =
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     for group in &groups {
@@ -133,10 +180,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         findings.extend(joint.findings());
         extrinsics.extend(joint.extrinsics);
     }
-    let cameras = alone
-        .iter()
-        .zip(sensors)
-        .map(|(one, sensor)| RigCamera { name: one.input.name.clone(), sensor });
+    let cameras = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.name.clone(), sensor));
     Ok(SolvedRig {
         cameras: cameras.collect(),
         extrinsics,
@@ -203,8 +247,8 @@ impl Alone<'_> {
 
 /// Cameras that were solved together.
 struct Joint {
-    sensors: Vec<SensorCalibration>,
-    extrinsics: Vec<Extrinsics>,
+    sensors: Vec<ImageCalibration>,
+    extrinsics: Vec<RigPose>,
     /// For each camera: its noise together with the others over that by itself.
     rms_ratio: Vec<(String, f64)>,
 }
@@ -231,7 +275,7 @@ impl Joint {
         let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
         let reference = &group[0].input.name;
         let placed = group.iter().zip(&estimate.places).skip(1);
-        let with_comparison = |(one, camera): (&&Alone<'_>, _)| SensorCalibration {
+        let with_comparison = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
             compared: one.solved.sensor.compared.clone(),
             ..sensor_calibration(camera)
         };
@@ -262,7 +306,7 @@ impl Joint {
             let loose = turn_deg > LOOSE_DEG
                 || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
             let advice = "show the board to both in more places, near and tilted";
-            let name = &known.name;
+            let name = known.name();
             loose.then(|| {
                 let reason = format!(
                     "{name} is known to {turn_deg:.2}° and {:.1} mm only: {advice}",
@@ -289,7 +333,7 @@ fn largest(values: [f64; 3]) -> f64 {
 
 /// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
 /// a turn ω and a shift τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
-fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> Extrinsics {
+fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> RigPose {
     let rig_from_sensor = place.sensor_from_rig.inverse();
     let back = rig_from_sensor.rotation_matrix();
     let mut by_place = Matrix6::zeros();
@@ -300,8 +344,9 @@ fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> Extrinsic
         .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
     let (rotation_std, translation_std) =
         pose_std(&(by_place * place.covariance * by_place.transpose()));
-    Extrinsics {
-        name: format!("{reference}_from_{name}"),
+    RigPose {
+        target: reference.to_owned(),
+        source: name.to_owned(),
         target_from_source: rig_from_sensor,
         rotation_std: rotation_std.into(),
         translation_std_m: translation_std.into(),

@@ -82,7 +82,7 @@ fn options() -> CameraOptions {
 }
 
 #[track_caller]
-fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
+fn within_prediction(known: &RigPose, target_from_source: &Pose) {
     let turn = (known.target_from_source.rotation() * target_from_source.rotation().inverse())
         .scaled_axis();
     let shift = known.target_from_source.translation() - target_from_source.translation();
@@ -90,14 +90,14 @@ fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
         assert!(
             turn[axis].abs() < 4.0 * known.rotation_std[axis],
             "{}: {turn} ± {:?}",
-            known.name,
+            known.name(),
             known.rotation_std
         );
         let std = known.translation_std_m[axis];
         assert!(
             shift[axis].abs() < 4.0 * std && std < 2e-3,
             "{}: {shift} ± {:?}",
-            known.name,
+            known.name(),
             known.translation_std_m
         );
     }
@@ -111,7 +111,7 @@ fn boards_that_look_the_same_turned_place_cameras_through_others() {
         let solved =
             solve_rig(&input(board, |camera, moment| camera != [2, 9, 0][moment % 3]), &options())
                 .unwrap();
-        let names: Vec<&str> = solved.extrinsics.iter().map(|known| known.name.as_str()).collect();
+        let names: Vec<String> = solved.extrinsics.iter().map(RigPose::name).collect();
         assert_eq!(names, ["left_from_right", "left_from_far"]);
         for (known, truth) in solved.extrinsics.iter().zip(&camera_from_first()[1..]) {
             within_prediction(known, &truth.inverse());

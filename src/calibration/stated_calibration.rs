@@ -1,10 +1,12 @@
 //! What a device states of its own sensors, as a calibration: so that it can be written in every
 //! format, as it is stated.
 
-use crate::calibration::calibration::{
-    Calibration, Checks, Extrinsics, Grade, ProjectionUncertainty, SensorCalibration, Verdict,
-};
 use crate::calibration::depth_calibration::{DepthCalibration, DepthNoise};
+use crate::calibration::result::{
+    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration,
+    ProjectionUncertainty, Verdict,
+};
+use crate::calibration::sensor::SensorId;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::lens::Lens;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
@@ -17,19 +19,15 @@ pub fn stated_calibration(
     camera: &str,
     created_at_ns: i64,
 ) -> Option<Calibration> {
-    let of =
-        |sensor: SensorKind| factory.sensor(sensor).and_then(|stated| Some((stated, stated.lens?)));
-    let picture =
-        |sensor: SensorKind| of(sensor).map(|(stated, lens)| picture_sensor(stated, lens));
-    let depth = of(SensorKind::Depth).and_then(|(stated, lens)| depth_sensor(stated, lens));
-    let [color, infrared, infrared2] =
-        [SensorKind::Color, SensorKind::Infrared, SensorKind::Infrared2].map(picture);
-    if color.is_none() && infrared.is_none() && infrared2.is_none() && depth.is_none() {
+    let sensors: Vec<CalibratedSensor> =
+        SensorKind::ALL.into_iter().filter_map(|kind| sensor(factory.sensor(kind)?)).collect();
+    if sensors.is_empty() {
         return None;
     }
     let extrinsics = |stated: &FactorySensor| {
         (stated.sensor != SensorKind::Color).then_some(Extrinsics {
-            name: format!("color_from_{}", stated.sensor.name()),
+            target: SensorId::own(SensorKind::Color),
+            source: SensorId::own(stated.sensor),
             target_from_source: stated.color_from_sensor?,
             rotation_std: [0.0; 3],
             translation_std_m: [0.0; 3],
@@ -40,21 +38,23 @@ pub fn stated_calibration(
             .to_owned(),
     ];
     reasons.extend(factory.sensors.iter().filter(|stated| stated.lens.is_none()).map(left_out));
+    let verdict = Verdict { grade: Grade::Usable, reasons };
     Some(Calibration {
         id: "factory".to_owned(),
         camera: Some(camera.to_owned()),
-        session: None,
         created_at_ns,
-        target: None,
-        color,
-        infrared,
-        infrared2,
-        depth,
-        cameras: Vec::new(),
         extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
-        checks: Checks::default(),
-        verdict: Verdict { grade: Grade::Usable, reasons },
+        ..Calibration::unnamed(None, sensors, (Checks::default(), verdict))
     })
+}
+
+/// The sensor as stated; `None` without a lens, or for depth without its unit.
+fn sensor(stated: &FactorySensor) -> Option<CalibratedSensor> {
+    let lens = stated.lens?;
+    match stated.sensor {
+        SensorKind::Depth => Some(CalibratedSensor::depth(None, depth_sensor(stated, lens)?)),
+        kind => Some(CalibratedSensor::image(SensorId::own(kind), image_sensor(stated, lens))),
+    }
 }
 
 fn left_out(stated: &FactorySensor) -> String {
@@ -66,9 +66,9 @@ fn left_out(stated: &FactorySensor) -> String {
     )
 }
 
-fn picture_sensor(stated: &FactorySensor, lens: Lens) -> SensorCalibration {
+fn image_sensor(stated: &FactorySensor, lens: Lens) -> ImageCalibration {
     let unknown = f64::INFINITY;
-    SensorCalibration {
+    ImageCalibration {
         image_size: stated.image_size,
         lens,
         lens_std: vec![0.0; lens.parameters().len()],
@@ -128,15 +128,16 @@ mod tests {
         let infrared = stated(SensorKind::Infrared, 385.25, false);
         let factory = FactoryCalibration { sensors: vec![color.clone(), infrared, depth.clone()] };
         let calibration = stated_calibration(&factory, "front", 7).unwrap();
-        assert_eq!(calibration.color.map(|sensor| sensor.lens), color.lens);
-        let camera = calibration.depth.unwrap().camera;
+        assert_eq!(calibration.color().map(|sensor| sensor.lens), color.lens);
+        let camera = calibration.depth().unwrap().camera.clone();
         assert_eq!(
             (Some(camera.lens), camera.reading),
             (depth.lens, DepthReading::Metric { unit_m: 0.001 })
         );
-        assert_eq!(calibration.infrared, None);
-        let names: Vec<&str> = calibration.extrinsics.iter().map(|one| one.name.as_str()).collect();
-        assert_eq!(names, ["color_from_infrared", "color_from_depth"]);
+        assert_eq!(calibration.image(SensorKind::Infrared), None);
+        let sources: Vec<SensorKind> =
+            calibration.extrinsics.iter().map(|one| one.source.kind).collect();
+        assert_eq!(sources, [SensorKind::Infrared, SensorKind::Depth]);
         assert_eq!(Some(calibration.extrinsics[1].target_from_source), depth.color_from_sensor);
         let told = calibration.verdict.reasons.join("\n");
         assert!(told.contains("not measured") && told.contains("infrared is left out"), "{told}");

@@ -1,7 +1,7 @@
 //! How far to trust a calibration, in words that a person can act on.
 
-use crate::calibration::calibration::{Grade, Verdict};
 use crate::calibration::coverage::Coverage;
+use crate::calibration::result::{Grade, Verdict};
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;

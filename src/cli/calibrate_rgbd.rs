@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::calibration::rgbd_calibration::with_depth;
 use crate::calibration::second_infrared::{StereoCapture, StereoInput, with_second_infrared};
 use crate::calibration::session::Session;

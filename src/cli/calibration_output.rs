@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::calibration::result::{Calibration, ImageCalibration};
 use crate::calibration::solve::SolvedCamera;
 use crate::cli::export::FormatName;
 use crate::cli::files::write_file;
@@ -75,26 +75,16 @@ impl OutputArgs {
 pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration {
     Calibration {
         id: ulid::Ulid::generate().to_string(),
-        camera: None,
-        session: None,
         created_at_ns: time::utc_ns(jiff::Timestamp::now()),
-        target,
-        color: Some(solved.sensor),
-        infrared: None,
-        infrared2: None,
-        depth: None,
-        cameras: Vec::new(),
-        extrinsics: Vec::new(),
-        checks: solved.checks,
-        verdict: solved.verdict,
+        ..solved.into_calibration(target)
     }
 }
 
 /// What a person wants to know first.
 fn summary(calibration: &Calibration) -> String {
     let mut lines = Vec::new();
-    for (name, sensor) in calibration.picture_sensors() {
-        lines.extend(sensor_lines(name, sensor));
+    for (id, sensor) in calibration.image_sensors() {
+        lines.extend(sensor_lines(&calibration.name_of(id), sensor));
     }
     let verdict = &calibration.verdict;
     lines.push(format!("verdict: {}", verdict.grade.name()));
@@ -102,7 +92,7 @@ fn summary(calibration: &Calibration) -> String {
     lines.join("\n") + "\n"
 }
 
-fn sensor_lines(name: &str, sensor: &SensorCalibration) -> Vec<String> {
+fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
     let model = sensor.lens.model();
     let used = sensor.views.iter().filter(|view| view.used).count();
     let mut lines = vec![

@@ -9,6 +9,7 @@ use std::time::Instant;
 use image::{ImageFormat, RgbImage};
 use serde::Serialize;
 
+use crate::calibration::sensor::SensorId;
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
 use crate::cli::sources::{FrameSets, is_recording};
@@ -105,10 +106,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             "{file}: calibrates no {what}; calibrate from a recording with color and depth"
         ))
     };
-    let depth = calibration.depth.ok_or_else(|| missing("depth sensor"))?;
-    let color = calibration.color.ok_or_else(|| missing("color sensor"))?;
-    let stated =
-        calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
+    let depth = calibration.depth().ok_or_else(|| missing("depth sensor"))?;
+    let color = calibration.color().ok_or_else(|| missing("color sensor"))?;
+    let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+    let stated = calibration.pose(&target, &source);
     let color_from_depth = stated.ok_or_else(|| missing("color_from_depth"))?.target_from_source;
     let registration = LazyCell::new(|| {
         DepthRegistration::new(&depth.camera, &color.lens, color.image_size, &color_from_depth)

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::cli::Failure;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::from_json;

@@ -1,7 +1,7 @@
 //! From looked-at pictures to the views of a calibration.
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::calibration::CalibratedView;
+use crate::calibration::result::CalibratedView;
 use crate::calibration::session::Session;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;

@@ -3,8 +3,9 @@
 
 use serde::Serialize;
 
-use crate::calibration::calibration::Calibration;
 use crate::calibration::plane_error::{mean_and_rms_m, plane_error};
+use crate::calibration::result::Calibration;
+use crate::calibration::sensor::SensorId;
 use crate::calibration::view::{FrameFacts, View};
 use crate::cli::Failure;
 use crate::detection::board_detection::DetectOptions;
@@ -19,6 +20,7 @@ use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::error_picture::draw_errors;
 use crate::imaging::frame::Frame;
+use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 
 /// Measures depth by the board in color's pictures.
@@ -60,14 +62,11 @@ impl PlaneErrors {
     /// # Errors
     /// For a calibration without a board, color, depth or the pose between them.
     pub fn new(calibration: &Calibration) -> Result<Self, Failure> {
-        let stated =
-            calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
-        let parts = calibration
-            .target
-            .zip(calibration.color.as_ref())
-            .zip(calibration.depth.as_ref())
-            .zip(stated);
-        let (((board, color), depth), color_from_depth) = parts.ok_or_else(|| {
+        let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+        let stated = calibration.pose(&target, &source);
+        let sensors = calibration.color().zip(calibration.depth()).zip(stated);
+        let parts = calibration.target.zip(sensors);
+        let (board, ((color, depth), color_from_depth)) = parts.ok_or_else(|| {
             Failure::failed(
                 "--errors needs a calibration by a board, of color and depth; calibrate with plumb calibrate",
             )

@@ -6,7 +6,6 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use crate::calibration::calibration::Extrinsics;
 use crate::cli::{Failure, output, progress};
 use crate::document::calibration::ExtrinsicsDocument;
 use crate::document::pose::PoseDocument;
@@ -175,17 +174,7 @@ fn truth_of(scene: &Scene, frames: Vec<TrueFrameDocument>) -> TruthDocument {
             sensor(SensorKind::Depth, depth.size, &depth.lens),
         ]);
         truth.extrinsics = ["color_from_depth", "color_from_infrared"]
-            .map(|name| {
-                let (target_from_source, none) = (*color_from_depth, [0.0; 3]);
-                let name = name.to_owned();
-                let exact = Extrinsics {
-                    name,
-                    target_from_source,
-                    rotation_std: none,
-                    translation_std_m: none,
-                };
-                ExtrinsicsDocument::from(&exact)
-            })
+            .map(|name| ExtrinsicsDocument::exact(name, color_from_depth))
             .to_vec();
         truth.depth = Some(TrueDepthDocument {
             unit_m: depth.unit_m,

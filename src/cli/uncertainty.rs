@@ -41,10 +41,12 @@ const COLUMNS: [u32; 2] = [13, 49];
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
-    let mut sensors = calibration.picture_sensors();
-    let found = sensors.find(|(name, _)| args.sensor.as_ref().is_none_or(|asked| asked == name));
-    let known =
-        || calibration.picture_sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
+    let sensors = || {
+        let sensors = calibration.image_sensors();
+        sensors.map(|(id, sensor)| (calibration.name_of(id), sensor))
+    };
+    let found = sensors().find(|(name, _)| args.sensor.as_ref().is_none_or(|asked| asked == name));
+    let known = || sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
     let unknown =
         || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
     let (name, sensor) = found.ok_or_else(unknown)?;
@@ -63,7 +65,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
     let map = map(COLUMNS[0])?;
     if args.json {
-        return output::print_json(&UncertaintyMapDocument::new(name, distance, &map));
+        return output::print_json(&UncertaintyMapDocument::new(&name, distance, &map));
     }
     let (median, worst) = map.median_and_worst().ok_or_else(none)?;
     let center = map.center().ok_or_else(none)?;

@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
     let color = calibration
-        .color
+        .color()
         .ok_or_else(|| Failure::failed(format!("{file}: calibrates no picture sensor")))?;
     let options = UndistortOptions { balance: args.balance, size: None };
     let undistortion = Undistortion::new(&color.lens, color.image_size, &options);

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::calibration::calibration::SensorCalibration;
+use crate::calibration::result::ImageCalibration;
 use crate::cli::calibrate::{SearchArgs, gather};
 use crate::cli::files::read_calibration;
 use crate::cli::{Failure, output};
@@ -61,8 +61,8 @@ struct Verified {
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
-    let sensor = calibration.color.as_ref().or(calibration.infrared.as_ref());
-    let sensor = sensor
+    let sensor = calibration
+        .guide()
         .ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
     let square_m = calibration.target.map_or(ANY_SQUARE_M, |target| target.square_m);
     let target = Chessboard::new(args.search.board, square_m).map_err(Failure::usage)?;
@@ -85,7 +85,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     reasons.iter().try_for_each(|reason| output::print_line(&format!("  {reason}")))
 }
 
-fn verify(sensor: &SensorCalibration, problem: &CameraProblem) -> Result<Verified, Failure> {
+fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified, Failure> {
     let model = LensChoice::Model(sensor.lens.model());
     let names = Lens::parameter_names(sensor.lens.model()).into_iter().map(str::to_owned);
     let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();

@@ -3,15 +3,14 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::calibration::calibration::{
-    CalibratedView, Calibration, ComparedLens, Extrinsics, ProjectionUncertainty, RigCamera,
-    SensorCalibration,
+use crate::calibration::result::{
+    CalibratedView, Calibration, ComparedLens, Extrinsics, ImageCalibration, ProjectionUncertainty,
 };
-use crate::calibration::depth_calibration::DepthCalibration;
-use crate::document::depth::DepthDocument;
+use crate::calibration::sensor::SensorId;
 use crate::document::error::DocumentError;
 use crate::document::lens::{LensDocument, LensModelName, LensStdDocument};
 use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::document::sensors::SensorsDocument;
 use crate::document::target::TargetDocument;
 use crate::document::time;
 use crate::document::verdict::{ChecksDocument, VerdictDocument};
@@ -20,6 +19,7 @@ use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::decode::MAX_PIXELS;
+use crate::imaging::frame::SensorKind;
 
 /// A finished calibration of one camera, or of a rig of cameras.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -57,23 +57,6 @@ pub struct CalibrationDocument {
 pub struct CalibrationsDocument {
     /// Newest first.
     pub calibrations: Vec<CalibrationDocument>,
-}
-
-/// The sensors of a calibration.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
-pub struct SensorsDocument {
-    /// The visible picture.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub color: Option<SensorDocument>,
-    /// The infrared picture; of a stereo depth camera the left one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub infrared: Option<SensorDocument>,
-    /// The right infrared picture of a stereo depth camera.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub infrared2: Option<SensorDocument>,
-    /// Distance per pixel.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub depth: Option<DepthDocument>,
 }
 
 /// A camera of a rig.
@@ -153,7 +136,7 @@ pub struct ViewDocument {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ExtrinsicsDocument {
     /// What it maps, as in `color_from_depth`; between the cameras of a rig, as in
-    /// `left_from_right`.
+    /// `left_from_right`, or `left.color_from_right.depth` where a camera has several sensors.
     pub name: String,
     /// The rotation.
     pub rotation: RotationDocument,
@@ -167,20 +150,26 @@ pub struct ExtrinsicsDocument {
 
 impl From<&Calibration> for CalibrationDocument {
     fn from(calibration: &Calibration) -> Self {
+        let mut cameras: Vec<&str> = Vec::new();
+        for camera in calibration.sensors.iter().filter_map(|sensor| sensor.id.camera.as_deref()) {
+            if !cameras.contains(&camera) {
+                cameras.push(camera);
+            }
+        }
+        let camera = |name: &&str| RigCameraDocument {
+            name: (*name).to_owned(),
+            sensors: SensorsDocument::of(&calibration.sensors, Some(name)),
+        };
+        let extrinsics = |known: &Extrinsics| extrinsics_document(calibration, known);
         Self {
             id: calibration.id.clone(),
             camera: calibration.camera.clone(),
             session: calibration.session.clone(),
             created_at: time::from_utc_ns(calibration.created_at_ns),
             target: calibration.target.map(TargetDocument::from),
-            sensors: SensorsDocument {
-                color: calibration.color.as_ref().map(SensorDocument::from),
-                infrared: calibration.infrared.as_ref().map(SensorDocument::from),
-                infrared2: calibration.infrared2.as_ref().map(SensorDocument::from),
-                depth: calibration.depth.as_ref().map(DepthDocument::from),
-            },
-            cameras: calibration.cameras.iter().map(RigCameraDocument::from).collect(),
-            extrinsics: calibration.extrinsics.iter().map(ExtrinsicsDocument::from).collect(),
+            sensors: SensorsDocument::of(&calibration.sensors, None),
+            cameras: cameras.iter().map(camera).collect(),
+            extrinsics: calibration.extrinsics.iter().map(extrinsics).collect(),
             checks: calibration.checks.into(),
             verdict: (&calibration.verdict).into(),
             elapsed_ms: None,
@@ -191,16 +180,15 @@ impl From<&Calibration> for CalibrationDocument {
 impl TryFrom<&CalibrationDocument> for Calibration {
     type Error = DocumentError;
     fn try_from(document: &CalibrationDocument) -> Result<Self, DocumentError> {
-        let sensor = |sensor: &Option<SensorDocument>, name: &str| {
-            let sensor = sensor.as_ref().map(SensorCalibration::try_from).transpose();
-            sensor.map_err(|e| e.inside(&format!("sensors.{name}")))
-        };
+        let mut sensors = document.sensors.to_sensors(None)?;
+        for (i, camera) in document.cameras.iter().enumerate() {
+            let own = camera.sensors.to_sensors(Some(&camera.name));
+            sensors.extend(own.map_err(|e| e.inside(&format!("cameras[{i}]")))?);
+        }
         let extrinsics = |(i, extrinsics): (usize, &ExtrinsicsDocument)| {
-            Extrinsics::try_from(extrinsics).map_err(|e| e.inside(&format!("extrinsics[{i}]")))
-        };
-        let depth = document.sensors.depth.as_ref().map(DepthCalibration::try_from);
-        let camera = |(i, camera): (usize, &RigCameraDocument)| {
-            RigCamera::try_from(camera).map_err(|e| e.inside(&format!("cameras[{i}]")))
+            extrinsics
+                .to_extrinsics(&document.cameras)
+                .map_err(|e| e.inside(&format!("extrinsics[{i}]")))
         };
         Ok(Self {
             id: document.id.clone(),
@@ -212,11 +200,7 @@ impl TryFrom<&CalibrationDocument> for Calibration {
                 .map(Chessboard::try_from)
                 .transpose()
                 .map_err(|e| e.inside("target"))?,
-            color: sensor(&document.sensors.color, "color")?,
-            infrared: sensor(&document.sensors.infrared, "infrared")?,
-            infrared2: sensor(&document.sensors.infrared2, "infrared2")?,
-            depth: depth.transpose().map_err(|e| e.inside("sensors.depth"))?,
-            cameras: document.cameras.iter().enumerate().map(camera).collect::<Result<_, _>>()?,
+            sensors,
             extrinsics: document
                 .extrinsics
                 .iter()
@@ -229,29 +213,8 @@ impl TryFrom<&CalibrationDocument> for Calibration {
     }
 }
 
-impl From<&RigCamera> for RigCameraDocument {
-    fn from(camera: &RigCamera) -> Self {
-        let sensors =
-            SensorsDocument { color: Some((&camera.sensor).into()), ..SensorsDocument::default() };
-        Self { name: camera.name.clone(), sensors }
-    }
-}
-
-impl TryFrom<&RigCameraDocument> for RigCamera {
-    type Error = DocumentError;
-    fn try_from(document: &RigCameraDocument) -> Result<Self, DocumentError> {
-        let missing = || DocumentError::field("sensors.color", "is missing");
-        let sensor =
-            SensorCalibration::try_from(document.sensors.color.as_ref().ok_or_else(missing)?);
-        Ok(Self {
-            name: document.name.clone(),
-            sensor: sensor.map_err(|e| e.inside("sensors.color"))?,
-        })
-    }
-}
-
-impl From<&SensorCalibration> for SensorDocument {
-    fn from(sensor: &SensorCalibration) -> Self {
+impl From<&ImageCalibration> for SensorDocument {
+    fn from(sensor: &ImageCalibration) -> Self {
         Self {
             image_size: [sensor.image_size.width, sensor.image_size.height],
             lens: (&sensor.lens).into(),
@@ -266,7 +229,7 @@ impl From<&SensorCalibration> for SensorDocument {
     }
 }
 
-impl TryFrom<&SensorDocument> for SensorCalibration {
+impl TryFrom<&SensorDocument> for ImageCalibration {
     type Error = DocumentError;
     fn try_from(document: &SensorDocument) -> Result<Self, DocumentError> {
         let lens = Lens::try_from(&document.lens).map_err(|e| e.inside("lens"))?;
@@ -379,33 +342,67 @@ impl TryFrom<&ViewDocument> for CalibratedView {
     }
 }
 
-impl From<&Extrinsics> for ExtrinsicsDocument {
-    fn from(extrinsics: &Extrinsics) -> Self {
-        let PoseDocument { rotation, translation } = (&extrinsics.target_from_source).into();
-        Self {
-            name: extrinsics.name.clone(),
-            rotation,
-            translation,
-            rotation_std: extrinsics.rotation_std,
-            translation_std: extrinsics.translation_std_m,
-        }
+fn extrinsics_document(calibration: &Calibration, known: &Extrinsics) -> ExtrinsicsDocument {
+    let PoseDocument { rotation, translation } = (&known.target_from_source).into();
+    let [target, source] = [&known.target, &known.source].map(|id| calibration.name_of(id));
+    ExtrinsicsDocument {
+        name: format!("{target}_from_{source}"),
+        rotation,
+        translation,
+        rotation_std: known.rotation_std,
+        translation_std: known.translation_std_m,
     }
 }
 
-impl TryFrom<&ExtrinsicsDocument> for Extrinsics {
-    type Error = DocumentError;
-    fn try_from(document: &ExtrinsicsDocument) -> Result<Self, DocumentError> {
-        let target_from_source = Pose::try_from(&PoseDocument {
-            rotation: document.rotation,
-            translation: document.translation,
-        })?;
-        Ok(Self {
-            name: document.name.clone(),
-            target_from_source,
-            rotation_std: document.rotation_std,
-            translation_std_m: document.translation_std,
+impl ExtrinsicsDocument {
+    /// A pose that is known exactly.
+    pub fn exact(name: &str, target_from_source: &Pose) -> Self {
+        let PoseDocument { rotation, translation } = target_from_source.into();
+        let none = [0.0; 3];
+        let name = name.to_owned();
+        Self { name, rotation, translation, rotation_std: none, translation_std: none }
+    }
+
+    fn to_extrinsics(&self, cameras: &[RigCameraDocument]) -> Result<Extrinsics, DocumentError> {
+        let unknown = || {
+            let problem = format!("`{}` is not TARGET_from_SOURCE of two sensors", self.name);
+            DocumentError::field("name", problem)
+        };
+        // A camera's name may have `_from_` in it.
+        let (target, source) = self
+            .name
+            .match_indices(BETWEEN)
+            .find_map(|(at, _)| {
+                let source = &self.name[at + BETWEEN.len()..];
+                Some((sensor_named(&self.name[..at], cameras)?, sensor_named(source, cameras)?))
+            })
+            .ok_or_else(unknown)?;
+        let pose = PoseDocument { rotation: self.rotation, translation: self.translation };
+        Ok(Extrinsics {
+            target,
+            source,
+            target_from_source: Pose::try_from(&pose)?,
+            rotation_std: self.rotation_std,
+            translation_std_m: self.translation_std,
         })
     }
+}
+
+/// What stands between the names of two sensors.
+const BETWEEN: &str = "_from_";
+
+/// The sensor that goes by `name` in a calibration of one camera, or of a rig of `cameras`.
+fn sensor_named(name: &str, cameras: &[RigCameraDocument]) -> Option<SensorId> {
+    if cameras.is_empty() {
+        return SensorKind::from_name(name).map(SensorId::own);
+    }
+    if let Some(camera) = cameras.iter().find(|camera| camera.name == name) {
+        let kind = camera.sensors.by_kind.keys().next().copied();
+        return Some(SensorId::of(name, kind.unwrap_or(SensorKind::Color)));
+    }
+    let (camera, kind) = name.rsplit_once('.')?;
+    cameras.iter().find(|known| known.name == camera)?;
+    SensorKind::from_name(kind).map(|kind| SensorId::of(camera, kind))
 }
 
 #[cfg(test)]
@@ -413,8 +410,9 @@ pub(crate) mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::calibration::calibration::{Checks, Grade, Verdict};
+    use crate::calibration::result::{CalibratedSensor, Checks, Grade, Verdict};
     use crate::document::reading::{from_json, to_json, to_json_pretty};
+    use crate::document::sensors::AnySensorDocument;
     use crate::geometry::board::BoardSize;
 
     /// A calibration with every field filled in.
@@ -433,7 +431,7 @@ pub(crate) mod tests {
             LensModel::Brown,
             &[532.8 + third, 531.0, 319.5, 239.5, 0.0, -0.3, 0.1 * third, 1e-5, -2e-5, 0.0],
         );
-        let sensor = SensorCalibration {
+        let sensor = ImageCalibration {
             image_size: ImageSize::new(640, 480),
             lens: lens.unwrap(),
             lens_std: vec![0.1, 0.1, 0.2, 0.2, 0.0, 0.01, 0.02, 1e-6, 1e-6, 0.0],
@@ -452,13 +450,10 @@ pub(crate) mod tests {
             session: None,
             created_at_ns: 1_770_000_000_123_456_789,
             target: Some(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()),
-            color: Some(sensor),
-            infrared: None,
-            infrared2: None,
-            depth: None,
-            cameras: Vec::new(),
+            sensors: vec![CalibratedSensor::image(SensorId::own(SensorKind::Color), sensor)],
             extrinsics: vec![Extrinsics {
-                name: "color_from_infrared".into(),
+                target: SensorId::own(SensorKind::Color),
+                source: SensorId::own(SensorKind::Infrared),
                 target_from_source,
                 rotation_std: [1e-4; 3],
                 translation_std_m: [1e-5; 3],
@@ -474,6 +469,59 @@ pub(crate) mod tests {
                 reasons: vec!["no views in the lower left".into()],
             },
         }
+    }
+
+    /// The same with an infrared sensor too.
+    pub(crate) fn with_infrared(
+        mut calibration: Calibration,
+        sensor: &ImageCalibration,
+    ) -> Calibration {
+        let id = SensorId::own(SensorKind::Infrared);
+        calibration.add_sensor(CalibratedSensor::image(id, sensor.clone()));
+        calibration
+    }
+
+    /// A rig of two cameras with color and infrared, and names that are hard to tell apart.
+    fn rig() -> Calibration {
+        let ids = ["a_from_b", "b"].map(|camera| {
+            [SensorKind::Color, SensorKind::Infrared].map(|kind| SensorId::of(camera, kind))
+        });
+        let sensor =
+            |id: &SensorId| CalibratedSensor::image(id.clone(), example().color().unwrap().clone());
+        let known = |source: &SensorId| Extrinsics {
+            target: ids[0][0].clone(),
+            source: source.clone(),
+            ..example().extrinsics[0].clone()
+        };
+        let all = ids.as_flattened();
+        Calibration {
+            sensors: all.iter().map(sensor).collect(),
+            extrinsics: all[1..].iter().map(known).collect(),
+            ..example()
+        }
+    }
+
+    #[test]
+    fn extrinsics_name_the_sensors_of_a_rig() {
+        let document = CalibrationDocument::from(&rig());
+        let names: Vec<&str> = document.extrinsics.iter().map(|e| e.name.as_str()).collect();
+        let of = |source: &str| format!("a_from_b.color_from_{source}");
+        assert_eq!(names, [of("a_from_b.infrared"), of("b.color"), of("b.infrared")]);
+        assert!(document.sensors.by_kind.is_empty() && document.cameras.len() == 2);
+        let back: CalibrationDocument = from_json(to_json(&document).unwrap().as_bytes()).unwrap();
+        assert_eq!(Calibration::try_from(&back), Ok(rig()));
+
+        let mut one_each = rig();
+        one_each.sensors.retain(|sensor| sensor.id.kind == SensorKind::Color);
+        one_each.extrinsics.retain(|known| known.source.kind == SensorKind::Color);
+        let document = CalibrationDocument::from(&one_each);
+        assert_eq!(document.extrinsics[0].name, "a_from_b_from_b");
+        assert_eq!(Calibration::try_from(&document), Ok(one_each));
+
+        let mut wrong = CalibrationDocument::from(&rig());
+        wrong.extrinsics[1].name = "a_from_b.color_from_c.color".into();
+        let error = Calibration::try_from(&wrong).unwrap_err();
+        assert_eq!(error.path(), Some("extrinsics[1].name"));
     }
 
     #[test]
@@ -507,18 +555,31 @@ pub(crate) mod tests {
             Calibration::try_from(&from_json::<CalibrationDocument>(json.as_bytes()).unwrap())
                 .unwrap();
         assert_eq!(calibration.created_at_ns, 1_767_323_045_500_000_000);
-        assert_eq!(calibration.color.unwrap().lens.model(), LensModel::Brown);
+        assert_eq!(calibration.color().unwrap().lens.model(), LensModel::Brown);
     }
 
     #[test]
     fn errors_name_the_whole_path() {
         let mut document = CalibrationDocument::from(&example());
-        let sensor = document.sensors.color.as_mut().unwrap();
+        let color = |document: &mut CalibrationDocument| match document
+            .sensors
+            .by_kind
+            .remove(&SensorKind::Color)
+        {
+            Some(AnySensorDocument::Image(sensor)) => sensor,
+            other => panic!("{other:?}"),
+        };
+        let mut sensor = color(&mut document);
+        let mut put = |sensor: &SensorDocument| {
+            let sensor = AnySensorDocument::Image(sensor.clone());
+            document.sensors.by_kind.insert(SensorKind::Color, sensor);
+            Calibration::try_from(&document).unwrap_err()
+        };
         sensor.views[0].camera_from_board.as_mut().unwrap().rotation.w = 2.0;
-        let error = Calibration::try_from(&document).unwrap_err();
+        let error = put(&sensor);
         assert_eq!(error.path(), Some("sensors.color.views[0].camera_from_board.rotation"));
-        document.sensors.color.as_mut().unwrap().lens_covariance.pop();
-        let error = Calibration::try_from(&document).unwrap_err();
+        sensor.lens_covariance.pop();
+        let error = put(&sensor);
         assert_eq!(error.path(), Some("sensors.color.lens_covariance"));
     }
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::calibration::calibration::{Checks, Grade, Verdict};
+use crate::calibration::result::{Checks, Grade, Verdict};
 
 /// How a calibration does beyond the views it was fitted to; null where it could not be computed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]

@@ -5,14 +5,16 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::Vector3;
 
 use super::*;
-use crate::calibration::calibration::{Extrinsics, RigCamera};
-use crate::document::calibration::tests::example;
+use crate::calibration::result::{CalibratedSensor, Extrinsics};
+use crate::calibration::sensor::SensorId;
+use crate::document::calibration::tests::{example, with_infrared};
 use crate::geometry::lens::Lens;
 use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
 
 fn with_lens(model: LensModel, parameters: &[f64]) -> Calibration {
     let mut calibration = example();
-    let sensor = calibration.color.as_mut().unwrap();
+    let sensor = calibration.image_mut(SensorKind::Color).unwrap();
     sensor.lens = Lens::from_parameters(model, parameters).unwrap();
     sensor.lens_std = vec![0.0; parameters.len()];
     calibration
@@ -59,13 +61,13 @@ fn what_a_format_lacks_is_refused_by_name() {
         assert_eq!(refused(&skewed, format), ExportError::Skew { format, skew_px: 8.0 });
     }
 
-    let two = Calibration { infrared: fisheye.color.clone(), ..example() };
+    let two = with_infrared(example(), fisheye.color().unwrap());
     assert_eq!(
         text(&two, Format::Colmap).lines().filter(|line| line.contains("640 480")).count(),
         2
     );
 
-    let none = Calibration { color: None, ..example() };
+    let none = Calibration { sensors: Vec::new(), ..example() };
     for format in lens_formats().filter(|format| *format != Format::Json) {
         assert_eq!(refused(&none, format), ExportError::NoSensor { format });
     }
@@ -88,24 +90,19 @@ fn a_refit_states_its_error_or_is_refused() {
 
 /// Two cameras of a rig, a quarter of a meter apart.
 fn rig() -> Calibration {
-    let camera = |name: &str| RigCamera { name: name.into(), sensor: example().color.unwrap() };
+    let id = |camera: &str| SensorId::of(camera, SensorKind::Color);
+    let camera = |name: &str| CalibratedSensor::image(id(name), example().color().unwrap().clone());
     let target_from_source =
         Pose::from_axis_angle(Vector3::z() * FRAC_PI_2, Vector3::new(0.25, 0.0, -0.5));
-    let name = "left_from_right".into();
     let extrinsics = Extrinsics {
-        name,
+        target: id("left"),
+        source: id("right"),
         target_from_source,
         rotation_std: [0.0; 3],
         translation_std_m: [0.0; 3],
     };
-    let cameras = vec![camera("left"), camera("right"), camera("isolated")];
-    Calibration {
-        camera: Some("head".into()),
-        color: None,
-        cameras,
-        extrinsics: vec![extrinsics],
-        ..example()
-    }
+    let sensors = vec![camera("left"), camera("right"), camera("isolated")];
+    Calibration { camera: Some("head".into()), sensors, extrinsics: vec![extrinsics], ..example() }
 }
 
 #[test]
@@ -120,7 +117,7 @@ fn one_sensor_of_several_is_asked_for_by_name() {
     let unknown = ExportError::UnknownSensor { sensor: "rear".into(), known: known() };
     assert_eq!(export(&rig(), Format::Opencv, &of("rear")), Err(unknown));
 
-    let two = Calibration { infrared: example().color, ..example() };
+    let two = with_infrared(example(), example().color().unwrap());
     let color = export(&two, Format::Ros, &ExportOptions::default()).unwrap();
     assert!(color.note.unwrap().contains("color, infrared"), "what is left out is told");
     let infrared = export(&two, Format::Ros, &of("infrared")).unwrap();
@@ -147,7 +144,7 @@ fn places_are_written_from_the_first_sensor_and_what_has_none_is_told() {
 
 #[test]
 fn a_chain_says_where_each_camera_is_from_the_one_before() {
-    let two = Calibration { cameras: rig().cameras[..2].to_vec(), ..rig() };
+    let two = Calibration { sensors: rig().sensors[..2].to_vec(), ..rig() };
     let chain = text(&two, Format::Kalibr);
     let cam1 = chain.split_once("cam1:").unwrap().1;
     assert!(cam1.contains("rostopic: \"/right/color\""), "{chain}");

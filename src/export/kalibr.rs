@@ -1,11 +1,13 @@
 //! Kalibr's camera chain YAML: `pinhole` with `none`, `radtan` (k1, k2, p1, p2) or `equidistant`.
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
+use crate::calibration::sensor::SensorId;
 use crate::export::number::list;
 use crate::export::sensors::{self, Sensor};
 use crate::export::{ExportError, Format, refit, without_skew};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
 
 /// A refit that is further off than this anywhere in the image is refused.
 const WORST_REFIT_PX: f64 = 0.5;
@@ -14,9 +16,11 @@ const WORST_REFIT_PX: f64 = 0.5;
 /// picture), or a rig's.
 pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
     let mut cameras = sensors::all(calibration);
-    if cameras.iter().any(|sensor| sensor.name == "infrared") {
-        cameras.retain(|sensor| sensor.name != "depth");
-    }
+    let seen_by = |sensor: &Sensor<'_>| {
+        let infrared = SensorId { kind: SensorKind::Infrared, ..sensor.id.clone() };
+        calibration.sensor(&infrared).is_some()
+    };
+    cameras.retain(|sensor| sensor.id.kind != SensorKind::Depth || !seen_by(sensor));
     match cameras.as_slice() {
         [] => Err(ExportError::NoSensor { format: Format::Kalibr }),
         [only] if only.rms_px.is_none() => Err(ExportError::NoSensor { format: Format::Kalibr }),

@@ -21,10 +21,10 @@ mod ros;
 mod sensors;
 mod transforms;
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
-use crate::export::sensors::{Sensor, one_sensor, placed_sensors};
+use crate::export::sensors::{Sensor, depth_sensor, one_sensor, placed_sensors};
 use crate::geometry::lens::LensModel;
 
 /// A format that a calibration can be written in.
@@ -215,8 +215,8 @@ pub enum ExportError {
 /// What of a calibration is written.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct ExportOptions {
-    /// The sensor, for formats that hold one: `color`, `infrared`, `infrared2`, `depth` or a camera
-    /// of a rig. Default: the only one, or color's.
+    /// The sensor, for formats that hold one, by its name in documents (`color`, `left.infrared`).
+    /// Default: the only one, or color's.
     pub sensor: Option<String>,
 }
 
@@ -258,7 +258,8 @@ pub fn export(
             (write(camera, &placed), camera.to_owned(), note)
         }
         Format::Depth => {
-            let depth = calibration.depth.as_ref().ok_or(ExportError::NoDepth)?;
+            let (sensor, depth) = depth_sensor(calibration, options.sensor.as_deref())?;
+            let camera = sensor.id.camera.as_deref().unwrap_or(camera);
             (depth::correction_file(camera, depth), camera.to_owned(), None)
         }
     };

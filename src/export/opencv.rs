@@ -1,6 +1,6 @@
 //! OpenCV `FileStorage` YAML, with the field names of OpenCV's own calibration sample.
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::export::number::{decimal, list};
 use crate::export::sensors::Sensor;
 use crate::export::{ExportError, Format, without_skew};

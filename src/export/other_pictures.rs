@@ -3,9 +3,9 @@
 
 use nalgebra::DMatrix;
 
-use crate::calibration::calibration::{
-    CalibratedView, Calibration, Checks, ComparedLens, ProjectionUncertainty, RigCamera,
-    SensorCalibration,
+use crate::calibration::result::{
+    CalibratedView, Calibration, Checks, ComparedLens, ImageCalibration, ProjectionUncertainty,
+    SensorResult,
 };
 use crate::calibration::solve::uncertainty_over;
 use crate::geometry::image_region::{ImageRegion, RegionError, lens_in_region};
@@ -64,7 +64,7 @@ pub fn for_other_pictures(
         return Ok(calibration.clone());
     }
     let known: Vec<String> =
-        calibration.picture_sensors().map(|(name, _)| name.to_owned()).collect();
+        calibration.image_sensors().map(|(id, _)| calibration.name_of(id)).collect();
     match &other.sensor {
         Some(name) if !known.contains(name) => {
             return Err(PicturesError::UnknownSensor { name: name.clone(), known });
@@ -74,25 +74,17 @@ pub fn for_other_pictures(
         }
         _ => {}
     }
-    let changed = |name: &str, sensor: &SensorCalibration| {
-        if other.sensor.as_ref().is_some_and(|asked| asked != name) {
-            return Ok(sensor.clone());
+    let mut changed = calibration.clone();
+    for sensor in &mut changed.sensors {
+        let name = calibration.name_of(&sensor.id);
+        if let SensorResult::Image(image) = &mut sensor.result
+            && other.sensor.as_ref().is_none_or(|asked| *asked == name)
+        {
+            *image = sensor_for(image, other)
+                .map_err(|error| PicturesError::Region { sensor: name, error })?;
         }
-        let named = |error| PicturesError::Region { sensor: name.to_owned(), error };
-        sensor_for(sensor, other).map_err(named)
-    };
-    let own = |name, sensor: &Option<SensorCalibration>| {
-        sensor.as_ref().map(|s| changed(name, s)).transpose()
-    };
-    let camera = |camera: &RigCamera| {
-        Ok(RigCamera { name: camera.name.clone(), sensor: changed(&camera.name, &camera.sensor)? })
-    };
-    let (color, infrared) =
-        (own("color", &calibration.color)?, own("infrared", &calibration.infrared)?);
-    let infrared2 = own("infrared2", &calibration.infrared2)?;
-    let cameras = calibration.cameras.iter().map(camera).collect::<Result<_, _>>()?;
-    let mut changed = Calibration { color, infrared, infrared2, cameras, ..calibration.clone() };
-    let scale = changed.picture_sensors().zip(calibration.picture_sensors()).next();
+    }
+    let scale = changed.image_sensors().zip(calibration.image_sensors()).next();
     let scale = scale.map_or(1.0, |((_, new), (_, old))| scale_between(old, new, other));
     changed.checks = Checks {
         held_out_rms_px: calibration.checks.held_out_rms_px.map(|rms| rms * scale),
@@ -102,7 +94,7 @@ pub fn for_other_pictures(
 }
 
 /// How many pixels of the new pictures lie across one of the old ones.
-fn scale_between(old: &SensorCalibration, new: &SensorCalibration, other: &OtherPictures) -> f64 {
+fn scale_between(old: &ImageCalibration, new: &ImageCalibration, other: &OtherPictures) -> f64 {
     let shown = other.crop.map_or(old.image_size, |crop| crop.size);
     if old.image_size == new.image_size {
         1.0
@@ -112,9 +104,9 @@ fn scale_between(old: &SensorCalibration, new: &SensorCalibration, other: &Other
 }
 
 fn sensor_for(
-    sensor: &SensorCalibration,
+    sensor: &ImageCalibration,
     other: &OtherPictures,
-) -> Result<SensorCalibration, RegionError> {
+) -> Result<ImageCalibration, RegionError> {
     let shown = other.crop.unwrap_or(ImageRegion { left: 0, top: 0, size: sensor.image_size });
     let size = other.size.unwrap_or(shown.size);
     let lens = lens_in_region(&sensor.lens, sensor.image_size, shown, size)?;
@@ -141,7 +133,7 @@ fn sensor_for(
     } else {
         scaled
     };
-    Ok(SensorCalibration {
+    Ok(ImageCalibration {
         image_size: size,
         lens_std: sensor.lens_std.iter().enumerate().map(|(i, std)| std * factor(i)).collect(),
         lens_covariance,
@@ -169,7 +161,7 @@ fn scaled_comparison(compared: &ComparedLens, scale: f64) -> ComparedLens {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::document::calibration::tests::example;
+    use crate::document::calibration::tests::{example, with_infrared};
 
     fn scaled_to(size: ImageSize) -> OtherPictures {
         OtherPictures { size: Some(size), ..OtherPictures::default() }
@@ -178,10 +170,10 @@ mod tests {
     #[test]
     fn half_the_pixels_and_half_of_all_that_counts_them() {
         let whole = example();
-        let sensor = whole.color.as_ref().unwrap();
+        let sensor = whole.color().unwrap();
         let size = ImageSize::new(sensor.image_size.width / 2, sensor.image_size.height / 2);
         let half = for_other_pictures(&whole, &scaled_to(size)).unwrap();
-        let halved = half.color.as_ref().unwrap();
+        let halved = half.color().unwrap();
         assert_eq!(halved.image_size, size);
         assert!((halved.lens.matrix.fx - sensor.lens.matrix.fx / 2.0).abs() < 1e-12);
         assert!((halved.rms_px - sensor.rms_px / 2.0).abs() < 1e-12);
@@ -190,20 +182,20 @@ mod tests {
         let held_out = |calibration: &Calibration| calibration.checks.held_out_rms_px.unwrap();
         assert!((held_out(&half) - held_out(&whole) / 2.0).abs() < 1e-12);
         let back = for_other_pictures(&half, &scaled_to(sensor.image_size)).unwrap();
-        assert_eq!(back.color.unwrap().image_size, sensor.image_size);
+        assert_eq!(back.color().unwrap().image_size, sensor.image_size);
     }
 
     #[test]
     fn a_part_of_the_pictures_sees_what_it_saw() {
-        let whole = Calibration { infrared: None, ..example() };
-        let sensor = whole.color.as_ref().unwrap();
+        let whole = example();
+        let sensor = whole.color().unwrap();
         let crop = ImageRegion { left: 40, top: 20, size: ImageSize::new(320, 240) };
         let part = for_other_pictures(
             &whole,
             &OtherPictures { crop: Some(crop), ..OtherPictures::default() },
         )
         .unwrap();
-        let part = part.color.unwrap();
+        let part = part.color().unwrap();
         assert_eq!((part.image_size, part.rms_px), (crop.size, sensor.rms_px));
         assert_eq!(
             (part.lens.matrix.fx, part.lens.matrix.cx),
@@ -214,7 +206,7 @@ mod tests {
 
     #[test]
     fn what_is_not_sure_is_refused_by_name() {
-        let several = Calibration { infrared: example().color, ..example() };
+        let several = with_infrared(example(), example().color().unwrap());
         let crop = ImageRegion { left: 600, top: 0, size: ImageSize::new(320, 240) };
         let table = [
             (

@@ -1,104 +1,101 @@
 //! The sensors of a calibration, as formats hold them.
 
-use crate::calibration::calibration::{Calibration, SensorCalibration};
+use crate::calibration::depth_calibration::DepthCalibration;
+use crate::calibration::result::{CalibratedSensor, Calibration, SensorResult};
+use crate::calibration::sensor::SensorId;
 use crate::export::{ExportError, Format};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
 
 /// A sensor with its lens.
 #[derive(Debug, Clone)]
 pub(super) struct Sensor<'a> {
-    /// `color`, `infrared`, `infrared2`, `depth`, or the name of a rig's camera.
-    pub name: &'a str,
-    /// Whether `name` is a camera's own.
+    pub id: &'a SensorId,
+    /// What documents call it.
+    pub name: String,
+    /// Whether it is its camera's only one in a rig, and goes by the camera's name.
     pub is_camera: bool,
     pub image_size: ImageSize,
     pub lens: &'a Lens,
-    /// Reprojection error, where there are pictures.
+    /// Reprojection error, of an image sensor.
     pub rms_px: Option<f64>,
+    /// What is known of its readings, of a depth sensor.
+    pub depth: Option<&'a DepthCalibration>,
     /// Where it is in the first sensor's frame, where that is known.
     pub first_from_sensor: Option<Pose>,
 }
 
 impl Sensor<'_> {
-    /// What other programs call it: the camera's name for its color picture, and for a rig's
-    /// camera its own.
+    /// The camera that it is of; `camera` is the instrument's name.
+    fn camera<'a>(&'a self, camera: &'a str) -> &'a str {
+        self.id.camera.as_deref().unwrap_or(camera)
+    }
+
+    /// What other programs call it: the camera's name for its color image, and for a camera with
+    /// one sensor in a rig.
     pub fn frame_name(&self, camera: &str) -> String {
-        match self.name {
-            name if self.is_camera => name.to_owned(),
-            "color" => camera.to_owned(),
-            name => format!("{camera}_{name}"),
+        let camera = self.camera(camera);
+        match self.id.kind {
+            _ if self.is_camera => camera.to_owned(),
+            SensorKind::Color => camera.to_owned(),
+            kind => format!("{camera}_{}", kind.name()),
         }
     }
 
     /// The ROS name of its optical frame (REP 103: x right, y down, z forward).
     pub fn optical_frame(&self, camera: &str) -> String {
-        let name = self.name;
+        let camera = self.camera(camera);
         if self.is_camera {
-            format!("{name}_optical_frame")
+            format!("{camera}_optical_frame")
         } else {
-            format!("{camera}_{name}_optical_frame")
+            format!("{camera}_{}_optical_frame", self.id.kind.name())
         }
     }
 
     /// The topic that Plumb's recordings have it on.
     pub fn topic(&self, camera: &str) -> String {
-        let name = self.name;
-        if self.is_camera { format!("/{name}/color") } else { format!("/{camera}/{name}") }
+        format!("/{}/{}", self.camera(camera), self.id.kind.name())
     }
 }
 
 /// Every sensor, in the order of documents.
 pub(super) fn all(calibration: &Calibration) -> Vec<Sensor<'_>> {
-    let place = |name: &str| match first_name(calibration) {
-        Some(first) if first == name => Some(Pose::identity()),
-        Some(first) => {
-            let wanted = format!("{first}_from_{name}");
-            calibration
-                .extrinsics
-                .iter()
-                .find(|known| known.name == wanted)
-                .map(|known| known.target_from_source)
-        }
+    let first = calibration.image_sensors().next().map(|(id, _)| id);
+    let place = |id: &SensorId| match first {
+        Some(first) if first == id => Some(Pose::identity()),
+        Some(first) => calibration.pose(first, id).map(|known| known.target_from_source),
         None => None,
     };
-    let picture = |(name, sensor): (&'_ str, &SensorCalibration)| {
-        (sensor.image_size, Some(sensor.rms_px), place(name))
-    };
-    let mut sensors: Vec<Sensor<'_>> = Vec::new();
-    for (name, sensor) in calibration.picture_sensors() {
-        let (image_size, rms_px, first_from_sensor) = picture((name, sensor));
-        let is_camera = calibration.cameras.iter().any(|camera| camera.name == name);
-        sensors.push(Sensor {
-            name,
-            is_camera,
-            image_size,
-            lens: &sensor.lens,
-            rms_px,
-            first_from_sensor,
-        });
+    let one_each = calibration.has_one_sensor_each();
+    fn held(
+        sensor: &CalibratedSensor,
+    ) -> (ImageSize, &Lens, Option<f64>, Option<&DepthCalibration>) {
+        match &sensor.result {
+            SensorResult::Image(image) => (image.image_size, &image.lens, Some(image.rms_px), None),
+            SensorResult::Depth(depth) => {
+                (depth.camera.image_size, &depth.camera.lens, None, Some(depth))
+            }
+        }
     }
-    if let Some(depth) = &calibration.depth {
-        let (image_size, lens) = (depth.camera.image_size, &depth.camera.lens);
-        let first_from_sensor = place("depth");
-        sensors.push(Sensor {
-            name: "depth",
-            is_camera: false,
+    let each = calibration.sensors.iter().map(|sensor| {
+        let (image_size, lens, rms_px, depth) = held(sensor);
+        Sensor {
+            id: &sensor.id,
+            name: calibration.name_of(&sensor.id),
+            is_camera: one_each && sensor.id.camera.is_some(),
             image_size,
             lens,
-            rms_px: None,
-            first_from_sensor,
-        });
-    }
-    sensors
+            rms_px,
+            depth,
+            first_from_sensor: place(&sensor.id),
+        }
+    });
+    each.collect()
 }
 
-fn first_name(calibration: &Calibration) -> Option<&str> {
-    calibration.picture_sensors().next().map(|(name, _)| name)
-}
-
-/// The sensors with pictures.
+/// The image sensors.
 pub(super) fn pictures(calibration: &Calibration) -> Vec<Sensor<'_>> {
     all(calibration).into_iter().filter(|sensor| sensor.rms_px.is_some()).collect()
 }
@@ -111,7 +108,7 @@ pub(super) fn one_sensor<'a>(
     asked: Option<&str>,
 ) -> Result<(Sensor<'a>, Option<String>), ExportError> {
     let sensors = all(calibration);
-    let known = || sensors.iter().map(|sensor| sensor.name).collect::<Vec<_>>().join(", ");
+    let known = || names(&sensors);
     if let Some(asked) = asked {
         let found = sensors.iter().find(|sensor| sensor.name == asked).cloned();
         let unknown = || ExportError::UnknownSensor { sensor: asked.to_owned(), known: known() };
@@ -121,7 +118,7 @@ pub(super) fn one_sensor<'a>(
         [] => Err(ExportError::NoSensor { format }),
         [only] if only.rms_px.is_some() => Ok((only.clone(), None)),
         several => {
-            match several.iter().find(|sensor| sensor.name == "color" && !sensor.is_camera) {
+            match several.iter().find(|sensor| *sensor.id == SensorId::own(SensorKind::Color)) {
                 Some(color) => {
                     let note = format!(
                         "this is the color sensor of several ({}): ask for the others by name, and for where they are by the format urdf or tf",
@@ -138,6 +135,28 @@ pub(super) fn one_sensor<'a>(
     }
 }
 
+/// The depth sensor that is asked for, or the only one.
+pub(super) fn depth_sensor<'a>(
+    calibration: &'a Calibration,
+    asked: Option<&str>,
+) -> Result<(Sensor<'a>, &'a DepthCalibration), ExportError> {
+    let sensors = all(calibration);
+    let with_depth = sensors.iter().filter_map(|sensor| Some((sensor.clone(), sensor.depth?)));
+    let mut wanted =
+        with_depth.filter(|(sensor, _)| asked.is_none_or(|asked| asked == sensor.name));
+    match (wanted.next(), wanted.next()) {
+        (Some(only), None) => Ok(only),
+        (Some(_), Some(_)) => {
+            Err(ExportError::SeveralSensors { format: Format::Depth, known: names(&sensors) })
+        }
+        (None, _) => Err(ExportError::NoDepth),
+    }
+}
+
+fn names(sensors: &[Sensor<'_>]) -> String {
+    sensors.iter().map(|sensor| sensor.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
 /// The sensors whose places are known, the first of them first, and which are left out.
 pub(super) fn placed_sensors(
     calibration: &Calibration,
@@ -148,7 +167,7 @@ pub(super) fn placed_sensors(
     if placed.len() < 2 {
         return Err(ExportError::NoPlaces { format });
     }
-    let names = open.iter().map(|sensor| sensor.name).collect::<Vec<_>>().join(", ");
+    let names = names(&open);
     let note =
         format!("left out, because where it is against {} is not known: {names}", placed[0].name);
     Ok((placed, (!open.is_empty()).then_some(note)))

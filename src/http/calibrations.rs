@@ -8,7 +8,7 @@ use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::http::{HeaderName, HeaderValue};
 use axum::response::{IntoResponse, Response};
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::calibration::stated_calibration::stated_calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::time;

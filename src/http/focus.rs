@@ -78,6 +78,7 @@ async fn calibrated_focal_m(
     };
     let id = calibration.ok_or_else(missing)?;
     let calibration = shared.stored(move |store| store.calibration(&id)).await?;
-    let lens = calibration.and_then(|calibration| calibration.color).ok_or_else(missing)?.lens;
+    let calibration = calibration.ok_or_else(missing)?;
+    let lens = calibration.color().ok_or_else(missing)?.lens;
     Ok(1.0 / (1.0 / (lens.matrix.fx * pixel_m) + 1.0 / focus_m))
 }

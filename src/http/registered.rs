@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use image::RgbImage;
 
+use crate::calibration::sensor::SensorId;
 use crate::geometry::pixel::ImageSize;
 use crate::http::kept::Kept;
 use crate::http::problem::Problem;
@@ -47,10 +48,10 @@ pub(super) async fn registration(
     let asked = id.clone();
     let calibration =
         shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
-    let stated =
-        calibration.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
-    let color_from_depth = stated.ok_or_else(none)?.target_from_source;
-    let (color, depth) = calibration.color.zip(calibration.depth).ok_or_else(none)?;
+    let [color, depth] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+    let color_from_depth = calibration.pose(&color, &depth).ok_or_else(none)?.target_from_source;
+    let (color, depth) = calibration.color().zip(calibration.depth()).ok_or_else(none)?;
+    let (color, depth) = (color.clone(), depth.clone());
     let made = on_a_blocking_thread(move || Registration {
         map: DepthRegistration::new(
             &depth.camera,

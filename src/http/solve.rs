@@ -6,7 +6,7 @@ use std::time::Instant;
 use axum::Json;
 use axum::extract::{Request, State};
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::calibration::solve::{solve_dlt, solve_views};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::problem::{Method, ProblemDocument};
@@ -45,18 +45,8 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
     let elapsed = started.elapsed();
     let calibration = Calibration {
         id: ulid::Ulid::generate().to_string(),
-        camera: None,
-        session: None,
         created_at_ns: time::utc_ns(jiff::Timestamp::now()),
-        target: None,
-        color: Some(solved.sensor),
-        infrared: None,
-        infrared2: None,
-        depth: None,
-        cameras: Vec::new(),
-        extrinsics: Vec::new(),
-        checks: solved.checks,
-        verdict: solved.verdict,
+        ..solved.into_calibration(None)
     };
     Ok(CalibrationDocument {
         elapsed_ms: Some(elapsed.as_secs_f64() * 1e3),

@@ -7,7 +7,7 @@ use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
-use crate::calibration::calibration::SensorCalibration;
+use crate::calibration::result::ImageCalibration;
 use crate::calibration::solve::sensor_uncertainty;
 use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::Distance;
@@ -15,6 +15,7 @@ use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::{Shared, on_a_blocking_thread};
+use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, heat_map_png};
 
 /// Grid columns along the image's longer side, of the numbers and of the picture.
@@ -75,20 +76,23 @@ async fn asked(
     shared: &Shared,
     id: &str,
     parameters: &Parameters,
-) -> Result<(String, SensorCalibration, Distance), Problem> {
+) -> Result<(String, ImageCalibration, Distance), Problem> {
     let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
     let found = calibration(shared, id).await?;
-    let own = ["color", "infrared", "infrared2"];
-    let known: Vec<&str> =
-        own.into_iter().chain(found.cameras.iter().map(|c| c.name.as_str())).collect();
-    let is_known = |name: &str| known.contains(&name).then(|| name.to_owned());
+    let of_rig = found.sensors.iter().filter(|sensor| sensor.id.camera.is_some());
+    let images = SensorKind::ALL.into_iter().filter(|kind| kind.is_image());
+    let known: Vec<String> = images
+        .map(|kind| kind.name().to_owned())
+        .chain(of_rig.map(|sensor| found.name_of(&sensor.id)))
+        .collect();
+    let is_known = |name: &str| known.iter().find(|known| *known == name).cloned();
     let asked = parameters.one_of("sensor", is_known, &known.join(", "))?;
-    let mut sensors = found.picture_sensors();
+    let mut sensors = found.image_sensors().map(|(id, sensor)| (found.name_of(id), sensor));
     let sensor = sensors.find(|(name, _)| asked.as_ref().is_none_or(|asked| asked == name));
     let (name, sensor) = sensor
         .filter(|(_, sensor)| !sensor.lens_covariance.is_empty())
         .ok_or_else(|| unknown(id))?;
-    Ok((name.to_owned(), sensor.clone(), distance))
+    Ok((name, sensor.clone(), distance))
 }
 
 fn unknown(id: &str) -> Problem {
@@ -97,7 +101,7 @@ fn unknown(id: &str) -> Problem {
     ))
 }
 
-fn heat_map(sensor: &SensorCalibration, distance: Distance) -> Option<Vec<u8>> {
+fn heat_map(sensor: &ImageCalibration, distance: Distance) -> Option<Vec<u8>> {
     let map = sensor_uncertainty(sensor, COLUMNS[1], distance)?;
     let (cols, rows) = (map.grid.cols as usize, map.grid.rows as usize);
     let values = GridValues { size: map.grid.size, cols, rows, values: &map.std_px };

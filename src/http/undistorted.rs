@@ -35,13 +35,7 @@ pub(super) async fn undistortion(
     let asked = key.0.clone();
     let calibration =
         shared.stored(move |store| store.calibration(&asked)).await?.ok_or_else(none)?;
-    let calibrated = match sensor {
-        SensorKind::Color => calibration.color,
-        SensorKind::Infrared => calibration.infrared,
-        SensorKind::Infrared2 => calibration.infrared2,
-        SensorKind::Depth => None,
-    };
-    let calibrated = calibrated.ok_or_else(none)?;
+    let calibrated = calibration.image(sensor).cloned().ok_or_else(none)?;
     let made = on_a_blocking_thread(move || {
         Undistortion::new(&calibrated.lens, calibrated.image_size, &UndistortOptions::default())
     });

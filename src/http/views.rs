@@ -7,7 +7,8 @@ use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
-use crate::calibration::calibration::{CalibratedView, Calibration, SensorCalibration};
+use crate::calibration::result::{CalibratedView, Calibration, ImageCalibration};
+use crate::calibration::sensor::SensorId;
 use crate::calibration::view::View;
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
@@ -104,13 +105,9 @@ impl<'a> Place<'a> {
     }
 
     /// The sensor that a calibration has for it.
-    fn sensor<'c>(&self, calibration: &'c Calibration) -> Option<&'c SensorCalibration> {
-        let Some(place) = self.rig else { return calibration.color.as_ref() };
-        calibration
-            .cameras
-            .iter()
-            .find(|camera| camera.name == place.camera)
-            .map(|camera| &camera.sensor)
+    fn sensor<'c>(&self, calibration: &'c Calibration) -> Option<&'c ImageCalibration> {
+        let Some(place) = self.rig else { return calibration.color() };
+        calibration.sensor(&SensorId::of(&place.camera, SensorKind::Color))?.as_image()
     }
 }
 
@@ -149,7 +146,7 @@ fn view_document(
 /// Seen minus predicted, corner by corner; `None` for a view without a pose.
 fn residuals_px(
     view: &View,
-    sensor: &SensorCalibration,
+    sensor: &ImageCalibration,
     calibrated: &CalibratedView,
     target: Chessboard,
 ) -> Option<Vec<[f64; 2]>> {

@@ -34,6 +34,11 @@ impl SensorKind {
         }
     }
 
+    /// Whether it measures light, and not distance.
+    pub fn is_image(self) -> bool {
+        self != Self::Depth
+    }
+
     /// The sensor with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|sensor| sensor.name() == name)

@@ -1,8 +1,8 @@
 //! Tells that the camera's current calibration may not hold any more: the device was moved, or the
 //! views that a session keeps do not agree with it.
 
-use crate::calibration::calibration::SensorCalibration;
 use crate::calibration::drift::{Drift, DriftWatch};
+use crate::calibration::result::ImageCalibration;
 use crate::pipeline::event::EventKind;
 use crate::pipeline::session_thread::SessionThread;
 
@@ -42,7 +42,7 @@ impl SessionThread {
         self.camera.publish(EventKind::Drift(drift));
     }
 
-    fn current_calibration(&self) -> Option<(String, SensorCalibration)> {
+    fn current_calibration(&self) -> Option<(String, ImageCalibration)> {
         let id = self.camera.status.borrow().calibration.clone()?;
         let calibration = self.store.calibration(&id).unwrap_or_else(|error| {
             tracing::error!(
@@ -52,6 +52,6 @@ impl SessionThread {
             );
             None
         })?;
-        Some((id, calibration.color.or(calibration.infrared)?))
+        Some((id, calibration.guide()?.clone()))
     }
 }

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::watch;
 
 use crate::calibration::admission::Rejection;
-use crate::calibration::calibration::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::drift::Drift;
+use crate::calibration::result::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
@@ -141,11 +141,9 @@ impl CalibrationEvent {
     /// What an event tells of `calibration`; of a rig, its least certain camera's figures. `None`
     /// if it has no picture sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
-        let own = calibration.color.as_ref().or(calibration.infrared.as_ref());
-        let of_rig = calibration.cameras.iter().map(|camera| &camera.sensor);
-        let worst =
-            of_rig.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));
-        let sensor = own.or(worst)?;
+        let all = calibration.image_sensors().map(|(_, sensor)| sensor);
+        let worst = all.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));
+        let sensor = calibration.guide().or(worst)?;
         Some(Self {
             id: calibration.id.clone(),
             session: calibration.session.clone(),

@@ -5,9 +5,10 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 
 use super::*;
-use crate::calibration::calibration::{
-    Calibration, Checks, Grade, ProjectionUncertainty, SensorCalibration, Verdict,
+use crate::calibration::result::{
+    CalibratedSensor, Calibration, Checks, Grade, ImageCalibration, ProjectionUncertainty, Verdict,
 };
+use crate::calibration::sensor::SensorId;
 use crate::calibration::session_record::SessionState;
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
 use crate::estimation::problem::LensChoice;
@@ -338,7 +339,7 @@ async fn an_unfinished_session_goes_on_under_its_id() {
 /// A calibration of camera `front` that is current.
 fn calibrated(folder: &tempfile::TempDir) {
     let lens = Lens::from_parameters(LensModel::Pinhole, &[60.0, 60.0, 32.0, 24.0, 0.0]).unwrap();
-    let sensor = SensorCalibration {
+    let sensor = ImageCalibration {
         image_size: ImageSize::new(64, 48),
         lens,
         lens_std: vec![0.1; 5],
@@ -352,17 +353,12 @@ fn calibrated(folder: &tempfile::TempDir) {
     let calibration = Calibration {
         id: "c1".to_owned(),
         camera: Some("front".to_owned()),
-        session: None,
         created_at_ns: 1,
-        target: None,
-        color: Some(sensor),
-        infrared: None,
-        infrared2: None,
-        depth: None,
-        extrinsics: Vec::new(),
-        cameras: Vec::new(),
-        checks: Checks::default(),
-        verdict: Verdict { grade: Grade::Good, reasons: Vec::new() },
+        ..Calibration::unnamed(
+            None,
+            vec![CalibratedSensor::image(SensorId::own(SensorKind::Color), sensor)],
+            (Checks::default(), Verdict { grade: Grade::Good, reasons: Vec::new() }),
+        )
     };
     let store = Store::open(folder.path()).unwrap();
     store.append_calibration(&calibration).unwrap();

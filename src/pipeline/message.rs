@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use tokio::sync::oneshot;
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::imaging::frame::FrameSet;

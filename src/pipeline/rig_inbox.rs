@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use tokio::sync::oneshot;
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::Look;

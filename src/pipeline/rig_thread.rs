@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 use ulid::Ulid;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::calibration::{Calibration, Grade};
+use crate::calibration::result::{Calibration, Grade};
 use crate::calibration::rig_session::{RigAction, RigSession, RigView, Sighting};
 use crate::calibration::session::SessionOver;
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
@@ -332,19 +332,8 @@ impl RigThread {
             let solved = guarded(|| solve_rig(&input, &options).map_err(|error| error.to_string()));
             let calibration = solved.and_then(|solved| solved).map(|solved| {
                 Box::new(Calibration {
-                    id: String::new(),
-                    camera: None,
                     session: Some(session.clone()),
-                    created_at_ns: 0,
-                    target: Some(target),
-                    color: None,
-                    infrared: None,
-                    infrared2: None,
-                    depth: None,
-                    cameras: solved.cameras,
-                    extrinsics: solved.extrinsics,
-                    checks: solved.checks,
-                    verdict: solved.verdict,
+                    ..solved.into_calibration(target)
                 })
             });
             inbox.ask(RigMessage::Solved { session, solved: calibration });

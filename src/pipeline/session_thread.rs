@@ -11,8 +11,8 @@ use tokio::sync::mpsc;
 use ulid::Ulid;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
-use crate::calibration::calibration::{Calibration, Grade};
 use crate::calibration::drift::DriftWatch;
+use crate::calibration::result::{Calibration, Grade};
 use crate::calibration::session::{Action, Observed, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::view::{FrameFacts, View};

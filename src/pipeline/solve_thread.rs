@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::Receiver;
 use std::time::Instant;
 
-use crate::calibration::calibration::{Calibration, Grade};
+use crate::calibration::result::{Calibration, Grade};
 use crate::calibration::rgbd_calibration::with_depth;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
 use crate::calibration::second_infrared::{StereoInput, with_second_infrared};
@@ -103,21 +103,8 @@ impl Job {
     }
 
     fn unnamed(&self, solved: SolvedCamera) -> Calibration {
-        Calibration {
-            id: String::new(),
-            camera: None,
-            session: Some(self.session.clone()),
-            created_at_ns: 0,
-            target: Some(self.target),
-            color: Some(solved.sensor),
-            infrared: None,
-            infrared2: None,
-            depth: None,
-            cameras: Vec::new(),
-            extrinsics: Vec::new(),
-            checks: solved.checks,
-            verdict: solved.verdict,
-        }
+        let session = Some(self.session.clone());
+        Calibration { session, ..solved.into_calibration(Some(self.target)) }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use rusqlite::{OptionalExtension, ToSql, params};
 
-use crate::calibration::calibration::Calibration;
+use crate::calibration::result::Calibration;
 use crate::document::calibration::CalibrationDocument;
 use crate::store::error::StoreError;
 use crate::store::{Store, json};

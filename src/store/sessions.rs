@@ -123,9 +123,9 @@ impl StoredSession {
 pub(super) mod tests {
     use super::*;
     use crate::calibration::admission::Rejections;
-    use crate::calibration::calibration::ProjectionUncertainty;
     use crate::calibration::coverage::Coverage;
     use crate::calibration::guidance::Guidance;
+    use crate::calibration::result::ProjectionUncertainty;
     use crate::calibration::session_record::{Finish, RunningEstimate, SessionRequest};
     use crate::document::lens::LensRequest;
     use crate::geometry::board::{BoardSize, Chessboard};

@@ -6,7 +6,8 @@ use std::sync::{Arc, Mutex};
 use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
-use plumb::calibration::calibration::Calibration;
+use plumb::calibration::result::Calibration;
+use plumb::calibration::sensor::SensorId;
 use plumb::calibration::session_record::{SessionRequest, SessionState};
 use plumb::capture::realsense::{Camera, CameraOptions, Origin, Preset, Settings};
 use plumb::capture::{CaptureError, FrameSource, SourceOpener};
@@ -327,9 +328,9 @@ fn is_true(calibration: &Calibration) {
     let truth = truth();
     let number =
         |sensor: &str, name: &str| truth["sensors"][sensor]["lens"][name].as_f64().unwrap();
-    let sensors: Vec<&str> = calibration.picture_sensors().map(|(name, _)| name).collect();
+    let sensors: Vec<&str> = calibration.image_sensors().map(|(id, _)| id.kind.name()).collect();
     assert_eq!(sensors, ["color", "infrared", "infrared2"], "{:?}", calibration.verdict);
-    for (name, sensor) in calibration.picture_sensors() {
+    for (name, sensor) in calibration.image_sensors().map(|(id, sensor)| (id.kind.name(), sensor)) {
         let of = |parameter: &str| match (name, parameter) {
             ("infrared2", "cx") => 639.0 - number("infrared", "cx"),
             ("infrared2", "cy") => 479.0 - number("infrared", "cy"),
@@ -346,17 +347,18 @@ fn is_true(calibration: &Calibration) {
             assert!(off.abs() < 4.5 * std, "{name} {parameter}: off by {off:.3} ± {std:.3}");
         }
     }
-    let pose = |name: &str| {
-        calibration.extrinsics.iter().find(|known| known.name == name).unwrap().target_from_source
+    let color = SensorId::own(SensorKind::Color);
+    let pose = |kind: SensorKind| {
+        calibration.pose(&color, &SensorId::own(kind)).unwrap().target_from_source
     };
-    let (left, right) = (pose("color_from_infrared"), pose("color_from_infrared2"));
+    let (left, right) = (pose(SensorKind::Infrared), pose(SensorKind::Infrared2));
     let apart_m = (left.translation() - right.translation()).norm();
     let turn = left.angle_to(&right).to_degrees();
     assert!(
         apart_m < 2e-3 && (turn - 180.0).abs() < 0.1,
         "{apart_m} m and {turn}° between both infrared sensors"
     );
-    assert!(calibration.depth.is_some());
+    assert!(calibration.depth().is_some());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -7,7 +7,8 @@ use std::path::Path;
 use std::process::Command;
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::calibration::Calibration;
+use plumb::calibration::result::Calibration;
+use plumb::calibration::sensor::SensorId;
 use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::DetectOptions;
@@ -190,14 +191,10 @@ fn reference(data: &Path) -> Vec<Value> {
 fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
     let (calibration, views) = (calibrated(&data), reference(&data));
-    let color = &calibration.color.as_ref().unwrap().lens;
-    let pose = &calibration
-        .extrinsics
-        .iter()
-        .find(|pose| pose.name == "color_from_depth")
-        .unwrap()
-        .target_from_source;
-    let corrected = &calibration.depth.as_ref().unwrap().camera;
+    let color = &calibration.color().unwrap().lens;
+    let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+    let pose = &calibration.pose(&target, &source).unwrap().target_from_source;
+    let corrected = &calibration.depth().unwrap().camera;
     let uncorrected = DepthCamera { correction: None, ..corrected.clone() };
     for (range, published) in RANGES {
         let held_out: Vec<&Published> = published.iter().filter(|view| !view.is_fitted).collect();
@@ -222,7 +219,7 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
         assert!(rms <= their_rms && (mean <= their_mean || held_out.len() == 1), "{line}");
     }
     // What planes alone leave open is told: the published answers lie within it.
-    let depth = calibration.depth.as_ref().unwrap();
+    let depth = calibration.depth().unwrap();
     for (axis, published) in [(0, 580.0..586.5), (1, 583.9..586.8)] {
         let (focal, std) = (depth.camera.lens.parameters()[axis], depth.lens_std[axis]);
         println!("f{axis}: {focal:.1} ± {std:.1}, published {published:?}");

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use plumb::calibration::calibration::Calibration;
+use plumb::calibration::result::{Calibration, SensorResult};
 use plumb::document::calibration::CalibrationDocument;
 use plumb::export::{ExportOptions, Format, export};
 use plumb::geometry::depth_camera::{DepthCamera, DepthReading};
@@ -34,7 +34,10 @@ fn calibration(camera: impl FnOnce(&mut DepthCamera), invalid: Option<u16>) -> C
     );
     let document: CalibrationDocument = serde_json::from_str(&json).unwrap();
     let mut calibration = Calibration::try_from(&document).unwrap();
-    let depth = calibration.depth.as_mut().unwrap();
+    let Some(SensorResult::Depth(depth)) = calibration.sensors.first_mut().map(|s| &mut s.result)
+    else {
+        panic!("no depth: {calibration:?}")
+    };
     camera(&mut depth.camera);
     depth.invalid = invalid;
     calibration
@@ -109,7 +112,7 @@ fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
         let text = String::from_utf8(ran.stdout).unwrap();
         let theirs: Vec<f64> =
             text.split_whitespace().map(|number| number.parse().unwrap()).collect();
-        let depth = calibration.depth.as_ref().unwrap();
+        let depth = calibration.depth().unwrap();
         let registration =
             DepthRegistration::new(&depth.camera, &depth.camera.lens, SIZE, &Pose::identity());
         let ours = registration.depths_m(&picture, depth.invalid);

@@ -1,0 +1,300 @@
+//! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list of
+//! sensors, whatever the instrument: one camera, a depth camera, a rig.
+
+use crate::calibration::depth_calibration::DepthCalibration;
+use crate::calibration::sensor::SensorId;
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
+
+/// A finished calibration of an instrument: one camera, or a rig of cameras. Never changed once
+/// made: a new solve is a new calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// Sortable by time; empty until it is named.
+    pub id: String,
+    /// The camera's name, or the rig's; `None` for a solve outside a daemon.
+    pub camera: Option<String>,
+    /// The session it came from; `None` outside a daemon.
+    pub session: Option<String>,
+    /// UTC, nanoseconds since the Unix epoch.
+    pub created_at_ns: i64,
+    /// The board; `None` where correspondences were given without one.
+    pub target: Option<Chessboard>,
+    /// Its sensors, camera by camera in the rig's order, each camera's in the order of kinds.
+    pub sensors: Vec<CalibratedSensor>,
+    /// Where the sensors are relative to each other; empty for one sensor.
+    pub extrinsics: Vec<Extrinsics>,
+    /// How well it did beyond the views it was fitted to.
+    pub checks: Checks,
+    /// How far to trust it.
+    pub verdict: Verdict,
+}
+
+/// A sensor with its calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CalibratedSensor {
+    /// Which.
+    pub id: SensorId,
+    /// What is known of it.
+    pub result: SensorResult,
+}
+
+/// What is known of a sensor, by what it measures.
+#[derive(Debug, Clone, PartialEq)]
+pub enum SensorResult {
+    /// Light: a color or infrared image.
+    Image(ImageCalibration),
+    /// Distance.
+    Depth(DepthCalibration),
+}
+
+impl CalibratedSensor {
+    /// A calibrated image sensor.
+    pub fn image(id: SensorId, sensor: ImageCalibration) -> Self {
+        Self { id, result: SensorResult::Image(sensor) }
+    }
+
+    /// A calibrated depth sensor of an instrument's camera.
+    pub fn depth(camera: Option<&str>, depth: DepthCalibration) -> Self {
+        let id = SensorId { camera: camera.map(str::to_owned), kind: SensorKind::Depth };
+        Self { id, result: SensorResult::Depth(depth) }
+    }
+
+    /// Its calibration, if it is an image sensor.
+    pub fn as_image(&self) -> Option<&ImageCalibration> {
+        match &self.result {
+            SensorResult::Image(sensor) => Some(sensor),
+            SensorResult::Depth(_) => None,
+        }
+    }
+
+    /// Its calibration, if it is a depth sensor.
+    pub fn as_depth(&self) -> Option<&DepthCalibration> {
+        match &self.result {
+            SensorResult::Image(_) => None,
+            SensorResult::Depth(depth) => Some(depth),
+        }
+    }
+}
+
+impl Calibration {
+    /// One with neither name nor time, and no extrinsics.
+    pub fn unnamed(
+        target: Option<Chessboard>,
+        sensors: Vec<CalibratedSensor>,
+        (checks, verdict): (Checks, Verdict),
+    ) -> Self {
+        Self {
+            id: String::new(),
+            camera: None,
+            session: None,
+            created_at_ns: 0,
+            target,
+            sensors,
+            extrinsics: Vec::new(),
+            checks,
+            verdict,
+        }
+    }
+
+    /// The sensor `id`.
+    pub fn sensor(&self, id: &SensorId) -> Option<&CalibratedSensor> {
+        self.sensors.iter().find(|sensor| sensor.id == *id)
+    }
+
+    /// Its image sensors, in order.
+    pub fn image_sensors(&self) -> impl Iterator<Item = (&SensorId, &ImageCalibration)> {
+        self.sensors.iter().filter_map(|sensor| Some((&sensor.id, sensor.as_image()?)))
+    }
+
+    /// The image sensor of this kind of an instrument that is one camera.
+    pub fn image(&self, kind: SensorKind) -> Option<&ImageCalibration> {
+        self.sensor(&SensorId::own(kind))?.as_image()
+    }
+
+    /// The same, to change.
+    pub fn image_mut(&mut self, kind: SensorKind) -> Option<&mut ImageCalibration> {
+        let id = SensorId::own(kind);
+        match &mut self.sensors.iter_mut().find(|sensor| sensor.id == id)?.result {
+            SensorResult::Image(sensor) => Some(sensor),
+            SensorResult::Depth(_) => None,
+        }
+    }
+
+    /// The color sensor of an instrument that is one camera.
+    pub fn color(&self) -> Option<&ImageCalibration> {
+        self.image(SensorKind::Color)
+    }
+
+    /// The depth sensor of an instrument that is one camera.
+    pub fn depth(&self) -> Option<&DepthCalibration> {
+        self.sensor(&SensorId::own(SensorKind::Depth))?.as_depth()
+    }
+
+    /// The image sensor that boards are detected in, of an instrument that is one camera: color
+    /// where there is one.
+    pub fn guide(&self) -> Option<&ImageCalibration> {
+        let own = |(id, sensor): (_, _)| -> Option<&ImageCalibration> {
+            let id: &SensorId = id;
+            id.camera.is_none().then_some(sensor)
+        };
+        self.image_sensors().find_map(own)
+    }
+
+    /// Adds a sensor in its place: after those before it in order.
+    pub fn add_sensor(&mut self, sensor: CalibratedSensor) {
+        let before = |other: &CalibratedSensor| {
+            other.id.camera != sensor.id.camera || other.id.kind < sensor.id.kind
+        };
+        let at = self.sensors.iter().position(|other| !before(other));
+        self.sensors.insert(at.unwrap_or(self.sensors.len()), sensor);
+    }
+
+    /// Where `source` is in the frame of `target`, where that is stated.
+    pub fn pose(&self, target: &SensorId, source: &SensorId) -> Option<&Extrinsics> {
+        self.extrinsics.iter().find(|known| known.target == *target && known.source == *source)
+    }
+
+    /// What the sensor is called in documents: its kind; in a rig its camera, with the kind where
+    /// cameras have several sensors (`left.infrared`).
+    pub fn name_of(&self, id: &SensorId) -> String {
+        match &id.camera {
+            None => id.kind.name().to_owned(),
+            Some(camera) if self.has_one_sensor_each() => camera.clone(),
+            Some(camera) => format!("{camera}.{}", id.kind.name()),
+        }
+    }
+
+    /// Whether no camera has two sensors.
+    pub fn has_one_sensor_each(&self) -> bool {
+        let alone = |sensor: &CalibratedSensor| {
+            self.sensors.iter().filter(|other| other.id.camera == sensor.id.camera).count() == 1
+        };
+        self.sensors.iter().all(alone)
+    }
+}
+
+/// One picture sensor: its lens and how well it is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ImageCalibration {
+    /// The size of the images it holds for.
+    pub image_size: ImageSize,
+    /// The lens.
+    pub lens: Lens,
+    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 for
+    /// a fixed one.
+    pub lens_std: Vec<f64>,
+    /// Covariance of the lens parameters, row by row in the same order; empty where it is not
+    /// known.
+    pub lens_covariance: Vec<Vec<f64>>,
+    /// Root mean square over the used corners of the 2-D reprojection error, in pixels.
+    pub rms_px: f64,
+    /// Predicted 1-σ reprojection uncertainty over the image.
+    pub uncertainty_px: ProjectionUncertainty,
+    /// Every view that was offered, in order.
+    pub views: Vec<CalibratedView>,
+    /// Lens models that were compared, when the choice was left to the solve; empty otherwise.
+    pub compared: Vec<ComparedLens>,
+    /// How far the board was bowed at its middle along its x and its y, in meters, where that was
+    /// estimated.
+    pub board_warp_m: Option<[f64; 2]>,
+}
+
+/// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ProjectionUncertainty {
+    /// At the image's center.
+    pub center: f64,
+    /// The median over the image.
+    pub median: f64,
+    /// The worst of the image.
+    pub worst: f64,
+}
+
+/// One view of a calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CalibratedView {
+    /// Its path or sequence number.
+    pub name: String,
+    /// Whether it took part in the estimate.
+    pub used: bool,
+    /// Why not.
+    pub reason: Option<String>,
+    /// Its own reprojection error; `None` for a view without a pose.
+    pub rms_px: Option<f64>,
+    /// Where the board was; `None` for a view without a pose.
+    pub camera_from_board: Option<Pose>,
+}
+
+/// Where one sensor is relative to another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Extrinsics {
+    /// The sensor whose frame it leads to.
+    pub target: SensorId,
+    /// The sensor whose frame it leads from.
+    pub source: SensorId,
+    /// Where the source is in the target's frame.
+    pub target_from_source: Pose,
+    /// Standard deviation of the rotation about each axis, in radians.
+    pub rotation_std: [f64; 3],
+    /// Standard deviation of the translation, in meters.
+    pub translation_std_m: [f64; 3],
+}
+
+/// One lens model of a comparison.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ComparedLens {
+    /// The model's name.
+    pub model: crate::geometry::lens::LensModel,
+    /// Error on views that were not fitted to.
+    pub held_out_rms_px: f64,
+}
+
+/// How a calibration does beyond the views it was fitted to. A figure that could not be computed is
+/// `None`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Checks {
+    /// Projection difference between two disjoint halves, over what their uncertainties predict:
+    /// about 1 when the model is right.
+    pub split_half_ratio: Option<f64>,
+    /// Error on views that were not fitted to.
+    pub held_out_rms_px: Option<f64>,
+    /// Part of the corners that was not used.
+    pub outlier_fraction: f64,
+    /// Part of the image in which corners were seen, 0 to 1.
+    pub coverage: f64,
+}
+
+/// How far to trust a calibration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Grade {
+    /// Not to be used.
+    Poor,
+    /// With the reasons in mind.
+    Usable,
+    /// As it is.
+    Good,
+}
+
+impl Grade {
+    /// Its name in documents.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Poor => "poor",
+            Self::Usable => "usable",
+            Self::Good => "good",
+        }
+    }
+}
+
+/// A grade with its reasons, each one that a person can act on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// The grade.
+    pub grade: Grade,
+    /// Why it is no better; empty for a spotless one.
+    pub reasons: Vec<String>,
+}
