@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
 use crate::imaging::frame::FrameSet;
-use crate::recording::{Recording, RecordingError};
+use crate::recording::{ReadOptions, Recording, RecordingError};
 
 /// How fast a recording is replayed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -20,21 +20,15 @@ pub enum Pace {
 }
 
 /// How to replay.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct ReplayOptions {
     /// How fast; as recorded unless said.
     pub pace: Pace,
     /// Whether to start again after the last frame; not, unless said. Sequence numbers and times go
     /// on rising.
     pub repeat: bool,
-    /// Frame sets a second for a folder, which tells no times; 10 unless said.
-    pub fps: f64,
-}
-
-impl Default for ReplayOptions {
-    fn default() -> Self {
-        Self { pace: Pace::default(), repeat: false, fps: 10.0 }
-    }
+    /// What of the recording is read, and how.
+    pub reading: ReadOptions,
 }
 
 /// A recording being replayed.
@@ -75,16 +69,16 @@ impl Replay {
     /// # Errors
     /// [`RecordingError`] when it isn't there or is no recording.
     pub fn open(path: &Path, options: &ReplayOptions) -> Result<Self, RecordingError> {
-        let recording = Recording::open(path, options.fps)?;
+        let recording = Recording::open(path, &options.reading)?;
         Ok(Self {
             path: path.to_owned(),
             recording,
-            options: *options,
+            options: options.clone(),
             waiting: None,
             clock: None,
             first: None,
             last: None,
-            interval_ns: (1e9 / options.fps) as i64,
+            interval_ns: (1e9 / options.reading.fps) as i64,
             shift: Moment::default(),
         })
     }
@@ -157,6 +151,7 @@ impl FrameSource for Replay {
             fps: None,
             frame_set_count: self.recording.frame_set_count().filter(|_| !self.options.repeat),
             waits: self.options.pace == Pace::Fastest,
+            factory: self.recording.factory(),
             ..SourceDescription::default()
         }
     }
@@ -177,7 +172,8 @@ mod tests {
     #[test]
     fn repeats_with_rising_numbers_and_times() {
         let folder = folder_of(&["a10.pgm", "a2.pgm", "a1.pgm"]);
-        let options = ReplayOptions { pace: Pace::Fastest, repeat: true, fps: 10.0 };
+        let options =
+            ReplayOptions { pace: Pace::Fastest, repeat: true, ..ReplayOptions::default() };
         let mut replay = Replay::open(folder.path(), &options).unwrap();
         for k in 0..8 {
             let set = replay.next_frame(Duration::ZERO).unwrap();
@@ -200,7 +196,8 @@ mod tests {
     #[test]
     fn at_its_own_pace_no_frame_comes_early_and_none_is_lost() {
         let folder = folder_of(&["a.pgm", "b.pgm"]);
-        let options = ReplayOptions { pace: Pace::Recorded, repeat: false, fps: 1.0 / 3600.0 };
+        let reading = ReadOptions { fps: 1.0 / 3600.0, ..ReadOptions::default() };
+        let options = ReplayOptions { reading, ..ReplayOptions::default() };
         let mut replay = Replay::open(folder.path(), &options).unwrap();
         assert_eq!(replay.next_frame(Duration::ZERO).unwrap().sequence, 0);
         for _ in 0..3 {

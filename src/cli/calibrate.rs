@@ -11,7 +11,7 @@ use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::length::Length;
 use crate::cli::lens_name::LensName;
 use crate::cli::search::searcher;
-use crate::cli::sources::FrameSets;
+use crate::cli::sources::{FrameSets, TopicArgs};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::DetectOptions;
 use crate::estimation::camera::CameraOptions;
@@ -47,7 +47,9 @@ pub struct SearchArgs {
     /// How many pictures to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Images, folders of images, quoted globs, or recordings (.mcap).
+    #[command(flatten)]
+    reading: TopicArgs,
+    /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags).
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
 }
@@ -76,11 +78,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
     args.estimated.add_to(&mut options);
     if let [source] = args.search.sources.as_slice()
-        && calibrate_rgbd::has_depth(source)
+        && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
         let detect = args.search.detect_options();
         let (calibration, elapsed_ms) =
-            calibrate_rgbd::calibrate(source, target, &options, detect)?;
+            calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;
         return args.output.give(&calibration, Some(elapsed_ms));
     }
     let (problem, others) = gather(&args.search, target)?.finish()?;
@@ -108,7 +110,7 @@ pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure
     let mut gathered = Gathered::new(target);
     let spinner = progress::spinner("searching pictures");
     in_order(
-        FrameSets::new(args.sources.iter().cloned()),
+        FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
         || searcher(args.board, options, 1),
         |looked| {

@@ -13,7 +13,7 @@ use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
 use crate::calibration::view::{FrameFacts, View};
 use crate::cli::calibration_output::finished;
-use crate::cli::sources::{FrameSets, SourcedFrames, is_recording};
+use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::detector::Detector;
@@ -32,14 +32,15 @@ use crate::imaging::gray::GrayImage;
 const LOOKED_AT: usize = 30;
 
 /// Whether `source` is a recording with depth.
-pub fn has_depth(source: &str) -> bool {
+pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
     let path = Path::new(source);
-    if path.is_dir() {
+    if path.is_dir() && !is_recording(path) {
         return path.join("depth").is_dir();
     }
     let depth = |frames: &SourcedFrames| frames.set.frame(SensorKind::Depth).is_some();
     is_recording(path)
         && FrameSets::new(std::iter::once(source.to_owned()))
+            .reading(reading)
             .take(LOOKED_AT)
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
@@ -50,7 +51,7 @@ pub fn has_depth(source: &str) -> bool {
 /// # Errors
 /// When it cannot be read, what its depth means is not said, or too little is seen.
 pub fn calibrate(
-    source: &str,
+    (source, reading): (&str, &TopicArgs),
     target: Chessboard,
     options: &CameraOptions,
     detect: DetectOptions,
@@ -58,7 +59,7 @@ pub fn calibrate(
     let depth = depth_sensor(source)?;
     let mut gathered = Gathered::new(source, target, detect);
     let spinner = progress::spinner("searching pictures");
-    for frames in FrameSets::new(std::iter::once(source.to_owned())) {
+    for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
         spinner.inc(1);
         let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
         gathered.add(&frames)?;

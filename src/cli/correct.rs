@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::calibration::sensor::SensorId;
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
-use crate::cli::sources::{FrameSets, is_recording};
+use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
 use crate::cli::{Failure, output, progress};
 use crate::estimation::robust::median;
 use crate::geometry::pixel::ImageSize;
@@ -54,6 +54,8 @@ pub struct Args {
     /// were calibrated
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    reading: TopicArgs,
     /// Depth pictures (16-bit PNG or PGM), folders of them, or recordings with depth
     #[arg(required = true, value_name = "DEPTH")]
     depth: Vec<String>,
@@ -138,7 +140,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     };
     for source in &args.depth {
         let place = Path::new(source);
-        if place.is_dir() && !place.join("depth").is_dir() {
+        if place.is_dir() && !place.join("depth").is_dir() && !is_recording(place) {
             for path in pictures_in(place)? {
                 give(
                     path.display().to_string(),
@@ -147,7 +149,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                 );
             }
         } else if place.is_dir() || is_recording(place) {
-            for frames in FrameSets::new(std::iter::once(source.clone())) {
+            for frames in FrameSets::new(std::iter::once(source.clone())).reading(&args.reading) {
                 let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
                 let Some(frame) = frames.set.frame(SensorKind::Depth) else { continue };
                 let name = frames

@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::search::{Looked, searcher};
-use crate::cli::sources::FrameSets;
+use crate::cli::sources::{FrameSets, TopicArgs};
 use crate::cli::{Failure, output};
 use crate::detection::board_detection::DetectOptions;
 use crate::geometry::board::BoardSize;
@@ -30,6 +30,8 @@ pub struct Args {
     /// How many images to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    #[command(flatten)]
+    reading: TopicArgs,
     /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input,
     /// a line each.
     #[arg(required = true, value_name = "PATH")]
@@ -64,7 +66,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let options = DetectOptions { allow_partial: args.allow_partial };
     let mut unread = Unread::default();
     in_order(
-        FrameSets::new(paths(&args.paths)),
+        FrameSets::new(paths(&args.paths)).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
         || searcher(args.board, options, args.repeat),
         |looked| {

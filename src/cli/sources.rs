@@ -8,11 +8,20 @@ use std::path::{Path, PathBuf};
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::picture_file::frame_from_file;
 use crate::imaging::timestamp::HostTime;
-use crate::recording::{Recording, natural_order};
+use crate::recording::{ReadOptions, Recording, is_bag_folder, is_recording_file, natural_order};
 
-/// Frame sets a second of a folder, which tells no times: what a `kind = "recording"` camera takes
-/// unless told otherwise.
-const FOLDER_FPS: f64 = 10.0;
+/// What of a recording is read.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct TopicArgs {
+    /// The camera's topic in a bag or MCAP file of several, or its beginning up to a slash; again
+    /// for depth where its name does not say whose it is
+    #[arg(long = "topic", value_name = "TOPIC")]
+    topics: Vec<String>,
+    /// Take each frame of a recording as an image that was chosen by hand, not those alone that a
+    /// live session would keep
+    #[arg(long)]
+    every_frame: bool,
+}
 
 /// A source that could not be read, or one frame set of it.
 #[derive(Debug)]
@@ -49,6 +58,8 @@ pub struct FrameSets<'a> {
     paths: Box<dyn Iterator<Item = String> + Send + 'a>,
     open: Option<Opened>,
     pictures: VecDeque<PathBuf>,
+    reading: ReadOptions,
+    every_frame: bool,
 }
 
 struct Opened {
@@ -60,14 +71,28 @@ struct Opened {
 impl<'a> FrameSets<'a> {
     /// Of the files, folders, globs and recordings that `paths` names.
     pub fn new(paths: impl Iterator<Item = String> + Send + 'a) -> Self {
-        Self { paths: Box::new(paths), open: None, pictures: VecDeque::new() }
+        Self {
+            paths: Box::new(paths),
+            open: None,
+            pictures: VecDeque::new(),
+            reading: ReadOptions::default(),
+            every_frame: false,
+        }
+    }
+
+    /// Of recordings what `args` says.
+    #[must_use]
+    pub fn reading(mut self, args: &TopicArgs) -> Self {
+        self.reading.topics.clone_from(&args.topics);
+        self.every_frame = args.every_frame;
+        self
     }
 
     fn open_next(&mut self, path: String) -> Result<(), Unreadable> {
         let place = Path::new(&path);
         if place.is_dir() || is_recording(place) {
-            let is_folder = place.is_dir();
-            let recording = Recording::open(place, FOLDER_FPS)
+            let is_folder = place.is_dir() && !is_bag_folder(place);
+            let recording = Recording::open(place, &self.reading)
                 .map_err(|error| Unreadable { path: path.clone(), reason: error.to_string() })?;
             self.open = Some(Opened { path, recording, is_folder });
         } else if !place.exists() && path.contains(['*', '?', '[']) {
@@ -89,8 +114,12 @@ impl Iterator for FrameSets<'_> {
             }
             if let Some(opened) = &mut self.open {
                 match opened.recording.next_frame_set() {
-                    Ok(Some(set)) => {
-                        let recording = (!opened.is_folder).then(|| opened.path.clone());
+                    Ok(Some(mut set)) => {
+                        let chosen = opened.is_folder || self.every_frame;
+                        if set.name.is_none() && chosen {
+                            set.name = Some(format!("{}#{}", opened.path, set.sequence));
+                        }
+                        let recording = (!chosen).then(|| opened.path.clone());
                         return Some(Ok(SourcedFrames { set, recording }));
                     }
                     Ok(None) => self.open = None,
@@ -112,9 +141,9 @@ impl Iterator for FrameSets<'_> {
     }
 }
 
-/// Whether `path` is a recording file by its name.
+/// Whether `path` is a recording by its name, or a folder that holds a bag.
 pub fn is_recording(path: &Path) -> bool {
-    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"))
+    is_recording_file(path) || is_bag_folder(path)
 }
 
 fn picture(path: &Path) -> Result<FrameSet, Unreadable> {

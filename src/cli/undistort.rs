@@ -8,7 +8,7 @@ use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
 use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
-use crate::cli::sources::{FrameSets, SourcedFrames};
+use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs};
 use crate::cli::{Failure, output, progress};
 use crate::document::lens::LensDocument;
 use crate::geometry::lens::Lens;
@@ -35,6 +35,8 @@ pub struct Args {
     /// result
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    reading: TopicArgs,
     /// Pictures, folders, quoted globs or recordings
     #[arg(required = true, value_name = "IMAGE")]
     images: Vec<String>,
@@ -79,7 +81,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut failures = Vec::new();
     let mut taken = BTreeSet::new();
     let spinner = progress::spinner("undistorting");
-    for frames in FrameSets::new(args.images.iter().cloned()) {
+    for frames in FrameSets::new(args.images.iter().cloned()).reading(&args.reading) {
         let outcome = match frames {
             Ok(frames) => undistorted(&frames, &undistortion, &args.out, &mut taken),
             Err(unreadable) => Err(unreadable.reason),

@@ -5,7 +5,7 @@
 //! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
-//! | `recording` | `path`; `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
+//! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
 //! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30) |
 
 use std::collections::BTreeMap;
@@ -57,8 +57,10 @@ pub enum SourceConfig {
     },
     /// Frames on disk.
     Recording {
-        /// An MCAP file or a folder of images.
+        /// An MCAP file, a ROS bag or a folder of images.
         path: PathBuf,
+        /// The topics of the camera, where there are several.
+        topics: Vec<String>,
         /// Whether frames come as they were taken, or as fast as they are looked at, without
         /// skipping any.
         fastest: bool,
@@ -118,6 +120,8 @@ pub(crate) struct WrittenSource {
     name: Option<Spanned<String>>,
     serial: Option<Spanned<String>>,
     path: Option<Spanned<PathBuf>>,
+    topic: Option<Spanned<String>>,
+    depth: Option<Spanned<String>>,
     pace: Option<Spanned<String>>,
     repeat: Option<Spanned<bool>>,
     seed: Option<Spanned<u64>>,
@@ -195,7 +199,7 @@ impl WrittenSource {
     }
 
     fn recording(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
-        self.takes_only(&["path", "pace", "repeat", "fps"], place)?;
+        self.takes_only(&["path", "topic", "depth", "pace", "repeat", "fps"], place)?;
         let path = self.existing_path(span, place)?;
         let fastest = match self.pace.as_ref().map(|pace| (pace.get_ref().as_str(), pace.span())) {
             None | Some(("recorded", _)) => false,
@@ -206,8 +210,10 @@ impl WrittenSource {
             }
         };
         let repeat = self.repeat.as_ref().is_some_and(|repeat| *repeat.get_ref());
+        let topics = [&self.topic, &self.depth].into_iter().flatten();
         Ok(SourceConfig::Recording {
             path,
+            topics: topics.map(|topic| topic.get_ref().clone()).collect(),
             fastest,
             repeat,
             fps: self.fps(place)?.unwrap_or(FOLDER_FPS),
@@ -355,6 +361,8 @@ impl WrittenSource {
             ("name", self.name.as_ref().map(Spanned::span)),
             ("serial", self.serial.as_ref().map(Spanned::span)),
             ("path", self.path.as_ref().map(Spanned::span)),
+            ("topic", self.topic.as_ref().map(Spanned::span)),
+            ("depth", self.depth.as_ref().map(Spanned::span)),
             ("pace", self.pace.as_ref().map(Spanned::span)),
             ("repeat", self.repeat.as_ref().map(Spanned::span)),
             ("seed", self.seed.as_ref().map(Spanned::span)),
@@ -404,9 +412,16 @@ mod tests {
             seat: None,
         };
         assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
-        let recording =
-            SourceConfig::Recording { path: "/".into(), fastest: false, repeat: false, fps: 10.0 };
-        assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording));
+        let recording = |topics: &[&str]| SourceConfig::Recording {
+            path: "/".into(),
+            topics: topics.iter().map(|topic| (*topic).to_owned()).collect(),
+            fastest: false,
+            repeat: false,
+            fps: 10.0,
+        };
+        assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording(&[])));
+        let of_bag = "{ kind = \"recording\", path = \"/\", topic = \"/a\", depth = \"/b\" }";
+        assert_eq!(source(of_bag), Ok(recording(&["/a", "/b"])));
         let realsense =
             |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
         assert_eq!(

@@ -12,6 +12,7 @@ use crate::capture::{
 use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, RigConfig, SourceConfig};
 use crate::pipeline::{CameraPlan, RigPlan};
+use crate::recording::ReadOptions;
 use crate::simulation::WorldOptions;
 
 /// How the camera is set going.
@@ -32,9 +33,10 @@ pub fn rig_of(rig: &RigConfig) -> RigPlan {
 /// What opens the source, also again after it was lost.
 pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
     match source.clone() {
-        SourceConfig::Recording { path, fastest, repeat, fps } => {
+        SourceConfig::Recording { path, topics, fastest, repeat, fps } => {
             let pace = if fastest { Pace::Fastest } else { Pace::Recorded };
-            let options = ReplayOptions { pace, repeat, fps };
+            let reading = ReadOptions { fps, topics };
+            let options = ReplayOptions { pace, repeat, reading };
             Box::new(move || open_recording(&path, &options))
         }
         SourceConfig::Simulator { seed, size, fps, seat } => {

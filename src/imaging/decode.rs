@@ -3,9 +3,7 @@
 //! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per
 //! picture.
 
-use std::io::Cursor;
-
-use image::{ColorType, DynamicImage, ImageDecoder, RgbImage};
+use image::{DynamicImage, RgbImage};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, PixelFormat};
@@ -15,6 +13,7 @@ use crate::imaging::pixel_format::{
     buffer_length, luma_row_from_bgr, luma_row_from_rgb, luma_row_from_upper_bytes,
     luma_row_from_yuyv, rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
 };
+use crate::imaging::{plausible, png};
 
 /// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown
 /// to.
@@ -36,6 +35,16 @@ pub enum DecodeError {
     TooLarge {
         /// What its header says.
         size: ImageSize,
+    },
+    /// More pixels than its bytes can stand for.
+    #[error(
+        "a picture of {size} pixels in a file of {bytes} bytes cannot be: its header is wrong; leave it out or convert it again"
+    )]
+    Implausible {
+        /// What its header says.
+        size: ImageSize,
+        /// How many bytes there are.
+        bytes: usize,
     },
     /// Its bytes end before its pixels do.
     #[error(
@@ -89,17 +98,11 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
     if bytes.is_empty() {
         return Err(DecodeError::Empty);
     }
-    let size = match PixelFormat::of_file(bytes) {
-        Some(PixelFormat::Jpeg) => jpeg::Header::read(bytes)?.size,
-        Some(PixelFormat::Png) => {
-            let (Some(width), Some(height)) = (word_at(bytes, 16), word_at(bytes, 20)) else {
-                return Err(DecodeError::Truncated { format: "PNG", bytes: bytes.len() });
-            };
-            ImageSize::new(width, height)
-        }
-        _ => return Err(DecodeError::NotAPicture),
-    };
-    check_size(size)
+    match PixelFormat::of_file(bytes) {
+        Some(PixelFormat::Jpeg) => jpeg_size(bytes, jpeg::Header::read(bytes)?),
+        Some(PixelFormat::Png) => png::size(bytes),
+        _ => Err(DecodeError::NotAPicture),
+    }
 }
 
 /// The 8-bit luma of a frame, into `luma`, whose buffer is used again.
@@ -115,7 +118,7 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
     }
     match frame.format {
         PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
-        PixelFormat::Png => luma_from_picture(&decode_png(&frame.bytes)?, luma),
+        PixelFormat::Png => luma_from_picture(&png::decode(&frame.bytes)?, luma),
         PixelFormat::Mono8 | PixelFormat::Nv12 => {
             luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row))
         }
@@ -142,10 +145,10 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
     match frame.format {
         PixelFormat::Jpeg => {
             let header = jpeg::Header::read(&frame.bytes)?;
-            let size = check_size(header.size)?;
+            let size = jpeg_size(&frame.bytes, header)?;
             rgb_image(size, jpeg::rgb(&frame.bytes, header)?)
         }
-        PixelFormat::Png => Ok(decode_png(&frame.bytes)?.into_rgb8()),
+        PixelFormat::Png => Ok(png::decode(&frame.bytes)?.into_rgb8()),
         PixelFormat::Mono8 => rgb_from_rows(frame, |row, out| {
             for (value, pixel) in row.iter().zip(out.chunks_exact_mut(3)) {
                 pixel.fill(*value);
@@ -202,46 +205,19 @@ fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {
     Ok(size)
 }
 
-fn word_at(bytes: &[u8], at: usize) -> Option<u32> {
-    Some(u32::from_be_bytes(bytes.get(at..at + 4)?.try_into().ok()?))
+/// A JPEG's size, if its bytes can hold it.
+fn jpeg_size(bytes: &[u8], header: jpeg::Header) -> Result<ImageSize, DecodeError> {
+    plausible::check_size(header.size, 3, bytes.len())
 }
 
 fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
     let header = jpeg::Header::read(bytes)?;
-    let size = check_size(header.size)?;
+    let size = jpeg_size(bytes, header)?;
     let mut pixels = std::mem::take(luma).into_pixels();
     jpeg::luma(bytes, header, &mut pixels)?;
     *luma = GrayImage::from_pixels(size.width as usize, size.height as usize, pixels)
         .unwrap_or_default();
     Ok(())
-}
-
-pub(crate) fn decode_png(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
-    if PixelFormat::of_file(bytes) != Some(PixelFormat::Png) {
-        return Err(DecodeError::NotAPicture);
-    }
-    file_size(bytes)?;
-    let decoder = image::codecs::png::PngDecoder::new(Cursor::new(bytes))
-        .map_err(|error| png_error(&error, bytes))?;
-    let alpha = matches!(
-        decoder.color_type(),
-        ColorType::La8 | ColorType::La16 | ColorType::Rgba8 | ColorType::Rgba16
-    );
-    let picture = DynamicImage::from_decoder(decoder).map_err(|error| png_error(&error, bytes))?;
-    Ok(if alpha { picture.into_rgb8().into() } else { picture })
-}
-
-fn png_error(error: &image::ImageError, bytes: &[u8]) -> DecodeError {
-    let text = error.to_string();
-    let cut = matches!(error, image::ImageError::IoError(_)) || text.contains("nexpected end");
-    if cut {
-        DecodeError::Truncated { format: "PNG", bytes: bytes.len() }
-    } else {
-        DecodeError::Malformed {
-            format: "PNG",
-            reason: text.lines().next().unwrap_or_default().to_owned(),
-        }
-    }
 }
 
 fn luma_from_picture(picture: &DynamicImage, luma: &mut GrayImage) -> Result<(), DecodeError> {
@@ -324,6 +300,7 @@ pub(super) fn rows_of(frame: &Frame) -> Result<impl Iterator<Item = &[u8]>, Deco
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
     use std::sync::Arc;
 
     use super::*;

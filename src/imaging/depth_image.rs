@@ -1,9 +1,10 @@
 //! Depth pictures: 16-bit readings per pixel, as the device gave them.
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::{DecodeError, decode_png};
+use crate::imaging::decode::DecodeError;
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::pixel_format::buffer_length;
+use crate::imaging::png;
 
 /// A picture of readings: distance or disparity, in the device's own unit.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -30,7 +31,7 @@ impl DepthImage {
         }
         let wrong = DecodeError::WrongKind { format: frame.format.name(), wanted: "16-bit depth" };
         match frame.format {
-            PixelFormat::Png => match decode_png(&frame.bytes)? {
+            PixelFormat::Png => match png::decode(&frame.bytes)? {
                 image::DynamicImage::ImageLuma16(picture) => {
                     let size = ImageSize::new(picture.width(), picture.height());
                     Self::new(size, picture.into_raw()).ok_or(DecodeError::Empty)

@@ -1,5 +1,6 @@
 //! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
 
+pub mod bayer;
 mod color_view;
 pub mod decode;
 mod depth_conversion;
@@ -17,6 +18,8 @@ pub mod lettering;
 mod nearest_canvas;
 pub mod picture_file;
 pub mod pixel_format;
+mod plausible;
+mod png;
 pub mod point_cloud;
 pub mod registration;
 pub mod remap;

@@ -4,11 +4,12 @@ use std::io::Cursor;
 use std::path::Path;
 use std::sync::Arc;
 
-use image::{DynamicImage, ImageFormat, ImageReader, Limits};
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::{MAX_PIXELS, file_size};
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+use crate::imaging::plausible::{check_size, memory_limit};
 
 /// The endings of files that are taken for pictures, in any case of letters.
 pub const EXTENSIONS: [&str; 10] =
@@ -52,12 +53,13 @@ fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
-    (limits.max_image_width, limits.max_image_height) =
-        (Some(MAX_PIXELS as u32), Some(MAX_PIXELS as u32));
-    limits.max_alloc = Some(MAX_PIXELS * 8);
+    limits.max_alloc = Some(memory_limit(bytes.len()));
     reader.limits(limits);
-    let picture = reader.decode().ok()?;
-    let size = ImageSize::new(picture.width(), picture.height());
+    let decoder = reader.into_decoder().ok()?;
+    let (width, height) = decoder.dimensions();
+    let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
+    let size = check_size(ImageSize::new(width, height), bytes_per_pixel, bytes.len()).ok()?;
+    let picture = DynamicImage::from_decoder(decoder).ok()?;
     let (format, pixels) = match picture {
         DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => (
             PixelFormat::Depth16,

@@ -251,7 +251,7 @@ mod tests {
     use crate::geometry::pixel::ImageSize;
     use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
     use crate::imaging::timestamp::HostTime;
-    use crate::recording::Recording;
+    use crate::recording::{ReadOptions, Recording};
 
     fn frame_set(sequence: u64) -> Arc<FrameSet> {
         // Noise, which no compression makes smaller.
@@ -279,7 +279,7 @@ mod tests {
     }
 
     fn read_back(path: &Path) -> Vec<u64> {
-        let mut recording = Recording::open(path, 10.0).unwrap();
+        let mut recording = Recording::open(path, &ReadOptions::default()).unwrap();
         std::iter::from_fn(|| recording.next_frame_set().unwrap()).map(|set| set.sequence).collect()
     }
 

@@ -98,6 +98,12 @@ impl Moment {
     }
 }
 
+/// Whether the folder at `path` has images, or folders of a sensor.
+pub(super) fn holds_images(path: &Path) -> bool {
+    SensorKind::ALL.into_iter().any(|sensor| path.join(sensor.name()).is_dir())
+        || pictures_in(path).is_ok_and(|names| !names.is_empty())
+}
+
 fn moments_of_sensors(path: &Path, sensors: &[SensorKind]) -> Result<Vec<Moment>, RecordingError> {
     let mut by_stem: BTreeMap<String, Vec<(SensorKind, PathBuf)>> = BTreeMap::new();
     for sensor in sensors {

@@ -3,15 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use mcap::records::Record;
-
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::timestamp::{DeviceTime, HostTime};
-use crate::recording::RecordingError;
 use crate::recording::messages::{Topic, decode_frame, decode_lens};
-use crate::recording::records::{Broken, RecordReader};
+use crate::recording::records::{McapRecord, MessageHeader, RecordReader};
+use crate::recording::{RecordingError, names_topic};
 
 /// Frames of different sensors that come within this time are taken together.
 const TOGETHER_NS: u64 = 15_000_000;
@@ -21,6 +19,8 @@ const TOGETHER_NS: u64 = 15_000_000;
 /// One that was cut off gives every whole frame before its one error.
 pub struct McapReader {
     path: PathBuf,
+    /// The topics to read; all where it is empty.
+    asked: Vec<String>,
     records: RecordReader,
     schemas: BTreeMap<u16, String>,
     topics: BTreeMap<u16, (Topic, String)>,
@@ -50,18 +50,20 @@ impl std::fmt::Debug for McapReader {
 }
 
 impl McapReader {
-    /// Opens the file at `path`.
+    /// Opens the file at `path`, for the topics that `asked` names (or their beginnings up to a
+    /// slash); for all where it is empty.
     ///
     /// # Errors
     /// [`RecordingError::NotARecording`] unless it begins as an MCAP file does, and what the system
     /// refuses.
-    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+    pub fn open(path: &Path, asked: &[String]) -> Result<Self, RecordingError> {
         let refused = |source| RecordingError::Io { path: path.to_owned(), source };
         let not_one = || RecordingError::NotARecording { path: path.to_owned() };
         let mut records = RecordReader::open(path).map_err(refused)?.ok_or_else(not_one)?;
         let frame_set_count = frame_set_count(&mut records);
         let mut reader = Self {
             path: path.to_owned(),
+            asked: asked.to_vec(),
             records,
             schemas: BTreeMap::new(),
             topics: BTreeMap::new(),
@@ -115,7 +117,7 @@ impl McapReader {
                     self.ended = true;
                     Ok(None)
                 }
-                Err(error) => Err(broken(&self.path, self.frame_sets, error)),
+                Err(error) => Err(error.at(&self.path, self.frame_sets)),
             };
             match taken {
                 Ok(Some(set)) => return Ok(Some(set)),
@@ -135,19 +137,20 @@ impl McapReader {
     }
 
     /// Takes a record in; gives the frame set that it completes.
-    fn take(&mut self, record: Record<'static>) -> Result<Option<FrameSet>, RecordingError> {
+    fn take(&mut self, record: McapRecord) -> Result<Option<FrameSet>, RecordingError> {
         match record {
-            Record::Schema { header, .. } => {
-                self.schemas.insert(header.id, header.name);
+            McapRecord::Schema { id, name } => {
+                self.schemas.insert(id, name);
             }
-            Record::Channel(channel) => {
-                if let Some(topic) = Topic::parse(&channel.topic) {
-                    let schema = self.schemas.get(&channel.schema_id).cloned().unwrap_or_default();
+            McapRecord::Channel { id, schema_id, topic, .. } => {
+                let is_asked = names_topic(&self.asked, &topic);
+                if let Some(topic) = Topic::parse(&topic).filter(|_| is_asked) {
+                    let schema = self.schemas.get(&schema_id).cloned().unwrap_or_default();
                     self.check_camera(&topic)?;
-                    self.topics.insert(channel.id, (topic, schema));
+                    self.topics.insert(id, (topic, schema));
                 }
             }
-            Record::Message { header, data } => match self.topics.get(&header.channel_id) {
+            McapRecord::Message { header, data } => match self.topics.get(&header.channel_id) {
                 Some((Topic::Frames { sensor, .. }, schema)) => {
                     let frame = decode_frame(schema, *sensor, &data)
                         .map_err(|reason| self.unreadable(reason))?;
@@ -172,13 +175,13 @@ impl McapReader {
             .map(|(known, _)| known.camera())
             .find(|camera| *camera != topic.camera());
         let Some(other) = other.map(str::to_owned) else { return Ok(()) };
-        let cameras = [other, topic.camera().to_owned()];
+        let cameras = [format!("/{other}"), format!("/{}", topic.camera())];
         Err(RecordingError::SeveralCameras { path: self.path.clone(), cameras })
     }
 
     /// Adds a frame to the set it was taken with; gives the set before it if it is the first of a
     /// new one.
-    fn gather(&mut self, frame: Frame, header: &mcap::records::MessageHeader) -> Option<FrameSet> {
+    fn gather(&mut self, frame: Frame, header: &MessageHeader) -> Option<FrameSet> {
         if let Some(gathering) = &mut self.gathering {
             let apart = header.log_time.abs_diff(gathering.log_time) > TOGETHER_NS;
             if !apart && gathering.set.frame(frame.sensor).is_none() {
@@ -210,15 +213,6 @@ impl McapReader {
     }
 }
 
-fn broken(path: &Path, frame_sets: usize, broken: Broken) -> RecordingError {
-    let path = path.to_owned();
-    match broken {
-        Broken::Cut => RecordingError::Cut { path, frame_sets },
-        Broken::Damaged(reason) => RecordingError::Damaged { path, frame_sets, reason },
-        Broken::Io(source) => RecordingError::Io { path, source },
-    }
-}
-
 /// The metadata record `name` of the MCAP file at `path`; `None` if it has none.
 ///
 /// # Errors
@@ -228,12 +222,12 @@ pub fn metadata(
     path: &Path,
     name: &str,
 ) -> Result<Option<BTreeMap<String, String>>, RecordingError> {
-    let mut records = McapReader::open(path)?.records;
-    while let Some(record) = records.next_record().map_err(|error| broken(path, 0, error))? {
-        if let Record::Metadata(record) = record
-            && record.name == name
+    let mut records = McapReader::open(path, &[])?.records;
+    while let Some(record) = records.next_record().map_err(|error| error.at(path, 0))? {
+        if let McapRecord::Metadata { name: found, entries } = record
+            && found == name
         {
-            return Ok(Some(record.metadata));
+            return Ok(Some(entries));
         }
     }
     Ok(None)
@@ -248,12 +242,12 @@ fn frame_set_count(records: &mut RecordReader) -> Option<usize> {
     let mut counts = BTreeMap::new();
     while let Some(record) = records.next_record().ok()? {
         match record {
-            Record::Channel(channel)
-                if matches!(Topic::parse(&channel.topic), Some(Topic::Frames { .. })) =>
+            McapRecord::Channel { id, topic, .. }
+                if matches!(Topic::parse(&topic), Some(Topic::Frames { .. })) =>
             {
-                of_frames.push(channel.id);
+                of_frames.push(id);
             }
-            Record::Statistics(statistics) => counts = statistics.channel_message_counts,
+            McapRecord::Statistics { message_counts } => counts = message_counts,
             _ => {}
         }
     }
@@ -307,7 +301,7 @@ mod tests {
 
     fn read(path: &Path) -> (Vec<FrameSet>, Result<(), RecordingError>) {
         let mut sets = Vec::new();
-        let mut reader = match McapReader::open(path) {
+        let mut reader = match McapReader::open(path, &[]) {
             Ok(reader) => reader,
             Err(error) => return (sets, Err(error)),
         };
@@ -339,7 +333,7 @@ mod tests {
             sets.iter().map(key).collect::<Vec<_>>(),
             frame_sets().iter().map(key).collect::<Vec<_>>()
         );
-        assert_eq!(McapReader::open(&path).unwrap().frame_set_count(), Some(20));
+        assert_eq!(McapReader::open(&path, &[]).unwrap().frame_set_count(), Some(20));
         assert_eq!(metadata(&path, "plumb.truth").unwrap().unwrap()["seed"], "7");
         assert_eq!(metadata(&path, "other").unwrap(), None);
     }

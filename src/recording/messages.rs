@@ -171,19 +171,35 @@ pub(super) fn decode_frame(
 /// The lens that a camera calibration message states; `None` if it states none that Plumb has.
 pub(super) fn decode_lens(bytes: &[u8]) -> Option<(ImageSize, Lens)> {
     let message = CameraCalibration::decode(bytes).ok()?;
-    let [fx, skew, cx, _, fy, cy, ..] = message.k[..] else { return None };
-    let model = match message.distortion_model.as_str() {
+    let matrix: [f64; 9] = message.k.as_slice().try_into().ok()?;
+    let lens = lens_from_ros(&message.distortion_model, &message.d, &matrix)?;
+    Some((ImageSize::new(message.width, message.height), lens))
+}
+
+/// The lens of a `distortion_model` with its coefficients and the matrix K row by row, as ROS and
+/// Foxglove state it; `None` if no model of Plumb's says the same. Coefficients that are left out
+/// are 0.
+pub(super) fn lens_from_ros(
+    distortion_model: &str,
+    distortion: &[f64],
+    matrix: &[f64; 9],
+) -> Option<Lens> {
+    let [fx, skew, cx, _, fy, cy, ..] = *matrix;
+    let is_zero = |coefficients: &[f64]| coefficients.iter().all(|d| *d == 0.0);
+    let model = match distortion_model {
         "plumb_bob" => LensModel::Brown,
         "rational_polynomial" => LensModel::Rational,
-        "kannala_brandt" | "equidistant" => LensModel::KannalaBrandt,
-        "" if message.d.iter().all(|d| *d == 0.0) => LensModel::Pinhole,
+        "kannala_brandt" | "equidistant" | "fisheye" => LensModel::KannalaBrandt,
+        _ if is_zero(distortion) => LensModel::Pinhole,
         _ => return None,
     };
-    let parameters: Vec<f64> =
-        [fx, fy, cx, cy, skew].into_iter().chain(message.d.iter().copied()).collect();
-    let lens =
-        Lens::from_parameters(model, parameters.get(..5 + model.coefficient_names().len())?)?;
-    (fx > 0.0 && fy > 0.0).then_some((ImageSize::new(message.width, message.height), lens))
+    let count = model.coefficient_names().len();
+    let beyond = distortion.get(count..).unwrap_or_default();
+    let stated = distortion.iter().copied().chain(std::iter::repeat(0.0)).take(count);
+    let parameters: Vec<f64> = [fx, fy, cx, cy, skew].into_iter().chain(stated).collect();
+    let whole = fx > 0.0 && fy > 0.0 && is_zero(beyond);
+    let whole = whole && parameters.iter().all(|value| value.is_finite());
+    Lens::from_parameters(model, &parameters).filter(|_| whole)
 }
 
 fn encoded<T: Encode>(schema: &'static str, message: &T) -> Option<Encoded> {
@@ -208,7 +224,7 @@ mod tests {
         for name in ["/front/color", "/a/b/depth", "/front/infrared/calibration"] {
             assert_eq!(Topic::parse(name).unwrap().name(), name);
         }
-        for name in ["/front/color", "/color", "", "/front/color/info", "/fr\nont/color"] {
+        for name in ["/front/hue", "/color", "", "/front/color/info", "/fr\nont/color"] {
             assert_eq!(Topic::parse(name), None, "{name}");
         }
     }

@@ -1,23 +1,28 @@
-//! Frames on disk: MCAP files and folders of images. Uses geometry and imaging.
+//! Frames on disk: MCAP files, ROS bags and folders of images. Uses geometry and imaging.
 //!
-//! [`Recording::open`] tells the two apart; reading goes frame set by frame set, with a bounded
+//! [`Recording::open`] finds out which it is; reading goes frame set by frame set, with a bounded
 //! amount in memory. A damaged picture is a frame that fails when it is decoded; a recording that
 //! was cut off gives all that can be read before its error.
 
+mod bag;
+mod fields;
 mod folder;
 mod mcap_reader;
 mod mcap_writer;
 mod messages;
 mod natural_order;
 mod records;
+mod unpack;
 
 use std::path::{Path, PathBuf};
 
+pub use bag::BagReader;
 pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};
 pub use mcap_writer::McapWriter;
 pub use natural_order::natural_order;
 
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
 
 /// A recording that cannot be read or written.
@@ -68,32 +73,87 @@ pub enum RecordingError {
         /// What was met.
         reason: String,
     },
-    /// An MCAP file without images of a camera.
+    /// A file without images of a camera.
     #[error(
-        "{}: no frames in this recording: it needs Foxglove images on topics like /front/color, /front/infrared or /front/depth",
+        "{}: no frames in this recording: it needs images of ROS (sensor_msgs Image or CompressedImage), or of Foxglove on topics like /front/color",
         path.display()
     )]
     NoFrames {
         /// The file.
         path: PathBuf,
     },
-    /// An MCAP file of more than one camera.
+    /// A file of more than one camera.
     #[error(
-        "{}: holds several cameras ({} and {}): record each into a file of its own",
+        "{}: holds several cameras ({} and {}): pick one with --topic, or topic = in a configuration",
         path.display(), cameras[0], cameras[1]
     )]
     SeveralCameras {
         /// The file.
         path: PathBuf,
-        /// Two of them.
+        /// Topics of two of them.
         cameras: [String; 2],
     },
+    /// A topic was asked for that carries no images here.
+    #[error("{}: no images on the topic `{topic}`: there are {known}", path.display())]
+    NoSuchTopic {
+        /// The file.
+        path: PathBuf,
+        /// What was asked for.
+        topic: String,
+        /// The topics that carry images.
+        known: String,
+    },
+    /// Images in a form that Plumb does not read.
+    #[error("{}: {topic}: {reason}; convert them, or pick another topic", path.display())]
+    UnknownImage {
+        /// The file.
+        path: PathBuf,
+        /// The topic.
+        topic: String,
+        /// What was met.
+        reason: String,
+    },
     /// A file that is no recording.
-    #[error("{}: not a recording: give an .mcap file or a folder of images", path.display())]
+    #[error("{}: not a recording: give an .mcap file, a ROS bag (.db3, .bag) or a folder of images", path.display())]
     NotARecording {
         /// The file.
         path: PathBuf,
     },
+}
+
+impl RecordingError {
+    /// The same of the file at `path`: of one that was unpacked to another place.
+    fn of(mut self, at: &Path) -> Self {
+        match &mut self {
+            Self::Missing { path }
+            | Self::NoPictures { path }
+            | Self::Io { path, .. }
+            | Self::Cut { path, .. }
+            | Self::Damaged { path, .. }
+            | Self::NoFrames { path }
+            | Self::SeveralCameras { path, .. }
+            | Self::NoSuchTopic { path, .. }
+            | Self::UnknownImage { path, .. }
+            | Self::NotARecording { path } => at.clone_into(path),
+        }
+        self
+    }
+}
+
+/// How to read a recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReadOptions {
+    /// Frame sets a second of a folder, which tells no times; 10 unless said.
+    pub fps: f64,
+    /// The topics to read, or their beginnings up to a slash; those of the only camera unless
+    /// said.
+    pub topics: Vec<String>,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { fps: 10.0, topics: Vec::new() }
+    }
 }
 
 /// A recording being read.
@@ -101,24 +161,28 @@ pub enum RecordingError {
 pub enum Recording {
     /// Pictures in a folder.
     Folder(Folder),
-    /// An MCAP file.
+    /// An MCAP file of Plumb's or Foxglove's.
     Mcap(Box<McapReader>),
+    /// A ROS bag.
+    Bag(Box<BagReader>),
 }
 
 impl Recording {
-    /// Opens the folder or MCAP file at `path`. Frames of a folder, which tells no times, are `fps`
-    /// a second.
+    /// Opens the folder, MCAP file or bag at `path`.
     ///
     /// # Errors
     /// [`RecordingError`] when it isn't there or is no recording.
-    pub fn open(path: &Path, fps: f64) -> Result<Self, RecordingError> {
+    pub fn open(path: &Path, options: &ReadOptions) -> Result<Self, RecordingError> {
         if !path.exists() {
             return Err(RecordingError::Missing { path: path.to_owned() });
         }
-        if path.is_dir() {
-            return Ok(Self::Folder(Folder::open(path, fps)?));
+        if is_bag(path)? {
+            return Ok(Self::Bag(Box::new(BagReader::open(path, &options.topics)?)));
         }
-        Ok(Self::Mcap(Box::new(McapReader::open(path)?)))
+        if path.is_dir() {
+            return Ok(Self::Folder(Folder::open(path, options.fps)?));
+        }
+        Ok(Self::Mcap(Box::new(McapReader::open(path, &options.topics)?)))
     }
 
     /// The next frames taken together; `None` after the last.
@@ -129,6 +193,7 @@ impl Recording {
         match self {
             Self::Folder(folder) => folder.next_frame_set(),
             Self::Mcap(file) => file.next_frame_set(),
+            Self::Bag(bag) => bag.next_frame_set(),
         }
     }
 
@@ -143,6 +208,7 @@ impl Recording {
                 Ok(())
             }
             Self::Mcap(file) => file.rewind(),
+            Self::Bag(bag) => bag.rewind(),
         }
     }
 
@@ -151,6 +217,45 @@ impl Recording {
         match self {
             Self::Folder(folder) => Some(folder.frame_set_count()),
             Self::Mcap(file) => file.frame_set_count(),
+            Self::Bag(_) => None,
         }
     }
+
+    /// What the recorded device stated of its own sensors.
+    pub fn factory(&self) -> FactoryCalibration {
+        match self {
+            Self::Bag(bag) => bag.factory().clone(),
+            Self::Folder(_) | Self::Mcap(_) => FactoryCalibration::default(),
+        }
+    }
+}
+
+/// Whether `path` is a recording by its name: an MCAP file or a bag's file.
+pub fn is_recording_file(path: &Path) -> bool {
+    bag::is_bag_file(path)
+}
+
+/// Whether the folder at `path` holds a bag, and no images of which it would be a folder.
+pub fn is_bag_folder(path: &Path) -> bool {
+    path.is_dir() && bag::holds_bag(path) && !folder::holds_images(path)
+}
+
+/// Whether `path` is a bag of ROS; an MCAP file is one by the messages in it.
+fn is_bag(path: &Path) -> Result<bool, RecordingError> {
+    let is_mcap = path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("mcap"));
+    if is_mcap && path.is_file() {
+        return bag::mcap_has_ros_images(path);
+    }
+    Ok(is_bag_folder(path) || path.is_file() && bag::is_bag_file(path))
+}
+
+/// Whether the topic `name` is one of those `asked` for; with none, each is.
+fn names_topic(asked: &[String], name: &str) -> bool {
+    asked.is_empty() || asked.iter().any(|asked| topic_begins(asked, name))
+}
+
+/// Whether `asked` is the topic `name` or begins it up to a slash.
+fn topic_begins(asked: &str, name: &str) -> bool {
+    let (asked, name) = (asked.trim_matches('/'), name.trim_matches('/'));
+    name.strip_prefix(asked).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }

@@ -29,7 +29,7 @@ use plumb::imaging::decode;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::{FrameSet, SensorKind};
 use plumb::imaging::gray::GrayImage;
-use plumb::recording::Recording;
+use plumb::recording::{ReadOptions, Recording};
 use serde_json::{Value, json};
 use served::{Served, recording};
 use shared_data::shared_data;
@@ -241,7 +241,7 @@ fn stated(lens: &Value) -> StatedCamera {
 
 /// The shipped walk of a board before color, infrared and depth.
 fn walk_pictures(count: usize) -> Vec<Pictures> {
-    let mut walk = Recording::open(&recording("rgbd.mcap"), 5.0).unwrap();
+    let mut walk = Recording::open(&recording("rgbd.mcap"), &ReadOptions::default()).unwrap();
     let sets = std::iter::from_fn(|| walk.next_frame_set().unwrap());
     sets.take(count).map(|set| pictures(&set)).collect()
 }

@@ -62,7 +62,9 @@ fn every_real_picture_decodes() {
         "kinect1-herrera",
     ];
     for folder in sets.into_iter().filter_map(shared_data) {
-        let mut recording = plumb::recording::Recording::open(&folder, 10.0).unwrap();
+        let mut recording =
+            plumb::recording::Recording::open(&folder, &plumb::recording::ReadOptions::default())
+                .unwrap();
         let mut pictures = 0;
         while let Some(set) = recording.next_frame_set().unwrap() {
             let frame = &set.frames[0];

@@ -9,14 +9,14 @@ use plumb::imaging::decode;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::{FrameSet, SensorKind};
 use plumb::imaging::gray::GrayImage;
-use plumb::recording::{Recording, metadata};
+use plumb::recording::{ReadOptions, Recording, metadata};
 
 fn recordings() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings")
 }
 
 fn frame_sets(path: &Path) -> Vec<FrameSet> {
-    let mut recording = Recording::open(path, 10.0).unwrap();
+    let mut recording = Recording::open(path, &ReadOptions::default()).unwrap();
     let announced = recording.frame_set_count();
     let mut sets = Vec::new();
     while let Some(set) = recording.next_frame_set().unwrap() {

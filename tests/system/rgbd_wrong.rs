@@ -6,7 +6,7 @@ use std::path::Path;
 
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::SensorKind;
-use plumb::recording::Recording;
+use plumb::recording::{ReadOptions, Recording};
 use serde_json::Value;
 
 use crate::program::{Finished, plumb};
@@ -23,7 +23,7 @@ struct Taken {
 
 /// Every third frame set of the bundled recording.
 fn taken() -> Vec<Taken> {
-    let mut recording = Recording::open(&recording("rgbd.mcap"), 10.0).unwrap();
+    let mut recording = Recording::open(&recording("rgbd.mcap"), &ReadOptions::default()).unwrap();
     let mut sets = Vec::new();
     while let Some(set) = recording.next_frame_set().unwrap() {
         let bytes = |sensor| set.frame(sensor).unwrap().bytes.to_vec();
