@@ -1,41 +1,48 @@
 //! `plumb detect`: which pictures show the board, and where its corners are.
 
 use std::io::{self, BufRead};
+use std::path::PathBuf;
 
 use serde::Serialize;
 
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::search::{Looked, searcher};
 use crate::cli::sources::{FrameSets, TopicArgs};
-use crate::cli::{Failure, output};
+use crate::cli::target_search::read_target;
+use crate::cli::{Failure, detect_target, output};
 use crate::detection::board_detection::DetectOptions;
 use crate::geometry::board::BoardSize;
+use crate::geometry::target::Target;
 
 /// Finds a chessboard in each image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
     /// along a column.
-    #[arg(long)]
-    board: BoardSize,
+    #[arg(long, required_unless_present = "target")]
+    board: Option<BoardSize>,
+    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
+    /// JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    target: Option<PathBuf>,
     /// Print a line of JSON for each image, in the order given.
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
     /// Also answer with part of a board where the whole is not seen.
     #[arg(long)]
     allow_partial: bool,
     /// Search each image N times; elapsed_ms is the fastest.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
-    repeat: u32,
+    pub(super) repeat: u32,
     /// How many images to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    pub(super) threads: Option<u16>,
     #[command(flatten)]
-    reading: TopicArgs,
+    pub(super) reading: TopicArgs,
     /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input,
     /// a line each.
     #[arg(required = true, value_name = "PATH")]
-    paths: Vec<String>,
+    pub(super) paths: Vec<String>,
 }
 
 /// What the command prints for an image.
@@ -63,31 +70,42 @@ struct ImageLine {
 /// # Errors
 /// When images could not be read, after all others have been searched.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    match (args.board, &args.target) {
+        (Some(board), _) => detect_boards(args, board),
+        (None, Some(file)) => match read_target(file)? {
+            Target::Chessboard(board) => detect_boards(args, board.size),
+            target => detect_target::run(args, target),
+        },
+        (None, None) => Err(Failure::usage("give --board or --target")),
+    }
+}
+
+fn detect_boards(args: &Args, board: BoardSize) -> Result<(), Failure> {
     let options = DetectOptions { allow_partial: args.allow_partial };
     let mut unread = Unread::default();
     in_order(
         FrameSets::new(paths(&args.paths)).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
-        || searcher(args.board, options, args.repeat),
+        || searcher(board, options, args.repeat),
         |looked| {
             let line = match looked {
-                Ok(looked) => ImageLine::of(args.board, looked),
+                Ok(looked) => ImageLine::of(board, looked),
                 Err(unreadable) => {
                     unread.count(&unreadable.reason);
                     ImageLine {
                         reason: Some(unreadable.reason),
-                        ..ImageLine::nothing(args.board, unreadable.path)
+                        ..ImageLine::nothing(board, unreadable.path)
                     }
                 }
             };
-            print(args, &line)
+            print(args, board, &line)
         },
     )?;
     unread.into_result()
 }
 
 /// The paths, those on standard input in the place of `-`.
-fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
+pub(super) fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
     given.iter().flat_map(|path| -> Box<dyn Iterator<Item = String> + Send> {
         if path == "-" {
             let lines = io::BufReader::new(io::stdin()).lines();
@@ -148,7 +166,7 @@ impl ImageLine {
     }
 }
 
-fn print(args: &Args, line: &ImageLine) -> Result<(), Failure> {
+fn print(args: &Args, board: BoardSize, line: &ImageLine) -> Result<(), Failure> {
     if args.json {
         return output::print_json(line);
     }
@@ -158,28 +176,26 @@ fn print(args: &Args, line: &ImageLine) -> Result<(), Failure> {
         // A reason that is about the file names it.
         Some(reason) if line.width.is_none() => reason.clone(),
         Some(reason) => format!("{path}: no board: {reason}"),
-        None => format!(
-            "{path}: {part} {} board, {} corners, {elapsed_ms:.2} ms",
-            args.board,
-            corners.len()
-        ),
+        None => {
+            format!("{path}: {part} {board} board, {} corners, {elapsed_ms:.2} ms", corners.len())
+        }
     })
 }
 
 /// Images that could not be read: how many, and the first one's reason.
 #[derive(Debug, Default)]
-struct Unread {
+pub(super) struct Unread {
     count: usize,
     first: Option<String>,
 }
 
 impl Unread {
-    fn count(&mut self, reason: &str) {
+    pub(super) fn count(&mut self, reason: &str) {
         self.count += 1;
         self.first.get_or_insert_with(|| reason.to_owned());
     }
 
-    fn into_result(self) -> Result<(), Failure> {
+    pub(super) fn into_result(self) -> Result<(), Failure> {
         match (self.first, self.count) {
             (None, _) => Ok(()),
             (Some(reason), 1) => Err(Failure::failed(reason)),

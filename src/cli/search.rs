@@ -7,6 +7,7 @@ use crate::cli::sources::{SourcedFrames, Unreadable};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::detector::Detector;
 use crate::geometry::board::BoardSize;
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
@@ -41,13 +42,7 @@ pub fn searcher(
             reason: format!("{path}: {reason}"),
             path: path.clone(),
         })?;
-        let frame = FrameFacts {
-            sequence: frames.set.sequence,
-            name: frames.set.name,
-            host_time_ns: frames.set.host_time.utc_ns,
-            device_time_ns: frames.set.device_time.map(|time| time.monotonic_ns),
-            image_size: image.size(),
-        };
+        let frame = frame_facts(&frames, image.size());
         let mut search = || {
             let started = Instant::now();
             let answer = detector.find_board(image.view(), &options);
@@ -61,8 +56,19 @@ pub fn searcher(
     }
 }
 
+/// What there is to know about the picture of a frame set.
+pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> FrameFacts {
+    FrameFacts {
+        sequence: frames.set.sequence,
+        name: frames.set.name.clone(),
+        host_time_ns: frames.set.host_time.utc_ns,
+        device_time_ns: frames.set.device_time.map(|time| time.monotonic_ns),
+        image_size,
+    }
+}
+
 /// The luma of the color picture, else of the infrared one.
-fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
+pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
     let picture = [SensorKind::Color, SensorKind::Infrared]
         .into_iter()
         .find_map(|sensor| frames.set.frame(sensor));

@@ -7,6 +7,7 @@ mod bend;
 pub mod board_detection;
 pub mod board_plane;
 mod candidates;
+pub mod coded;
 mod cross;
 pub mod detector;
 mod edges;

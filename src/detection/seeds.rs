@@ -25,8 +25,10 @@ pub(super) struct Seed {
 }
 
 /// Candidates sorted into bins, to find the nearest in a direction.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Neighborhood {
+    /// Tangent of how far a neighbor may lie off the edge that leads to it.
+    off_edge: f32,
     across: usize,
     down: usize,
     starts: Vec<u32>,
@@ -34,7 +36,25 @@ pub(super) struct Neighborhood {
     known: Vec<Option<[Option<usize>; 4]>>,
 }
 
+impl Default for Neighborhood {
+    fn default() -> Self {
+        Self::with_links_within(OFF_EDGE)
+    }
+}
+
 impl Neighborhood {
+    /// An empty one, whose links lead along edges within this tangent.
+    pub(super) fn with_links_within(off_edge: f32) -> Self {
+        Self {
+            off_edge,
+            across: 0,
+            down: 0,
+            starts: Vec::new(),
+            members: Vec::new(),
+            known: Vec::new(),
+        }
+    }
+
     /// Sorts `candidates` of an image of `width` × `height` pixels.
     pub(super) fn fill(&mut self, candidates: &[Candidate], width: usize, height: usize) {
         self.across = width / BIN as usize + 1;
@@ -98,7 +118,7 @@ impl Neighborhood {
         if let Some(links) = self.known[from] {
             return links;
         }
-        let origin = &candidates[from];
+        let (origin, off_edge) = (&candidates[from], self.off_edge);
         let (bx, by) = self.bin_of(origin.pixel);
         let (mut best, mut farthest) = ([(reach, None); 4], reach);
         for ring in 0..=(reach / BIN) as usize + 1 {
@@ -120,7 +140,7 @@ impl Neighborhood {
                 // A little off the edge is worth a little more way.
                 let distance = along + off;
                 let nearer =
-                    along >= LEAST_STEP && off <= OFF_EDGE * along && distance < best[quarter].0;
+                    along >= LEAST_STEP && off <= off_edge * along && distance < best[quarter].0;
                 if nearer && opposite_colors(origin, other) {
                     best[quarter] = (distance, Some(index));
                     farthest = best.iter().fold(0.0, |most, &(distance, _)| distance.max(most));

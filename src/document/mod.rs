@@ -23,6 +23,7 @@ pub mod sensors_file;
 pub mod session;
 pub mod session_member;
 pub mod target;
+pub mod target_file;
 pub mod time;
 pub mod truth;
 pub mod uncertainty;

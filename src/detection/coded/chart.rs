@@ -1,0 +1,150 @@
+//! Where the nearest known crossings put another: a homography from the lattice to the image that
+//! is fitted to them alone, so that a lens may bend the rest.
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::detection::coded::sheet::Sheets;
+use crate::detection::cross::Vec2;
+use crate::detection::grid::Grid;
+
+type Normal = SMatrix<f64, 8, 8>;
+type Right = SVector<f64, 8>;
+
+/// How far around a place crossings are gathered, in lines, nearest first.
+const REACHES: [i32; 3] = [2, 4, 9];
+/// With so many no more are gathered.
+const ENOUGH: usize = 8;
+/// Weight of the assumption that there is no perspective, over that of one crossing: a few
+/// crossings with a noise of 2 % of their spread say less.
+const FLAT: f64 = 0.004;
+
+/// A homography from lattice to image, near one place.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Chart {
+    h: Right,
+    middle: [f64; 2],
+    spread: f64,
+    mean: [f64; 2],
+    scale: f64,
+}
+
+/// A crossing: where in the lattice, where in the image, how much it counts.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ChartPair {
+    pub place: [f64; 2],
+    pub pixel: [f64; 2],
+    pub weight: f64,
+}
+
+impl Chart {
+    /// Fitted to `pairs`; `None` of fewer than three or where they span no plane.
+    pub(super) fn fit(pairs: &[ChartPair]) -> Option<Self> {
+        if pairs.len() < 3 {
+            return None;
+        }
+        let total: f64 = pairs.iter().map(|pair| pair.weight).sum();
+        let mean_of = |of: fn(&ChartPair) -> [f64; 2]| {
+            let sum = pairs.iter().fold([0.0; 2], |sum, pair| {
+                [sum[0] + pair.weight * of(pair)[0], sum[1] + pair.weight * of(pair)[1]]
+            });
+            sum.map(|v| v / total)
+        };
+        let (middle, mean) = (mean_of(|pair| pair.place), mean_of(|pair| pair.pixel));
+        let spread_of = |of: fn(&ChartPair) -> [f64; 2], mean: [f64; 2]| {
+            let sum: f64 = pairs
+                .iter()
+                .map(|pair| {
+                    let [x, y] = of(pair);
+                    pair.weight * ((x - mean[0]).powi(2) + (y - mean[1]).powi(2))
+                })
+                .sum();
+            (sum / total).sqrt().max(1e-6)
+        };
+        let spread = spread_of(|pair| pair.place, middle);
+        let scale = spread_of(|pair| pair.pixel, mean);
+        let (mut normal, mut right) = (Normal::zeros(), Right::zeros());
+        normal[(6, 6)] = FLAT * total;
+        normal[(7, 7)] = FLAT * total;
+        for pair in pairs {
+            let [i, j] = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
+            let [x, y] = [0, 1].map(|k| (pair.pixel[k] - mean[k]) / scale);
+            for (row, value) in [
+                ([i, j, 1.0, 0.0, 0.0, 0.0, -i * x, -j * x], x),
+                ([0.0, 0.0, 0.0, i, j, 1.0, -i * y, -j * y], y),
+            ] {
+                for a in 0..8 {
+                    let weighted = pair.weight * row[a];
+                    if weighted == 0.0 {
+                        continue;
+                    }
+                    right[a] += weighted * value;
+                    for b in 0..=a {
+                        normal[(a, b)] += weighted * row[b];
+                    }
+                }
+            }
+        }
+        // Only the lower half is read.
+        let h = normal.cholesky()?.solve(&right);
+        Some(Self { h, middle, spread, mean, scale })
+    }
+
+    /// Fitted to the crossings of `grid` nearest to the place (x, y), those on line `without` left
+    /// out.
+    pub(super) fn near(
+        grid: &Grid,
+        sheets: &Sheets,
+        (i, j): (i32, i32),
+        without: Option<(i32, i32)>,
+        pairs: &mut Vec<ChartPair>,
+    ) -> Option<Self> {
+        let at = [sheets.line(i), sheets.line(j)];
+        let mut inner = -1;
+        pairs.clear();
+        for reach in REACHES {
+            for dj in -reach..=reach {
+                for di in -reach..=reach {
+                    let ring = di.abs().max(dj.abs());
+                    if ring <= inner || Some((i + di, j + dj)) == without {
+                        continue;
+                    }
+                    let Some(pixel) = grid.pixel(i + di, j + dj) else { continue };
+                    let place = [sheets.line(i + di), sheets.line(j + dj)];
+                    let away = (place[0] - at[0]).powi(2) + (place[1] - at[1]).powi(2);
+                    pairs.push(ChartPair {
+                        place: place.map(f64::from),
+                        pixel: [f64::from(pixel.x), f64::from(pixel.y)],
+                        weight: 1.0 / (0.5 + f64::from(away)),
+                    });
+                }
+            }
+            inner = reach;
+            if pairs.len() >= ENOUGH {
+                break;
+            }
+        }
+        Self::fit(pairs)
+    }
+
+    /// Where it puts the place (x, y); `None` behind the camera.
+    pub(super) fn at(&self, x: f32, y: f32) -> Option<Vec2> {
+        let i = (f64::from(x) - self.middle[0]) / self.spread;
+        let j = (f64::from(y) - self.middle[1]) / self.spread;
+        let h = &self.h;
+        let w = 1.0 + h[6] * i + h[7] * j;
+        (w > 0.05).then(|| {
+            let u = (h[0] * i + h[1] * j + h[2]) / w * self.scale + self.mean[0];
+            let v = (h[3] * i + h[4] * j + h[5]) / w * self.scale + self.mean[1];
+            Vec2::new(u as f32, v as f32)
+        })
+    }
+
+    /// One unit of the lattice along each axis, at the place (x, y), in pixels.
+    pub(super) fn steps(&self, x: f32, y: f32) -> Option<[Vec2; 2]> {
+        const HALF: f32 = 0.1;
+        let step = |dx: f32, dy: f32| {
+            Some((self.at(x + dx, y + dy)? - self.at(x - dx, y - dy)?) / (2.0 * HALF))
+        };
+        Some([step(HALF, 0.0)?, step(0.0, HALF)?])
+    }
+}

@@ -1,0 +1,285 @@
+//! The whole search: lattices on each level of the image, until the markers of one are the
+//! target's.
+
+use crate::detection::candidates::CandidateSearch;
+use crate::detection::coded::answer::{NoTarget, TargetDetection};
+use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels};
+use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
+use crate::detection::coded::order::by_reach;
+use crate::detection::coded::reading::MarkerReading;
+use crate::detection::coded::sheet::Sheets;
+use crate::detection::cross::Vec2;
+use crate::detection::grid::Grid;
+use crate::detection::pyramid::Pyramid;
+use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
+use crate::detection::response::Response;
+use crate::detection::seeds::Neighborhood;
+use crate::geometry::target::Target;
+use crate::imaging::gray::GrayView;
+
+/// Fewer crossings are no lattice.
+const LEAST_LATTICE: usize = 6;
+/// Fewer corners are not answered.
+const LEAST_CORNERS: usize = 4;
+/// Cells from which a lattice is grown, on one level.
+const MOST_STARTS: usize = 48;
+/// Lattices whose markers are read, on one level.
+const MOST_READ: usize = 6;
+/// A candidate this near to a crossing is that crossing, in pixels of the level.
+const SAME_PX: f32 = 2.5;
+/// Tangent of how far a crossing may lie off the edge that leads to it: less than the payloads'
+/// crossings do.
+const OFF_EDGE: f32 = 0.16;
+/// Levels that are searched, the image itself first.
+const LEVELS: [usize; 3] = [0, 1, 2];
+/// An image whose shorter side is less holds no target.
+const LEAST_SIDE: usize = 24;
+
+/// Finds one target with markers in images. Its buffers are kept from image to image.
+#[derive(Debug)]
+pub struct TargetDetector {
+    pub(super) target: Target,
+    pub(super) sheets: Sheets,
+    pub(super) pyramid: Pyramid,
+    response: Response,
+    candidates: CandidateSearch,
+    pub(super) neighborhood: Neighborhood,
+    used: Vec<bool>,
+    /// Candidates in the order in which they are started from, and how far their squares reach.
+    order: Vec<(usize, usize)>,
+    pub(super) growth: LatticeGrowth,
+    pub(super) grid: Grid,
+    pub(super) spare: Grid,
+    reading: MarkerReading,
+    pub(super) guesses: Vec<GridCorner>,
+    pub(super) refined: Vec<Option<RefinedCorner>>,
+    pub(super) refiner: Refiner,
+}
+
+/// What was seen that is no answer.
+#[derive(Default)]
+struct Unlabelled {
+    candidates: usize,
+    lattice: (usize, u32, u32),
+    elsewhere: usize,
+}
+
+impl TargetDetector {
+    /// A detector of `target`; `None` of a target without markers, for which there is
+    /// [`Detector`](crate::detection::detector::Detector).
+    pub fn new(target: Target) -> Option<Self> {
+        Some(Self {
+            sheets: Sheets::of(&target)?,
+            target,
+            pyramid: Pyramid::default(),
+            response: Response::default(),
+            candidates: CandidateSearch::default(),
+            neighborhood: Neighborhood::with_links_within(OFF_EDGE),
+            used: Vec::new(),
+            order: Vec::new(),
+            growth: LatticeGrowth::default(),
+            grid: Grid::default(),
+            spare: Grid::default(),
+            reading: MarkerReading::default(),
+            guesses: Vec::new(),
+            refined: Vec::new(),
+            refiner: Refiner::new(),
+        })
+    }
+
+    /// The target that is searched for.
+    pub fn target(&self) -> &Target {
+        &self.target
+    }
+
+    /// Finds the target in `image`.
+    ///
+    /// # Errors
+    /// [`NoTarget`] says why there is none.
+    pub fn find(&mut self, image: GrayView<'_>) -> Result<TargetDetection, NoTarget> {
+        let (width, height) = (image.width(), image.height());
+        if width.min(height) < LEAST_SIDE {
+            let target = self.target.to_string();
+            return Err(NoTarget::ImageTooSmall { width, height, target });
+        }
+        self.pyramid.build(image, LEVELS.len() - 1);
+        let mut seen = Unlabelled::default();
+        for level in LEVELS {
+            if (width.min(height) >> level) < LEAST_SIDE {
+                continue;
+            }
+            if let Some(label) = self.search_level(image, level, &mut seen)
+                && let Some(detection) = self.finish(image, level, label)
+                && detection.corners.len() >= LEAST_CORNERS
+            {
+                return Ok(detection);
+            }
+        }
+        Err(self.reason(&seen))
+    }
+
+    fn search_level(
+        &mut self,
+        image: GrayView<'_>,
+        level: usize,
+        seen: &mut Unlabelled,
+    ) -> Option<BoardLabel> {
+        let pyramid = std::mem::take(&mut self.pyramid);
+        let label = self.search(pyramid.level(image, level), seen);
+        self.pyramid = pyramid;
+        label
+    }
+
+    /// Grows lattices from the candidates of `view`, until one is labelled; it is left in `grid`.
+    fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabelled) -> Option<BoardLabel> {
+        self.response.compute(view, 1);
+        self.candidates.search(view, &self.response, usize::from(u16::MAX));
+        let candidates = &self.candidates.found;
+        seen.candidates = seen.candidates.max(candidates.len());
+        self.neighborhood.fill(candidates, view.width(), view.height());
+        self.used.clear();
+        self.used.resize(candidates.len(), false);
+        let reach = view.width().max(view.height()) as f32 / 2.0;
+        let (mut starts, mut read) = (0, 0);
+        by_reach(view, candidates, &mut self.order);
+        for place in 0..self.order.len() {
+            let first = self.order[place].1;
+            if starts == MOST_STARTS || read == MOST_READ {
+                break;
+            }
+            if self.used[first] {
+                continue;
+            }
+            let candidates = &self.candidates.found;
+            let Some(seed) = self.neighborhood.seed(candidates, first, reach) else { continue };
+            starts += 1;
+            let scene = LatticeScene {
+                image: view,
+                candidates,
+                neighborhood: &self.neighborhood,
+                sheets: &self.sheets,
+            };
+            self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
+            self.spend();
+            let count = self.grid.members.len();
+            if count < LEAST_LATTICE {
+                continue;
+            }
+            read += 1;
+            if let Some(bounds) = self.grid.bounds().filter(|_| count > seen.lattice.0) {
+                let (a, b) = (bounds.width() as u32, bounds.height() as u32);
+                seen.lattice = (count, a.max(b), a.min(b));
+            }
+            match self.label(view) {
+                BoardLabels::One(label) => {
+                    self.complete(view, label);
+                    return Some(label);
+                }
+                BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
+                BoardLabels::None => {}
+            }
+        }
+        None
+    }
+
+    /// The candidates that are crossings of the lattice start no other.
+    fn spend(&mut self) {
+        let used = &mut self.used;
+        for &(i, j) in &self.grid.members {
+            let Some(p) = self.grid.pixel(i, j) else { continue };
+            self.neighborhood
+                .visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
+        }
+    }
+
+    /// Reads the markers of `grid`.
+    fn label(&mut self, view: GrayView<'_>) -> BoardLabels {
+        let mut believed = BoardLabels::None;
+        let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
+        for &inverted in inversions {
+            let mut way = 0;
+            while way < self.sheets.ways.len() {
+                let sheet = &self.sheets.ways[way];
+                let in_bright = self.sheets.in_bright != inverted;
+                self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
+                let mut best = BestLabel::default();
+                // Ways that differ in their cells alone are read once.
+                let inset = sheet.inset;
+                while self.sheets.ways.get(way).is_some_and(|sheet| sheet.inset == inset) {
+                    best.weigh((&self.sheets, way), &self.grid, &self.reading, inverted);
+                    way += 1;
+                }
+                believed = better(believed, best.labels(&self.reading, &self.sheets));
+            }
+        }
+        believed
+    }
+
+    /// Searches for those corners of the labelled board that growing did not reach, and forgets what
+    /// lies beyond it.
+    pub(super) fn complete(&mut self, view: GrayView<'_>, label: BoardLabel) {
+        let [across, down] = self.sheets.ways[label.way].lines;
+        let places: Vec<(i32, i32)> = (0..down)
+            .flat_map(|row| (0..across).map(move |col| label.placement.in_grid(col, row)))
+            .collect();
+        for index in (0..self.grid.members.len()).rev() {
+            let (i, j) = self.grid.members[index];
+            let (col, row) = label.placement.in_board(i, j);
+            if !(0..across).contains(&col) || !(0..down).contains(&row) {
+                self.grid.remove(i, j);
+            }
+        }
+        let scene = LatticeScene {
+            image: view,
+            candidates: &self.candidates.found,
+            neighborhood: &self.neighborhood,
+            sheets: &self.sheets,
+        };
+        for _ in 0..8 {
+            if !self.growth.detect_missing(scene, &mut self.grid, &places) {
+                break;
+            }
+        }
+    }
+
+    /// Forgets the candidates of the level that was searched last: they are not the next one's.
+    pub(super) fn forget_candidates(&mut self, view: GrayView<'_>) {
+        self.candidates.found.clear();
+        self.neighborhood.fill(&[], view.width(), view.height());
+    }
+
+    fn reason(&self, seen: &Unlabelled) -> NoTarget {
+        let target = self.target.to_string();
+        let (count, cols, rows) = seen.lattice;
+        if seen.elsewhere > 0 {
+            NoTarget::OtherBoard { markers: seen.elsewhere, target }
+        } else if count >= 2 * LEAST_LATTICE {
+            NoTarget::NoMarkers { cols, rows, target }
+        } else {
+            NoTarget::NoLattice { corners: seen.candidates, target }
+        }
+    }
+
+    /// To the level below, twice as fine.
+    pub(super) fn descend(&mut self) {
+        for index in 0..self.grid.members.len() {
+            let (i, j) = self.grid.members[index];
+            if let Some(node) = self.grid.get(i, j) {
+                let pixel = node.pixel * 2.0 + Vec2::repeat(0.5);
+                self.grid.set(i, j, crate::detection::grid::Node { pixel, ..node });
+            }
+        }
+    }
+}
+
+/// The more certain of two.
+fn better(one: BoardLabels, other: BoardLabels) -> BoardLabels {
+    match (one, other) {
+        (BoardLabels::One(a), BoardLabels::One(b)) if b.significance > a.significance => other,
+        (BoardLabels::One(_), _) => one,
+        (_, BoardLabels::One(_)) => other,
+        (BoardLabels::Elsewhere(a), BoardLabels::Elsewhere(b)) => BoardLabels::Elsewhere(a.max(b)),
+        (BoardLabels::Elsewhere(_), _) => one,
+        _ => other,
+    }
+}

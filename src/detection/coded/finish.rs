@@ -1,0 +1,183 @@
+//! From a labelled lattice on some level to what is answered: on the image itself, refined, with
+//! what is in doubt left out.
+
+use crate::detection::board_detection::GridIndex;
+use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
+use crate::detection::coded::detector::TargetDetector;
+use crate::detection::coded::labels::BoardLabel;
+use crate::detection::coded::lattice::{LatticeScene, settle};
+use crate::detection::cross::Vec2;
+use crate::detection::grid::Node;
+use crate::detection::growth::in_steps;
+use crate::detection::refine::GridCorner;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// How far a crossing may lie from where its neighbors put it, before and after refinement, in
+/// units of the narrower interval.
+const MOST_OFF: f32 = 0.25;
+const MOST_OFF_REFINED: f32 = 0.12;
+/// A lattice with more misplaced crossings than this part of them is none.
+const MOST_MISPLACED: f32 = 0.2;
+/// How far refinement may move a crossing, in the same units.
+const MOST_MOVED: f64 = 0.3;
+/// Least correlation with a crossing of one that is reported without refinement, and its standard
+/// deviation.
+const STANDING_SCORE: f32 = 0.75;
+const STANDING_STD_PX: f64 = 0.5;
+
+impl TargetDetector {
+    /// The detection of the board that lies in `grid` as `label` says, found on `level`.
+    pub(super) fn finish(
+        &mut self,
+        image: GrayView<'_>,
+        level: usize,
+        label: BoardLabel,
+    ) -> Option<TargetDetection> {
+        let pyramid = std::mem::take(&mut self.pyramid);
+        for finer in (0..level).rev() {
+            let view = pyramid.level(image, finer);
+            self.descend();
+            self.forget_candidates(view);
+            self.sharpen(view);
+            self.complete(view, label);
+        }
+        self.pyramid = pyramid;
+        if !self.drop_misplaced(MOST_OFF) {
+            return None;
+        }
+        self.refine(image);
+        if !self.drop_misplaced(MOST_OFF_REFINED) {
+            return None;
+        }
+        Some(self.detection(label))
+    }
+
+    /// Moves each crossing to where a finer level shows it.
+    fn sharpen(&mut self, view: GrayView<'_>) {
+        for index in 0..self.grid.members.len() {
+            let (i, j) = self.grid.members[index];
+            let (Some(node), Some((_, steps))) =
+                (self.grid.get(i, j), self.growth.expect(&self.sheets, &self.grid, (i, j)))
+            else {
+                continue;
+            };
+            let scene = LatticeScene {
+                image: view,
+                candidates: &[],
+                neighborhood: &self.neighborhood,
+                sheets: &self.sheets,
+            };
+            let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
+            let near = |p: Vec2| {
+                in_steps(p - node.pixel, steps.map(|step| step * narrow))
+                    .is_some_and(|off| off.x.abs().max(off.y.abs()) < 0.15)
+            };
+            if let Some(sharp) =
+                settle(scene, node.pixel, steps, 0.5).filter(|sharp| near(sharp.pixel))
+            {
+                self.grid.set(i, j, sharp);
+            }
+        }
+    }
+
+    /// Drops the crossing that lies farthest from where the others put it, until all lie within
+    /// `most`. False if too many must go.
+    fn drop_misplaced(&mut self, most: f32) -> bool {
+        let budget = (MOST_MISPLACED * self.grid.members.len() as f32) as usize + 1;
+        let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
+        for _ in 0..=budget {
+            let mut worst = (most, None);
+            for index in 0..self.grid.members.len() {
+                let (i, j) = self.grid.members[index];
+                let Some((expected, steps)) = self.growth.expect(&self.sheets, &self.grid, (i, j))
+                else {
+                    continue;
+                };
+                let off = self
+                    .grid
+                    .pixel(i, j)
+                    .and_then(|pixel| in_steps(pixel - expected, steps.map(|step| step * narrow)));
+                let off = off.map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()));
+                if off > worst.0 {
+                    worst = (off, Some((i, j)));
+                }
+            }
+            match worst.1 {
+                Some((i, j)) => self.grid.remove(i, j),
+                None => return true,
+            }
+        }
+        false
+    }
+
+    /// Refines all crossings of `grid`; those that are none are taken out.
+    fn refine(&mut self, image: GrayView<'_>) {
+        self.guesses.clear();
+        let reach = self.sheets.widths[0].min(self.sheets.widths[1]);
+        self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
+        for index in 0..self.grid.members.len() {
+            let (i, j) = self.grid.members[index];
+            let (Some(p), Some((_, [u, v]))) =
+                (self.grid.pixel(i, j), self.growth.expect(&self.sheets, &self.grid, (i, j)))
+            else {
+                continue;
+            };
+            let pixel = |p: Vec2| Pixel::new(f64::from(p.x), f64::from(p.y));
+            self.guesses.push(GridCorner {
+                index: GridIndex { col: i, row: j },
+                pixel: pixel(p),
+                neighbors: [u, v, -u, -v].map(|step| Some(pixel(p + step * reach))),
+            });
+        }
+        self.refiner.refine(image, &self.guesses, &mut self.refined);
+        for (guess, refined) in self.guesses.iter().zip(&mut self.refined) {
+            let GridIndex { col, row } = guess.index;
+            let nearest = guess.neighbors.iter().flatten();
+            let cell = nearest.map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
+            *refined = refined.filter(|refined| {
+                refined.pixel.distance_px(guess.pixel) < (MOST_MOVED * cell).max(1.0)
+            });
+            let Some(node) = self.grid.get(col, row) else { continue };
+            match refined {
+                Some(refined) => {
+                    let pixel = Vec2::new(refined.pixel.x as f32, refined.pixel.y as f32);
+                    self.grid.set(col, row, Node { pixel, ..node });
+                }
+                None if node.score < STANDING_SCORE => self.grid.remove(col, row),
+                None => {}
+            }
+        }
+    }
+
+    fn detection(&self, label: BoardLabel) -> TargetDetection {
+        let sheet = &self.sheets.ways[label.way];
+        let mut blurs = Vec::new();
+        let mut corners: Vec<LabelledCorner> = Vec::with_capacity(self.guesses.len());
+        for (guess, refined) in self.guesses.iter().zip(&self.refined) {
+            let GridIndex { col: i, row: j } = guess.index;
+            if self.grid.get(i, j).is_none() {
+                continue;
+            }
+            let (col, row) = label.placement.in_board(i, j);
+            let id = self.sheets.corner_id(&self.target, col, row);
+            blurs.extend(refined.map(|refined| refined.blur_px));
+            corners.push(LabelledCorner {
+                id,
+                pixel: refined.map_or(guess.pixel, |refined| refined.pixel),
+                std_px: refined.map_or(STANDING_STD_PX, |refined| refined.std_px),
+            });
+        }
+        corners.sort_unstable_by_key(|corner| corner.id);
+        blurs.sort_unstable_by(f64::total_cmp);
+        TargetDetection {
+            partial: corners.len() < self.target.corner_count(),
+            corners,
+            legacy: sheet.legacy,
+            border_bits: sheet.border_bits,
+            inverted: label.inverted,
+            markers: label.markers,
+            blur_px: blurs.get(blurs.len() / 2).copied().unwrap_or(0.0),
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Where in the target a lattice lies, by what all its cells together show.
+//!
+//! A lattice lies in the sheet by one of four quarter turns and a translation, in one of the ways
+//! in which the sheet may be printed, black and white as they are or exchanged. For each of these
+//! the agreement of every cell with the one code that it would have there is summed. Of cells that
+//! show something else each agreement has mean 0 and deviation 1/√(n² − 1) over n² payload cells,
+//! so the sum of K of them in units of √(K/(n² − 1)) is a standard normal variable; the least that
+//! is believed is exceeded by chance in one of 10¹¹.
+
+use crate::detection::coded::reading::MarkerReading;
+use crate::detection::coded::sheet::{Sheet, Sheets};
+use crate::detection::grid::{Bounds, Grid};
+use crate::detection::placement::Placement;
+
+/// Least sum of agreements, in its own deviations by chance.
+const LEAST_SIGNIFICANCE: f32 = 6.7;
+/// The same of cells that all agree nearly fully, which chance does not do.
+const LEAST_CLEAR_SIGNIFICANCE: f32 = 4.6;
+/// An agreement so full that chance does not explain it.
+const CLEAR: f32 = 0.88;
+/// How much larger it must be than that of any other place.
+const MARGIN: f32 = 1.5;
+/// Cells that agree less than this, though another code agrees more than [`CLEAR`], contradict.
+const CONTRADICTS: f32 = 0.5;
+/// Contradictions that are believed to be chance, as a share of the cells that agree.
+const MOST_CONTRADICTIONS: f32 = 0.1;
+/// Least weight of a cell that is counted as read.
+const READ: f32 = 0.8;
+
+/// Where a lattice lies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct BoardLabel {
+    /// How the sheet's columns and rows lie in the grid.
+    pub placement: Placement,
+    /// In which of the sheet's ways.
+    pub way: usize,
+    /// Black and white change places.
+    pub inverted: bool,
+    /// The sum of agreements in its deviations.
+    pub significance: f32,
+    /// Cells that were read and agree.
+    pub markers: usize,
+}
+
+/// What the cells say.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum BoardLabels {
+    /// One place.
+    One(BoardLabel),
+    /// So many cells have codes of the target, but elsewhere.
+    Elsewhere(usize),
+    /// Nothing.
+    None,
+}
+
+/// The best place so far and the next best.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct BestLabel {
+    first: Option<BoardLabel>,
+    second: f32,
+    contradictions: usize,
+    largest: usize,
+}
+
+impl BestLabel {
+    /// Weighs all places of `grid`, whose cells are read, in the `way`-th sheet.
+    pub(super) fn weigh(
+        &mut self,
+        (sheets, way): (&Sheets, usize),
+        grid: &Grid,
+        reading: &MarkerReading,
+        inverted: bool,
+    ) {
+        let Some(bounds) = grid.firm_bounds() else { return };
+        let sheet = &sheets.ways[way];
+        for cell in 0..reading.cells.len() {
+            self.contradictions +=
+                usize::from(reading.cells[cell].weight >= READ && reading.best(cell) > CLEAR);
+        }
+        self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
+        for turns in 0..4 {
+            for first in firsts(sheet, bounds, turns) {
+                let placement = Placement { first, turns, known: true };
+                if !aligned(sheets, placement) {
+                    continue;
+                }
+                if let Some(label) = weigh_one((sheets, sheet), reading, placement) {
+                    let label = BoardLabel { way, inverted, ..label };
+                    match self.first {
+                        Some(best) if best.significance >= label.significance => {
+                            self.second = self.second.max(label.significance);
+                        }
+                        before => {
+                            self.second = before.map_or(self.second, |best| best.significance);
+                            self.first = Some(label);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// What is believed.
+    pub(super) fn labels(&self, reading: &MarkerReading, sheets: &Sheets) -> BoardLabels {
+        let Some(best) = self.first else { return self.none() };
+        let sheet = &sheets.ways[best.way];
+        let (mut agree, mut against, mut clear) = (0, 0, 0);
+        for (index, cell) in reading.cells.iter().enumerate() {
+            if cell.weight < READ {
+                continue;
+            }
+            let own = own_agreement(sheet, reading, index, best.placement).unwrap_or(0.0);
+            agree += usize::from(own > CONTRADICTS);
+            clear += usize::from(own > CLEAR);
+            against += usize::from(own <= CONTRADICTS && reading.best(index) > CLEAR);
+        }
+        let least = if clear >= 2 && clear == agree + against {
+            LEAST_CLEAR_SIGNIFICANCE
+        } else {
+            LEAST_SIGNIFICANCE
+        };
+        if best.significance < least
+            || best.significance < self.second + MARGIN
+            || against as f32 > MOST_CONTRADICTIONS * agree as f32
+        {
+            return self.none();
+        }
+        BoardLabels::One(BoardLabel { markers: agree, ..best })
+    }
+
+    fn none(&self) -> BoardLabels {
+        if self.largest >= 3 { BoardLabels::Elsewhere(self.largest) } else { BoardLabels::None }
+    }
+}
+
+/// Where the sheet's first corner may lie in the grid so that the sheet covers `bounds`.
+fn firsts(sheet: &Sheet, bounds: Bounds, turns: u8) -> impl Iterator<Item = (i32, i32)> {
+    let [across, down] = sheet.lines;
+    let (width, height) = if turns % 2 == 0 { (across, down) } else { (down, across) };
+    // The grid's index of the least corner of the turned sheet.
+    let range = |(least, most): (i32, i32), length: i32| most - length + 1..=least;
+    let (dx, dy) = match turns {
+        0 => (0, 0),
+        1 => (width - 1, 0),
+        2 => (width - 1, height - 1),
+        _ => (0, height - 1),
+    };
+    range(bounds.j, height).flat_map(move |j| range(bounds.i, width).map(move |i| (i + dx, j + dy)))
+}
+
+/// The grid's cell in which the sheet's cell (col, row) lies.
+pub(super) fn cell_in_grid(placement: Placement, col: i32, row: i32) -> (i32, i32) {
+    let (i, j) = placement.in_grid(col, row);
+    let (k, l) = placement.in_grid(col + 1, row + 1);
+    (i.min(k), j.min(l))
+}
+
+/// The sheet's cell that lies in the grid's cell (i, j).
+fn cell_in_sheet(placement: Placement, (i, j): (i32, i32)) -> (i32, i32) {
+    let (a, b) = placement.in_board(i, j);
+    let (c, d) = placement.in_board(i + 1, j + 1);
+    (a.min(c), b.min(d))
+}
+
+/// Whether wide intervals lie on wide ones.
+fn aligned(sheets: &Sheets, placement: Placement) -> bool {
+    let (i, j) = cell_in_grid(placement, 0, 0);
+    !sheets.alternates() || (i & 1, j & 1) == (0, 0)
+}
+
+fn own_agreement(
+    sheet: &Sheet,
+    reading: &MarkerReading,
+    index: usize,
+    placement: Placement,
+) -> Option<f32> {
+    let (col, row) = cell_in_sheet(placement, reading.cells[index].at);
+    Some(reading.agreement(index, sheet.marker(col, row)?, placement.turns))
+}
+
+fn weigh_one(
+    (sheets, sheet): (&Sheets, &Sheet),
+    reading: &MarkerReading,
+    placement: Placement,
+) -> Option<BoardLabel> {
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for (index, cell) in reading.cells.iter().enumerate() {
+        // A cell of the board without a marker, or one beside it, speaks against the place.
+        let own = own_agreement(sheet, reading, index, placement).unwrap_or(-0.2);
+        sum += cell.weight * own;
+        weights += cell.weight * cell.weight;
+    }
+    let freedom = (sheets.bits * sheets.bits - 1) as f32;
+    (weights > 0.0).then(|| BoardLabel {
+        placement,
+        way: 0,
+        inverted: false,
+        significance: sum * (freedom / weights).sqrt(),
+        markers: 0,
+    })
+}

@@ -1,0 +1,238 @@
+//! From one cell to all crossings of a lattice, each measured where its nearest neighbors put it.
+
+use std::collections::VecDeque;
+
+use crate::detection::candidates::Candidate;
+use crate::detection::coded::chart::{Chart, ChartPair};
+use crate::detection::coded::sheet::Sheets;
+use crate::detection::cross::{Vec2, Window};
+use crate::detection::grid::{Grid, Node};
+use crate::detection::growth::in_steps;
+use crate::detection::seeds::{Neighborhood, Seed};
+use crate::imaging::gray::GrayView;
+
+/// Least correlation with a crossing.
+const LEAST_SCORE: f32 = 0.55;
+/// The same for a place that a chart of many crossings puts there.
+const LEAST_KNOWN_SCORE: f32 = 0.5;
+/// Least contrast, as a share of the nearest crossings'.
+const LEAST_CONTRAST: f32 = 0.35;
+/// Least alternation of the four squares, as a share of the contrast.
+const LEAST_ALTERNATION: f32 = 0.25;
+/// How far a crossing may lie from where its neighbors put it, in units of the narrower interval.
+const MOST_OFF: f32 = 0.3;
+/// How far a window reaches, as a part of the undisturbed room around a crossing, within bounds in
+/// pixels.
+const REACH: f32 = 0.85;
+const LEAST_REACH_PX: f32 = 2.5;
+const MOST_REACH_PX: f32 = 9.0;
+/// Crossings that are searched for before a wrong start must have shown itself.
+const TRIAL: usize = 7;
+
+/// Grows lattices; its buffers are kept.
+#[derive(Debug, Default)]
+pub(super) struct LatticeGrowth {
+    queue: VecDeque<(i32, i32)>,
+    pairs: Vec<ChartPair>,
+}
+
+/// What lattices grow from: an image, what was seen in it, and what the target's lines are like.
+#[derive(Clone, Copy)]
+pub(super) struct LatticeScene<'a> {
+    pub image: GrayView<'a>,
+    pub candidates: &'a [Candidate],
+    pub neighborhood: &'a Neighborhood,
+    pub sheets: &'a Sheets,
+}
+
+impl LatticeGrowth {
+    /// The largest lattice that grows from `seed`, left in `grid`.
+    pub(super) fn start(
+        &mut self,
+        scene: LatticeScene<'_>,
+        seed: &Seed,
+        grid: &mut Grid,
+        spare: &mut Grid,
+    ) {
+        grid.clear(0, true);
+        let mut most = 0;
+        for (first, bright) in starts(scene, seed) {
+            spare.clear(104, bright);
+            for (&index, (i, j)) in seed.corners.iter().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
+                let Candidate { pixel, contrast, .. } = scene.candidates[index];
+                let (i, j) = (first.0 + i, first.1 + j);
+                let contrast = contrast * spare.polarity(i, j);
+                let node =
+                    Node { pixel, contrast, near_contrast: contrast, score: 0.5, tight: false };
+                spare.set(i, j, node);
+            }
+            self.grow(scene, spare, TRIAL);
+            if spare.members.len() > TRIAL {
+                spare.forget_attempts();
+                self.grow(scene, spare, usize::MAX);
+            }
+            if spare.members.len() > most {
+                most = spare.members.len();
+                std::mem::swap(grid, spare);
+            }
+        }
+    }
+
+    /// Grows `grid` up to `most` crossings.
+    pub(super) fn grow(&mut self, scene: LatticeScene<'_>, grid: &mut Grid, most: usize) {
+        self.queue.clear();
+        for index in 0..grid.members.len() {
+            let (i, j) = grid.members[index];
+            self.push_around(i, j);
+        }
+        while let Some((i, j)) = self.queue.pop_front() {
+            if grid.members.len() > most {
+                return;
+            }
+            if !grid.attempt(i, j) {
+                continue;
+            }
+            if let Some(node) = self.detect_at(scene, grid, (i, j), LEAST_SCORE) {
+                grid.set(i, j, node);
+                self.push_around(i, j);
+            }
+        }
+    }
+
+    /// Measures each of `places` that is not known yet; true if one more is.
+    pub(super) fn detect_missing(
+        &mut self,
+        scene: LatticeScene<'_>,
+        grid: &mut Grid,
+        places: &[(i32, i32)],
+    ) -> bool {
+        let before = grid.members.len();
+        for &(i, j) in places {
+            if grid.get(i, j).is_none()
+                && let Some(node) = self.detect_at(scene, grid, (i, j), LEAST_KNOWN_SCORE)
+            {
+                grid.set(i, j, node);
+            }
+        }
+        grid.members.len() > before
+    }
+
+    fn push_around(&mut self, i: i32, j: i32) {
+        self.queue.extend([(i + 1, j), (i, j + 1), (i - 1, j), (i, j - 1)]);
+    }
+
+    /// Where the others of `grid` put the crossing (i, j), and one unit along each axis there.
+    pub(super) fn expect(
+        &mut self,
+        sheets: &Sheets,
+        grid: &Grid,
+        (i, j): (i32, i32),
+    ) -> Option<(Vec2, [Vec2; 2])> {
+        let chart = Chart::near(grid, sheets, (i, j), Some((i, j)), &mut self.pairs)?;
+        let (x, y) = (sheets.line(i), sheets.line(j));
+        Some((chart.at(x, y)?, chart.steps(x, y)?))
+    }
+
+    /// The crossing (i, j), if the image shows one where the others put it.
+    fn detect_at(
+        &mut self,
+        scene: LatticeScene<'_>,
+        grid: &Grid,
+        (i, j): (i32, i32),
+        least_score: f32,
+    ) -> Option<Node> {
+        let (expected, steps) = self.expect(scene.sheets, grid, (i, j))?;
+        let narrow = scene.sheets.widths[0].min(scene.sheets.widths[1]);
+        let cell = steps.map(|step| step * narrow);
+        let polarity = grid.polarity(i, j);
+        let contrast = contrast_near(grid, i, j);
+        // What the candidates have is there is nearer to the truth than what neighbors expect.
+        let way = steps.map(|step| step / step.norm().max(1e-3));
+        let edges = if polarity > 0.0 { way } else { [way[1], way[0]] };
+        let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        let reach = MOST_OFF * cell[0].norm().max(cell[1].norm());
+        let alike = |candidate: &Candidate| {
+            turn(candidate.edges[0], edges[0]) < 0.5 && turn(candidate.edges[1], edges[1]) < 0.5
+        };
+        let nearest = scene.neighborhood.nearest(scene.candidates, expected, reach.max(1.5), alike);
+        let at = nearest.map_or(expected, |index| scene.candidates[index].pixel);
+        let node = settle(scene, at, steps, least_score)
+            .or_else(|| nearest.and_then(|_| settle(scene, expected, steps, least_score)))?;
+        let off = in_steps(node.pixel - expected, cell)?;
+        (node.contrast * polarity >= LEAST_CONTRAST * contrast
+            && off.x.abs() <= MOST_OFF
+            && off.y.abs() <= MOST_OFF)
+            .then_some(node)
+    }
+}
+
+/// The crossing at `expected`, wherever exactly it settles in windows that end short of what is
+/// beyond white and black around it.
+pub(super) fn settle(
+    scene: LatticeScene<'_>,
+    expected: Vec2,
+    steps: [Vec2; 2],
+    least_score: f32,
+) -> Option<Node> {
+    let LatticeScene { image, sheets, .. } = scene;
+    let [u, v] = steps;
+    let shortest = u.norm().min(v.norm()).max(1e-3);
+    let reach = (REACH * sheets.room).max(LEAST_REACH_PX / shortest);
+    let window = |center| Window::on_board(center, u, v, reach, MOST_REACH_PX).inside(image, 0.4);
+    let first = window(expected)?.look_for(image, 0.3)?;
+    let mut cross = window(first.center)?.look(image)?;
+    if cross.score < least_score {
+        cross = window(cross.center)?.look_for(image, least_score)?;
+    }
+    // A corner of one square alone is as much like a crossing, but for its opposite square.
+    let depth = window(cross.center)?.alternation(image)?;
+    if depth * cross.contrast.signum() < LEAST_ALTERNATION * cross.contrast.abs() {
+        return None;
+    }
+    Some(Node {
+        pixel: cross.center,
+        contrast: cross.contrast,
+        near_contrast: cross.contrast,
+        score: cross.score,
+        tight: false,
+    })
+}
+
+/// Mean contrast of the crossings next to (i, j).
+fn contrast_near(grid: &Grid, i: i32, j: i32) -> f32 {
+    for reach in [1, 3, 9] {
+        let (mut sum, mut count) = (0.0, 0.0);
+        for dj in -reach..=reach {
+            for di in -reach..=reach {
+                if let Some(node) = grid.get(i + di, j + dj) {
+                    sum += node.contrast.abs();
+                    count += 1.0;
+                }
+            }
+        }
+        if count > 0.0 {
+            return sum / count;
+        }
+    }
+    0.0
+}
+
+/// Which cells of the lattice a seed's square may be: the index of its first corner, and whether
+/// cell (0, 0) is bright.
+fn starts(scene: LatticeScene<'_>, seed: &Seed) -> Vec<((i32, i32), bool)> {
+    if !scene.sheets.alternates() {
+        return vec![((0, 0), seed.bright)];
+    }
+    let [p, a, b, d] = seed.corners.map(|index| scene.candidates[index].pixel);
+    let along = (a - p).norm() + (d - b).norm();
+    let across = (b - p).norm() + (d - a).norm();
+    // A bright cell lies between a tag and the next, a dark one is a tag or a corner square. MarkerCell
+    // (0, 0) is a tag's, dark unless the board is inverted.
+    let mixed = if along > across { [(0, 1), (1, 0)] } else { [(1, 0), (0, 1)] };
+    let equal = [(1, 1), (0, 0)];
+    if seed.bright {
+        vec![(mixed[0], false), (mixed[1], false)]
+    } else {
+        vec![(equal[0], false), (equal[1], false)]
+    }
+}

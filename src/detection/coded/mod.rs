@@ -1,0 +1,27 @@
+//! One luma image → the corners of a board with markers, each with its id, or the reason why not.
+//!
+//! A ChArUco board and an AprilGrid are both lattices of crossings, as a chessboard is: what the
+//! markers add is which crossing is which. So crossings come first, however blurred the markers
+//! are, and then all markers together say where in the board the lattice lies:
+//!
+//! | stage | file | what it does |
+//! | --- | --- | --- |
+//! | sheet | `sheet` | what a target prints: lines, cells, the codes of its markers |
+//! | order | `order` | which crossings to start from |
+//! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put it |
+//! | reading | `reading` | how well each marker cell agrees with each code |
+//! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
+//! | detector | `detector`, `finish` | levels, completion by the labelled board, refinement |
+//!
+//! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
+//! the target and no other, and none that is clearly read says otherwise.
+
+pub mod answer;
+mod chart;
+pub mod detector;
+mod finish;
+mod labels;
+mod lattice;
+mod order;
+mod reading;
+mod sheet;

@@ -1,0 +1,52 @@
+//! Which candidates a lattice is grown from first: those whose squares reach far.
+//!
+//! A marker's payload is full of crossings of its own. Around them nothing is regular beyond one
+//! payload cell, while a crossing of the board has the same black (of an inverted board white) on
+//! both sides as far as a square or a marker's border reaches.
+
+use crate::detection::candidates::Candidate;
+use crate::detection::cross::Vec2;
+use crate::detection::edges::sample;
+use crate::imaging::gray::GrayView;
+
+/// Distances from the crossing at which its squares are sampled, along their diagonals in pixels.
+const DISTANCES_PX: [f32; 8] = [4.0, 5.5, 7.5, 10.0, 13.5, 18.0, 24.0, 32.0];
+
+/// Fills `order` with the indices of `candidates`, those whose squares reach farthest first.
+pub(super) fn by_reach(
+    image: GrayView<'_>,
+    candidates: &[Candidate],
+    order: &mut Vec<(usize, usize)>,
+) {
+    order.clear();
+    order.extend(candidates.iter().enumerate().map(|(k, found)| (reach(image, found), k)));
+    order.sort_unstable_by_key(|&(reach, index)| (usize::MAX - reach, index));
+}
+
+/// How many of the distances both dark squares reach, or both bright ones.
+fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
+    let [first, second] = candidate.edges;
+    let (bright, dark) = (first + second, first - second);
+    let middle = {
+        let near = |way: Vec2| {
+            let way = way / way.norm().max(1e-3) * DISTANCES_PX[0];
+            Some(sample(image, candidate.pixel + way)? + sample(image, candidate.pixel - way)?)
+        };
+        match (near(bright), near(dark)) {
+            (Some(a), Some(b)) => (a + b) / 4.0,
+            _ => return 0,
+        }
+    };
+    let run = |way: Vec2, sign: f32| {
+        let way = way / way.norm().max(1e-3);
+        DISTANCES_PX
+            .iter()
+            .take_while(|&&distance| {
+                let (p, q) = (candidate.pixel + way * distance, candidate.pixel - way * distance);
+                let holds = |p| sample(image, p).is_some_and(|v| (v - middle) * sign > 0.0);
+                holds(p) && holds(q)
+            })
+            .count()
+    };
+    run(dark, -1.0).max(run(bright, 1.0))
+}

@@ -1,0 +1,128 @@
+//! What the cells of a lattice show, and how well that agrees with each marker.
+
+use crate::detection::coded::chart::{Chart, ChartPair};
+use crate::detection::coded::sheet::{Sheet, Sheets, unit};
+use crate::detection::edges::sample;
+use crate::detection::grid::Grid;
+use crate::imaging::gray::GrayView;
+
+/// A payload whose black and white differ by less than this part of the crossings' contrast says
+/// nothing.
+const LEAST_DEPTH: f32 = 0.12;
+
+/// A cell that may hold a marker.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct MarkerCell {
+    /// Its place in the grid.
+    pub at: (i32, i32),
+    /// How deep its pattern is, to 1: the weight of what it says.
+    pub weight: f32,
+}
+
+/// Reads cells; its buffers are kept.
+#[derive(Debug, Default)]
+pub(super) struct MarkerReading {
+    /// The cells that were read.
+    pub cells: Vec<MarkerCell>,
+    /// For each cell, marker and quarter turn: correlation with its code.
+    agreement: Vec<f32>,
+    markers: usize,
+    values: Vec<f32>,
+    pairs: Vec<ChartPair>,
+}
+
+impl MarkerReading {
+    /// Reads all cells of `grid` that are bright, or dark, as `in_bright` has it, at least three of
+    /// whose corners are known, as cells of `sheet`.
+    pub(super) fn read(
+        &mut self,
+        image: GrayView<'_>,
+        (sheets, sheet): (&Sheets, &Sheet),
+        grid: &Grid,
+        in_bright: bool,
+    ) {
+        self.cells.clear();
+        self.agreement.clear();
+        self.markers = sheets.codes.len() / (4 * sheets.bits * sheets.bits).max(1);
+        let Some(bounds) = grid.bounds() else { return };
+        for j in bounds.j.0 - 1..=bounds.j.1 {
+            for i in bounds.i.0 - 1..=bounds.i.1 {
+                let bright = grid.polarity(i, j) > 0.0;
+                if bright != in_bright || sheets.alternates() && (i & 1, j & 1) != (0, 0) {
+                    continue;
+                }
+                let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
+                let known = corners.iter().filter(|at| grid.get(at.0, at.1).is_some()).count();
+                if known >= 3
+                    && let Some(depth) = self.sample(image, (sheets, sheet), grid, (i, j))
+                {
+                    self.compare(sheets, (i, j), depth, contrast(grid, &corners));
+                }
+            }
+        }
+        if sheets.in_bright != in_bright {
+            self.agreement.iter_mut().for_each(|value| *value = -*value);
+        }
+    }
+
+    /// Samples the payload of a cell into `values`, made a zero-mean unit vector; how deep it was.
+    fn sample(
+        &mut self,
+        image: GrayView<'_>,
+        (sheets, sheet): (&Sheets, &Sheet),
+        grid: &Grid,
+        (i, j): (i32, i32),
+    ) -> Option<f32> {
+        let chart = Chart::near(grid, sheets, (i, j), None, &mut self.pairs)?;
+        let side = sheets.widths[0];
+        let (left, top) = (sheets.line(i), sheets.line(j));
+        let n = sheets.bits;
+        let step = (1.0 - 2.0 * sheet.inset) * side / n as f32;
+        let at = |part: f32| sheet.inset * side + part * step;
+        self.values.clear();
+        for row in 0..n {
+            for col in 0..n {
+                let mut sum = 0.0;
+                for (dx, dy) in [(0.35, 0.5), (0.65, 0.5), (0.5, 0.35), (0.5, 0.65)] {
+                    let p = chart.at(left + at(col as f32 + dx), top + at(row as f32 + dy))?;
+                    sum += sample(image, p)?;
+                }
+                self.values.push(sum / 4.0);
+            }
+        }
+        Some(unit(&mut self.values) / n as f32)
+    }
+
+    fn compare(&mut self, sheets: &Sheets, at: (i32, i32), depth: f32, contrast: f32) {
+        let squares = sheets.bits * sheets.bits;
+        // A pattern of black and white in equal parts has a deviation of half its contrast.
+        let depth = 2.0 * depth / contrast.max(1.0);
+        self.cells.push(MarkerCell { at, weight: (depth / LEAST_DEPTH).min(1.0).powi(2) });
+        let values = &self.values;
+        self.agreement.extend(
+            sheets
+                .codes
+                .chunks_exact(squares)
+                .map(|code| code.iter().zip(values).map(|(a, b)| a * b).sum::<f32>()),
+        );
+    }
+
+    /// How well the `cell`-th cell agrees with `marker` turned by so many quarters, −1 to 1.
+    pub(super) fn agreement(&self, cell: usize, marker: u32, turns: u8) -> f32 {
+        let slot = (cell * self.markers + marker as usize) * 4 + usize::from(turns);
+        self.agreement.get(slot).copied().unwrap_or(0.0)
+    }
+
+    /// The best agreement of the `cell`-th cell with any marker in any turn.
+    pub(super) fn best(&self, cell: usize) -> f32 {
+        let all = cell * self.markers * 4..(cell + 1) * self.markers * 4;
+        self.agreement.get(all).unwrap_or_default().iter().copied().fold(-1.0, f32::max)
+    }
+}
+
+fn contrast(grid: &Grid, corners: &[(i32, i32); 4]) -> f32 {
+    let known = corners.iter().filter_map(|at| grid.get(at.0, at.1));
+    let (sum, count) =
+        known.fold((0.0, 0.0), |(sum, count), node| (sum + node.contrast.abs(), count + 1.0));
+    sum / f32::max(count, 1.0)
+}

@@ -1,0 +1,190 @@
+//! What a target prints, in the sheet's own frame: lines of crossings, x right and y down from the
+//! upper left one, and cells between them.
+
+use crate::geometry::dictionary::Dictionary;
+use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
+
+/// One way in which a target may be printed.
+#[derive(Debug, Clone)]
+pub(super) struct Sheet {
+    /// Lines of crossings across and down.
+    pub lines: [i32; 2],
+    /// Which marker lies in a cell, row by row from cell (−1, −1).
+    markers: Vec<Option<u32>>,
+    /// How many markers there are.
+    pub count: usize,
+    /// Where in its cell a marker's payload starts, as a part of the cell's side.
+    pub inset: f32,
+    /// Of a ChArUco board.
+    pub legacy: Option<bool>,
+    /// Of an AprilGrid.
+    pub border_bits: Option<u32>,
+}
+
+/// All ways in which it may be printed, and what they share.
+#[derive(Debug, Clone)]
+pub(super) struct Sheets {
+    /// The ways.
+    pub ways: Vec<Sheet>,
+    /// Widths of the intervals between lines: of those after even lines and after odd ones, in
+    /// units of the first.
+    pub widths: [f32; 2],
+    /// Cells along a payload's side.
+    pub bits: usize,
+    /// Markers lie in bright cells (of a board that is not inverted).
+    pub in_bright: bool,
+    /// How far white or black reaches from a crossing undisturbed, in units of the lattice.
+    pub room: f32,
+    /// The codes as zero-mean unit vectors over the payload in the grid's own axes: for each
+    /// marker and quarter turn.
+    pub codes: Vec<f32>,
+}
+
+impl Sheet {
+    /// The marker in a cell.
+    pub(super) fn marker(&self, col: i32, row: i32) -> Option<u32> {
+        let across = self.lines[0] + 1;
+        let inside = (-1..self.lines[0]).contains(&col) && (-1..self.lines[1]).contains(&row);
+        inside.then(|| self.markers[((row + 1) * across + col + 1) as usize]).flatten()
+    }
+
+    fn of(lines: [i32; 2], inset: f32, cells: impl Iterator<Item = (i32, i32)>) -> Self {
+        let across = lines[0] + 1;
+        let mut markers = vec![None; (across * (lines[1] + 1)) as usize];
+        let mut count = 0;
+        for (col, row) in cells {
+            markers[((row + 1) * across + col + 1) as usize] = Some(count as u32);
+            count += 1;
+        }
+        Self { lines, markers, count, inset, legacy: None, border_bits: None }
+    }
+}
+
+impl Sheets {
+    /// The ways in which `target` may be printed; `None` of a target without markers.
+    pub(super) fn of(target: &Target) -> Option<Self> {
+        match target {
+            Target::Chessboard(_) => None,
+            Target::Charuco(board) => Some(Self::of_charuco(board)),
+            Target::AprilGrid(grid) => Some(Self::of_april_grid(grid)),
+        }
+    }
+
+    fn of_charuco(board: &CharucoBoard) -> Self {
+        let ratio = (board.marker_m / board.square_m) as f32;
+        let bits = board.dictionary.bits();
+        let inset = (1.0 - ratio) / 2.0 + ratio / (bits + 2) as f32;
+        let lines = [board.cols as i32 - 1, board.rows as i32 - 1];
+        let way = |legacy| {
+            let squares = board.markers(legacy).into_iter();
+            let cells = squares.map(|(col, row)| (col as i32 - 1, row as i32 - 1));
+            Sheet { legacy: Some(legacy), ..Sheet::of(lines, inset, cells) }
+        };
+        let alike = !board.rows.is_multiple_of(2);
+        let ways: Vec<Sheet> = match board.legacy {
+            _ if alike => vec![Sheet { legacy: None, ..way(false) }],
+            Some(legacy) => vec![way(legacy)],
+            None => vec![way(false), way(true)],
+        };
+        let count = ways.iter().map(|way| way.count).max().unwrap_or(0);
+        Self {
+            ways,
+            widths: [1.0, 1.0],
+            bits,
+            in_bright: true,
+            room: (1.0 - ratio) / 2.0,
+            codes: codes(&board.dictionary, board.first_id as usize, count, 0),
+        }
+    }
+
+    fn of_april_grid(grid: &AprilGrid) -> Self {
+        let bits = grid.family.bits();
+        let (cols, rows) = (grid.cols as i32, grid.rows as i32);
+        let way = |border: u32| {
+            let inset = border as f32 / (bits as u32 + 2 * border) as f32;
+            // Numbered from the lowest row.
+            let cells =
+                (0..rows).flat_map(|row| (0..cols).map(move |col| (2 * col, 2 * (rows - 1 - row))));
+            Sheet { border_bits: Some(border), ..Sheet::of([2 * cols, 2 * rows], inset, cells) }
+        };
+        let ways: Vec<Sheet> = match grid.border_bits {
+            Some(border) => vec![way(border)],
+            None => vec![way(2), way(1)],
+        };
+        let spacing = grid.spacing as f32;
+        Self {
+            ways,
+            widths: [1.0, spacing],
+            bits,
+            in_bright: false,
+            room: spacing.min(1.0 / (bits + 2) as f32 * 2.0),
+            codes: codes(
+                &grid.family,
+                grid.first_id as usize,
+                grid.cols as usize * grid.rows as usize,
+                2,
+            ),
+        }
+    }
+
+    /// Whether lines lie at alternating distances.
+    pub(super) fn alternates(&self) -> bool {
+        self.widths[0] != self.widths[1]
+    }
+
+    /// Where line `k` lies, in units of the lattice.
+    pub(super) fn line(&self, k: i32) -> f32 {
+        let pairs = k.div_euclid(2) as f32 * (self.widths[0] + self.widths[1]);
+        if k.rem_euclid(2) == 0 { pairs } else { pairs + self.widths[0] }
+    }
+
+    /// Corner id of the crossing of two lines of the target.
+    pub(super) fn corner_id(&self, target: &Target, col: i32, row: i32) -> u32 {
+        match target {
+            Target::AprilGrid(grid) => {
+                let up = 2 * grid.rows as i32 - 1 - row;
+                let tag = up / 2 * grid.cols as i32 + col / 2;
+                let corner = [[0, 1], [3, 2]][(up % 2) as usize][(col % 2) as usize];
+                4 * (grid.first_id + tag as u32) + corner
+            }
+            Target::Charuco(board) => row as u32 * (board.cols - 1) + col as u32,
+            Target::Chessboard(board) => row as u32 * board.size.cols + col as u32,
+        }
+    }
+}
+
+/// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the sheet
+/// is turned by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
+fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) -> Vec<f32> {
+    let n = dictionary.bits();
+    let mut codes = Vec::with_capacity(count * 4 * n * n);
+    for marker in 0..count {
+        for turn in 0..4 {
+            let start = codes.len();
+            for row in 0..n {
+                for col in 0..n {
+                    let (r, c) = match (turn + printed) % 4 {
+                        0 => (row, col),
+                        1 => (n - 1 - col, row),
+                        2 => (n - 1 - row, n - 1 - col),
+                        _ => (col, n - 1 - row),
+                    };
+                    let white = dictionary.is_white(first + marker, r, c).unwrap_or(false);
+                    codes.push(if white { 1.0 } else { 0.0 });
+                }
+            }
+            unit(&mut codes[start..]);
+        }
+    }
+    codes
+}
+
+/// Takes the mean off and scales to length 1; returns the length before. All zero if that is
+/// nothing.
+pub(super) fn unit(values: &mut [f32]) -> f32 {
+    let mean = values.iter().sum::<f32>() / values.len().max(1) as f32;
+    let length = values.iter().map(|value| (value - mean) * (value - mean)).sum::<f32>().sqrt();
+    let scale = if length > 1e-3 { 1.0 / length } else { 0.0 };
+    values.iter_mut().for_each(|value| *value = (*value - mean) * scale);
+    length
+}
