@@ -1,7 +1,7 @@
 //! The daemon's configuration: TOML text → [`Written`] (what it says) → [`Config`] (what it means).
 //!
 //! Reading is apart from checking: [`Written::parse`] needs no file system, [`Written::check`]
-//! looks whether what is named is there. Every refusal names the key, the file and the line.
+//! checks that what is named exists. Every refusal names the key, the file and the line.
 //! Relative paths are taken from the directory that the daemon runs in.
 //!
 //! ```toml
@@ -36,7 +36,7 @@ use toml::Spanned;
 pub use crate::config::source::SourceConfig;
 use crate::config::source::WrittenSource;
 
-/// Where the daemon listens unless told otherwise.
+/// Where the daemon listens by default.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8600);
 
 /// A configuration that holds: what it names was there when it was checked.
@@ -46,7 +46,7 @@ pub struct Config {
     pub listen: SocketAddr,
     /// What every request must carry. Default: none, which only a loopback address allows.
     pub token: Option<Token>,
-    /// The folder of the database and the kept pictures. Default: `plumb-data`.
+    /// The folder of the database and the kept images. Default: `plumb-data`.
     pub store_path: PathBuf,
     /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
     pub auto_approve: bool,
@@ -239,7 +239,7 @@ impl Place {
 }
 
 impl Written {
-    /// Reads `text`; `file` is what refusals call it. Looks at nothing else.
+    /// Reads `text`; `file` is what refusals call it. Reads nothing else.
     ///
     /// # Errors
     /// [`ConfigError::Refused`] for text that is not TOML, an unknown or missing key, a value of

@@ -115,7 +115,7 @@ pub struct SourceDescription {
     pub serial: Option<String>,
     /// Where it is plugged in.
     pub bus: Option<String>,
-    /// What it tells of its own lenses and depths.
+    /// The calibration that it states itself.
     pub factory: FactoryCalibration,
     /// What it was set to, and how that differs from what was asked for, in words.
     pub mode: Option<String>,

@@ -202,8 +202,8 @@ fn correct(
     }
     Ok(Written {
         path: path.to_owned(),
-        out: write(format!("{name}.png"), &corrected.picture.to_png())?,
-        readings: corrected.picture.readings().iter().filter(|reading| **reading > 0).count(),
+        out: write(format!("{name}.png"), &corrected.image.to_png())?,
+        readings: corrected.image.readings().iter().filter(|reading| **reading > 0).count(),
         beyond_calibrated_range: corrected.beyond,
         too_far_for_unit: corrected.overflowed,
         elapsed_ms,

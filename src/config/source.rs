@@ -5,7 +5,7 @@
 //! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
-//! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder that tells no times, default 10) |
+//! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder without times, default 10) |
 //! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30) |
 
 use std::collections::BTreeMap;
@@ -47,7 +47,7 @@ pub enum SourceConfig {
         serial: Option<String>,
         /// What to ask each of its streams for.
         mode: ModeRequest,
-        /// What it is told besides.
+        /// Extra device settings.
         settings: Settings,
     },
     /// A recording of a RealSense camera, in its own format.
@@ -61,12 +61,12 @@ pub enum SourceConfig {
         path: PathBuf,
         /// The topics of the camera, where there are several.
         topics: Vec<String>,
-        /// Whether frames come as they were taken, or as fast as they are looked at, without
+        /// Whether frames come as they were taken, or as fast as they are processed, without
         /// skipping any.
         fastest: bool,
         /// Begin again at the end.
         repeat: bool,
-        /// Frames a second of a folder that tells no times.
+        /// Frames a second of a folder without times.
         fps: f64,
     },
     /// A rendered camera and a moving board.
@@ -139,7 +139,7 @@ pub(crate) struct WrittenSource {
 const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
 /// No camera sees more; a larger size is a slip of the keyboard.
 const LARGEST_SIDE: u32 = 16_384;
-/// A picture every 17 minutes: seldomer ones make a session hopeless, and times between them
+/// An image every 17 minutes: seldomer ones make a session hopeless, and times between them
 /// impossible to count.
 const LOWEST_FPS: f64 = 0.001;
 const HIGHEST_FPS: f64 = 1000.0;
@@ -492,7 +492,7 @@ mod tests {
                 "camera.source.width: 0 px is impossible",
             ),
             ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),
-            ("{ kind = \"simulator\", colour = 1 }", "colour: unknown field `colour`"),
+            ("{ kind = \"simulator\", tint = 1 }", "tint: unknown field `tint`"),
             ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
             (
                 "{ kind = \"uvc\", index = 0, name = \"x\" }",

@@ -50,8 +50,8 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
         }
         #[cfg(target_os = "linux")]
         SourceConfig::V4l2 { device, mode, controls, lock } => {
-            let options = v4l2::CameraOptions { device, mode, controls, lock };
-            Box::new(v4l2::Camera::new(options))
+            let options = v4l2::V4l2Options { device, mode, controls, lock };
+            Box::new(v4l2::V4l2Camera::new(options))
         }
         #[cfg(not(target_os = "linux"))]
         SourceConfig::V4l2 { .. } => not_built("v4l2, which only Linux has; use kind = \"uvc\""),
@@ -60,16 +60,20 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
                 UvcSelector::Index(index) => uvc::Selector::Index(index),
                 UvcSelector::Name(name) => uvc::Selector::Name(name),
             };
-            Box::new(uvc::Camera::new(uvc::CameraOptions { selector, mode }))
+            Box::new(uvc::UvcCamera::new(uvc::UvcOptions { selector, mode }))
         }
         SourceConfig::Realsense { serial, mode, settings } => {
             let origin = serial.map_or(Origin::OnlyDevice, Origin::Serial);
-            Box::new(realsense::Camera::new(realsense::CameraOptions { origin, mode, settings }))
+            Box::new(realsense::RealsenseCamera::new(realsense::RealsenseOptions {
+                origin,
+                mode,
+                settings,
+            }))
         }
         SourceConfig::RealsenseBag { path } => {
             let options =
-                realsense::CameraOptions { origin: Origin::Bag(path), ..Default::default() };
-            Box::new(realsense::Camera::new(options))
+                realsense::RealsenseOptions { origin: Origin::Bag(path), ..Default::default() };
+            Box::new(realsense::RealsenseCamera::new(options))
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What the detector answers: [`Detection`] or [`NoBoard`].
+//! The detector's result: [`Detection`] or [`NoBoard`].
 
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
@@ -13,33 +13,33 @@ pub struct GridIndex {
     pub row: i32,
 }
 
-/// One inner corner that was seen.
+/// One detected inner corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectedCorner {
     /// Which corner of the board.
     pub index: GridIndex,
-    /// Where it is seen.
+    /// Its position in the image.
     pub pixel: Pixel,
     /// Predicted standard deviation of `pixel`, per axis, in pixels: the weight of this corner is
     /// its inverse square.
     pub std_px: f64,
 }
 
-/// A board that was found.
+/// A detected board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
-    /// Which board was looked for.
+    /// The board searched for.
     pub board: BoardSize,
     /// The corners in row-major order of their indices; all `cols × rows` of them unless `partial`.
     pub corners: Vec<DetectedCorner>,
-    /// Some of the board's corners were not seen.
+    /// Whether corners of the board are missing.
     pub partial: bool,
-    /// The indices count from the board's first corner. False for a partial board of which too
-    /// little is seen to know where in the board it lies: indices are then consistent among
-    /// themselves only, counted from some corner.
+    /// Whether indices count from the board's first corner. False for a partial board of which too
+    /// little is visible to know where in the board it lies: then indices are relative, counted
+    /// from some corner.
     pub position_known: bool,
-    /// No picture of this board can tell which way round it is (`cols` + `rows` even): the first
-    /// corner is the one nearest the image's top-left.
+    /// No image of this board determines which way round it is (`cols` + `rows` even): the first
+    /// corner is the one nearest the image's top left.
     pub orientation_ambiguous: bool,
     /// Width of the blur at the board's edges, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
@@ -48,17 +48,17 @@ pub struct Detection {
 /// Why no board is reported.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum NoBoard {
-    /// Smaller than any board can be found in.
+    /// The image is too small for any board.
     #[error("the image of {width}x{height} pixels is too small to hold a {board} board")]
     ImageTooSmall {
         /// The image's width, in pixels.
         width: usize,
         /// The image's height, in pixels.
         height: usize,
-        /// What was looked for.
+        /// The board searched for.
         board: BoardSize,
     },
-    /// Hardly any brightness differences in the picture.
+    /// Almost uniform brightness.
     #[error(
         "not enough contrast: brightness varies by {range} of 255; light the board, or check the lens cap and exposure"
     )]
@@ -82,7 +82,7 @@ pub enum NoBoard {
     /// Corners, but no grid.
     #[error("{corners} chessboard-like corners seen, but {}", largest_grid(*cols, *rows))]
     NoGrid {
-        /// How many corners were seen.
+        /// How many corners were detected.
         corners: usize,
         /// Width of the largest regular part, in corners; 0 if there is none.
         cols: u32,
@@ -94,19 +94,19 @@ pub enum NoBoard {
         "a {cols}x{rows} board is seen, not {board}; count the inner corners, or give the size that is seen"
     )]
     OtherSize {
-        /// Corners along the seen board's longer side.
+        /// Corners along the longer side of the detected board.
         cols: u32,
         /// Corners along its other side.
         rows: u32,
-        /// What was looked for.
+        /// The board searched for.
         board: BoardSize,
     },
-    /// Part of the board, because the rest is beyond the picture's border.
+    /// Part of the board, because the rest is beyond the image's border.
     #[error("cut off: the picture's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
     CutOff {
         /// How many corners were seen.
         seen: usize,
-        /// What was looked for.
+        /// The board searched for.
         board: BoardSize,
     },
     /// Part of the board, where the whole was asked for.
@@ -114,7 +114,7 @@ pub enum NoBoard {
     Incomplete {
         /// How many corners were seen.
         seen: usize,
-        /// What was looked for.
+        /// The board searched for.
         board: BoardSize,
     },
 }
@@ -160,10 +160,10 @@ fn largest_grid(cols: u32, rows: u32) -> String {
     }
 }
 
-/// How to look.
+/// Options of the detector.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DetectOptions {
-    /// Answer with part of a board where the whole is not seen. Default: false.
+    /// Report part of a board where the whole is not visible. Default: false.
     pub allow_partial: bool,
 }
 
@@ -172,13 +172,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn corners_without_a_grid_are_told_from_a_small_grid() {
-        let told = |cols, rows| NoBoard::NoGrid { corners: 57, cols, rows }.to_string();
+    fn no_grid_and_a_small_grid_have_different_messages() {
+        let message = |cols, rows| NoBoard::NoGrid { corners: 57, cols, rows }.to_string();
         assert!(
-            told(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"),
+            message(0, 0).starts_with("57 chessboard-like corners seen, but no grid of them"),
             "{}",
-            told(0, 0)
+            message(0, 0)
         );
-        assert!(told(4, 3).contains("no more than 4x3 of them form a grid"), "{}", told(4, 3));
+        assert!(
+            message(4, 3).contains("no more than 4x3 of them form a grid"),
+            "{}",
+            message(4, 3)
+        );
     }
 }

@@ -1,36 +1,35 @@
 //! Which pixels could be chessboard corners: the strongest local maxima of the response, each
-//! looked at once more.
+//! measured a second time.
 //!
-//! However busy the picture, only so many maxima and [`MOST`] candidates go on: time is bounded by
-//! pixels.
+//! However cluttered the image, only a bounded number of maxima and at most [`MOST`] candidates go
+//! on: the time is bounded by the number of pixels.
 
-use super::cross::{Vec2, Window};
+use super::cross::{CrossWindow, Vec2};
 use super::response::{HALF_RING, REACH, Response};
 use crate::imaging::gray::GrayView;
 
-/// Tiles of the response, 4×4 pixels each, whose maximum is looked at: so many for each corner of
-/// the board, within bounds. One square of the board among them is enough, and the hardest pictures
-/// need 2.
+/// Tiles of the response (4×4 pixels each) whose maximum is examined: this many per corner of the
+/// board, within bounds. One square of the board among them is enough; the hardest images need 2.
 const TILES_A_CORNER: usize = 6;
 const FEWEST_TILES: usize = 320;
 const MOST_TILES: usize = 768;
 /// Candidates that go on.
 pub(super) const MOST: usize = 600;
 const TILE: usize = 4;
-/// Tiles that are passed over at once where none is strong.
+/// Tiles that are skipped together where none is strong.
 const GROUP: usize = 32;
 /// Weaker responses are noise even in an image of low contrast.
 const LEAST_RESPONSE: u8 = 4;
-/// Responses below the strongest divided by this are not looked at.
+/// Responses below the strongest divided by this are ignored.
 const LEAST_SHARE: usize = 32;
-/// Least correlation with a chessboard corner, before and after moving to where its edges cross.
+/// Minimum correlation with a chessboard corner, before and after moving to where its edges cross.
 const LEAST_FIRST_SCORE: f32 = 0.35;
 const LEAST_SCORE: f32 = 0.45;
-/// One that is as clear, and as near to its response, need not move.
+/// A candidate with this correlation, this near to its response, is not moved.
 const CLEAR_SCORE: f32 = 0.6;
 const SETTLED_PX: f32 = 0.5;
 
-/// A place that looks like a chessboard corner.
+/// A candidate for a chessboard corner.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Candidate {
     /// Where, in pixels of the level.
@@ -51,10 +50,10 @@ pub(super) struct CandidateSearch {
     groups: Vec<u8>,
     /// The strongest tiles: the largest response and where it is.
     sorted: Vec<(u8, u32, u32)>,
-    /// How many may be.
+    /// Upper bound on their number.
     most_tiles: usize,
     maxima: [Vec<u8>; 2],
-    /// What was found last, in raster order of tiles.
+    /// The candidates found last, in raster order of tiles.
     pub found: Vec<Candidate>,
 }
 
@@ -96,8 +95,7 @@ impl CandidateSearch {
                 .chunks(GROUP)
                 .map(|tiles| tiles.iter().fold(0, |most, &tile| tile.max(most))),
         );
-        // As many tiles as there are such groups are at least so strong: none that is weaker will
-        // be kept.
+        // At least that many tiles are as strong: weaker ones are never kept.
         let mut counts = [0; 256];
         self.groups.iter().for_each(|&group| counts[usize::from(group)] += 1);
         let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
@@ -116,8 +114,8 @@ impl CandidateSearch {
         self.keep_strongest(response, &mut counts, least, kept);
     }
 
-    /// The strength down to which things are kept that are counted by strength, not below
-    /// `weakest`, and how many there are.
+    /// Histogram cut-off that keeps at most `most_tiles` peaks of strength `weakest` or more, and
+    /// how many it keeps.
     fn least_kept(&self, counts: &[usize; 256], weakest: usize) -> (usize, usize) {
         let mut kept = 0;
         for value in (weakest..256).rev() {
@@ -129,8 +127,8 @@ impl CandidateSearch {
         (weakest, kept)
     }
 
-    /// Leaves the `kept` strongest tiles, all at least `least`, strongest first and equal ones in
-    /// raster order, with the place of their maximum.
+    /// Leaves the `kept` strongest tiles (all at least `least`), strongest first and equal ones in
+    /// raster order, with the position of their maximum.
     fn keep_strongest(
         &mut self,
         response: &Response,
@@ -225,11 +223,14 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
 fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
     let edges = ring_edges(image, x, y)?;
-    let window = Window { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
-    let first = window.look_for(image, LEAST_FIRST_SCORE)?;
+    let window = CrossWindow { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
+    let first = window.measure_above(image, LEAST_FIRST_SCORE)?;
     let in_place = first.score >= CLEAR_SCORE && (first.center - center).norm() < SETTLED_PX;
-    let cross =
-        if in_place { first } else { Window { center: first.center, ..window }.look(image)? };
+    let cross = if in_place {
+        first
+    } else {
+        CrossWindow { center: first.center, ..window }.measure(image)?
+    };
     if cross.score < LEAST_SCORE || cross.contrast < 3.0 || (cross.center - center).norm() > 2.5 {
         return None;
     }

@@ -1,7 +1,7 @@
 //! A small window laid over the image along two edges: is this where four chessboard squares meet,
 //! and where exactly?
 //!
-//! The window is a parallelogram whose sides follow the board's edges, so a slanted board looks
+//! The window is a parallelogram whose sides follow the board's edges,so a slanted board is
 //! square in it. Six by six samples are compared with the pattern sign(a·b); where the pattern
 //! changes sign along each side is the corner.
 
@@ -14,7 +14,7 @@ pub(super) type Vec2 = Vector2<f32>;
 
 /// A parallelogram about `center`, reaching `a` and `b` to each side.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Window {
+pub(super) struct CrossWindow {
     /// Its middle.
     pub center: Vec2,
     /// From the middle half-way along one edge of the board.
@@ -23,7 +23,7 @@ pub(super) struct Window {
     pub b: Vec2,
 }
 
-/// What a window shows.
+/// What is measured in a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Cross {
     /// Where the edges cross, in pixels.
@@ -36,14 +36,14 @@ pub(super) struct Cross {
     pub contrast: f32,
 }
 
-/// Six lines of six samples, and in each two of no weight for the sake of eight lanes.
+/// Six lines of six samples; each line has two more of zero weight, to fill eight lanes.
 const LINES: usize = 6;
 const SAMPLES: usize = 6;
 const LANES: usize = 8;
-/// What touches the border is not inside: this part of a window is left between, for rounding.
+/// Margin that keeps a window off the image border, for rounding.
 const TOUCHING: f32 = 1e-4;
 
-impl Window {
+impl CrossWindow {
     /// A window on a board whose neighboring corners lie at ±`u` and ±`v`: `fraction` of the way
     /// to them, at most `most_px` pixels.
     pub(super) fn on_board(center: Vec2, u: Vec2, v: Vec2, fraction: f32, most_px: f32) -> Self {
@@ -70,7 +70,7 @@ impl Window {
         Vec2::new(self.a.x.abs() + self.b.x.abs(), self.a.y.abs() + self.b.y.abs())
     }
 
-    /// From its middle to the nearest border of `image`.
+    /// From its center to the nearest border of `image`.
     fn room(&self, image: GrayView<'_>) -> Vec2 {
         let (right, bottom) = (image.width() as f32 - 1.0, image.height() as f32 - 1.0);
         Vec2::new(
@@ -85,20 +85,20 @@ impl Window {
         room.x >= half.x * (1.0 + TOUCHING) && room.y >= half.y * (1.0 + TOUCHING)
     }
 
-    /// Looks at the window once. `None` if it leaves the image or is flat.
-    pub(super) fn look(&self, image: GrayView<'_>) -> Option<Cross> {
-        self.look_for(image, 0.0)
+    /// Measures the window once. `None` if it leaves the image or is flat.
+    pub(super) fn measure(&self, image: GrayView<'_>) -> Option<Cross> {
+        self.measure_above(image, 0.0)
     }
 
-    /// Looks at the window once. `None` if it leaves the image, is flat or scores less than
+    /// Measures the window once. `None` if it leaves the image, is flat or scores less than
     /// `least_score`.
-    pub(super) fn look_for(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
+    pub(super) fn measure_above(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
         if !self.is_inside(image) {
             return None;
         }
         let lines =
             FixedLines::start(image, self.center - self.a - self.b, self.a * 0.4, self.b * 0.4);
-        let Sums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
+        let WindowSums { sums, squares, columns, rows } = pulp::Arch::new().dispatch(lines);
         let (sum, squares) = (sums.iter().sum::<f32>(), squares.iter().sum::<f32>());
         let columns: [f32; 6] = std::array::from_fn(|k| columns[k]);
         let spread = (squares - sum * sum / 36.0).max(0.0);
@@ -114,9 +114,9 @@ impl Window {
         Some(Cross { center, score, contrast: matched / 18.0 })
     }
 
-    /// Whether the middles of the four quadrants are bright and dark by turns, and by how much: the
-    /// smaller of the bright less the larger of the dark, with the sign that [`Cross::contrast`]
-    /// has. `None` outside the image; 0 if not.
+    /// Whether the centers of the four quadrants alternate between bright and dark, and by how
+    /// much: the darker of the bright less the brighter of the dark, with the sign of
+    /// [`Cross::contrast`]. `None` outside the image; 0 if they do not alternate.
     pub(super) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
         if !self.is_inside(image) {
             return None;
@@ -151,8 +151,8 @@ struct FixedLines<'a> {
     down: [i32; 2],
 }
 
-/// Sums over the samples of a window, by their place in the line; the lanes beyond are 0.
-struct Sums {
+/// WindowSums over the samples of a window, by their place in the line; the lanes beyond are 0.
+struct WindowSums {
     sums: [f32; LANES],
     squares: [f32; LANES],
     /// The three lower lines less the three upper.
@@ -220,13 +220,13 @@ impl<'a> FixedLines<'a> {
 }
 
 impl pulp::NullaryFnOnce for FixedLines<'_> {
-    type Output = Sums;
+    type Output = WindowSums;
 
     #[inline(always)]
-    fn call(self) -> Sums {
+    fn call(self) -> WindowSums {
         let (at, fractions) = self.places();
         let fours = self.fours(&at);
-        let mut all = Sums {
+        let mut all = WindowSums {
             sums: [0.0; LANES],
             squares: [0.0; LANES],
             columns: [0.0; LANES],
@@ -259,12 +259,12 @@ impl pulp::NullaryFnOnce for FixedLines<'_> {
 }
 
 /// How far along the window the edge across it lies, from the contrast across the other edge at six
-/// places, −1 to 1.
+/// positions, −1 to 1.
 ///
-/// The contrast k(t) changes sign at the edge. Its even part tells the edge's offset δ, but light
-/// that changes over the window adds a constant g to it: even(t) = g − k′(t)·δ, solved by least
-/// squares. Where blur fills the window, k′ is constant too and the two cannot be told apart; then
-/// g is taken as small.
+/// The contrast k(t) changes sign at the edge. Its even part gives the edge's offset δ, but light
+/// that changes over the window adds a constant g: even(t) = g − k′(t)·δ, solved by least squares.
+/// Where blur fills the window, k′ is constant too and the two are collinear; then g is taken as
+/// small.
 fn edge_offset(k: &[f32; 6]) -> f32 {
     const SMALL: f32 = 0.3;
     let even = [3, 4, 5].map(|n: usize| 0.5 * (k[n] + k[5 - n]));
@@ -331,13 +331,13 @@ mod tests {
         let (a, b) = (Vec2::new(0.9, 0.3), Vec2::new(-0.1, 1.0));
         let truth = Vec2::new(19.3, 20.6);
         let image = slanted_cross(truth, a, b);
-        let mut window = Window { center: Vec2::new(20.5, 19.9), a: a * 2.5, b: b * 2.5 };
-        let mut look = || {
-            let cross = window.look(image.view()).expect("a cross");
+        let mut window = CrossWindow { center: Vec2::new(20.5, 19.9), a: a * 2.5, b: b * 2.5 };
+        let mut measure = || {
+            let cross = window.measure(image.view()).expect("a cross");
             window.center = cross.center;
             cross
         };
-        let cross = [look(), look(), look(), look()][3];
+        let cross = [measure(), measure(), measure(), measure()][3];
         assert!((cross.center - truth).norm() < 0.15, "{cross:?}");
         assert!(cross.score > 0.85 && cross.contrast > 100.0, "{cross:?}");
     }
@@ -346,24 +346,28 @@ mod tests {
     fn the_other_polarity_has_negative_contrast() {
         let (a, b) = (Vec2::new(1.0, 0.0), Vec2::new(0.0, 1.0));
         let image = slanted_cross(Vec2::new(20.0, 20.0), a, b);
-        let window = Window { center: Vec2::new(20.0, 20.0), a: b * 3.0, b: -a * 3.0 };
-        assert!(window.look(image.view()).expect("a cross").contrast < -100.0);
+        let window = CrossWindow { center: Vec2::new(20.0, 20.0), a: b * 3.0, b: -a * 3.0 };
+        assert!(window.measure(image.view()).expect("a cross").contrast < -100.0);
         assert!(window.alternation(image.view()).expect("inside") < -100.0);
     }
 
     #[test]
     fn a_flat_window_and_one_outside_show_nothing() {
         let flat = GrayImage::filled(40, 40, 128);
-        let window = Window {
+        let window = CrossWindow {
             center: Vec2::new(20.0, 20.0),
             a: Vec2::new(3.0, 0.0),
             b: Vec2::new(0.0, 3.0),
         };
-        assert_eq!(window.look(flat.view()), None);
-        let outside = Window { center: Vec2::new(1.0, 20.0), ..window };
-        assert_eq!(outside.look(flat.view()), None);
+        assert_eq!(window.measure(flat.view()), None);
+        let outside = CrossWindow { center: Vec2::new(1.0, 20.0), ..window };
+        assert_eq!(outside.measure(flat.view()), None);
         assert!(outside.inside(flat.view(), 0.2).is_some());
         assert!(outside.inside(flat.view(), 0.9).is_none());
-        assert!(Window { center: Vec2::new(f32::NAN, 0.0), ..window }.look(flat.view()).is_none());
+        assert!(
+            CrossWindow { center: Vec2::new(f32::NAN, 0.0), ..window }
+                .measure(flat.view())
+                .is_none()
+        );
     }
 }

@@ -7,7 +7,7 @@ use super::ends::seen_ends;
 use super::following::Followed;
 use super::grid::{Bounds, Grid};
 use super::growth::{Growth, WINDOWS, sharpen_all};
-use super::placement::{Placement, place};
+use super::placement::{BoardPlacement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
 use super::response::Response;
@@ -17,35 +17,34 @@ use super::verification::verify;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// A part of a board needs this many corners to be told from chance, in at least [`LEAST_LINE`]
-/// lines each way.
+/// Minimum corners of a partial board, in at least [`LEAST_LINE`] lines each way: fewer occur by
+/// chance.
 const LEAST_PART: usize = 12;
 const LEAST_LINE: u32 = 3;
-/// Grids that are judged on one level.
+/// Grids verified per pyramid level.
 const MOST_GRIDS: usize = 2;
-/// Squares from which a grid is grown, on one level.
+/// Seed squares tried per pyramid level.
 const MOST_STARTS: usize = 16;
-/// Fewer corners than this are no grid: things that lie about make them.
+/// Smaller grids are clutter.
 const LEAST_GROWN: usize = 7;
-/// A grid is looked for across its covers if it has so many corners more than one that was no
-/// board.
+/// A grid is bridged across occluders again only if it has this many corners more than one that was
+/// rejected.
 const WORTH_BRIDGING: usize = 4;
 /// A candidate this near to a corner is that corner, in pixels of the level.
 const SAME_PX: f32 = 2.5;
-/// A grid as small as this that grows to more than a whole board on a finer level is none: stripes
-/// look so.
+/// A grid this small that grows beyond the whole board on a finer level is a stripe pattern.
 const SMALL: usize = LEAST_PART;
-/// On all but the coarsest level one of so many rows is searched for corners: a response is wider
-/// than that, and a board of which no square is seen so would have been seen on the level above.
+/// On all but the coarsest level one row in this many is searched: a response is wider than that,
+/// and a board without a single visible square would have been found on the level above.
 const ROW_STEP: usize = 2;
-/// Longest side of a square that is looked for on any but the coarsest level, in pixels.
+/// Longest side of a square searched for on any but the coarsest level, in pixels.
 const MOST_STEP: f32 = 36.0;
 
-/// Windows in which the corners of a grid are looked at on their way to the image, as parts of the
-/// way to the neighbors.
+/// Windows in which the corners of a grid are measured on their way to the image, as parts of the
+/// distance to the neighbors.
 const EXACT: [f32; 2] = [0.2, 0.1];
 
-/// Finds one kind of board in images. Its buffers are kept from image to image.
+/// Finds one kind of board in images. Buffers are reused from image to image.
 #[derive(Debug)]
 pub struct Detector {
     pub(super) board: BoardSize,
@@ -63,30 +62,30 @@ pub struct Detector {
     pub(super) stds: Vec<f64>,
     pub(super) refiner: Refiner,
     /// Where the last board lies in `part`, if the whole of it was seen.
-    pub(super) whole: Option<Placement>,
+    pub(super) whole: Option<BoardPlacement>,
     pub(super) last: LastBoard,
     pub(super) followed: Followed,
     /// Memory for the corners of the next detection.
     pub(super) spare: Vec<DetectedCorner>,
 }
 
-/// What a grid turned out to be.
+/// The result of verifying a grid.
 enum Found {
-    Whole(Placement),
-    Part(Placement),
+    Whole(BoardPlacement),
+    Part(BoardPlacement),
     Other { cols: u32, rows: u32 },
     Nothing,
 }
 
-/// What the search saw that was no board, for the reason.
+/// What the search found that was no board: evidence for the reason.
 #[derive(Default)]
-pub(super) struct Seen {
+pub(super) struct SearchEvidence {
     pub(super) candidates: usize,
     pub(super) largest: usize,
     pub(super) size: (u32, u32),
     pub(super) other: Option<(u32, u32)>,
     pub(super) too_large: bool,
-    /// Corners of the largest grid that was looked for across what may cover it.
+    /// Corners of the largest grid that was bridged across occluders.
     bridged: usize,
 }
 
@@ -115,12 +114,12 @@ impl Detector {
         }
     }
 
-    /// Takes back a detection that is done with: the next one is written to its memory.
+    /// Takes back a detection, whose memory the next one reuses.
     pub fn reuse(&mut self, detection: Detection) {
         self.spare = detection.corners;
     }
 
-    /// The board that is looked for.
+    /// The board searched for.
     pub fn board(&self) -> BoardSize {
         self.board
     }
@@ -143,14 +142,14 @@ impl Detector {
         }
         let coarsest = coarsest_level(image.size(), longer);
         self.pyramid.build(image, coarsest);
-        let mut seen = Seen::default();
-        let mut best: Option<(usize, Placement)> = None;
+        let mut seen = SearchEvidence::default();
+        let mut best: Option<(usize, BoardPlacement)> = None;
         for level in (0..=coarsest).rev() {
             let view = self.pyramid.level(image, level);
             self.response.compute(view, if level == coarsest { 1 } else { ROW_STEP });
             self.candidates.search(view, &self.response, self.board.corner_count());
             seen.candidates = seen.candidates.max(self.candidates.found.len());
-            // Larger squares than these were looked for on the level above.
+            // Larger squares were searched for on the level above.
             let widest = view.width().max(view.height()) as f32 / (shorter - 1) as f32;
             let reach = if level == coarsest { widest } else { widest.min(MOST_STEP) };
             match self.search_level(image, level, reach, &mut best, &mut seen) {
@@ -177,9 +176,9 @@ impl Detector {
         image: GrayView<'_>,
         level: usize,
         reach: f32,
-        best: &mut Option<(usize, Placement)>,
-        seen: &mut Seen,
-    ) -> Option<Placement> {
+        best: &mut Option<(usize, BoardPlacement)>,
+        seen: &mut SearchEvidence,
+    ) -> Option<BoardPlacement> {
         let view = self.pyramid.level(image, level);
         self.neighborhood.fill(&self.candidates.found, view.width(), view.height());
         self.used.clear();
@@ -224,7 +223,7 @@ impl Detector {
         None
     }
 
-    /// Grows a grid from `seed`; true if it is one worth judging.
+    /// Grows a grid from `seed`; true if it is large enough to verify.
     fn grow_from(&mut self, image: GrayView<'_>, level: usize, seed: &Seed) -> bool {
         let view = self.pyramid.level(image, level);
         let radius = self.board.cols.max(self.board.rows) as i32 + 2;
@@ -236,8 +235,8 @@ impl Detector {
         self.grid.members.len() >= LEAST_GROWN
     }
 
-    /// The candidates of `level` that are corners of the grid, even of one too small, or of the
-    /// best part (kept at level 0), seed no other.
+    /// Candidates of `level` that are corners of the grid (even a rejected one), or of the best
+    /// part (kept at level 0), start no other grid.
     fn spend(&mut self, level: usize, of_part: bool) {
         let (grid, scale) =
             if of_part { (&self.part, (1 << level) as f32) } else { (&self.grid, 1.0) };
@@ -250,8 +249,8 @@ impl Detector {
         }
     }
 
-    /// Judges the grid found on `level`, and follows it to the image itself.
-    fn judge(&mut self, image: GrayView<'_>, level: usize, seen: &mut Seen) -> Found {
+    /// Verifies the grid found on `level`, and tracks it down to the image itself.
+    fn judge(&mut self, image: GrayView<'_>, level: usize, seen: &mut SearchEvidence) -> Found {
         if let Some(bounds) = self.grid.bounds()
             && self.exceeds_board(bounds)
         {
@@ -266,7 +265,7 @@ impl Detector {
         if !verify(image, &mut self.grid) {
             return Found::Nothing;
         }
-        // What was no board on a coarser level is not looked for across its covers again.
+        // A grid that was rejected on a coarser level is not bridged again.
         let verified = self.grid.members.len();
         if verified >= seen.bridged + WORTH_BRIDGING {
             seen.bridged = verified;
@@ -290,16 +289,16 @@ impl Detector {
         }
     }
 
-    /// Where the board can lie in the grid, all its ends that may be seen considered.
-    fn placement(&self, image: GrayView<'_>) -> Option<Placement> {
+    /// Where the board can lie in the grid, given all its visible ends.
+    fn placement(&self, image: GrayView<'_>) -> Option<BoardPlacement> {
         let bounds = self.grid.bounds()?;
         let (possible, sure) = seen_ends(image, &self.grid, bounds);
         place(&self.grid, bounds, possible, self.board)?;
         place(&self.grid, bounds, sure, self.board)
     }
 
-    /// Takes the grid from `level` to the image itself, and looks for more of the board on the way
-    /// if some is missing.
+    /// Takes the grid from `level` to the image itself, and searches for missing corners on the
+    /// way.
     fn follow(&mut self, image: GrayView<'_>, level: usize) {
         let most = if self.grid.members.len() < SMALL { self.most_corners() } else { usize::MAX };
         for finer in (0..level).rev() {
@@ -330,7 +329,7 @@ impl Detector {
         }
     }
 
-    /// Looks for the rest of a board of which a good part is found, across what covers it. True if
+    /// Searches across occluders for the rest of a board of which a good part is found. True if
     /// there is more of it.
     fn bridge(&mut self, image: GrayView<'_>) -> bool {
         let before = self.grid.members.len();
@@ -364,14 +363,13 @@ impl Detector {
         self.grid.members.len() > before
     }
 
-    /// No board of the size looked for shows as many corners, even if a line on each side is none
-    /// of its own.
+    /// Whether the grid exceeds the target size, allowing one spurious row per side.
     fn most_corners(&self) -> usize {
         (self.board.cols as usize + 2) * (self.board.rows as usize + 2) + 1
     }
 
-    /// Fewer corners are not believed to be part of the board: a small one that the picture's
-    /// border cuts off looks the same.
+    /// Minimum corners of a reported part: a small board that the image border crops gives the same
+    /// grid.
     pub(super) fn least_part(&self) -> usize {
         LEAST_PART.max((self.board.corner_count() * 2 / 5).min(2 * LEAST_PART))
     }
@@ -381,8 +379,7 @@ impl Detector {
             && self.grid.bounds().is_some_and(|bounds| whole_shape(bounds, self.board))
     }
 
-    /// Whether no board of the size looked for can have so many corners, even if a line on each
-    /// side is none of its own.
+    /// Whether the grid exceeds the target size, allowing one spurious row per side.
     fn exceeds_board(&self, bounds: Bounds) -> bool {
         let (cols, rows) = (self.board.cols, self.board.rows);
         larger(bounds) > cols.max(rows) + 2 || smaller(bounds) > cols.min(rows) + 2

@@ -40,7 +40,7 @@ pub(super) fn is_edge(
     Some(holds)
 }
 
-/// How many of the grid's edges at one corner hold, of how many that can be seen.
+/// How many of the grid's edges at one corner hold, of how many that are visible.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct EdgeCount {
     /// Edges between a bright and a dark square.

@@ -1,8 +1,8 @@
 //! Where the board itself ends: one square beyond its outermost corners the pattern stops.
 //!
-//! That no corner was found beyond a line is no proof: a hand or the image's border may hide it.
-//! The board's end is seen only if the squares outside the line alternate and what lies beyond
-//! these does not.
+//! That no corner was found beyond a line is no proof: a hand or the image border may hide it. The
+//! end is accepted only if the squares outside the line alternate and what lies beyond them does
+//! not.
 
 use super::cross::Vec2;
 use super::edges::sample;
@@ -18,15 +18,15 @@ const BEYOND: f32 = 1.3;
 /// [`ALIKE`].
 const ALTERNATE: f32 = 0.5;
 const ALIKE: f32 = 0.3;
-/// Pairs of neighboring squares beyond which it is all one: one with the color of one of them, as
-/// a board's margin has, counts 2, another 1.
+/// Votes of a pair of neighboring squares with uniform brightness beyond: 2 if it equals one of
+/// them, as a board's margin does, else 1.
 const LEAST_WEIGHT: u32 = 2;
-/// The weight that leaves no doubt.
+/// Votes at which an end is certain.
 const SURE_WEIGHT: u32 = 6;
 
-/// Which sides of `grid` are seen to be ends of the board: those that may be, and of these those
-/// that must be. What lies in front of the board along a line may look like an end at one place,
-/// hardly at two, and not along half of the line.
+/// Which sides of `grid` are visible ends of the board: first those that may be, and of these those
+/// that must be. An occluder along a line may pass for an end at one pair of squares, hardly at
+/// two, and not along half of the line.
 pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (Ends, Ends) {
     let columns =
         |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
@@ -41,12 +41,12 @@ pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (En
     (sides.map(|side| side.may_end()), sides.map(|side| side.must_end()))
 }
 
-/// What the pairs of neighboring squares outside a line of corners show.
+/// Evidence from the pairs of neighboring squares outside a line of corners.
 #[derive(Debug, Clone, Copy, Default)]
 struct Side {
-    /// How much shows that the board ends there.
+    /// Votes that the board ends there.
     ended: u32,
-    /// Pairs that show it, that show that the board goes on, and all of them, seen or not.
+    /// Pairs that vote for an end, pairs that vote against it, and all pairs, visible or not.
     ending: u32,
     continued: u32,
     pairs: u32,
@@ -62,7 +62,7 @@ impl Side {
     }
 }
 
-/// What shows that the board ends beyond the line of corners `at(least..=most)`, towards `outward`
+/// Evidence that the board ends beyond the line of corners `at(least..=most)`, towards `outward`
 /// along `axis`.
 fn side(
     image: GrayView<'_>,
@@ -77,7 +77,7 @@ fn side(
     let mut side = Side { pairs: (most - least + 1) as u32, ..Side::default() };
     // The squares at the corners of the board count too, hence one more on each side.
     for along in least - 1..=most {
-        let outside = Outside::look(image, grid, at(along), at(along + 1), outward);
+        let outside = Outside::measure(image, grid, at(along), at(along + 1), outward);
         if let (Some(p), Some(q)) = (previous, outside) {
             let (weight, goes_on) = p.compare(&q);
             side.ended += weight;
@@ -101,8 +101,8 @@ struct Outside {
 }
 
 impl Outside {
-    /// Looks at the square outward of the corners `p` and `q`, of which at least one must be known.
-    fn look(
+    /// Samples the square outward of the corners `p` and `q`, of which at least one must be known.
+    fn measure(
         image: GrayView<'_>,
         grid: &Grid,
         p: (i32, i32),
@@ -130,8 +130,7 @@ impl Outside {
         })
     }
 
-    /// How much this square and the next show that the board ends, and whether they show that it
-    /// goes on.
+    /// The votes of this square and the next: for an end, and whether the pattern continues.
     fn compare(&self, next: &Self) -> (u32, bool) {
         // Signs alternate from square to square, so the difference of neighbors times the sign is
         // the contrast.

@@ -1,56 +1,56 @@
-//! The corners of a board that was seen in the picture before, each looked for where it must be
-//! now.
+//! Tracking: the corners of the board of the last image, each measured where it is predicted now.
 //!
-//! How far a corner is off where it was expected tells where its neighbors are: but for the first,
-//! one small window is enough, as narrow as the blur allows. That it is the board is shown by all
-//! of it together: every square between the corners bright or dark by turns, and none beyond them.
+//! A corner's offset from its prediction predicts its neighbors' offsets: but for the first, one
+//! small window is enough, as narrow as the blur allows. The whole board confirms itself: every
+//! square between the corners alternates, and none beyond them does.
 
-use super::cross::{Vec2, Window};
+use super::cross::{CrossWindow, Vec2};
 use super::detector::Detector;
 use super::edges::sample;
 use super::grid::{Grid, Node};
-use super::growth::{FOLLOWED, Place, WINDOWS};
+use super::growth::{FOLLOWED, Prediction, WINDOWS};
 use super::verification::{MOST_OFF, off_neighbors};
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// A board of which more than this share is not where it should be is not followed.
+/// A board with a larger share of corners off their prediction is not tracked.
 const MOST_LOST: usize = 4;
-/// How far off a corner may be whose neighbors are not found yet, in steps.
+/// Search radius of a corner whose neighbors are not found yet, in steps.
 const MOST_OFF_FIRST: f32 = 0.3;
-/// What windows reach across each edge: one as near as says most exactly where a corner is; and
-/// where that shows none, one as far as neighbors predicts it, in pixels and in steps. Both at
-/// least so many times the width of the blur.
+/// Reach of the windows across each edge: the near one gives the most exact corner; where it shows
+/// none, the far one is as wide as the neighbors' prediction is uncertain, in pixels and in steps.
+/// Both are at least this many blur widths.
 const PREDICTED_PX: f32 = 5.0;
 const PREDICTED_STEPS: f32 = 0.06;
-/// The same where a wide window, coarsely sampled, has found it.
+/// The same after a wide, coarsely sampled window has found the corner.
 const FOUND_STEPS: f32 = 0.12;
 const PREDICTED_BLURS: f32 = 2.5;
-/// From there windows narrow by this: each tells where the corner is to within the next.
+/// Windows narrow by this factor: each localizes the corner to within the next.
 const NARROWER: f32 = 0.45;
 const EXACT_PX: f32 = 2.5;
 const EXACT_BLURS: f32 = 2.0;
-/// Most of a step that a window reaches.
+/// Largest reach of a window, in steps.
 const MOST_REACH: f32 = 0.4;
-/// Least correlation with a chessboard corner, of the far one and of the near one.
+/// Minimum correlation with a chessboard corner in the far window and in the near one.
 const LEAST_SCORES: [f32; 2] = [0.6, 0.7];
-/// Least contrast, as a share of the last: windows of other sizes, and light, differ by less.
+/// Minimum contrast, as a share of the last image's: windows of other sizes, and light, change it
+/// by less.
 const LEAST_CONTRAST: f32 = 0.3;
-/// A window in which the corner is farther from the middle than this share of its reach is moved
-/// there, a few times.
+/// A window is recentered, a few times, while the corner is farther from its center than this share
+/// of its reach.
 const MOST_ASIDE: [f32; 2] = [0.4, 0.2];
-const MOST_LOOKS: usize = 3;
-/// Where each edge is looked at between its two corners, and how far to its sides, in steps.
+const MAX_ITERATIONS: usize = 3;
+/// Where each edge is sampled between its two corners, and how far to its sides, in steps.
 const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
 const ASIDE: f32 = 0.25;
 /// Steps longer than this make large squares, in pixels.
 const LARGE: f32 = 16.0;
-/// Least difference of an edge's two sides, as a share of that of the edges around; and the part of
-/// all edges that hold.
+/// Minimum difference of an edge's two sides, as a share of that of the edges around it; and the
+/// minimum share of edges that hold.
 const LEAST_DIFFERENCE: f32 = 0.25;
 const LEAST_HELD: f32 = 0.75;
-/// How far from a place beyond the board its four quarters are looked at, in steps, and the least
-/// by which they alternate, as a share of the contrast, to be looked at more closely.
+/// How far from a position beyond the board its four quadrants are sampled, in steps, and the
+/// minimum alternation, as a share of the contrast, for a closer measurement.
 const BEYOND: f32 = 0.3;
 const MAY_ALTERNATE: f32 = 0.1;
 
@@ -58,14 +58,14 @@ const MAY_ALTERNATE: f32 = 0.1;
 #[derive(Debug, Clone, Copy)]
 struct Edge {
     ends: [usize; 2],
-    /// How much brighter the side is that should be, in three places.
+    /// How much brighter the side is that should be, at three positions.
     differences: [f32; 3],
 }
 
-/// What following keeps from picture to picture, to be used again.
+/// Buffers of tracking, reused from image to image.
 #[derive(Debug, Default)]
 pub(super) struct Followed {
-    /// How far each corner is off where it was expected.
+    /// Each corner's offset from its prediction.
     off: Vec<Option<Vec2>>,
     edges: Vec<Edge>,
     /// Sum of differences, edges, and edges that hold, corner by corner.
@@ -73,9 +73,13 @@ pub(super) struct Followed {
 }
 
 impl Detector {
-    /// Starts a grid, in the board's own order, from the corners that are seen where they are
-    /// expected.
-    pub(super) fn look_where_expected(&mut self, image: GrayView<'_>, with_motion: bool) -> bool {
+    /// Starts a grid, in the board's own order, from the corners that are found at their
+    /// predictions.
+    pub(super) fn measure_at_predictions(
+        &mut self,
+        image: GrayView<'_>,
+        with_motion: bool,
+    ) -> bool {
         let board = self.board;
         let Self { last, grid, followed, .. } = self;
         grid.clear(board.cols.max(board.rows) as i32 + 2, last.bright);
@@ -88,7 +92,7 @@ impl Detector {
             let above = (j > 0).then(|| followed.off[index - cols]).flatten();
             let off = beside.zip(above).map(|(a, b)| (a + b) * 0.5).or(beside).or(above);
             let seen = last.expect(index, board, with_motion).and_then(|corner| {
-                let node = corner.look(image, off, grid.polarity(i, j), last.blur_px)?;
+                let node = corner.measure(image, off, grid.polarity(i, j), last.blur_px)?;
                 Some((node, node.pixel - corner.expected))
             });
             followed.off.push(seen.map(|(_, off)| off));
@@ -103,23 +107,22 @@ impl Detector {
         true
     }
 
-    /// Looks for the corners that were not seen where they were expected where their neighbors put
-    /// them.
-    pub(super) fn look_between(&mut self, image: GrayView<'_>) {
+    /// Searches for the remaining corners where their neighbors predict them.
+    pub(super) fn measure_between_neighbors(&mut self, image: GrayView<'_>) {
         let cols = self.board.cols as usize;
         for index in 0..self.board.corner_count() {
             let (i, j) = ((index % cols) as i32, (index / cols) as i32);
             if self.grid.get(i, j).is_none()
-                && let Some(node) = Place::by_neighbors(&self.grid, i, j)
-                    .and_then(|place| place.look(image, &WINDOWS))
+                && let Some(node) = Prediction::by_neighbors(&self.grid, i, j)
+                    .and_then(|place| place.measure(image, &WINDOWS))
             {
                 self.grid.set(i, j, node);
             }
         }
     }
 
-    /// Whether the whole board in the grid, in the board's own order, holds together: every corner
-    /// in its place among its neighbors and most of its edges between bright and dark.
+    /// Whether the whole board in the grid, in the board's own order, is consistent: every corner
+    /// where its neighbors predict it, and most edges between bright and dark.
     pub(super) fn holds_together(&mut self, image: GrayView<'_>) -> bool {
         let Self { grid, followed, board, .. } = self;
         let in_place =
@@ -127,62 +130,67 @@ impl Detector {
         grid.members.iter().all(in_place) && followed.edges_hold(image, grid, *board)
     }
 
-    /// Whether the pattern goes on beyond the board: then it is another.
+    /// Whether the pattern continues beyond the board: then it is another board.
     pub(super) fn goes_on_beyond(&self, image: GrayView<'_>) -> bool {
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         let beside = (0..rows).flat_map(|j| [(-1, j), (cols, j)]);
         let above = (0..cols).flat_map(|i| [(i, -1), (i, rows)]);
         beside.chain(above).any(|(i, j)| {
-            Place::by_neighbors(&self.grid, i, j)
+            Prediction::by_neighbors(&self.grid, i, j)
                 .filter(|place| may_be_corner(image, place))
-                .is_some_and(|place| place.look(image, &[FOLLOWED]).is_some())
+                .is_some_and(|place| place.measure(image, &[FOLLOWED]).is_some())
         })
     }
 }
 
 /// Whether the four squares about `place` may be bright and dark by turns.
-fn may_be_corner(image: GrayView<'_>, place: &Place) -> bool {
+fn may_be_corner(image: GrayView<'_>, place: &Prediction) -> bool {
     let [u, v] = place.steps;
     let window =
-        Window { center: place.expected, a: u * BEYOND, b: v * BEYOND }.inside(image, 0.25);
+        CrossWindow { center: place.expected, a: u * BEYOND, b: v * BEYOND }.inside(image, 0.25);
     let depth = window.and_then(|window| window.alternation(image));
     depth.is_some_and(|depth| depth * place.polarity > MAY_ALTERNATE * place.contrast[0])
 }
 
-/// A corner of the board as it was, and where it should be now.
+/// A corner of the last board and its prediction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Expected {
-    /// What was seen of it.
+    /// What was measured of it.
     pub last: Node,
-    /// Where it should be.
+    /// Its predicted position.
     pub expected: Vec2,
     /// From there to the next corner along i and along j.
     pub steps: [Vec2; 2],
 }
 
 impl Expected {
-    /// The corner, which is `off` as far as its neighbors predicts it.
-    fn look(
+    /// The corner, given its neighbors' offset `off`.
+    fn measure(
         &self,
         image: GrayView<'_>,
         off: Option<Vec2>,
         polarity: f32,
         blur_px: f32,
     ) -> Option<Node> {
-        let near = |place, steps| self.look_near(image, place, polarity, (steps, blur_px));
+        let near = |place, steps| self.measure_near(image, place, polarity, (steps, blur_px));
         let near_by = off.and_then(|off| near(self.expected + off, PREDICTED_STEPS));
         near_by.or_else(|| {
             let contrast = [self.last.contrast.abs(), self.last.near_contrast.abs()];
             let expected = self.expected + off.unwrap_or_else(Vec2::zeros);
-            let place =
-                Place { expected, steps: self.steps, polarity, contrast, most_off: MOST_OFF_FIRST };
-            let found = place.look(image, &[FOLLOWED])?;
+            let place = Prediction {
+                expected,
+                steps: self.steps,
+                polarity,
+                contrast,
+                most_off: MOST_OFF_FIRST,
+            };
+            let found = place.measure(image, &[FOLLOWED])?;
             Some(near(found.pixel, FOUND_STEPS).unwrap_or(found))
         })
     }
 
     /// The corner near `place`, off by so many steps at most and under that much blur.
-    fn look_near(
+    fn measure_near(
         &self,
         image: GrayView<'_>,
         place: Vec2,
@@ -192,18 +200,18 @@ impl Expected {
         let [u, v] = self.steps;
         let lengths = [u.norm(), v.norm()];
         let (area, spread) = ((u.x * v.y - u.y * v.x).abs(), lengths[0] * lengths[1]);
-        // What a window reaches across an edge, it reaches along the other by the slant more.
+        // A slanted window reaches farther along the other edge.
         let slant = spread / area.max(0.05 * spread);
-        let look = |center: Vec2, reach_px: f32| {
-            let window =
-                Window::on_board(center, u, v, MOST_REACH, reach_px * slant).inside(image, 0.25)?;
-            window.look(image).filter(|cross| cross.contrast * polarity > 0.0)
+        let measure = |center: Vec2, reach_px: f32| {
+            let window = CrossWindow::on_board(center, u, v, MOST_REACH, reach_px * slant)
+                .inside(image, 0.25)?;
+            window.measure(image).filter(|cross| cross.contrast * polarity > 0.0)
         };
         let least_contrast = LEAST_CONTRAST * self.last.near_contrast.abs();
-        // A window tells where a corner is the better the nearer it is to the middle.
+        // A window localizes a corner the better the nearer it is to the center.
         let settle = |mut center: Vec2, reach_px: f32, stage: usize| {
-            for _ in 0..MOST_LOOKS {
-                let cross = look(center, reach_px)?;
+            for _ in 0..MAX_ITERATIONS {
+                let cross = measure(center, reach_px)?;
                 if (cross.center - center).norm() < MOST_ASIDE[stage] * reach_px {
                     let clear = cross.score >= LEAST_SCORES[stage]
                         && cross.contrast.abs() >= least_contrast;
@@ -257,8 +265,8 @@ impl Followed {
         }
         let mut held = 0;
         for edge in edges.iter() {
-            let usual = edge.ends.map(|end| around[end].0 / around[end].1 as f32);
-            let least = LEAST_DIFFERENCE * 0.5 * (usual[0] + usual[1]);
+            let reference = edge.ends.map(|end| around[end].0 / around[end].1 as f32);
+            let least = LEAST_DIFFERENCE * 0.5 * (reference[0] + reference[1]);
             if least > 0.0 && edge.differences.iter().all(|&difference| difference >= least) {
                 held += 1;
                 edge.ends.iter().for_each(|&end| around[end].2 += 1);

@@ -1,4 +1,4 @@
-//! Corners by their place in a regular grid, and where the next one must be.
+//! Corners by their index in a regular grid, and the prediction of the next one.
 //!
 //! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the
 //! corners (i, j) and (i + 1, j + 1); squares with i + j even are all bright or all dark.
@@ -7,10 +7,10 @@ use super::cross::Vec2;
 
 /// Most corners a grid reaches from its first one, in any direction.
 const LARGEST_RADIUS: i32 = 104;
-/// How often a place is looked at in vain.
+/// How often a position may be searched without success.
 const MOST_ATTEMPTS: u8 = 4;
 
-/// Steps along a line that tell of the step at a place: how far off, on which parallel line,
+/// Steps along a line that predict the step at a position: how far off, on which parallel line,
 /// starting where; nearest first.
 const STEPS_NEARBY: [(i32, i32, i32); 22] = [
     (0, 0, 0),
@@ -46,14 +46,14 @@ pub(super) struct Node {
     pub contrast: f32,
     /// The same very near to it: less, the more blur there is.
     pub near_contrast: f32,
-    /// How well it looks like a corner, to 1.
+    /// Correlation with a chessboard corner, at most 1.
     pub score: f32,
-    /// It looks like one only near to it: something covers part of the rest.
+    /// Only its immediate surroundings show a corner: something occludes part of the rest.
     pub tight: bool,
 }
 
 #[derive(Debug, Clone, Copy, Default)]
-struct Place {
+struct GridSlot {
     node: Option<Node>,
     attempts: u8,
 }
@@ -83,12 +83,12 @@ impl Bounds {
 #[derive(Debug, Clone, Default)]
 pub(super) struct Grid {
     radius: i32,
-    places: Vec<Place>,
-    /// Places that may not be as they were at first.
+    places: Vec<GridSlot>,
+    /// Corners whose positions may have changed.
     touched: Vec<usize>,
     /// Indices of the corners, in the order they were found.
     pub members: Vec<(i32, i32)>,
-    /// Those of which a finer level shows nothing where they were taken to.
+    /// Corners that a finer level does not confirm.
     pub suspect: Vec<(i32, i32)>,
     /// Whether square (0, 0) is bright.
     pub bright: bool,
@@ -98,13 +98,13 @@ impl Grid {
     /// Empties the grid; it will hold indices up to `radius` from (0, 0).
     pub(super) fn clear(&mut self, radius: i32, bright: bool) {
         for slot in self.touched.drain(..) {
-            self.places[slot] = Place::default();
+            self.places[slot] = GridSlot::default();
         }
         if self.radius != radius.min(LARGEST_RADIUS) || self.places.is_empty() {
             self.radius = radius.min(LARGEST_RADIUS);
             let side = (2 * self.radius + 1) as usize;
             self.places.clear();
-            self.places.resize(side * side, Place::default());
+            self.places.resize(side * side, GridSlot::default());
         }
         self.members.clear();
         self.bright = bright;
@@ -156,8 +156,8 @@ impl Grid {
         }
     }
 
-    /// Whether (i, j) is worth a look: within the grid, not a corner yet, not looked at too often.
-    /// Counts the look.
+    /// Whether to search (i, j): within the grid, not a corner yet, not searched too often. Counts
+    /// the search.
     pub(super) fn attempt(&mut self, i: i32, j: i32) -> bool {
         let Some(slot) = self.slot(i, j) else { return false };
         let place = &mut self.places[slot];
@@ -171,7 +171,7 @@ impl Grid {
         true
     }
 
-    /// Forgets what was looked at in vain: another level may show more.
+    /// Forgets the searches without success: another level may show more.
     pub(super) fn forget_attempts(&mut self) {
         for &slot in &self.touched {
             self.places[slot].attempts = 0;
@@ -213,7 +213,7 @@ impl Grid {
         Some(bounds)
     }
 
-    /// Whether all four corners of a square at (i, j) are known, nothing in front of any of them.
+    /// Whether all four corners of a square at (i, j) are known and unoccluded.
     pub(super) fn is_firm(&self, i: i32, j: i32) -> bool {
         let clear = |i: i32, j: i32| self.get(i, j).is_some_and(|node| !node.tight);
         let squares = [(1, 1), (-1, 1), (-1, -1), (1, -1)];
@@ -247,7 +247,7 @@ impl Grid {
         (count > 0.0).then(|| sum / count)
     }
 
-    /// Where the corner (i, j) must be, from its known neighbors: along lines and across squares.
+    /// Prediction of the corner (i, j) from its known neighbors: along lines and across squares.
     pub(super) fn predict(&self, i: i32, j: i32) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
         let mut add = |p: Vec2, w: f32| {
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_is_looked_at_a_few_times_only() {
+    fn a_position_is_searched_a_few_times_only() {
         let mut grid = Grid::default();
         grid.clear(2, false);
         assert_eq!((0..9).filter(|_| grid.attempt(1, 1)).count(), usize::from(MOST_ATTEMPTS));

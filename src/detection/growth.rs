@@ -1,74 +1,73 @@
-//! From one square to the whole grid: each place beside a known corner is looked at in the image
+//! From one square to the whole grid: each position beside a known corner is measured in the image
 //! itself.
 //!
-//! A corner that the candidates missed is found here all the same, because it is known where to
-//! look, how its edges run and which of its squares are bright.
+//! A corner that is not among the candidates is found all the same: its position, the directions of
+//! its edges and which of its squares are bright are predicted.
 
 use std::collections::VecDeque;
 
-use super::bend::predict_bent;
 use super::candidates::Candidate;
-use super::cross::{Vec2, Window};
+use super::cross::{CrossWindow, Vec2};
+use super::curved_board::predict_on_curve;
 use super::edges::is_edge;
 use super::grid::{Bounds, Grid, Node};
 use super::perspective::Perspective;
 use super::seeds::{Neighborhood, Seed};
 use crate::imaging::gray::GrayView;
 
-/// Least alternation of the four squares, as a share of the contrast found.
+/// Minimum alternation of the four squares, as a share of the contrast.
 const LEAST_ALTERNATION: f32 = 0.3;
-/// How far a corner may lie from where it was predicted, in steps of the grid.
+/// Largest distance of a corner from its prediction, in steps of the grid.
 const MOST_OFF: f32 = 0.4;
 /// The same where no neighbor is known.
 const MOST_OFF_FAR: f32 = 0.2;
-/// How far a candidate may lie from where a corner was predicted, in steps: to the side, nearer and
-/// farther. Less than what a step that skips two covered corners, or the one after it, is off. And
-/// the sine of how far its edges may be turned.
+/// Largest distance of a candidate from its prediction, in steps: to the side, nearer and farther.
+/// Less than the error of a step that skips two occluded corners, or of the one after it. And the
+/// sine of the largest rotation of its edges.
 const MOST_ASIDE: f32 = 0.45;
 const MOST_NEARER: f32 = 0.45;
 const MOST_FARTHER: f32 = 0.75;
 const MOST_TURN: f32 = 0.5;
-/// A place this far from another, in steps, is worth a look of its own.
+/// A position this far from another, in steps, is measured separately.
 const ELSEWHERE: f32 = 0.15;
-/// Part of the way to the neighbors that counts as very near.
+/// The immediate surroundings of a corner, as part of the distance to its neighbors.
 const NEAR: f32 = 0.16;
-/// Least contrast very near a corner, as a share of the neighbors'.
+/// Minimum contrast in the immediate surroundings, as a share of the neighbors'.
 const LEAST_NEAR_CONTRAST: f32 = 0.5;
-/// Least correlation with a chessboard corner very near it.
+/// Minimum correlation with a chessboard corner there.
 const LEAST_NEAR_SCORE: f32 = 0.65;
-/// Least correlation with a chessboard corner of a place where one is expected, before it has
-/// settled.
+/// Minimum correlation with a chessboard corner at a predicted position, before it is refined.
 const LEAST_FIRST_SCORE: f32 = 0.25;
-/// How much more than at the look before it must be for another look.
+/// Minimum increase of the correlation from one measurement to the next for another iteration.
 const LEAST_GAIN: f32 = 0.1;
-/// Least pixels a window reaches.
+/// Smallest reach of a window, in pixels.
 const LEAST_REACH_PX: f32 = 2.0;
 
-/// Least correlation of a narrower window for its corner to be believed.
+/// Minimum correlation in a narrower window for its corner to be accepted.
 const LEAST_NARROW_SCORE: f32 = 0.6;
-/// Least contrast of a narrower window, as a share of the widest's: where it is less, blur fills
-/// the window.
+/// Minimum contrast of a narrower window, as a share of the widest's: with less, blur fills the
+/// window.
 const LEAST_NARROW_CONTRAST: f32 = 0.6;
 
-/// A window's size, and what it must show.
+/// A window's size, and the thresholds that it must pass.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct WindowSize {
-    /// Part of the way to the neighbors that it reaches.
+    /// Reach, as part of the distance to the neighbors.
     reach: f32,
-    /// Most pixels it reaches.
+    /// Largest reach, in pixels.
     most_px: f32,
-    /// Least correlation with a chessboard corner.
+    /// Minimum correlation with a chessboard corner.
     least_score: f32,
-    /// Least contrast, as a share of the neighbors'.
+    /// Minimum contrast, as a share of the neighbors'.
     least_contrast: f32,
-    /// How far off the expected place the corner may be, in steps.
+    /// Largest distance from the prediction, in steps.
     most_off: f32,
 }
 
 /// As large as squares allow.
 const WIDE: WindowSize =
     WindowSize { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.4 };
-/// Beside something that covers the rest of the squares, and very close beside it.
+/// Beside an occluder of the rest of the squares, and very close beside it.
 const NARROW: WindowSize = WindowSize {
     reach: 0.16,
     most_px: 8.0,
@@ -78,8 +77,7 @@ const NARROW: WindowSize = WindowSize {
 };
 const CLOSE: WindowSize =
     WindowSize { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.4, most_off: 0.1 };
-/// Where a board is followed from picture to picture: as far as its squares reach, at places some
-/// pixels apart.
+/// For tracking from image to image: as far as its squares reach, at positions some pixels apart.
 pub(super) const FOLLOWED: WindowSize = WindowSize { most_px: f32::MAX, ..WIDE };
 pub(super) const WINDOWS: [WindowSize; 3] = [WIDE, NARROW, CLOSE];
 
@@ -142,7 +140,7 @@ impl Growth {
                 continue;
             }
             if let Some(node) =
-                Place::by_neighbors(grid, i, j).and_then(|place| place.look(image, sizes))
+                Prediction::by_neighbors(grid, i, j).and_then(|place| place.measure(image, sizes))
             {
                 grid.set(i, j, node);
                 self.push_around(i, j);
@@ -150,8 +148,8 @@ impl Growth {
         }
     }
 
-    /// Goes on from the corners of `grid` to candidates farther off than they were expected, as
-    /// where a lens squeezes the board, and grows from there.
+    /// Continues from the corners of `grid` to candidates farther off than predicted, as where a
+    /// lens compresses the board, and grows from there.
     pub(super) fn reach(
         &mut self,
         image: GrayView<'_>,
@@ -165,7 +163,7 @@ impl Growth {
             for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
                 let place = Stretch::from(grid, (i, j), (di, dj));
                 if let Some(node) =
-                    place.and_then(|place| place.look(image, candidates, neighborhood))
+                    place.and_then(|place| place.measure(image, candidates, neighborhood))
                 {
                     grid.set(i + di, j + dj, node);
                     self.grow(image, grid, &WINDOWS[..1]);
@@ -175,8 +173,8 @@ impl Growth {
         }
     }
 
-    /// Looks, within `bounds`, at the places that growing did not reach, and grows on from what is
-    /// found there.
+    /// Searches, within `bounds`, the positions that growth did not reach, and grows from what is
+    /// found.
     pub(super) fn bridge(&mut self, image: GrayView<'_>, grid: &mut Grid, bounds: Bounds) {
         let Some(mut perspective) = Perspective::fit(grid) else { return };
         for j in bounds.j.0..=bounds.j.1 {
@@ -184,10 +182,11 @@ impl Growth {
                 if grid.get(i, j).is_some() {
                     continue;
                 }
-                let place = Place::by_perspective(&perspective, grid, i, j);
-                let seen = place.and_then(|place| place.look(image, &WINDOWS));
-                let seen =
-                    seen.or_else(|| Place::by_bend(grid, i, j, place)?.look(image, &WINDOWS));
+                let place = Prediction::by_perspective(&perspective, grid, i, j);
+                let seen = place.and_then(|place| place.measure(image, &WINDOWS));
+                let seen = seen.or_else(|| {
+                    Prediction::on_curved_board(grid, i, j, place)?.measure(image, &WINDOWS)
+                });
                 let Some(node) = seen else { continue };
                 grid.set(i, j, node);
                 self.grow(image, grid, &WINDOWS);
@@ -202,9 +201,9 @@ impl Growth {
     }
 }
 
-/// Where a corner must be, and how it must look.
+/// Prediction of a corner: position and appearance.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct Prediction {
     /// Where.
     pub expected: Vec2,
     /// From there to the next corner along i and along j.
@@ -213,11 +212,11 @@ pub(super) struct Place {
     pub polarity: f32,
     /// Contrast of its neighbors, and the same very near to them.
     pub contrast: [f32; 2],
-    /// How far off it may be, in steps.
+    /// Largest distance from the prediction, in steps.
     pub most_off: f32,
 }
 
-impl Place {
+impl Prediction {
     pub(super) fn by_neighbors(grid: &Grid, i: i32, j: i32) -> Option<Self> {
         Some(Self {
             expected: grid.predict(i, j)?,
@@ -238,13 +237,13 @@ impl Place {
         })
     }
 
-    /// Beside a corner of a board that is bent, if that is not where it was looked for `before`.
-    fn by_bend(grid: &Grid, i: i32, j: i32, before: Option<Self>) -> Option<Self> {
+    /// The prediction on a curved board, if it differs from `before`.
+    fn on_curved_board(grid: &Grid, i: i32, j: i32, before: Option<Self>) -> Option<Self> {
         let beside = [(1, 0), (0, 1), (-1, 0), (0, -1)]
             .into_iter()
             .any(|(di, dj)| grid.get(i + di, j + dj).is_some());
         let place = Self {
-            expected: predict_bent(grid, i, j).filter(|_| beside)?,
+            expected: predict_on_curve(grid, i, j).filter(|_| beside)?,
             ..Self::by_neighbors(grid, i, j)?
         };
         let off = before.and_then(|before| in_steps(place.expected - before.expected, place.steps));
@@ -252,7 +251,7 @@ impl Place {
     }
 
     /// The corner there, in the first of the windows that shows one.
-    pub(super) fn look(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
+    pub(super) fn measure(&self, image: GrayView<'_>, sizes: &[WindowSize]) -> Option<Node> {
         sizes.iter().find_map(|&size| {
             let node = settle(image, self.expected, self.steps, size)?;
             let off = in_steps(node.pixel - self.expected, self.steps)?;
@@ -270,10 +269,10 @@ impl Place {
     }
 }
 
-/// A place beside a corner at which nothing was seen, to be looked for farther off.
+/// A position beside a corner at which nothing was found, to be searched for farther off.
 #[derive(Debug, Clone, Copy)]
 struct Stretch {
-    place: Place,
+    place: Prediction,
     /// The corner it lies beside, and along which of the steps, forward or back.
     from: Node,
     axis: usize,
@@ -281,7 +280,7 @@ struct Stretch {
 }
 
 impl Stretch {
-    /// The place from the corner (i, j) of `grid` towards (di, dj), if it is free.
+    /// The position from the corner (i, j) of `grid` towards (di, dj), if it is free.
     fn from(grid: &Grid, (i, j): (i32, i32), (di, dj): (i32, i32)) -> Option<Self> {
         let (from, (i, j)) = (grid.get(i, j)?, (i + di, j + dj));
         if grid.get(i, j).is_some() || !grid.holds(i, j) {
@@ -289,21 +288,21 @@ impl Stretch {
         }
         let axis = usize::from(dj != 0);
         Some(Self {
-            place: Place::by_neighbors(grid, i, j)?,
+            place: Prediction::by_neighbors(grid, i, j)?,
             from,
             axis,
             forward: (di + dj) as f32,
         })
     }
 
-    /// The corner there: at a candidate of the right colors, with an edge all the way to it.
-    fn look(
+    /// The corner there: at a candidate of the right polarity, with an edge all the way to it.
+    fn measure(
         &self,
         image: GrayView<'_>,
         candidates: &[Candidate],
         neighborhood: &Neighborhood,
     ) -> Option<Node> {
-        let Place { expected, steps, polarity, .. } = self.place;
+        let Prediction { expected, steps, polarity, .. } = self.place;
         let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
         let edges = if polarity > 0.0 { [way(0), way(1)] } else { [way(1), way(0)] };
         let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
@@ -322,7 +321,8 @@ impl Stretch {
         let at = candidates[neighborhood.nearest(candidates, expected, reach, fits)?].pixel;
         let mut steps = steps;
         steps[self.axis] = (at - self.from.pixel) * self.forward;
-        let node = Place { expected: at, steps, ..self.place }.look(image, &WINDOWS[..1])?;
+        let node =
+            Prediction { expected: at, steps, ..self.place }.measure(image, &WINDOWS[..1])?;
         // Beyond +i, the square on the side of +v has the opposite of the farther corner's
         // polarity; a quarter turn changes the sign.
         let (aside, sign) =
@@ -334,7 +334,7 @@ impl Stretch {
     }
 }
 
-/// The corner at `expected`, wherever exactly it settles, in the image.
+/// The corner at `expected`, refined in the image.
 pub(super) fn settle(
     image: GrayView<'_>,
     expected: Vec2,
@@ -342,19 +342,19 @@ pub(super) fn settle(
     size: WindowSize,
 ) -> Option<Node> {
     let window = |center, reach| window(center, steps, reach, size.most_px).inside(image, 0.25);
-    let first = window(expected, size.reach)?.look_for(image, LEAST_FIRST_SCORE)?;
-    let mut cross = window(first.center, size.reach)?.look(image)?;
+    let first = window(expected, size.reach)?.measure_above(image, LEAST_FIRST_SCORE)?;
+    let mut cross = window(first.center, size.reach)?.measure(image)?;
     let mut before = first.score;
-    // A corner that was far off comes nearer with every look.
+    // A corner far from its prediction comes nearer with every iteration.
     while cross.score < size.least_score {
         if cross.score < before + LEAST_GAIN {
             return None;
         }
         before = cross.score;
-        cross = window(cross.center, size.reach)?.look(image)?;
+        cross = window(cross.center, size.reach)?.measure(image)?;
     }
-    // What disturbs a wide window, uneven light or something in front, disturbs a narrow one less.
-    let near = window(cross.center, NEAR)?.look_for(image, LEAST_NEAR_SCORE)?;
+    // Uneven light or an occluder disturbs a narrow window less than a wide one.
+    let near = window(cross.center, NEAR)?.measure_above(image, LEAST_NEAR_SCORE)?;
     let sharp = near.contrast / cross.contrast > LEAST_NARROW_CONTRAST;
     let pixel = if sharp { near.center } else { cross.center };
     let tight = size.reach < WIDE.reach;
@@ -367,9 +367,8 @@ pub(super) fn settle(
     })
 }
 
-/// Moves each corner of `grid`, found on a coarser level and taken to this one, to where `image`
-/// shows it. One that is not seen near where it was taken to is looked for where its neighbors put
-/// it.
+/// Moves each corner of `grid`, found on a coarser level and scaled to this one, to where `image`
+/// shows it. A corner that is not found there is searched for where its neighbors predict it.
 pub(super) fn sharpen_all(
     image: GrayView<'_>,
     grid: &mut Grid,
@@ -389,7 +388,7 @@ pub(super) fn sharpen_all(
     for index in 0..grid.suspect.len() {
         let (i, j) = grid.suspect[index];
         if let Some(node) =
-            Place::by_neighbors(grid, i, j).and_then(|place| place.look(image, sizes))
+            Prediction::by_neighbors(grid, i, j).and_then(|place| place.measure(image, sizes))
         {
             grid.set(i, j, node);
         }
@@ -409,7 +408,7 @@ pub(super) fn sharpen(
         let center = seen.unwrap_or(node.pixel);
         match window(center, steps, reach, WIDE.most_px)
             .inside(image, 0.25)
-            .and_then(|window| window.look(image))
+            .and_then(|window| window.measure(image))
         {
             Some(cross)
                 if cross.score > LEAST_NARROW_SCORE
@@ -423,12 +422,18 @@ pub(super) fn sharpen(
     seen.map(|pixel| Node { pixel, ..*node })
 }
 
-fn window(center: Vec2, [u, v]: [Vec2; 2], reach: f32, most_px: f32) -> Window {
+fn window(center: Vec2, [u, v]: [Vec2; 2], reach: f32, most_px: f32) -> CrossWindow {
     let shortest = u.norm().min(v.norm()).max(1e-3);
-    Window::on_board(center, u, v, reach.max(LEAST_REACH_PX / shortest), most_px)
+    CrossWindow::on_board(center, u, v, reach.max(LEAST_REACH_PX / shortest), most_px)
 }
 
-fn alternates(image: GrayView<'_>, node: &Node, place: &Place, reach: f32, contrast: f32) -> bool {
+fn alternates(
+    image: GrayView<'_>,
+    node: &Node,
+    place: &Prediction,
+    reach: f32,
+    contrast: f32,
+) -> bool {
     let window = window(node.pixel, place.steps, 0.8 * reach, f32::MAX).inside(image, 0.1);
     window
         .and_then(|window| window.alternation(image))

@@ -3,12 +3,12 @@
 //! **May miss, never mislabels.** `README.md` beside this file has the table of stages, what was
 //! measured, and what was tried.
 
-mod bend;
 pub mod board_detection;
-pub mod board_plane;
 mod candidates;
 pub mod coded;
 mod cross;
+mod curved_board;
+pub mod depth;
 pub mod detector;
 mod edges;
 mod ends;
@@ -17,7 +17,6 @@ mod grid;
 mod growth;
 mod perspective;
 mod placement;
-pub mod plane_growth;
 mod pyramid;
 mod reasons;
 pub mod refine;
@@ -26,6 +25,8 @@ mod response;
 mod seeds;
 pub mod tracking;
 mod verification;
+
+pub use crate::detection::depth::{board_plane, plane_growth};
 
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::detector::Detector;

@@ -1,5 +1,5 @@
-//! Where corners far from all known ones must be: the perspective of the whole board, and how the
-//! lens bends it nearby.
+//! Prediction of corners far from all known ones: the homography of the whole board, corrected by
+//! the nearest corners for lens distortion.
 
 use nalgebra::{SMatrix, SVector};
 
@@ -23,7 +23,7 @@ pub(super) struct Perspective {
 }
 
 impl Perspective {
-    /// Fits `grid`; `None` if its corners do not determine it.
+    /// Fits all corners of `grid`; `None` if they do not determine it.
     pub(super) fn fit(grid: &Grid) -> Option<Self> {
         Self::fit_to(grid, |_, _| true)
     }
@@ -67,13 +67,13 @@ impl Perspective {
         })
     }
 
-    /// Where the corner (i, j) of `grid` must be: moved as the nearest known corners are off the
-    /// homography.
+    /// Prediction of the corner (i, j) of `grid`: the homography plus the nearest known corners'
+    /// residuals.
     pub(super) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
         self.predict_by(grid, i, j, |_, _| true)
     }
 
-    /// The same, moved as those corners only that are `believed`.
+    /// The same, with the residuals of the `believed` corners only.
     fn predict_by(
         &self,
         grid: &Grid,
@@ -99,8 +99,8 @@ impl Perspective {
         Some(self.at(i as f32, j as f32)? + correction)
     }
 
-    /// How far the corner (i, j) of `grid` lies from where it must be as the `believed` ones have
-    /// it, in steps.
+    /// Distance of the corner (i, j) of `grid` from its prediction by the `believed` ones, in
+    /// steps.
     pub(super) fn off(
         &self,
         grid: &Grid,
@@ -180,9 +180,6 @@ mod tests {
                 },
             );
         }
-        assert!(
-            Perspective::fit(&grid)
-                .is_none_or(|p| p.predict(&grid, 2, 3).is_none_or(|q| q.x.is_finite()))
-        );
+        assert!(Perspective::fit(&grid).is_none());
     }
 }

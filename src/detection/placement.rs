@@ -1,9 +1,9 @@
 //! Where in the board a grid lies, and which way round: the canonical order of corners.
 //!
-//! Column and row of the board turn from +x to +y like the grid's i and j, because a camera sees
-//! the board's front; so the grid lies in the board by one of four quarter turns and a shift. The
-//! colors of squares, the seen ends of the board and the number of corners leave one of these, or
-//! say that it cannot be known.
+//! Columns and rows of the board turn from +x to +y like the grid's i and j, because a camera sees
+//! the board's front; so the grid lies in the board by one of four quarter turns and an offset. The
+//! polarity of squares, the visible ends and the number of corners leave one of these, or show that
+//! it is not determined.
 
 use super::cross::Vec2;
 use super::grid::{Bounds, Grid};
@@ -14,16 +14,16 @@ pub(super) type Ends = [bool; 4];
 
 /// How a board's columns and rows lie in a grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Placement {
+pub(super) struct BoardPlacement {
     /// The grid's (i, j) of the board's first corner.
     pub first: (i32, i32),
     /// Quarter turns from i to the direction of columns, in the sense from i to j.
     pub turns: u8,
-    /// No other place in the board is possible.
+    /// Whether no other position in the board is possible.
     pub known: bool,
 }
 
-impl Placement {
+impl BoardPlacement {
     /// The grid's index of the board's corner (`col`, `row`).
     pub(super) fn in_grid(&self, col: i32, row: i32) -> (i32, i32) {
         let (i, j) = self.first;
@@ -49,7 +49,7 @@ impl Placement {
 
 /// A rectangle of the grid that could be the whole board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Frame {
+struct Rectangle {
     i: i32,
     j: i32,
     width: i32,
@@ -63,26 +63,26 @@ pub(super) fn place(
     bounds: Bounds,
     ends: Ends,
     board: BoardSize,
-) -> Option<Placement> {
+) -> Option<BoardPlacement> {
     let (cols, rows) = (board.cols as i32, board.rows as i32);
     let shapes = [(cols, rows), (rows, cols)];
-    let mut chosen: Option<Frame> = None;
+    let mut chosen: Option<Rectangle> = None;
     let mut frames = 0;
     for &(width, height) in &shapes[..if cols == rows { 1 } else { 2 }] {
         for j in starts(bounds.j, height, [ends[2], ends[3]]) {
             for i in starts(bounds.i, width, [ends[0], ends[1]]) {
-                chosen.get_or_insert(Frame { i, j, width, height });
+                chosen.get_or_insert(Rectangle { i, j, width, height });
                 frames += 1;
             }
         }
     }
     let frame = chosen?;
     let (first, turns) = first_corner(grid, frame, board)?;
-    Some(Placement { first, turns, known: frames == 1 })
+    Some(BoardPlacement { first, turns, known: frames == 1 })
 }
 
-/// Where a board of `length` corners may start so that it covers `least` to `most` and ends where
-/// it is seen to end.
+/// Range of starts of a board of `length` corners that covers `least` to `most` and ends where it
+/// visibly ends.
 fn starts(
     (least, most): (i32, i32),
     length: i32,
@@ -93,10 +93,10 @@ fn starts(
     lowest.max(most - length + 1)..=highest.min(least)
 }
 
-/// The first corner and the direction of columns: the outer diagonal square dark, where that
-/// decides; else the corner nearest the image's top-left.
-fn first_corner(grid: &Grid, frame: Frame, board: BoardSize) -> Option<((i32, i32), u8)> {
-    let Frame { i, j, width, height } = frame;
+/// The first corner and the direction of columns: the outer diagonal square is dark, where that
+/// decides; else the corner nearest the image's top left.
+fn first_corner(grid: &Grid, frame: Rectangle, board: BoardSize) -> Option<((i32, i32), u8)> {
+    let Rectangle { i, j, width, height } = frame;
     let corners =
         [(i, j), (i + width - 1, j), (i + width - 1, j + height - 1), (i, j + height - 1)];
     let outer_squares = [
@@ -124,7 +124,7 @@ fn first_corner(grid: &Grid, frame: Frame, board: BoardSize) -> Option<((i32, i3
     Some((corners[best.1], best.1 as u8))
 }
 
-/// Where the corner (i, j) is, or about where it would be if it is not seen.
+/// Position of the corner (i, j), extrapolated if it is missing.
 fn estimate(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     if let Some(p) = grid.pixel(i, j) {
         return Some(p);
@@ -158,7 +158,7 @@ mod tests {
         grid
     }
 
-    fn placed(grid: &Grid, ends: Ends, board: &str) -> Option<Placement> {
+    fn placed(grid: &Grid, ends: Ends, board: &str) -> Option<BoardPlacement> {
         place(grid, grid.bounds().expect("corners"), ends, board.parse().expect("a size"))
     }
 
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_is_placed_as_far_as_its_ends_tell() {
+    fn a_part_is_placed_as_far_as_its_ends_determine() {
         let part = grid(7, 6, 0, true);
         let at = |ends| placed(&part, ends, "9x6");
         assert!(!at([false; 4]).expect("it fits").known);

@@ -1,12 +1,12 @@
 //! Smaller copies of an image, each pixel the mean of 2×2 of the level below.
 //!
-//! A coarse level is looked at first: it costs a fraction of the image, and blur, motion and noise
+//! The coarse level is searched first: it costs a fraction of the image, and blur, motion and noise
 //! shrink with it. Level 0 is the image itself, which is never copied.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::gray::GrayView;
 
-/// The levels above the image. Buffers are kept from image to image.
+/// The levels above the image. Buffers are reused from image to image.
 #[derive(Debug, Default)]
 pub(super) struct Pyramid {
     levels: Vec<Plane>,
@@ -53,8 +53,7 @@ impl Pyramid {
     }
 }
 
-/// The coarsest level worth looking at: about 150 pixels and at least `cells` × 7 on its longer
-/// side.
+/// The coarsest level: about 150 pixels and at least `cells` × 7 on its longer side.
 pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     let longer = size.width.max(size.height) as usize;
     let least = 150.max(cells * 7);

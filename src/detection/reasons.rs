@@ -2,22 +2,27 @@
 
 use super::board_detection::NoBoard;
 use super::cross::Vec2;
-use super::detector::{Detector, Seen};
+use super::detector::{Detector, SearchEvidence};
 use crate::imaging::gray::GrayView;
 
-/// Range of brightness that is no picture at all, in gray levels.
+/// Range of brightness below which an image is taken for empty, in gray levels.
 const LEAST_RANGE: u8 = 8;
 
-/// Corners of a grid to speak of.
+/// Minimum corners of a grid that is reported.
 const LEAST_GRID: usize = 6;
-/// A square shows no corners where the blur is wider than this part of it.
+/// Blur wider than this part of a square hides its corners.
 const MOST_BLUR: f32 = 0.25;
-/// One pixel in so many has a steeper slope than the one that tells the blur.
+/// Blur is read from the 99.9th percentile of the gradient magnitude.
 const STEEPEST: usize = 1000;
 
 impl Detector {
-    /// The reason for what was seen, on the levels up to `coarsest`, that was no board.
-    pub(super) fn reason(&self, image: GrayView<'_>, coarsest: usize, seen: &Seen) -> NoBoard {
+    /// The reason, from what was detected on the levels up to `coarsest`.
+    pub(super) fn reason(
+        &self,
+        image: GrayView<'_>,
+        coarsest: usize,
+        seen: &SearchEvidence,
+    ) -> NoBoard {
         let view = self.pyramid.level(image, coarsest);
         let range = brightness_range(view);
         if range < LEAST_RANGE {
@@ -26,7 +31,7 @@ impl Detector {
         if let Some((cols, rows)) = seen.other {
             return NoBoard::OtherSize { cols, rows, board: self.board };
         }
-        // A board across half of the picture has squares of this size.
+        // A board across half of the image has squares of this size.
         let squares = 2 * (self.board.cols.max(self.board.rows) + 1);
         let square_px = view.width().max(view.height()) as f32 / squares as f32;
         let blur = sharpest_blur(view, range);
@@ -39,7 +44,7 @@ impl Detector {
         NoBoard::NoGrid { corners: seen.candidates, cols: seen.size.0, rows: seen.size.1 }
     }
 
-    /// The reason why the board in `part` is not whole.
+    /// Why the board in `part` is not whole.
     pub(super) fn part_reason(&self, image: GrayView<'_>, seen: usize) -> NoBoard {
         let (part, board) = (&self.part, self.board);
         let (longer, shorter) =
@@ -69,7 +74,7 @@ impl Detector {
 }
 
 /// Width of the sharpest edges of `image`, as a Gaussian's standard deviation: the slope of an edge
-/// of height h blurred by σ is h/(σ√2π), and the edges are taken to be as high as the picture's
+/// of height h blurred by σ is h/(σ√2π), and the edges are taken to be as high as the image's
 /// `range` of brightness.
 fn sharpest_blur(image: GrayView<'_>, range: u8) -> f32 {
     let mut counts = [0usize; 256];

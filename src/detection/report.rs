@@ -1,5 +1,5 @@
-//! From the corners of a grid to what is answered: refined, in the board's order, with what is in
-//! doubt left out.
+//! From the corners of a grid to the detection: refined, in the board's order, without suspect
+//! corners.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, GridIndex, NoBoard};
 use super::cross::Vec2;
@@ -8,35 +8,35 @@ use super::edges::{EdgeCount, count_edges};
 use super::ends::seen_ends;
 use super::grid::Node;
 use super::perspective::Perspective;
-use super::placement::{Placement, place};
+use super::placement::{BoardPlacement, place};
 use super::refine::{GridCorner, RefinedCorner};
-use super::verification::{off_bent, off_neighbors, outlier};
+use super::verification::{off_curve, off_neighbors, outlier};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
-/// Least correlation with a chessboard corner of one that is reported without refinement.
+/// Minimum correlation with a chessboard corner of one that is reported without refinement.
 const STANDING_SCORE: f32 = 0.7;
-/// How far such a one may lie from where its neighbors put it, in steps.
+/// Largest distance of such a corner from its neighbors' prediction, in steps.
 const STANDING_OFF: f32 = 0.05;
-/// Least standard deviation of a corner with something in front of it a few pixels away, whose edge
-/// may pull it.
+/// Minimum standard deviation of a corner with an occluder a few pixels away, whose edge may pull
+/// it, in pixels.
 const TIGHT_STD_PX: f64 = 0.3;
-/// How far a corner of a part may lie from where its neighbors put it, in steps; one with
-/// something in front of it.
+/// Largest distance of a corner of a part from its neighbors' prediction, in steps; and of one next
+/// to an occluder.
 const MAX_OFFSET: f32 = 0.12;
 const MAX_OFFSET_NEAR_OCCLUDER: f32 = 0.08;
-/// A corner whose standard deviation is so many of the usual ones may be another thing's, and is
-/// held to the same.
+/// Corners with a standard deviation above this multiple of the median are suspect and get the
+/// tight bound.
 const SUSPECT_STDS: f64 = 5.0;
-/// Corners that tell where those must be that have no square of their own.
+/// Minimum corners that predict those without a square of their own.
 const LEAST_FIRM: usize = 8;
 
 impl Detector {
-    /// The corners of `part`, exactly, in the board's order.
+    /// The refined corners of `part`, in the board's order.
     pub(super) fn report(
         &mut self,
         image: GrayView<'_>,
-        placement: Placement,
+        placement: BoardPlacement,
         options: &DetectOptions,
     ) -> Result<Detection, NoBoard> {
         self.take_guesses(placement);
@@ -76,10 +76,10 @@ impl Detector {
         Ok(self.detection(placement, corners))
     }
 
-    /// The detection of `corners`, with the middle one of the blurs that were seen.
+    /// The detection of `corners`, with the median blur.
     pub(super) fn detection(
         &mut self,
-        placement: Placement,
+        placement: BoardPlacement,
         corners: Vec<DetectedCorner>,
     ) -> Detection {
         Detection {
@@ -93,7 +93,7 @@ impl Detector {
     }
 
     /// The corners of `part`, in the board's order, as the refiner takes them.
-    pub(super) fn take_guesses(&mut self, placement: Placement) {
+    pub(super) fn take_guesses(&mut self, placement: BoardPlacement) {
         let part = &self.part;
         let at = |col: i32, row: i32| {
             let (i, j) = placement.in_grid(col, row);
@@ -106,7 +106,7 @@ impl Detector {
             let neighbors = if (seen[0].or(seen[2])).and(seen[1].or(seen[3])).is_some() {
                 seen
             } else {
-                // Alone in its line: the nearest corners tell where the next would be.
+                // Alone on its line: the nearest corners predict the next one.
                 let ahead = |col, row| {
                     let (k, l) = placement.in_grid(col, row);
                     let [u, v] = part.steps(i, j)?;
@@ -125,9 +125,9 @@ impl Detector {
         self.guesses.sort_unstable_by_key(|guess| (guess.index.row, guess.index.col));
     }
 
-    /// Drops refined corners that do not lie where their refined neighbors put them: what covers a
-    /// board may end beside a corner, and be taken for one of its edges.
-    fn drop_outliers(&mut self, placement: Placement, corners: &mut Vec<DetectedCorner>) {
+    /// Drops refined corners that are not where their refined neighbors predict them: an occluder
+    /// may end beside a corner, and be taken for one of its edges.
+    fn drop_outliers(&mut self, placement: BoardPlacement, corners: &mut Vec<DetectedCorner>) {
         let part = &mut self.part;
         for corner in corners.iter() {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
@@ -142,23 +142,23 @@ impl Detector {
         let of_firm = Perspective::fit_to(part, firm).filter(|_| known >= LEAST_FIRM);
         self.stds.clear();
         self.stds.extend(corners.iter().map(|corner| corner.std_px));
-        let usual_px = middle_one(&mut self.stds);
+        let median_px = middle_one(&mut self.stds);
         corners.retain(|corner| {
             let (i, j) = placement.in_grid(corner.index.col, corner.index.row);
-            let suspect = corner.std_px > SUSPECT_STDS * usual_px;
+            let suspect = corner.std_px > SUSPECT_STDS * median_px;
             let most = if suspect { MAX_OFFSET_NEAR_OCCLUDER } else { MAX_OFFSET };
             let near = |off: f32| off < most;
             if !firm(i, j)
                 && let Some(off) = of_firm.as_ref().and_then(|board| board.off(part, i, j, firm))
             {
-                // A line along the edge of a cover is no witness for itself: it may follow that
+                // A line along an occluder's edge is no reference for itself: it may follow that
                 // edge, corner by corner.
                 let tight = part.get(i, j).is_some_and(|node| node.tight);
-                let bent = off_bent(part, i, j).filter(|_| tight).unwrap_or(off);
+                let bent = off_curve(part, i, j).filter(|_| tight).unwrap_or(off);
                 return if tight { off.min(bent) < MAX_OFFSET_NEAR_OCCLUDER } else { near(off) };
             }
-            // At the end of a line few neighbors tell, and a slant or a bend misleads them; the
-            // whole board knows better.
+            // At the end of a line there are few neighbors, and slant or curvature biases their
+            // prediction; the whole board predicts better.
             outlier(part, i, j, most).is_none_or(near)
                 || perspective
                     .as_ref()
@@ -167,14 +167,14 @@ impl Detector {
         });
     }
 
-    /// The placement of a part, known only if the corners that are reported tell it, and no line of
-    /// a single one.
+    /// The placement of a part, known only if the reported corners determine it, and no line of a
+    /// single one.
     fn as_far_as_reported(
         &mut self,
         image: GrayView<'_>,
-        placement: Placement,
+        placement: BoardPlacement,
         corners: &[DetectedCorner],
-    ) -> Placement {
+    ) -> BoardPlacement {
         if !placement.known {
             return placement;
         }
@@ -193,12 +193,12 @@ impl Detector {
             let (_, sure) = seen_ends(image, part, bounds);
             place(part, bounds, sure, self.board)
         });
-        Placement { known: again == Some(placement), ..placement }
+        BoardPlacement { known: again == Some(placement), ..placement }
     }
 
-    /// Whether a corner that could not be refined is beyond doubt all the same: seen among all its
+    /// Whether a corner that could not be refined is certain all the same: visible among all its
     /// neighbors, with all edges to them.
-    fn stands(&self, image: GrayView<'_>, placement: Placement, guess: &GridCorner) -> bool {
+    fn stands(&self, image: GrayView<'_>, placement: BoardPlacement, guess: &GridCorner) -> bool {
         let GridIndex { col, row } = guess.index;
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         let around = [(col + 1, row), (col, row + 1), (col - 1, row), (col, row - 1)];
@@ -214,7 +214,7 @@ impl Detector {
     }
 }
 
-/// The middle one of `values`, which are sorted for it; 0 if there are none.
+/// The median of `values`, which are sorted for it; 0 if there are none.
 fn middle_one(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)
@@ -232,8 +232,8 @@ fn guess_std_px(guess: &GridCorner) -> f64 {
     (0.02 * nearest).clamp(0.3, 3.0)
 }
 
-/// Whether a refined corner is still the one that was guessed: within a quarter of the way to its
-/// nearest neighbor.
+/// Whether a refined corner is still the one that was guessed: within a quarter of the distance to
+/// its nearest neighbor.
 fn stays(guess: &GridCorner, refined: &RefinedCorner) -> bool {
     let nearest = guess
         .neighbors

@@ -1,4 +1,4 @@
-//! How much each pixel looks like the middle of four chessboard squares.
+//! How much each pixel resembles the center of four chessboard squares.
 //!
 //! On a ring of 16 pixels about the point, opposite pixels of a chessboard corner are alike, and
 //! the means of opposite pairs differ from pair to pair: bright along one diagonal, dark along the
@@ -46,7 +46,7 @@ impl Response {
         }
         values[..REACH * width].fill(0);
         values[(height - REACH) * width..].fill(0);
-        pulp::Arch::new().dispatch(Rows { image, values, every });
+        pulp::Arch::new().dispatch(RingRows { image, values, every });
     }
 
     /// Columns.
@@ -54,7 +54,7 @@ impl Response {
         self.width
     }
 
-    /// Rows.
+    /// RingRows.
     pub(super) fn height(&self) -> usize {
         self.height
     }
@@ -67,14 +67,14 @@ impl Response {
 
 /// The rows that are not at the border. A struct, not a closure: all of it must be inlined to be
 /// compiled for the processor.
-struct Rows<'a> {
+struct RingRows<'a> {
     image: GrayView<'a>,
     values: &'a mut [u8],
     /// One of so many rows is computed.
     every: usize,
 }
 
-impl pulp::NullaryFnOnce for Rows<'_> {
+impl pulp::NullaryFnOnce for RingRows<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -1,7 +1,7 @@
 //! Four candidates that close a square of a chessboard: where a grid starts.
 //!
-//! From a candidate its two edges lead to its neighbors, whose colors are the other way round; if
-//! both ways to the fourth corner end at the same candidate, the four are very likely one square.
+//! From a candidate its two edges lead to its neighbors, whose polarity is the opposite; if both
+//! paths to the fourth corner end at the same candidate, the four are very likely one square.
 
 use super::candidates::Candidate;
 use super::cross::Vec2;
@@ -137,7 +137,7 @@ impl Neighborhood {
                 let way = direction(origin, quarter);
                 let along = step.dot(&way);
                 let off = (step.x * way.y - step.y * way.x).abs();
-                // A little off the edge is worth a little more way.
+                // A lateral offset counts as extra distance.
                 let distance = along + off;
                 let nearer =
                     along >= LEAST_STEP && off <= off_edge * along && distance < best[quarter].0;

@@ -1,39 +1,41 @@
-//! Where the board is now, if it is near where it was last: for live use, a fraction of a search.
+//! Tracking for live use: the board near its last position, at a fraction of the cost of a search.
 //!
-//! Each corner is looked at in the image itself, in a window as wide as its squares, where it was
-//! and where it would be if it went on as it moved. What is found must pass the tests of a search:
-//! every corner of the board, every edge, none beyond. Anything less is no answer, and the whole
-//! picture is searched.
+//! Each corner is measured in the image itself, in a window as wide as its squares, at its last
+//! position and at the position that its motion predicts. The result must pass the tests of a
+//! search: every corner of the board, every edge, none beyond. Otherwise the whole image is
+//! searched.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::cross::Vec2;
 use super::detector::Detector;
 use super::following::Expected;
 use super::grid::{Grid, Node};
-use super::placement::{Placement, place};
+use super::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// Corners of a followed board that are refined, to know the blur and how exact the others are.
+/// Corners of a tracked board that are refined, to estimate the blur and the error of the others.
 const SAMPLED: usize = 4;
 /// Least standard deviation that is stated for a corner that is not refined, in pixels.
 const LEAST_STD_PX: f64 = 0.05;
 
-/// A board in a live picture.
+/// A board in a live image.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Sighting {
+pub struct TrackedBoard {
     /// The board.
     pub detection: Detection,
-    /// It was found near where it was last, without a search: its corners are not refined, but for
-    /// those that tell the blur and how exact the others are, and `std_px` is the same for all.
+    /// Whether it was tracked instead of searched for: then only the corners that estimate blur and
+    /// error are refined, and `std_px` is the same for all.
     pub followed: bool,
 }
 
-/// Where a board was, corner by corner in the board's order.
+pub use TrackedBoard as Sighting;
+
+/// The last positions of a board's corners, in the board's order.
 #[derive(Debug, Default)]
 pub(super) struct LastBoard {
     nodes: Vec<Node>,
-    /// How far each corner moved since the board before.
+    /// Each corner's motion since the board before.
     motion: Vec<Vec2>,
     before: Vec<Vec2>,
     /// Whether the square beyond the first corner, towards the board's middle, is bright.
@@ -49,7 +51,7 @@ impl LastBoard {
     }
 
     /// Remembers a whole board.
-    fn remember(&mut self, grid: &Grid, placement: Placement, board: BoardSize) {
+    fn remember(&mut self, grid: &Grid, placement: BoardPlacement, board: BoardSize) {
         self.before.clear();
         self.before.extend(self.nodes.iter().map(|node| node.pixel));
         self.nodes.clear();
@@ -66,7 +68,7 @@ impl LastBoard {
         self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
     }
 
-    /// Where corner `index` should be.
+    /// Predicted position of corner `index`.
     pub(super) fn expect(
         &self,
         index: usize,
@@ -88,9 +90,9 @@ impl LastBoard {
 }
 
 impl Detector {
-    /// Finds the board in the next picture of a stream: first where it was last, else by
-    /// [`Detector::find_board`], in the same call. The pictures since this detector was made decide
-    /// the answer, nothing else.
+    /// Finds the board in the next image of a stream: first near its last position, else by
+    /// [`Detector::find_board`], in the same call. The result depends on the images since this
+    /// detector was made, and on nothing else.
     ///
     /// # Errors
     /// [`NoBoard`] says why there is none.
@@ -98,10 +100,10 @@ impl Detector {
         &mut self,
         image: GrayView<'_>,
         options: &DetectOptions,
-    ) -> Result<Sighting, NoBoard> {
+    ) -> Result<TrackedBoard, NoBoard> {
         if let Some(detection) = self.follow_board(image) {
             self.last.blur_px = detection.blur_px as f32;
-            return Ok(Sighting { detection, followed: true });
+            return Ok(TrackedBoard { detection, followed: true });
         }
         let searched = self.find_board(image, options);
         match self.whole.filter(|_| searched.as_ref().is_ok_and(|detection| !detection.partial)) {
@@ -109,20 +111,20 @@ impl Detector {
             None => self.last.forget(),
         }
         self.last.blur_px = searched.as_ref().map_or(0.0, |detection| detection.blur_px as f32);
-        searched.map(|detection| Sighting { detection, followed: false })
+        searched.map(|detection| TrackedBoard { detection, followed: false })
     }
 
-    /// The board near where it was last.
+    /// The board near its last position.
     fn follow_board(&mut self, image: GrayView<'_>) -> Option<Detection> {
         if self.last.nodes.len() != self.board.corner_count() {
             return None;
         }
-        let moved = !self.last.motion.is_empty() && self.look_where_expected(image, true);
-        if !moved && !self.look_where_expected(image, false) {
+        let moved = !self.last.motion.is_empty() && self.measure_at_predictions(image, true);
+        if !moved && !self.measure_at_predictions(image, false) {
             return None;
         }
         if !self.is_whole() {
-            self.look_between(image);
+            self.measure_between_neighbors(image);
         }
         if !self.is_whole() || !self.holds_together(image) || self.goes_on_beyond(image) {
             return None;
@@ -133,9 +135,13 @@ impl Detector {
         self.report_followed(image, placement)
     }
 
-    /// The corners of `part` as they were followed; a few of them refined, to know the blur and how
-    /// far the others may be off.
-    fn report_followed(&mut self, image: GrayView<'_>, placement: Placement) -> Option<Detection> {
+    /// The tracked corners of `part`; a few of them refined, to estimate the blur and the error of
+    /// the others.
+    fn report_followed(
+        &mut self,
+        image: GrayView<'_>,
+        placement: BoardPlacement,
+    ) -> Option<Detection> {
         self.take_guesses(placement);
         let mut corners = std::mem::take(&mut self.spare);
         corners.clear();

@@ -1,28 +1,28 @@
-//! The last look, which can only drop: every corner's edges and its place among its neighbors.
+//! Verification, which can only drop: every corner's edges, and its position among its neighbors.
 
-use super::bend::predict_bent;
+use super::curved_board::predict_on_curve;
 use super::edges::{EdgeCount, count_edges};
 use super::grid::Grid;
 use super::growth::in_steps;
 use crate::imaging::gray::GrayView;
 
-/// Part of all edges that must hold.
+/// Minimum share of edges that hold.
 const LEAST_HELD: f32 = 0.75;
-/// How far a corner may lie from where its neighbors put it, in steps.
+/// Largest distance of a corner from its neighbors' prediction, in steps.
 pub(super) const MOST_OFF: f32 = 0.22;
-/// A grid with more misplaced corners than this is none.
+/// Largest share of misplaced corners of an accepted grid.
 const MOST_MISPLACED: usize = 12;
 
-/// Drops from `grid` the corners that do not hold in `image`. False if too little holds to believe
-/// any of it.
+/// Drops the corners of `grid` that do not hold in `image`. False if too few hold to accept any of
+/// it.
 pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
     let total = drop_loose(image, grid);
     let believed = total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32;
     believed && drop_misplaced(grid)
 }
 
-/// Drops corners most of whose edges do not hold. Each drop takes an edge from others, so it goes
-/// round a few times. Returns what the last round counted.
+/// Drops corners most of whose edges fail. Each drop takes an edge from others, so it iterates.
+/// Returns the last iteration's counts.
 fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
     let mut total = EdgeCount::default();
     for _ in 0..4 {
@@ -59,20 +59,20 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
     false
 }
 
-/// How far the corner (i, j) lies from where its neighbors put it, in steps; if that is more than
-/// `most`, on a board that may be bent.
+/// Distance of the corner (i, j) from its neighbors' prediction, in steps; if that exceeds `most`,
+/// from the prediction on a curved board.
 pub(super) fn outlier(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
     let off = off_neighbors(grid, i, j)?;
-    Some(if off > most { off_bent(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
+    Some(if off > most { off_curve(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
 }
 
-/// How far the corner (i, j) lies from where it must be on a board that may be bent, in steps.
-pub(super) fn off_bent(grid: &Grid, i: i32, j: i32) -> Option<f32> {
-    let off = in_steps(grid.pixel(i, j)? - predict_bent(grid, i, j)?, grid.steps(i, j)?)?;
+/// Distance of the corner (i, j) from the prediction on a curved board, in steps.
+pub(super) fn off_curve(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+    let off = in_steps(grid.pixel(i, j)? - predict_on_curve(grid, i, j)?, grid.steps(i, j)?)?;
     Some(off.x.abs().max(off.y.abs()))
 }
 
-/// How far the corner (i, j) lies from where its neighbors put it, in steps.
+/// Distance of the corner (i, j) from its neighbors' prediction, in steps.
 pub(super) fn off_neighbors(grid: &Grid, i: i32, j: i32) -> Option<f32> {
     let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
     Some(off.x.abs().max(off.y.abs()))

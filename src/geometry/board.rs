@@ -60,7 +60,7 @@ impl BoardSize {
         self.cols as usize * self.rows as usize
     }
 
-    /// Whether a half turn of the board leaves its pattern as it was, so that no picture can tell
+    /// Whether a half turn of the board leaves its pattern as it was, so that no image determines
     /// which corner is first: `cols` + `rows` is even.
     pub fn orientation_ambiguous(self) -> bool {
         (self.cols + self.rows).is_multiple_of(2)

@@ -7,13 +7,13 @@ use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// What the numbers of a depth picture mean, as the device gives them. Depth is along the optical
+/// What the numbers of a depth image mean, as the device gives them. Depth is along the optical
 /// axis (z), not along the ray.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum DepthReading {
     /// z = unit · reading.
     Metric {
-        /// Metres per unit.
+        /// Meters per unit.
         unit_m: f64,
     },
     /// 1/z = offset + slope · reading (Kinect 1: slope < 0; a stereo matcher: offset 0, slope
@@ -57,7 +57,7 @@ impl DepthReading {
 /// A depth camera with its lens and the correction of its systematic error.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthCamera {
-    /// The size of its pictures.
+    /// The size of its images.
     pub image_size: ImageSize,
     /// The lens.
     pub lens: Lens,
@@ -91,7 +91,7 @@ impl DepthCamera {
 pub struct DepthTile {
     /// The middle of its readings.
     pub pixel: Pixel,
-    /// The uncorrected 1/z there, in 1/m: a plane's is linear over a picture without distortion, so
+    /// The uncorrected 1/z there, in 1/m: a plane's is linear over an image without distortion, so
     /// that this is a mean.
     pub inverse_depth: f64,
     /// Standard deviation of a single reading's 1/z about the patch's own plane, in 1/m.

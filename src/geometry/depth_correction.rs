@@ -1,5 +1,5 @@
 //! The systematic error of a depth camera: a polynomial in depth or inverse depth whose
-//! coefficients vary smoothly over the picture.
+//! coefficients vary smoothly over the image.
 //!
 //! With g_k(u, v) a cubic B-spline surface (C. de Boor, *A Practical Guide to Splines*, 1978):
 //!
@@ -32,11 +32,11 @@ impl CorrectedQuantity {
     }
 }
 
-/// A grid of equal cells over a picture, with the nodes of cubic B-splines on it. Without cells it
+/// A grid of equal cells over an image, with the nodes of cubic B-splines on it. Without cells it
 /// is one constant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SplineGrid {
-    /// The picture.
+    /// The image.
     pub size: ImageSize,
     /// Cells along x; 0 with `rows` 0 for a constant.
     pub cols: u32,
@@ -56,7 +56,7 @@ pub struct NodeWeights {
 }
 
 impl SplineGrid {
-    /// One constant for the whole picture.
+    /// One constant for the whole image.
     pub fn constant(size: ImageSize) -> Self {
         Self { size, cols: 0, rows: 0 }
     }
@@ -73,7 +73,7 @@ impl SplineGrid {
         across * down
     }
 
-    /// The nodes that matter at `pixel` (outside the picture: at its nearest edge).
+    /// The nodes that matter at `pixel` (outside the image: at its nearest edge).
     pub fn weights(self, pixel: Pixel) -> NodeWeights {
         let mut result = NodeWeights { nodes: [0; 16], weights: [0.0; 16], len: 1 };
         if self.cols == 0 || self.rows == 0 {
@@ -106,7 +106,7 @@ fn cell(coordinate: f64, length: u32, cells: u32) -> (usize, [f64; 4]) {
     (first as usize, weights.map(|w| w / 6.0))
 }
 
-/// A correction of depth over a picture.
+/// A correction of depth over an image.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthCorrection {
     /// What the polynomial is in.

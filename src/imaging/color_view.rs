@@ -1,4 +1,4 @@
-//! Where the points that a row of depths stands for are in another camera's picture: in single
+//! Where the points that a row of depths stands for are in another camera's image: in single
 //! precision and without a branch.
 
 use nalgebra::{Point3, Vector3};
@@ -10,18 +10,18 @@ use crate::geometry::pose::Pose;
 use crate::imaging::distortion_lookup::{DistortionLookup, seen};
 use crate::imaging::nearest_canvas::SquareRow;
 
-/// The color camera, as points of the depth camera's pictures come to it.
+/// The color camera, as points of the depth camera's images come to it.
 #[derive(Debug, Clone)]
 pub(super) struct ColorView {
     pub(super) size: ImageSize,
     /// Of `color_from_depth`.
     pub(super) translation: Vector3<f32>,
-    projection: Projection,
+    projection: ColorProjection,
 }
 
 /// What a lens does to normalized coordinates.
 #[derive(Debug, Clone)]
-enum Projection {
+enum ColorProjection {
     Plane(PlaneLens),
     Table(DistortionLookup),
 }
@@ -41,17 +41,17 @@ struct PlaneLens {
 impl ColorView {
     pub(super) fn new(lens: &Lens, size: ImageSize, color_from_depth: &Pose) -> Self {
         let projection = match PlaneLens::new(lens, size) {
-            Some(plane) => Projection::Plane(plane),
-            None => Projection::Table(DistortionLookup::new(lens, size)),
+            Some(plane) => ColorProjection::Plane(plane),
+            None => ColorProjection::Table(DistortionLookup::new(lens, size)),
         };
         Self { size, translation: color_from_depth.translation().cast(), projection }
     }
 
-    /// The pixel at normalized coordinates; NaN for what lies well outside the picture.
+    /// The pixel at normalized coordinates; NaN for what lies well outside the image.
     pub(super) fn pixel(&self, x: f32, y: f32) -> [f32; 2] {
         match &self.projection {
-            Projection::Plane(lens) => lens.pixel(x, y),
-            Projection::Table(table) => table.pixel(x, y),
+            ColorProjection::Plane(lens) => lens.pixel(x, y),
+            ColorProjection::Table(table) => table.pixel(x, y),
         }
     }
 
@@ -78,8 +78,10 @@ impl ColorView {
         }
         let points = x.iter_mut().zip(y);
         match &self.projection {
-            Projection::Plane(lens) => points.for_each(|(x, y)| [*x, *y] = lens.pixel(*x, *y)),
-            Projection::Table(table) => points.for_each(|(x, y)| [*x, *y] = table.pixel(*x, *y)),
+            ColorProjection::Plane(lens) => points.for_each(|(x, y)| [*x, *y] = lens.pixel(*x, *y)),
+            ColorProjection::Table(table) => {
+                points.for_each(|(x, y)| [*x, *y] = table.pixel(*x, *y))
+            }
         }
     }
 }
@@ -124,7 +126,7 @@ impl PlaneLens {
     }
 }
 
-/// A little more than the largest radius that the picture shows, as far as the lens is one-to-one
+/// A little more than the largest radius that the image shows, as far as the lens is one-to-one
 /// there: beyond it, the formula gives pixels that no lens does.
 fn radius_limit(lens: &Lens, size: ImageSize) -> f64 {
     let [low, high] = seen(lens, size);

@@ -1,4 +1,4 @@
-//! Readings of a whole depth picture to corrected meters: what `DepthCamera::inverse_depth` says
+//! Readings of a whole depth image to corrected meters: what `DepthCamera::inverse_depth` says
 //! pixel by pixel, in single precision and without a branch, so that it runs at the speed of
 //! memory.
 
@@ -19,7 +19,7 @@ struct PixelCorrections {
     quantity: CorrectedQuantity,
     /// How many there are a pixel.
     terms: usize,
-    /// Row by row of the picture, then power by power, then pixel by pixel.
+    /// Row by row of the image, then power by power, then pixel by pixel.
     coefficients: Vec<f32>,
     /// The nearest and the farthest depth that the polynomial is not held at.
     seen_m: [f32; 2],
@@ -65,7 +65,7 @@ impl DepthConversion {
     /// The depth of each reading in meters; 0 for `invalid` and for what no surface gives.
     pub(super) fn depths_m(&self, readings: &[u16], invalid: Option<u16>) -> Vec<f32> {
         let mut depths = vec![0.0; readings.len()];
-        pulp::Arch::new().dispatch(Rows {
+        pulp::Arch::new().dispatch(DepthRows {
             conversion: self,
             readings,
             invalid,
@@ -147,16 +147,16 @@ impl PixelCorrections {
     }
 }
 
-/// A whole picture. A struct, not a closure: all of it must be inlined to be compiled for the
+/// A whole image. A struct, not a closure: all of it must be inlined to be compiled for the
 /// processor.
-struct Rows<'a> {
+struct DepthRows<'a> {
     conversion: &'a DepthConversion,
     readings: &'a [u16],
     invalid: Option<u16>,
     depths: &'a mut [f32],
 }
 
-impl pulp::NullaryFnOnce for Rows<'_> {
+impl pulp::NullaryFnOnce for DepthRows<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -216,7 +216,7 @@ mod tests {
                             .inverse_depth(pixel, f64::from(*raw))
                             .filter(|_| Some(*raw) != invalid);
                         let expected = inverse.map_or(0.0, |inverse| 1.0 / inverse);
-                        // Beyond a kilometre a single-precision 1/z says nothing.
+                        // Beyond a kilometer a single-precision 1/z says nothing.
                         let near = (f64::from(*depth) - expected).abs() <= 2e-5 * expected
                             || expected > 1e3;
                         assert!(

@@ -1,4 +1,4 @@
-//! Depth pictures: 16-bit readings per pixel, as the device gave them.
+//! Depth images: 16-bit readings per pixel, as the device gave them.
 
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::DecodeError;
@@ -6,7 +6,7 @@ use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::pixel_format::buffer_length;
 use crate::imaging::png;
 
-/// A picture of readings: distance or disparity, in the device's own unit.
+/// An image of readings: distance or disparity, in the device's own unit.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct DepthImage {
     width: usize,
@@ -24,7 +24,7 @@ impl DepthImage {
     /// The readings of a frame: 16-bit PNG, or rows of 16 bits.
     ///
     /// # Errors
-    /// [`DecodeError`] for what is no 16-bit picture, or a damaged one.
+    /// [`DecodeError`] for what is no 16-bit image, or a damaged one.
     pub fn from_frame(frame: &Frame) -> Result<Self, DecodeError> {
         if frame.bytes.is_empty() {
             return Err(DecodeError::Empty);
@@ -32,9 +32,9 @@ impl DepthImage {
         let wrong = DecodeError::WrongKind { format: frame.format.name(), wanted: "16-bit depth" };
         match frame.format {
             PixelFormat::Png => match png::decode(&frame.bytes)? {
-                image::DynamicImage::ImageLuma16(picture) => {
-                    let size = ImageSize::new(picture.width(), picture.height());
-                    Self::new(size, picture.into_raw()).ok_or(DecodeError::Empty)
+                image::DynamicImage::ImageLuma16(image) => {
+                    let size = ImageSize::new(image.width(), image.height());
+                    Self::new(size, image.into_raw()).ok_or(DecodeError::Empty)
                 }
                 _ => Err(wrong),
             },
@@ -63,7 +63,7 @@ impl DepthImage {
         Self::new(size, readings.collect()).ok_or(DecodeError::Empty)
     }
 
-    /// The picture as a 16-bit gray PNG file.
+    /// The image as a 16-bit gray PNG file.
     pub fn to_png(&self) -> Vec<u8> {
         let size = self.size();
         let bytes: Vec<u8> =
@@ -107,9 +107,9 @@ mod tests {
     #[test]
     fn a_png_keeps_every_reading() {
         let readings: Vec<u16> = (0..12).map(|k| k * 5461).collect();
-        let picture = DepthImage::new(ImageSize::new(4, 3), readings).unwrap();
-        let frame = frame_from_file(SensorKind::Depth, picture.to_png());
-        assert_eq!(DepthImage::from_frame(&frame).unwrap(), picture);
+        let image = DepthImage::new(ImageSize::new(4, 3), readings).unwrap();
+        let frame = frame_from_file(SensorKind::Depth, image.to_png());
+        assert_eq!(DepthImage::from_frame(&frame).unwrap(), image);
     }
 
     #[test]

@@ -10,11 +10,11 @@ const NEAR_M: f32 = 0.25;
 const FAR_M: f32 = 8.0;
 /// Depth jumps where it grows by this part from one pixel to the next.
 const JUMP: f32 = 0.04;
-/// So many empty pixels are looked across for what lies behind an edge: a stereo camera measures
+/// This many empty pixels are skipped to reach what lies behind an edge: a stereo camera measures
 /// nothing in its shadow.
 const GAP: usize = 64;
 
-/// A picture of `size` from depths in meters, row by row; 0 for none.
+/// An image of `size` from depths in meters, row by row; 0 for none.
 pub fn shaded(depths: &[f32], size: ImageSize) -> RgbImage {
     let color = |depth: f32| match depth {
         depth if depth > 0.0 => shade(1.0 - (depth / NEAR_M).ln() / (FAR_M / NEAR_M).ln()),

@@ -21,7 +21,7 @@ pub(super) struct DistortionLookup {
 const CELLS: usize = 159;
 
 impl DistortionLookup {
-    /// Over what the lens sees of a picture of `size`, and a little more.
+    /// Over what the lens sees of an image of `size`, and a little more.
     pub(crate) fn new(lens: &Lens, size: ImageSize) -> Self {
         let [low, high] = seen(lens, size);
         let node = |column: usize, row: usize| {
@@ -80,7 +80,7 @@ fn cell(value: f32) -> (usize, f32) {
     ((whole.to_bits() & ((1 << BINARY_PLACES) - 1)) as usize, value - (whole - MAGNITUDE))
 }
 
-/// The least and the greatest normalized coordinates of a picture's border, and a little beyond
+/// The least and the greatest normalized coordinates of an image's border, and a little beyond
 /// them.
 pub(super) fn seen(lens: &Lens, size: ImageSize) -> [Vector2<f64>; 2] {
     let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));

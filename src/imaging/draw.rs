@@ -1,5 +1,5 @@
-//! Drawing over a picture: what was found in it, and where the board should be next. Edges are
-//! smoothed; what lies outside the picture is left out.
+//! Drawing over an image: what was found in it, and where the board should be next. Edges are
+//! smoothed; what lies outside the image is left out.
 
 use image::{Rgb, RgbImage};
 
@@ -51,41 +51,41 @@ pub struct Pen {
 }
 
 impl Pen {
-    /// A pen whose lines are as wide, compared with the picture, as one of 1.5 px is in a picture
+    /// A pen whose lines are as wide, compared with the image, as one of 1.5 px is in an image
     /// 640 px wide.
-    pub fn fitting(picture: &RgbImage, color: Color) -> Self {
-        let longer_side = f64::from(picture.width().max(picture.height()));
+    pub fn fitting(image: &RgbImage, color: Color) -> Self {
+        let longer_side = f64::from(image.width().max(image.height()));
         Self { color, width_px: (longer_side / 640.0 * 1.5).max(1.0) }
     }
 }
 
 /// Draws the corners of a board, `cols` in a row: a line through them in their order, a ring around
 /// each, the first one in another color and larger. Every corner that is not a number is left out.
-pub fn draw_corners(picture: &mut RgbImage, corners: &[Pixel]) {
-    let pen = Pen::fitting(picture, FOUND);
+pub fn draw_corners(image: &mut RgbImage, corners: &[Pixel]) {
+    let pen = Pen::fitting(image, FOUND);
     let thin = Pen { width_px: pen.width_px * 0.6, ..pen };
     for pair in corners.windows(2) {
-        draw_line(picture, pair[0], pair[1], thin);
+        draw_line(image, pair[0], pair[1], thin);
     }
     for (i, corner) in corners.iter().enumerate() {
         let (pen, radius) = match i {
             0 => (Pen { color: FIRST, ..pen }, 4.0),
             _ => (pen, 2.7),
         };
-        draw_ring(picture, *corner, radius * pen.width_px, pen);
+        draw_ring(image, *corner, radius * pen.width_px, pen);
     }
 }
 
 /// Draws the outline of a polygon.
-pub fn draw_polygon(picture: &mut RgbImage, corners: &[Pixel], pen: Pen) {
+pub fn draw_polygon(image: &mut RgbImage, corners: &[Pixel], pen: Pen) {
     let next = corners.iter().cycle().skip(1);
     for (from, to) in corners.iter().zip(next) {
-        draw_line(picture, *from, *to, pen);
+        draw_line(image, *from, *to, pen);
     }
 }
 
 /// Draws a line from `from` to `to`.
-pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
+pub fn draw_line(image: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
     if !(from.is_finite() && to.is_finite()) {
         return;
     }
@@ -101,8 +101,8 @@ pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
         (x - from.x - part * along.x).hypot(y - from.y - part * along.y)
     };
     let reach = pen.width_px / 2.0 + 1.0;
-    let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-    // Only the pixels near the line are looked at: row by row for a steep one, column by column for
+    let (width, height) = (f64::from(image.width()), f64::from(image.height()));
+    // Only the pixels near the line are visited: row by row for a steep one, column by column for
     // a flat one.
     let steep = along.y.abs() > along.x.abs();
     let (first, last, limit) = if steep { (from.y, to.y, height) } else { (from.x, to.x, width) };
@@ -123,28 +123,28 @@ pub fn draw_line(picture: &mut RgbImage, from: Pixel, to: Pixel, pen: Pen) {
         for minor in range(middle - across, middle + across, if steep { width } else { height }) {
             let (x, y) = if steep { (minor, major) } else { (major, minor) };
             let coverage = pen.width_px / 2.0 + 0.5 - distance(f64::from(x), f64::from(y));
-            blend(picture, x, y, pen.color, coverage);
+            blend(image, x, y, pen.color, coverage);
         }
     }
 }
 
 /// Draws a circle line around `center`.
-pub fn draw_ring(picture: &mut RgbImage, center: Pixel, radius_px: f64, pen: Pen) {
+pub fn draw_ring(image: &mut RgbImage, center: Pixel, radius_px: f64, pen: Pen) {
     if !center.is_finite() {
         return;
     }
     let reach = radius_px + pen.width_px / 2.0 + 1.0;
-    let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+    let (width, height) = (f64::from(image.width()), f64::from(image.height()));
     for y in range(center.y - reach, center.y + reach, height) {
         for x in range(center.x - reach, center.x + reach, width) {
             let distance = (f64::from(x) - center.x).hypot(f64::from(y) - center.y);
             let coverage = pen.width_px / 2.0 + 0.5 - (distance - radius_px).abs();
-            blend(picture, x, y, pen.color, coverage);
+            blend(image, x, y, pen.color, coverage);
         }
     }
 }
 
-/// The whole numbers from `first` to `last` that lie in a picture of `length`.
+/// The whole numbers from `first` to `last` that lie in an image of `length`.
 fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
     // `max` and `min` pass over what is not a number, as coordinates far outside may make it;
     // `clamp` would panic.
@@ -153,9 +153,9 @@ fn range(first: f64, last: f64, length: f64) -> std::ops::Range<u32> {
     first as u32..last as u32
 }
 
-fn blend(picture: &mut RgbImage, x: u32, y: u32, color: Color, coverage: f64) {
+fn blend(image: &mut RgbImage, x: u32, y: u32, color: Color, coverage: f64) {
     let coverage = coverage.clamp(0.0, 1.0);
-    let Some(pixel) = picture.get_pixel_mut_checked(x, y).filter(|_| coverage > 0.0) else {
+    let Some(pixel) = image.get_pixel_mut_checked(x, y).filter(|_| coverage > 0.0) else {
         return;
     };
     for (channel, wanted) in pixel.0.iter_mut().zip(color.0) {
@@ -170,8 +170,8 @@ mod tests {
 
     const PEN: Pen = Pen { color: Rgb([255, 255, 255]), width_px: 1.0 };
 
-    fn lit(picture: &RgbImage) -> Vec<(u32, u32)> {
-        picture
+    fn lit(image: &RgbImage) -> Vec<(u32, u32)> {
+        image
             .enumerate_pixels()
             .filter(|(_, _, pixel)| pixel.0[0] > 127)
             .map(|(x, y, _)| (x, y))
@@ -186,12 +186,12 @@ mod tests {
             (Pixel::new(4.0, 4.0), vec![(2, 2), (3, 3), (4, 4)]),
             (Pixel::new(2.0, 2.0), vec![(2, 2)]),
         ] {
-            let mut picture = RgbImage::new(8, 8);
-            draw_line(&mut picture, Pixel::new(2.0, 2.0), to, PEN);
-            assert_eq!(lit(&picture), expected);
+            let mut image = RgbImage::new(8, 8);
+            draw_line(&mut image, Pixel::new(2.0, 2.0), to, PEN);
+            assert_eq!(lit(&image), expected);
             let mut backwards = RgbImage::new(8, 8);
             draw_line(&mut backwards, to, Pixel::new(2.0, 2.0), PEN);
-            assert_eq!(backwards, picture);
+            assert_eq!(backwards, image);
         }
     }
 
@@ -216,31 +216,31 @@ mod tests {
 
     #[test]
     fn what_lies_outside_is_left_out() {
-        let mut picture = RgbImage::new(4, 4);
+        let mut image = RgbImage::new(4, 4);
         let far = [
             Pixel::new(-1e9, -1e9),
             Pixel::new(1e9, -7.0),
             Pixel::new(f64::NAN, 1.0),
             Pixel::new(2.0, f64::INFINITY),
         ];
-        draw_polygon(&mut picture, &far[2..], PEN);
-        draw_line(&mut picture, far[0], far[1], PEN);
-        draw_corners(&mut picture, &far);
+        draw_polygon(&mut image, &far[2..], PEN);
+        draw_line(&mut image, far[0], far[1], PEN);
+        draw_corners(&mut image, &far);
         let beyond =
             [Pixel::new(-1e308, 1e308), Pixel::new(1e308, 1e308), Pixel::new(1e308, -1e308)];
-        draw_polygon(&mut picture, &beyond, PEN);
-        draw_ring(&mut picture, beyond[0], 3.0, PEN);
-        assert_eq!(lit(&picture), []);
-        draw_line(&mut picture, Pixel::new(-100.0, 1.0), Pixel::new(100.0, 1.0), PEN);
-        assert_eq!(lit(&picture), [(0, 1), (1, 1), (2, 1), (3, 1)]);
+        draw_polygon(&mut image, &beyond, PEN);
+        draw_ring(&mut image, beyond[0], 3.0, PEN);
+        assert_eq!(lit(&image), []);
+        draw_line(&mut image, Pixel::new(-100.0, 1.0), Pixel::new(100.0, 1.0), PEN);
+        assert_eq!(lit(&image), [(0, 1), (1, 1), (2, 1), (3, 1)]);
         draw_ring(&mut RgbImage::new(0, 0), Pixel::new(0.0, 0.0), 3.0, PEN);
     }
 
     #[test]
     fn the_first_corner_stands_out() {
-        let mut picture = RgbImage::new(640, 480);
-        draw_corners(&mut picture, &[Pixel::new(100.0, 100.0), Pixel::new(200.0, 100.0)]);
-        assert_eq!(picture.get_pixel(100, 94), &FIRST);
-        assert_eq!(picture.get_pixel(200, 96), &FOUND);
+        let mut image = RgbImage::new(640, 480);
+        draw_corners(&mut image, &[Pixel::new(100.0, 100.0), Pixel::new(200.0, 100.0)]);
+        assert_eq!(image.get_pixel(100, 94), &FIRST);
+        assert_eq!(image.get_pixel(200, 96), &FOUND);
     }
 }

@@ -22,8 +22,8 @@ const TOO_FAR: [f32; 3] = [178.0, 24.0, 43.0];
 /// Colors reach so far that no more than this part of the errors before are beyond.
 const BEYOND: f64 = 0.05;
 
-/// Draws what `before` and `after` (meters, row by row of a picture of `size`; not finite for none)
-/// differ from 0 by: the part of the picture that has errors, on one scale for both, with a label
+/// Draws what `before` and `after` (meters, row by row of an image of `size`; not finite for none)
+/// differ from 0 by: the part of the image that has errors, on one scale for both, with a label
 /// each and the scale below. `None` without errors.
 pub fn draw_errors(
     [before, after]: [&[f32]; 2],
@@ -36,33 +36,33 @@ pub fn draw_errors(
     let scale = (LONGER_SIDE / wide.max(tall)).max(1);
     let [line, panel] = [label_size("0", LETTERING)[1], wide * scale];
     let below = GAP + line + GAP + tall * scale + GAP;
-    let mut picture = RgbImage::from_pixel(2 * panel + 3 * GAP, below + line + GAP, GROUND);
+    let mut image = RgbImage::from_pixel(2 * panel + 3 * GAP, below + line + GAP, GROUND);
     for (place, (errors, label)) in (0..).zip([before, after].into_iter().zip(labels)) {
         let left = GAP + place * (panel + GAP);
-        draw_label(&mut picture, label, (left, GAP), (INK, GROUND, LETTERING));
+        draw_label(&mut image, label, (left, GAP), (INK, GROUND, LETTERING));
         for (x, y) in (0..tall * scale).flat_map(|y| (0..panel).map(move |x| (x, y))) {
             let at = (low[1] + y / scale) * size.width + low[0] + x / scale;
             let error = errors.get(at as usize).copied().filter(|error| error.is_finite());
             let color = error.map_or(GROUND, |error| color(1e3 * error / limit_mm));
-            picture.put_pixel(left + x, GAP + line + GAP + y, color);
+            image.put_pixel(left + x, GAP + line + GAP + y, color);
         }
     }
-    draw_scale(&mut picture, limit_mm, below);
-    Some(picture)
+    draw_scale(&mut image, limit_mm, below);
+    Some(image)
 }
 
 /// From too near to too far, with their numbers at both ends.
-fn draw_scale(picture: &mut RgbImage, limit_mm: f32, top: u32) {
+fn draw_scale(image: &mut RgbImage, limit_mm: f32, top: u32) {
     let (near, far) = (format!("-{limit_mm} mm"), format!("{limit_mm} mm"));
     let ([near_wide, line], far_wide) =
         (label_size(&near, LETTERING), label_size(&far, LETTERING)[0]);
-    let (from, to) = (2 * GAP + near_wide, picture.width().saturating_sub(2 * GAP + far_wide));
+    let (from, to) = (2 * GAP + near_wide, image.width().saturating_sub(2 * GAP + far_wide));
     for (x, y) in (from..to).flat_map(|x| (top..top + line).map(move |y| (x, y))) {
         let along = (x - from) as f32 / (to - from) as f32;
-        picture.put_pixel(x, y, color(2.0 * along - 1.0));
+        image.put_pixel(x, y, color(2.0 * along - 1.0));
     }
-    draw_label(picture, &near, (GAP, top), (INK, GROUND, LETTERING));
-    draw_label(picture, &far, (to + GAP, top), (INK, GROUND, LETTERING));
+    draw_label(image, &near, (GAP, top), (INK, GROUND, LETTERING));
+    draw_label(image, &far, (to + GAP, top), (INK, GROUND, LETTERING));
 }
 
 /// The first and the last column and row that have errors.
@@ -110,11 +110,11 @@ mod tests {
         let errors = |error: f32| -> Vec<f32> {
             (0..40 * 30).map(|k| if on_board(k) { error } else { f32::NAN }).collect()
         };
-        let picture =
+        let image =
             draw_errors([&errors(0.0042), &errors(-0.0005)], size, ["4.2 mm", "0.5 mm"]).unwrap();
-        assert_eq!(picture.width(), 2 * 400 + 3 * GAP, "20 columns of 20 pixels");
-        let (y, left) = (picture.height() / 2, GAP + 200);
-        let [before, after] = [left, left + 400 + GAP].map(|x| picture.get_pixel(x, y).0);
+        assert_eq!(image.width(), 2 * 400 + 3 * GAP, "20 columns of 20 pixels");
+        let (y, left) = (image.height() / 2, GAP + 200);
+        let [before, after] = [left, left + 400 + GAP].map(|x| image.get_pixel(x, y).0);
         assert!(before[0] > 150 && before[2] < 100, "red: {before:?}");
         assert!(after[2] > 200 && after[0] > 200 && after[2] > after[0], "a light blue: {after:?}");
         assert_eq!(draw_errors([&errors(f32::NAN), &errors(1.0)], size, ["", ""]), None);

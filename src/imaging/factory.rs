@@ -41,7 +41,7 @@ pub struct FactorySensor {
     pub lens: Option<Lens>,
     /// From this sensor's frame to the color sensor's.
     pub color_from_sensor: Option<Pose>,
-    /// Metres per unit of depth.
+    /// Meters per unit of depth.
     pub depth_unit_m: Option<f64>,
 }
 

@@ -9,12 +9,12 @@ use crate::imaging::timestamp::{DeviceTime, HostTime};
 /// Which of a camera's sensors. A camera with one sensor has it as `Color`, gray or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum SensorKind {
-    /// The visible picture.
+    /// The visible image.
     Color,
-    /// The infrared picture, taken by the depth camera; of a stereo depth camera the left one, from
+    /// The infrared image, taken by the depth camera; of a stereo depth camera the left one, from
     /// which depth is measured.
     Infrared,
-    /// The right infrared picture of a stereo depth camera.
+    /// The right infrared image of a stereo depth camera.
     Infrared2,
     /// Distance, or disparity, per pixel.
     Depth,

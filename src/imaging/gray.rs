@@ -1,4 +1,4 @@
-//! Eight-bit luma images: what boards are looked for in.
+//! Eight-bit luma images: what boards are searched for in.
 
 use crate::geometry::pixel::ImageSize;
 
@@ -73,7 +73,7 @@ impl GrayImage {
     }
 }
 
-/// A borrowed 8-bit luma image, whose rows may be padded: a camera's buffer is looked at where it
+/// A borrowed 8-bit luma image, whose rows may be padded: a camera's buffer is read where it
 /// lies.
 #[derive(Debug, Clone, Copy)]
 pub struct GrayView<'a> {

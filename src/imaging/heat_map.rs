@@ -1,4 +1,4 @@
-//! A quantity over a picture as colors, with contours that say their values.
+//! A quantity over an image as colors, with contours that say their values.
 
 use image::{ImageFormat, Rgb, RgbImage};
 
@@ -6,11 +6,11 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::draw;
 use crate::imaging::lettering::{draw_label, label_size};
 
-/// A positive quantity on a grid of pixels that spans a picture from corner to corner, row by row;
+/// A positive quantity on a grid of pixels that spans an image from corner to corner, row by row;
 /// `None` where there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GridValues<'a> {
-    /// The picture's size.
+    /// The image's size.
     pub size: ImageSize,
     /// Columns of the grid, at least 2.
     pub cols: usize,
@@ -30,7 +30,7 @@ const BLIND: Rgb<u8> = Rgb([128, 128, 128]);
 const CONTOUR: Rgb<u8> = Rgb([255, 255, 255]);
 const INK: Rgb<u8> = Rgb([0, 0, 0]);
 /// Steps of a decade that contours may lie at: the first with which enough of them cross the
-/// picture.
+/// image.
 const STEPS: [&[f64]; 4] = [
     &[1.0, 2.0, 5.0],
     &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0],
@@ -60,7 +60,7 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     let levels = levels(map);
     let band = |value: f64| levels.iter().filter(|level| **level <= value).count();
     let mut crossings: Vec<Vec<(u32, u32)>> = vec![Vec::new(); levels.len()];
-    let mut picture = RgbImage::from_fn(width, height, |x, y| {
+    let mut image = RgbImage::from_fn(width, height, |x, y| {
         let Some(here) = value(x, y) else { return BLIND };
         let neighbors = [value(x + 1, y), value(x, y + 1)].into_iter().flatten();
         let Some(other) = neighbors.map(band).find(|other| *other != band(here)) else {
@@ -71,11 +71,11 @@ pub fn draw_heat_map(map: &GridValues<'_>, caption: &str) -> RgbImage {
     });
     let mut taken: Vec<(u32, u32)> = Vec::new();
     for (level, crossing) in levels.iter().zip(&crossings) {
-        write_on_contour(&mut picture, &short(*level), crossing, &mut taken);
+        write_on_contour(&mut image, &short(*level), crossing, &mut taken);
     }
     let [_, high] = label_size(caption, LETTERING);
-    draw_label(&mut picture, caption, (0, height.saturating_sub(high)), (INK, CONTOUR, LETTERING));
-    picture
+    draw_label(&mut image, caption, (0, height.saturating_sub(high)), (INK, CONTOUR, LETTERING));
+    image
 }
 
 /// As [`draw_heat_map`], as a PNG file; `None` where that cannot be encoded.
@@ -129,9 +129,9 @@ fn short(level: f64) -> String {
 }
 
 /// Writes a label where its contour is farthest from those that are written already, and wholly
-/// inside the picture.
+/// inside the image.
 fn write_on_contour(
-    picture: &mut RgbImage,
+    image: &mut RgbImage,
     text: &str,
     contour: &[(u32, u32)],
     taken: &mut Vec<(u32, u32)>,
@@ -139,7 +139,7 @@ fn write_on_contour(
     let [width, height] = label_size(text, LETTERING);
     let fits = |at: u32, length: u32, of: u32| at >= length / 2 && at - length / 2 + length <= of;
     let inside = |place: &&(u32, u32)| {
-        fits(place.0, width, picture.width()) && fits(place.1, height, picture.height())
+        fits(place.0, width, image.width()) && fits(place.1, height, image.height())
     };
     let apart = |place: &(u32, u32)| {
         let far = |other: &(u32, u32)| {
@@ -155,12 +155,7 @@ fn write_on_contour(
             .all(|other| place.0.abs_diff(other.0) > width || place.1.abs_diff(other.1) > height)
     };
     let Some(place) = best.filter(clear) else { return };
-    draw_label(
-        picture,
-        text,
-        (place.0 - width / 2, place.1 - height / 2),
-        (INK, CONTOUR, LETTERING),
-    );
+    draw_label(image, text, (place.0 - width / 2, place.1 - height / 2), (INK, CONTOUR, LETTERING));
     taken.push(place);
 }
 
@@ -210,19 +205,19 @@ mod tests {
     #[test]
     fn the_picture_is_dark_where_the_value_is_small_with_labelled_contours_between() {
         let values = rising(0.012, 1.5);
-        let picture = draw_heat_map(&map(&values), "1 sigma px");
-        assert_eq!(picture.dimensions(), (800, 600));
-        let light = |x: u32| picture.get_pixel(x, 300).0.iter().map(|&c| u32::from(c)).sum::<u32>();
+        let image = draw_heat_map(&map(&values), "1 sigma px");
+        assert_eq!(image.dimensions(), (800, 600));
+        let light = |x: u32| image.get_pixel(x, 300).0.iter().map(|&c| u32::from(c)).sum::<u32>();
         assert!(light(2) < 250 && light(798) > 400, "{} {}", light(2), light(798));
-        assert!((0..800).any(|x| picture.get_pixel(x, 300) == &CONTOUR));
-        assert!(picture.pixels().filter(|pixel| **pixel == INK).count() > 500, "labels");
+        assert!((0..800).any(|x| image.get_pixel(x, 300) == &CONTOUR));
+        assert!(image.pixels().filter(|pixel| **pixel == INK).count() > 500, "labels");
     }
 
     #[test]
     fn where_there_is_no_value_there_is_no_color() {
-        let picture = draw_heat_map(&map(&[None; 63]), "");
+        let image = draw_heat_map(&map(&[None; 63]), "");
         assert!(
-            picture
+            image
                 .enumerate_pixels()
                 .filter(|(_, y, _)| *y < 500)
                 .all(|(_, _, pixel)| *pixel == BLIND)

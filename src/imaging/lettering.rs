@@ -1,4 +1,4 @@
-//! Short labels in a picture: numbers and the few letters that units need, in a face of 5 × 7 dots.
+//! Short labels in an image: numbers and the few letters that units need, in a face of 5 × 7 dots.
 
 use image::RgbImage;
 
@@ -46,16 +46,16 @@ pub fn label_size(text: &str, scale: u32) -> [u32; 2] {
 
 /// Writes `text` in `color` on a plate of another one, `scale` pixels a dot, its top left at
 /// `(left, top)`. Letters that the face lacks are left blank, and so is what lies outside the
-/// picture.
+/// image.
 pub fn draw_label(
-    picture: &mut RgbImage,
+    image: &mut RgbImage,
     text: &str,
     (left, top): (u32, u32),
     (color, plate, scale): (Color, Color, u32),
 ) {
     let [width, height] = label_size(text, scale);
     let mut put = |x: u32, y: u32, color: Color| {
-        if let Some(pixel) = picture.get_pixel_mut_checked(left + x, top + y) {
+        if let Some(pixel) = image.get_pixel_mut_checked(left + x, top + y) {
             *pixel = color;
         }
     };
@@ -85,9 +85,9 @@ mod tests {
         let (ink, plate) = (Rgb([0, 0, 0]), Rgb([255, 255, 255]));
         let written = |text: &str| {
             let [width, height] = label_size(text, 2);
-            let mut picture = RgbImage::new(width, height);
-            draw_label(&mut picture, text, (0, 0), (ink, plate, 2));
-            picture
+            let mut image = RgbImage::new(width, height);
+            draw_label(&mut image, text, (0, 0), (ink, plate, 2));
+            image
         };
         for (index, (letter, _)) in FACE.iter().enumerate() {
             let this = written(&letter.to_string());

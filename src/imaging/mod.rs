@@ -1,4 +1,4 @@
-//! Pictures and the moments they were taken. Pure; may use geometry (for undistortion).
+//! Images and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod bayer;
 mod color_view;

@@ -1,9 +1,9 @@
-//! A picture of the nearest of many depths, each of which covers a small square.
+//! An image of the nearest of many depths, each of which covers a small square.
 //!
 //! Neighboring squares have one of two sides, n and n − 1 pixels, according to where their centers
 //! fall. So each is put down as a single pixel, its first, in one of four planes, by its columns
 //! and rows; what all of them cover is then the least value within those reaches, computed once for
-//! the whole picture.
+//! the whole image.
 
 use crate::geometry::pixel::ImageSize;
 
@@ -18,7 +18,7 @@ pub(crate) trait HeldDepth: Copy + PartialOrd {
     /// Whether a depth that there is can be held.
     fn fits(depth_m: f32, per_unit: f32) -> bool;
 
-    /// What stands for it in pictures: 0 for none.
+    /// What stands for it in images: 0 for none.
     fn shown(self) -> Self;
 
     /// The nearer of two.
@@ -71,7 +71,7 @@ impl HeldDepth for u16 {
     }
 }
 
-/// Depths by pixel, with a border so wide that what reaches over the picture's edge needs no care.
+/// Depths by pixel, with a border so wide that what reaches over the image's edge needs no care.
 #[derive(Debug)]
 pub(crate) struct NearestCanvas<T> {
     size: ImageSize,
@@ -160,9 +160,9 @@ impl<T: HeldDepth> NearestCanvas<T> {
             let [left, top, right, bottom] = [x - half, y - half, x + half, y + half].map(ceil);
             let (columns, rows) = (right.wrapping_sub(left), bottom.wrapping_sub(top));
             let (wide, high) = (columns == side, rows == side);
-            let usual = (wide | (columns + 1 == side)) & (high | (rows + 1 == side));
+            let common = (wide | (columns + 1 == side)) & (high | (rows + 1 == side));
             let of = u32::from(wide) * plane + u32::from(high) * 2 * plane;
-            let place = if usual {
+            let place = if common {
                 top.wrapping_mul(stride).wrapping_add(left).wrapping_add(of)
             } else {
                 OTHER
@@ -192,7 +192,7 @@ impl<T: HeldDepth> NearestCanvas<T> {
         }
     }
 
-    /// Pixel by pixel of the picture; 0 for none.
+    /// Pixel by pixel of the image; 0 for none.
     #[inline(always)]
     pub(crate) fn into_depths(self) -> Vec<T> {
         let (width, height) = (self.size.width.max(1) as usize, self.size.height as usize);
@@ -238,7 +238,7 @@ impl<T: HeldDepth> NearestCanvas<T> {
         }
     }
 
-    /// A row of a plane, as wide as the picture, `back` pixels to its left.
+    /// A row of a plane, as wide as the image, `back` pixels to its left.
     #[inline(always)]
     fn inside<'a>(&self, plane: &'a [T], row: usize, back: usize) -> &'a [T] {
         let from = row * self.stride + self.border - back;
@@ -269,7 +269,7 @@ mod tests {
 
     const SIZE: ImageSize = ImageSize::new(9, 7);
 
-    /// The picture by its definition.
+    /// The image by its definition.
     fn expected(squares: &[([f32; 2], f32, f32)]) -> Vec<f32> {
         let nearest = |k: u32| {
             let (x, y) = ((k % SIZE.width) as f32, (k / SIZE.width) as f32);

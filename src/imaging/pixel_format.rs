@@ -1,7 +1,7 @@
 //! Luma of uncompressed pixels, and what a frame's buffer must hold.
 //!
 //! Luma is BT.601's Y = 0.299 R + 0.587 G + 0.114 B, the Y that a JPEG and a YUYV frame carry
-//! already, in the fixed-point form of OpenCV's `cvtColor`: a picture gives the same luma whichever
+//! already, in the fixed-point form of OpenCV's `cvtColor`: an image gives the same luma whichever
 //! way it came.
 
 use crate::geometry::pixel::ImageSize;

@@ -113,9 +113,9 @@ mod tests {
 
     #[test]
     fn ancillary_chunks_are_left_out_and_cost_no_pixel() {
-        let grey = image::GrayImage::from_fn(9, 5, |x, y| image::Luma([(20 * x + 7 * y) as u8]));
+        let gray = image::GrayImage::from_fn(9, 5, |x, y| image::Luma([(20 * x + 7 * y) as u8]));
         let mut file = Cursor::new(Vec::new());
-        grey.write_to(&mut file, image::ImageFormat::Png).unwrap();
+        gray.write_to(&mut file, image::ImageFormat::Png).unwrap();
         let plain = file.into_inner();
         let first_data = plain.windows(4).position(|name| name == b"IDAT").unwrap() - 4;
         // Wrong checksums and contents that do not unpack: nobody reads them.
@@ -123,7 +123,7 @@ mod tests {
         let extra = [chunk(b"iCCP", b"x\0\0nothing"), chunk(b"zTXt", &[0; 99])].concat();
         let with_extra = [before, &extra, after].concat();
         assert_eq!(&*chunks_of_pixels(&with_extra), plain);
-        assert_eq!(decode(&with_extra).unwrap().into_luma8(), grey);
+        assert_eq!(decode(&with_extra).unwrap().into_luma8(), gray);
         assert!(matches!(chunks_of_pixels(&plain), Cow::Borrowed(_)));
         for cut in 0..with_extra.len() - 4 {
             assert!(decode(&with_extra[..cut]).is_err(), "at {cut}");

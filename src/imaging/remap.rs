@@ -1,4 +1,4 @@
-//! Pictures through a map: for every pixel of the result, where in the source its light is.
+//! Images through a map: for every pixel of the result, where in the source its light is.
 
 use image::RgbImage;
 
@@ -16,11 +16,11 @@ pub enum Interpolation {
     Bicubic,
 }
 
-/// Steps between two pixels that a map tells apart.
+/// Sub-pixel steps that a map resolves between two pixels.
 const STEPS: usize = 256;
 const NOWHERE: u32 = u32::MAX;
 
-/// Where in a source picture each pixel of a result is seen.
+/// Where in a source image each pixel of a result is seen.
 #[derive(Debug, Clone)]
 pub struct PixelMap {
     source: ImageSize,
@@ -59,12 +59,12 @@ impl PixelMap {
         }
     }
 
-    /// The size of the pictures it is for.
+    /// The size of the images it is for.
     pub fn source_size(&self) -> ImageSize {
         self.source
     }
 
-    /// The size of the pictures it makes.
+    /// The size of the images it makes.
     pub fn target_size(&self) -> ImageSize {
         self.target
     }
@@ -82,7 +82,7 @@ impl PixelMap {
         seen as f64 / self.entries.len().max(1) as f64
     }
 
-    /// A gray picture through the map, black where the source shows nothing; `None` if `source` has
+    /// A gray image through the map, black where the source shows nothing; `None` if `source` has
     /// another size than the map's.
     pub fn gray(&self, source: GrayView<'_>, interpolation: Interpolation) -> Option<GrayImage> {
         let rows: Vec<&[u8]> = (0..source.height()).map(|y| source.row(y)).collect();

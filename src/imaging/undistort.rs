@@ -1,4 +1,4 @@
-//! Pictures as a lens without distortion would have taken them.
+//! Images as a lens without distortion would have taken them.
 
 use nalgebra::Vector2;
 
@@ -7,31 +7,31 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::remap::PixelMap;
 
-/// The widest that a flat picture can show of a lens: 78° off the axis. Beyond, everything is edge.
+/// The widest that a flat image can show of a lens: 78° off the axis. Beyond, everything is edge.
 const WIDEST: f64 = 4.7;
 
-/// What of the picture to keep.
+/// What of the image to keep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct UndistortOptions {
     /// 0, the default: every pixel of the result is seen. 1: everything that was seen is in the
     /// result. As OpenCV's `alpha` of `getOptimalNewCameraMatrix`, but for the focal lengths, whose
     /// ratio stays.
     pub balance: f64,
-    /// The size of the result; that of the picture unless said.
+    /// The size of the result; that of the image unless said.
     pub size: Option<ImageSize>,
 }
 
-/// How to undistort the pictures of one lens.
+/// How to undistort the images of one lens.
 #[derive(Debug, Clone)]
 pub struct Undistortion {
-    /// The lens that the results look as if taken with: a pinhole's.
+    /// The pinhole lens of the results.
     pub lens: Lens,
-    /// Where each pixel of the result is in the picture.
+    /// Where each pixel of the result is in the image.
     pub map: PixelMap,
 }
 
 impl Undistortion {
-    /// For pictures of `size` taken with `lens`. Takes about 30 ns a pixel, once; each picture is
+    /// For images of `size` taken with `lens`. Takes about 30 ns a pixel, once; each image is
     /// then one pass of [`PixelMap::gray`] or [`PixelMap::rgb`].
     pub fn new(lens: &Lens, size: ImageSize, options: &UndistortOptions) -> Self {
         let target = options.size.unwrap_or(size);
@@ -44,7 +44,7 @@ impl Undistortion {
         Self { lens: flat, map }
     }
 
-    /// Where `pixel` of the picture is in the result; `None` for what a flat picture cannot show.
+    /// Where `pixel` of the image is in the result; `None` for what a flat image cannot show.
     pub fn flat_from_pixel(&self, lens: &Lens, pixel: Pixel) -> Option<Pixel> {
         let bearing = lens.bearing_from_pixel(pixel)?;
         (bearing.z > 0.0).then(|| self.lens.pixel_from_point(&bearing.into_inner().into()))?
@@ -53,7 +53,7 @@ impl Undistortion {
 
 /// A rectangle of normalized coordinates.
 #[derive(Debug, Clone, Copy)]
-struct Field {
+struct FieldOfView {
     low: Vector2<f64>,
     high: Vector2<f64>,
 }
@@ -65,13 +65,13 @@ fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) ->
     let span = Vector2::new(f64::from(target.width) - 1.0, f64::from(target.height) - 1.0)
         .map(|s| s.max(1.0));
     // Focal lengths, in units of fx, that fill the result with a field along x and along y.
-    let scales = |field: Field| {
+    let scales = |field: FieldOfView| {
         let extent = (field.high - field.low).map(|extent| extent.max(1e-9));
         [span.x / (fx * extent.x), span.y / (fy * extent.y)]
     };
     let ([a, b], [c, d]) = (scales(inner), scales(outer));
     let scale = a.max(b) * (1.0 - balance) + c.min(d) * balance;
-    let middle = |field: Field| 0.5 * (field.low + field.high);
+    let middle = |field: FieldOfView| 0.5 * (field.low + field.high);
     let center = middle(inner).lerp(&middle(outer), balance);
     CameraMatrix {
         fx: scale * fx,
@@ -82,20 +82,22 @@ fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) ->
     }
 }
 
-/// The largest field that is seen everywhere (by the picture's sides), and the smallest that holds
+/// The largest field that is seen everywhere (by the image's sides), and the smallest that holds
 /// all that is seen.
-fn fields(lens: &Lens, size: ImageSize) -> (Field, Field) {
+fn fields(lens: &Lens, size: ImageSize) -> (FieldOfView, FieldOfView) {
     const STEPS: u32 = 32;
     let [right, bottom] = [f64::from(size.width) - 1.0, f64::from(size.height) - 1.0];
     let seen = |x: f64, y: f64| {
         let ray = lens.bearing_from_pixel(Pixel::new(x, y)).map(nalgebra::Unit::into_inner);
-        // What lies sideways or behind is as far out as a flat picture goes.
+        // What lies sideways or behind is as far out as a flat image goes.
         let flat = ray.map(|ray| Vector2::new(ray.x, ray.y) / ray.z.max(1e-3));
         flat.map(|at| if at.norm() > WIDEST { at * (WIDEST / at.norm()) } else { at })
     };
-    let mut inner = Field { low: Vector2::repeat(-WIDEST), high: Vector2::repeat(WIDEST) };
-    let mut outer =
-        Field { low: Vector2::repeat(f64::INFINITY), high: Vector2::repeat(f64::NEG_INFINITY) };
+    let mut inner = FieldOfView { low: Vector2::repeat(-WIDEST), high: Vector2::repeat(WIDEST) };
+    let mut outer = FieldOfView {
+        low: Vector2::repeat(f64::INFINITY),
+        high: Vector2::repeat(f64::NEG_INFINITY),
+    };
     let mut any = false;
     for step in 0..=STEPS {
         let part = f64::from(step) / f64::from(STEPS);
@@ -116,7 +118,7 @@ fn fields(lens: &Lens, size: ImageSize) -> (Field, Field) {
         }
     }
     if !any {
-        // The model ends inside the picture: all of its valid region is to be shown.
+        // The model ends inside the image: all of its valid region is to be shown.
         outer = inner;
     }
     (inner, outer)

@@ -9,7 +9,8 @@ use ulid::Ulid;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::{Calibration, Grade};
-use crate::calibration::session::{Action, CameraFrame, KeptView, Session, SessionOver};
+use crate::calibration::rig_session::{RigAction, RigSession, RigView, Sighting};
+use crate::calibration::session::SessionOver;
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::solve_rig::solve_rig;
 use crate::calibration::view::View;
@@ -43,7 +44,7 @@ pub(super) struct RigThread {
 
 /// The rig's newest session, with the cameras that it borrows.
 pub(super) struct Current {
-    session: Session,
+    session: RigSession,
     cameras: Vec<Arc<LiveCamera>>,
 }
 
@@ -55,7 +56,7 @@ impl RigThread {
                 Next::Message(message) => self.take(message),
                 Next::Moment(moment) => self.observe(moment),
                 Next::Ended(reason) => {
-                    self.tell(|session| session.source_ended(&reason, utc_now_ns()))
+                    self.tell(|session| session.sources_ended(&reason, utc_now_ns()))
                 }
             }
         }
@@ -73,10 +74,10 @@ impl RigThread {
             }
             RigMessage::Resume(record, cameras) => self.resume(*record, cameras),
             RigMessage::Stop(id, reply) => {
-                let _ = reply.send(self.end(&id, Session::stop));
+                let _ = reply.send(self.end(&id, RigSession::stop));
             }
             RigMessage::Abort(id, reply) => {
-                let _ = reply.send(self.end(&id, Session::abort));
+                let _ = reply.send(self.end(&id, RigSession::abort));
             }
             RigMessage::Solved { session, solved } => self.finish(&session, solved),
         }
@@ -98,7 +99,7 @@ impl RigThread {
         }
         let record =
             SessionRecord::begin(&Ulid::generate().to_string(), &rig, request, utc_now_ns());
-        let session = Session::begin(record, &self.rig.plan.cameras, &self.admission);
+        let session = RigSession::begin(record, &self.rig.plan.cameras, &self.admission);
         let record = session.record().clone();
         self.store
             .begin_session(&record)
@@ -129,7 +130,7 @@ impl RigThread {
             "session goes on"
         );
         let (session, actions) =
-            Session::resume(record, &self.rig.plan.cameras, &views, &self.admission);
+            RigSession::resume(record, &self.rig.plan.cameras, views, &self.admission);
         if session.record().state == SessionState::Collecting
             && let Err(error) = self.borrow_cameras(session.record(), &cameras)
         {
@@ -139,11 +140,11 @@ impl RigThread {
             );
         }
         self.current = Some(Current { session, cameras });
-        self.perform(actions);
+        self.perform(actions, &[]);
         self.show();
     }
 
-    fn stored_views(&self, session: &str) -> Vec<(KeptView, View)> {
+    fn stored_views(&self, session: &str) -> Vec<(RigView, View)> {
         let read = || {
             Ok::<_, crate::store::StoreError>((
                 self.store.rig_places(session)?,
@@ -159,7 +160,7 @@ impl RigThread {
             |camera: &str| members.iter().position(|name| name == camera).unwrap_or(members.len());
         let place = |place: &RigPlace| {
             let RigPlace { number, ref camera, moment } = *place;
-            KeptView { number, camera: member(camera), frame_set: moment, view: 0 }
+            RigView { number, member: member(camera), moment, view: 0 }
         };
         let of_place = |at: &RigPlace| views.iter().find(|view| view.number == at.number).cloned();
         places.iter().filter_map(|at| Some((place(at), of_place(at)?))).collect()
@@ -203,7 +204,7 @@ impl RigThread {
     fn end(
         &mut self,
         id: &str,
-        how: fn(&mut Session, i64) -> Result<Vec<Action>, SessionOver>,
+        how: fn(&mut RigSession, i64) -> Result<Vec<RigAction>, SessionOver>,
     ) -> Result<SessionRecord, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
         let current = self
@@ -213,7 +214,7 @@ impl RigThread {
             .ok_or_else(unknown)?;
         let actions = how(&mut current.session, utc_now_ns())
             .map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
-        self.perform(actions);
+        self.perform(actions, &[]);
         self.show();
         self.current.as_ref().map(|current| current.session.record().clone()).ok_or_else(unknown)
     }
@@ -223,9 +224,9 @@ impl RigThread {
     fn searched_if_worth(&mut self, mut moment: Vec<Option<Looked>>) -> Vec<Option<Looked>> {
         let Some(Current { session, .. }) = &self.current else { return moment };
         let worth = |(member, looked): (usize, &Option<Looked>)| {
-            let Some(looked) = looked else { return false };
-            let facts = frame_facts(&looked.captured);
-            let keeps = |detection: &Arc<_>| session.would_keep(member, &facts, detection);
+            let (Some(looked), Some(own)) = (looked, session.session(member)) else { return false };
+            let keeps =
+                |detection: &Arc<_>| own.would_keep(&frame_facts(&looked.captured), detection);
             looked.look.outcome.as_ref().is_ok_and(keeps)
         };
         if moment.iter().enumerate().any(worth) {
@@ -242,7 +243,7 @@ impl RigThread {
     fn observe(&mut self, moment: Vec<Option<Looked>>) {
         let moment = self.searched_if_worth(moment);
         let Some(current) = self.current.as_mut() else { return };
-        let sightings: Vec<Option<CameraFrame>> =
+        let sightings: Vec<Option<Sighting>> =
             moment.iter().map(|looked| looked.as_ref().map(sighting)).collect();
         let Some(observed) = current.session.observe(&sightings) else { return };
         for ((camera, looked), admission) in
@@ -252,53 +253,53 @@ impl RigThread {
                 publish_detection(camera, &current.session.record().id, looked, admission);
             }
         }
-        for kept in &observed.kept {
-            if let Some(Some(looked)) = moment.get(kept.camera) {
-                self.keep(kept, looked);
-            }
-        }
-        self.perform(observed.actions);
+        self.perform(observed.actions, &moment);
         self.show();
     }
 
     /// Lets something happen to the session, if there is one, and performs what it decides.
-    fn tell(&mut self, what: impl FnOnce(&mut Session) -> Vec<Action>) {
+    fn tell(&mut self, what: impl FnOnce(&mut RigSession) -> Vec<RigAction>) {
         if let Some(current) = &mut self.current {
             let actions = what(&mut current.session);
             if !actions.is_empty() {
-                self.perform(actions);
+                self.perform(actions, &[]);
                 self.show();
             }
         }
     }
 
-    fn perform(&mut self, actions: Vec<Action>) {
+    fn perform(&mut self, actions: Vec<RigAction>, moment: &[Option<Looked>]) {
         for action in actions {
             match action {
-                Action::Estimate(member) => self.estimate(member),
-                Action::Announce => self.publish_session(),
-                Action::Solve => {
+                RigAction::Keep(place) => {
+                    if let Some(Some(looked)) = moment.get(place.member) {
+                        self.keep(&place, looked);
+                    }
+                }
+                RigAction::Estimate(member) => self.estimate(member),
+                RigAction::Announce => self.publish_session(),
+                RigAction::Solve => {
                     self.release();
                     self.save_session();
                     self.solve();
                 }
-                Action::Close => self.close(),
+                RigAction::Close => self.close(),
             }
         }
     }
 
-    fn keep(&self, place: &KeptView, looked: &Looked) {
+    fn keep(&self, place: &RigView, looked: &Looked) {
         let Some(Current { session, cameras }) = &self.current else { return };
-        let (Some(view), Some(camera)) = (session.view(place), cameras.get(place.camera)) else {
-            return;
-        };
+        let own =
+            session.session(place.member).and_then(|own| own.views().get(place.view as usize));
+        let (Some(view), Some(camera)) = (own, cameras.get(place.member)) else { return };
         camera.metrics.views.with_label_values(&[&camera.name]).inc();
         let id = &session.record().id;
         let picture = picture_of(&looked.captured.frame_set).and_then(view_picture);
         let (media_type, bytes) = picture.unwrap_or(("image/jpeg", Vec::new().into()));
         let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };
         let kept =
-            RigPlace { number: place.number, camera: camera.name.clone(), moment: place.frame_set };
+            RigPlace { number: place.number, camera: camera.name.clone(), moment: place.moment };
         if let Err(error) = self.store.append_rig_view(id, &kept, view, &picture) {
             // The session goes on with the view in memory; only a restart would lose it.
             tracing::error!(
@@ -315,10 +316,10 @@ impl RigThread {
     /// machine is.
     fn estimate(&mut self, member: usize) {
         let Some(current) = &mut self.current else { return };
-        let job = Job::of(&current.session, member, false);
-        let estimate = job.and_then(|job| job.estimate());
+        let Some(own) = current.session.session(member) else { return };
+        let estimate = Job::of(own, false).estimate();
         let actions = current.session.estimated(member, estimate);
-        self.perform(actions);
+        self.perform(actions, &[]);
     }
 
     fn solve(&self) {
@@ -433,7 +434,7 @@ impl RigThread {
     }
 }
 
-fn sighting(looked: &Looked) -> CameraFrame {
+fn sighting(looked: &Looked) -> Sighting {
     let seen = match &looked.look.outcome {
         Ok(detection) => Ok(detection.as_ref().clone()),
         Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
@@ -441,7 +442,7 @@ fn sighting(looked: &Looked) -> CameraFrame {
             Err(Rejection::Unreadable { detail: detail.clone() })
         }
     };
-    CameraFrame { frame: frame_facts(&looked.captured), seen }
+    Sighting { frame: frame_facts(&looked.captured), seen }
 }
 
 fn publish_detection(

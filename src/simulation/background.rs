@@ -1,5 +1,5 @@
 //! What is behind the board: a wall with a slow gradient and bright and dark rectangles, some with
-//! the look of a window or a shelf, and none of them a chessboard.
+//! as a window or a shelf, and none of them a chessboard.
 
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -11,12 +11,12 @@ use crate::simulation::noise::{Purpose, stream};
 pub struct Background {
     level: f64,
     slope: [f64; 2],
-    patches: Vec<Patch>,
+    patches: Vec<WallPatch>,
 }
 
 /// A turned rectangle on the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Patch {
+struct WallPatch {
     center: [f64; 2],
     half: [f64; 2],
     direction: [f64; 2],
@@ -32,7 +32,7 @@ impl Background {
         let patches = (0..clutter)
             .map(|_| {
                 let angle: f64 = rng.random_range(-0.3..0.3);
-                Patch {
+                WallPatch {
                     center: [rng.random_range(-0.9..0.9), rng.random_range(-0.7..0.7)],
                     half: [rng.random_range(0.02..0.2), rng.random_range(0.02..0.15)],
                     direction: [angle.cos(), angle.sin()],
@@ -57,7 +57,7 @@ impl Background {
     }
 }
 
-impl Patch {
+impl WallPatch {
     fn holds(&self, x: f64, y: f64) -> bool {
         let [dx, dy] = [x - self.center[0], y - self.center[1]];
         let [c, s] = self.direction;

@@ -95,7 +95,7 @@ impl BoardPattern {
             [high[0] + pose_jitter[0], high[1] + pose_jitter[1]],
         ];
         if patch.iter().any(|vertex| vertex[0].is_nan()) {
-            // All of it looks past the plane, or its edge runs through it.
+            // All of it points past the plane, or its edge runs through it.
             return patch.iter().all(|vertex| vertex[0].is_nan()).then(Shade::default);
         }
         if high[0] < left || low[0] > right || high[1] < top || low[1] > bottom {

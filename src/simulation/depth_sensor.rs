@@ -21,8 +21,8 @@ use crate::imaging::depth_image::DepthImage;
 use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::noise::{Purpose, stream};
 
-/// The systematic error of inverse depth: two fields over the picture, each with five coefficients,
-/// of 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are from the picture's middle in
+/// The systematic error of inverse depth: two fields over the image, each with five coefficients,
+/// of 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), where x and y are from the image's middle in
 /// half widths.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct DepthError {
@@ -54,7 +54,7 @@ pub struct DepthSensor {
     pub size: ImageSize,
     /// Its optics.
     pub lens: Lens,
-    /// Metres per unit of a reading.
+    /// Meters per unit of a reading.
     pub unit_m: f64,
     /// Its systematic error.
     pub error: DepthError,
@@ -66,13 +66,13 @@ pub struct DepthSensor {
     /// is measured in the left band that the other eye doesn't see, nor in the shadow left of what
     /// stands in front.
     pub disparity_px_m: f64,
-    /// Patches per picture where matching fails.
+    /// Patches per image where matching fails.
     pub holes: usize,
     /// Part of the pixels where it fails by themselves.
     pub dropout: f64,
 }
 
-/// What the depth camera looks at.
+/// The scene before the depth camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct DepthScene<'a> {
     pub pattern: &'a BoardPattern,
@@ -105,8 +105,8 @@ impl DepthRenderer {
         Self { sensor, rays }
     }
 
-    /// The `index`-th depth picture of `seed`.
-    pub(super) fn picture(&self, scene: &DepthScene<'_>, seed: u64, index: u64) -> DepthImage {
+    /// The `index`-th depth image of `seed`.
+    pub(super) fn image(&self, scene: &DepthScene<'_>, seed: u64, index: u64) -> DepthImage {
         let mut rng = stream(seed, Purpose::Depth, index);
         let truth = self.true_depth(scene);
         let mut blind = self.unmatched(&truth);
@@ -236,11 +236,11 @@ mod tests {
         }
     }
 
-    fn picture(sensor: DepthSensor, depth_from_board: Pose) -> DepthImage {
+    fn image(sensor: DepthSensor, depth_from_board: Pose) -> DepthImage {
         let pattern =
             BoardPattern::new(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap());
         let scene = DepthScene { pattern: &pattern, depth_from_board, wall: [2.0, 0.0, 0.0] };
-        DepthRenderer::new(sensor).picture(&scene, 5, 0)
+        DepthRenderer::new(sensor).image(&scene, 5, 0)
     }
 
     fn tilted() -> Pose {
@@ -249,26 +249,24 @@ mod tests {
 
     #[test]
     fn without_errors_a_reading_is_the_plane_s_depth() {
-        let picture = picture(sensor(), tilted());
+        let image = image(sensor(), tilted());
         let normal = tilted() * Vector3::z();
         let matrix = sensor().lens.matrix;
         for (x, y) in [(80, 60), (70, 50), (95, 66)] {
             let ray = matrix.normalized_from_pixel(Pixel::new(f64::from(x), f64::from(y)));
             let z =
                 normal.dot(&tilted().translation()) / normal.dot(&Vector3::new(ray.x, ray.y, 1.0));
-            let reading = f64::from(picture.row(y as usize)[x as usize]) * 0.0001;
+            let reading = f64::from(image.row(y as usize)[x as usize]) * 0.0001;
             assert!((reading - z).abs() < 0.000_06, "{reading} not {z}");
         }
-        assert_eq!(picture.row(2)[150], 20_000, "the wall");
+        assert_eq!(image.row(2)[150], 20_000, "the wall");
     }
 
     #[test]
     fn shadows_lie_left_of_the_board_and_of_the_picture() {
-        let picture = picture(
-            sensor(),
-            Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.1, -0.1, 0.7)),
-        );
-        let row = picture.row(60);
+        let image =
+            image(sensor(), Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.1, -0.1, 0.7)));
+        let row = image.row(60);
         // The wall's disparity is 3.5 px, the board's 10: six pixels and a half are hidden, and two
         // more are its edge.
         assert!(row[..3].iter().all(|reading| *reading == 0) && row[5] == 20_000, "{row:?}");
@@ -290,9 +288,9 @@ mod tests {
             let noisy = DepthSensor { error, noise_per_m: 0.002, unit_m: 0.000_02, ..sensor() };
             let square_on =
                 Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.16, -0.1, distance));
-            let picture = picture(noisy, square_on);
+            let image = image(noisy, square_on);
             let values: Vec<f64> = (50..70)
-                .flat_map(|y| picture.row(y)[60..100].to_vec())
+                .flat_map(|y| image.row(y)[60..100].to_vec())
                 .map(|reading| f64::from(reading) * 0.000_02)
                 .collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;

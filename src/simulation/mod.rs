@@ -2,14 +2,14 @@
 //! several.
 //!
 //! ```text
-//! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ PictureSensor::develop ──▶ picture
+//! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ PictureSensor::develop ──▶ image
 //!   │                        ▲ BoardPattern: exact area integrals of the squares
 //!   └── FrameTruth           ▲ Background, Optics (blur), rays of any Lens
 //! ```
 //!
 //! Every pixel is an integral: the squares over its quarters exactly (polygon areas, no point
 //! samples), the optical blur over a finer grid than the pixels, the exposure over several poses.
-//! What is true of a picture is therefore known to about a thousandth of a pixel, and everything
+//! What is true of an image is therefore known to about a thousandth of a pixel, and everything
 //! random comes from a seed: same world, same bytes.
 
 mod background;

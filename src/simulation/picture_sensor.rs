@@ -19,15 +19,15 @@ pub struct PictureSensor {
     pub blur_px: f64,
     /// How long the shutter is open, in seconds: what moves meanwhile is smeared.
     pub exposure_s: f64,
-    /// The picture's level: what returns all light gets this part of full scale.
+    /// The image's level: what returns all light gets this part of full scale.
     pub exposure_gain: f64,
     /// Electrons at full scale: shot noise is their square root.
     pub full_well_e: f64,
     /// σ of the noise of reading a pixel, in electrons.
     pub read_noise_e: f64,
-    /// The picture's values are light to the power 1/gamma.
+    /// The image's values are light to the power 1/gamma.
     pub gamma: f64,
-    /// Light lost in the corners of the picture, 0 to 1.
+    /// Light lost in the corners of the image, 0 to 1.
     pub vignetting: f64,
 }
 
@@ -48,8 +48,8 @@ impl PictureSensor {
         }
     }
 
-    /// The picture of `light` (a value a pixel, 1 is what a perfect white returns), with the noise
-    /// of the `index`-th picture of `seed`.
+    /// The image of `light` (a value a pixel, 1 is what a perfect white returns), with the noise
+    /// of the `index`-th image of `seed`.
     pub fn develop(&self, light: &[f32], seed: u64, index: u64) -> GrayImage {
         let (width, height) = (self.size.width as usize, self.size.height as usize);
         let mut image = GrayImage::filled(width, height, 0);

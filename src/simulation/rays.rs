@@ -1,4 +1,4 @@
-//! Where the corners of a sensor's sub-pixels look: one table a lens, made once.
+//! The rays of the corners of a sensor's sub-pixels: one table a lens, made once.
 
 use nalgebra::Vector3;
 

@@ -136,7 +136,7 @@ impl Renderer {
                 high = [high[0].max(at[0]), high[1].max(at[1])];
             }
         }
-        // A bent edge bulges between the points looked at, by far less than this.
+        // A bent edge bulges between the sampled points, by far less than this.
         let pose_jitter = 1.0 + 0.02 * (high[0] - low[0]).max(high[1] - low[1]);
         let range = |low: f64, high: f64, end: usize| {
             let clamped = |value: f64| value.clamp(0.0, end as f64) as usize;
@@ -346,7 +346,7 @@ mod tests {
             let light = renderer.light(&[camera_from_board]);
             let corner = renderer.pixel_of(&camera_from_board, 2.0, 1.0).unwrap();
             // A half turn about the corner leaves a chessboard corner as it is: so does the
-            // picture, to second order.
+            // image, to second order.
             let value = |x: f64, y: f64| {
                 let (i, j) = (x.floor(), y.floor());
                 let (s, t) = (x - i, y - j);
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn a_board_out_of_sight_leaves_the_background() {
+    fn a_board_out_of_view_leaves_the_background() {
         let mut renderer = renderer(Lens::pinhole(matrix()), 0.7);
         let behind = Pose::from_axis_angle(Vector3::zeros(), Vector3::new(0.0, 0.0, -2.0));
         let beside = Pose::from_axis_angle(Vector3::zeros(), Vector3::new(9.0, 0.0, 1.0));

@@ -28,7 +28,7 @@ pub struct RgbdOptions {
     pub depth: DepthSensor,
     /// Where the depth and infrared camera is.
     pub color_from_depth: Pose,
-    /// By how much infrared and depth are taken later than the color picture they come with, in
+    /// By how much infrared and depth are taken later than the color image they come with, in
     /// seconds.
     pub time_offset_s: f64,
     /// The wall behind the board in the depth camera's frame: its distance on the axis in meters,
@@ -103,7 +103,7 @@ impl RgbdOptions {
     }
 }
 
-/// Pictures that come together.
+/// Images that come together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdFrame {
     /// The color camera's, gray.
@@ -112,9 +112,9 @@ pub struct RgbdFrame {
     pub infrared: GrayImage,
     /// The depth camera's.
     pub depth: DepthImage,
-    /// What is true of the color picture.
+    /// What is true of the color image.
     pub truth: FrameTruth,
-    /// Where the board was in the middle of the infrared picture's exposure.
+    /// Where the board was in the middle of the infrared image's exposure.
     pub infrared_from_board: Pose,
 }
 
@@ -145,9 +145,9 @@ impl RgbdWorld {
         &self.options
     }
 
-    /// The `index`-th pictures.
+    /// The `index`-th images.
     pub fn frame(&mut self, index: u64) -> RgbdFrame {
-        // The infrared picture's noise is another than the color picture's.
+        // The infrared image's noise is another than the color image's.
         const INFRARED: u64 = 1 << 40;
         let color = self.color.frame(index);
         let depth_from_color = self.options.color_from_depth.inverse();
@@ -164,7 +164,7 @@ impl RgbdWorld {
             depth_from_board: exposure.camera_from_board,
             wall: self.options.wall,
         };
-        let depth = self.depth.picture(&scene, seed, index);
+        let depth = self.depth.image(&scene, seed, index);
         let infrared_from_board = exposure.camera_from_board;
         RgbdFrame { color: color.image, infrared, depth, truth: color.truth, infrared_from_board }
     }

@@ -18,7 +18,7 @@ pub struct Seat {
     pub first_lens: Lens,
 }
 
-/// From one camera to the next, in meters, and by how much each looks further in, in radians.
+/// From one camera to the next, in meters, and by how much each is turned further in, in radians.
 const STEP_M: f64 = 0.12;
 const TOE_IN: f64 = 0.1;
 

@@ -26,7 +26,7 @@ pub struct WalkOptions {
     /// The card's width over the image's at the farthest and the nearest place; 0.38 and 0.8 unless
     /// said.
     pub width: [f64; 2],
-    /// Part of the places where a part of the board is outside the picture; 0 unless said.
+    /// Part of the places where a part of the board is outside the image; 0 unless said.
     pub leaving: f64,
     /// How far a hand trembles, in meters and in radians; 0.1 mm and 0.02° unless said.
     pub tremor: [f64; 2],
@@ -104,15 +104,15 @@ impl Walk {
         poses
     }
 
-    /// The `index`-th place. Positions in the picture and tilts follow low-discrepancy sequences,
-    /// so that any run of places covers the picture and every tilt evenly.
+    /// The `index`-th place. Positions in the image and tilts follow low-discrepancy sequences,
+    /// so that any run of places covers the image and every tilt evenly.
     fn place(&self, index: u64) -> Pose {
         // The powers of the plastic number's inverse: Roberts' R2 and R3 sequences.
         let spread = |step: f64, start: f64| (start + step * (index as f64 + 1.0)).fract();
         let mut rng = stream(self.seed, Purpose::Waypoint, index);
         let start = (self.seed % 1000) as f64 / 1000.0;
         let leaving = rng.random_bool(self.options.leaving.clamp(0.0, 1.0));
-        // Denser toward the picture's edges, where lenses differ most.
+        // Denser toward the image's edges, where lenses differ most.
         let toward_edges = |part: f64| 0.5 - 0.5 * (PI * part).cos();
         let at = [
             toward_edges(spread(0.754_877_666, start)),
@@ -132,7 +132,7 @@ impl Walk {
         self.placed(rotation, distance, at, jitter_px)
     }
 
-    /// Puts the card so that its bounding box in the picture, `jitter_px` inside the edges, lies at
+    /// Puts the card so that its bounding box in the image, `jitter_px` inside the edges, lies at
     /// the part `at` of the room that is left; farther away where there is none.
     fn placed(
         &self,

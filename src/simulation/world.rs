@@ -1,4 +1,4 @@
-//! A camera, a board that is carried about before it, and the pictures this gives.
+//! A camera, a board that is carried about before it, and the images this gives.
 
 use std::sync::Arc;
 
@@ -93,7 +93,7 @@ fn ordinary_lens(seed: u64, size: ImageSize) -> Lens {
     Lens { matrix, distortion: Distortion::Brown(brown) }
 }
 
-/// A picture with what is true of it.
+/// An image with what is true of it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedFrame {
     /// What the sensor gives.
@@ -112,12 +112,12 @@ impl SimulatedFrame {
     }
 }
 
-/// What is true of a picture.
+/// What is true of an image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameTruth {
-    /// Counts the pictures from 0.
+    /// Counts the images from 0.
     pub index: u64,
-    /// The middle of the exposure, in seconds from the first picture's.
+    /// The middle of the exposure, in seconds from the first image's.
     pub time_s: f64,
     /// Where the board was in the middle of the exposure.
     pub camera_from_board: Pose,
@@ -125,7 +125,7 @@ pub struct FrameTruth {
     pub motion_px: f64,
 }
 
-/// A simulated camera: any picture of its walk, from its number alone.
+/// A simulated camera: any image of its walk, from its number alone.
 #[derive(Debug, Clone)]
 pub struct World {
     seed: u64,
@@ -157,7 +157,7 @@ impl World {
         self.renderer.pattern().board
     }
 
-    /// What is true of the `index`-th picture.
+    /// What is true of the `index`-th image.
     pub fn truth(&mut self, index: u64) -> FrameTruth {
         let time_s = index as f64 / self.fps;
         let Self { walk, renderer, seat, .. } = self;
@@ -166,7 +166,7 @@ impl World {
         FrameTruth { index, time_s, camera_from_board, motion_px }
     }
 
-    /// The `index`-th picture.
+    /// The `index`-th image.
     pub fn frame(&mut self, index: u64) -> SimulatedFrame {
         let Self { walk, renderer, seat, .. } = self;
         let time_s = index as f64 / self.fps;
@@ -189,7 +189,7 @@ impl World {
         &mut self.walk
     }
 
-    /// Where the board's inner corners are in a picture, row by row; `None` for those outside the
+    /// Where the board's inner corners are in an image, row by row; `None` for those outside the
     /// lens's view.
     pub fn corners(&self, truth: &FrameTruth) -> Vec<Option<Pixel>> {
         let corners = self.board().corners_in_board();

@@ -13,7 +13,7 @@ const FIRST_RECORD: u64 = 4096;
 
 /// Refuses what is missing, is no bag, or was cut short.
 ///
-/// The first record of a bag tells where its index is; a recorder writes that last, so a bag
+/// The first record of a bag states where its index is; a recorder writes that last, so a bag
 /// without it, or shorter than it, is not whole (ROS bag format 2.0, "Bag header").
 pub(super) fn check_bag(path: &Path) -> Result<(), CaptureError> {
     let failed =
@@ -73,7 +73,7 @@ mod tests {
         bytes
     }
 
-    fn told(bytes: &[u8]) -> Result<(), String> {
+    fn checked(bytes: &[u8]) -> Result<(), String> {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), bytes).unwrap();
         check_bag(file.path()).map_err(|error| error.to_string())
@@ -81,21 +81,21 @@ mod tests {
 
     #[test]
     fn a_whole_bag_passes_and_a_cut_one_does_not() {
-        assert_eq!(told(&bag(5000, 5001)), Ok(()));
-        assert!(told(&bag(5000, 5000)).unwrap_err().contains("cut short"));
-        assert!(told(&bag(0, 9000)).unwrap_err().contains("cut short"));
+        assert_eq!(checked(&bag(5000, 5001)), Ok(()));
+        assert!(checked(&bag(5000, 5000)).unwrap_err().contains("cut short"));
+        assert!(checked(&bag(0, 9000)).unwrap_err().contains("cut short"));
         for end in MAGIC.len()..60 {
             assert!(
-                told(&bag(5000, 6000)[..end]).unwrap_err().contains("cut short"),
+                checked(&bag(5000, 6000)[..end]).unwrap_err().contains("cut short"),
                 "cut at {end}"
             );
         }
     }
 
     #[test]
-    fn what_is_no_bag_is_told() {
-        assert!(told(b"").unwrap_err().contains("does not begin as a .bag"));
-        assert!(told(b"hello").unwrap_err().contains("does not begin as a .bag"));
+    fn what_is_no_bag_is_refused() {
+        assert!(checked(b"").unwrap_err().contains("does not begin as a .bag"));
+        assert!(checked(b"hello").unwrap_err().contains("does not begin as a .bag"));
         let error = check_bag(Path::new("/not/there.bag")).unwrap_err().to_string();
         assert!(error.starts_with("/not/there.bag: "), "{error}");
     }

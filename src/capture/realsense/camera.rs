@@ -16,20 +16,20 @@ use realsense_rust::stream_profile::StreamProfile;
 
 use crate::capture::realsense::bag_file::check_bag;
 use crate::capture::realsense::factory::sensor_of;
-use crate::capture::realsense::source::{Opened, Source};
-use crate::capture::realsense::{CameraOptions, Origin, Settings};
+use crate::capture::realsense::source::{OpenedPipeline, RealsenseSource};
+use crate::capture::realsense::{Origin, RealsenseOptions, Settings};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 use crate::imaging::frame::SensorKind;
 
 /// Frames a second where none are asked for.
-const USUAL_FPS: usize = 30;
+const DEFAULT_FPS: usize = 30;
 /// After so many openings without a frame the device is reset.
 const BARREN_LIMIT: u32 = 3;
 
 /// A RealSense camera that may come and go.
 #[derive(Debug)]
-pub struct Camera {
-    options: CameraOptions,
+pub struct RealsenseCamera {
+    options: RealsenseOptions,
     /// The library's, where the program has one; else each opening makes its own.
     context: Option<Arc<Mutex<Context>>>,
     /// The device that was opened first, where none was named.
@@ -39,9 +39,9 @@ pub struct Camera {
     barren: Arc<AtomicU32>,
 }
 
-impl Camera {
+impl RealsenseCamera {
     /// A camera that is not opened yet.
-    pub fn new(options: CameraOptions) -> Self {
+    pub fn new(options: RealsenseOptions) -> Self {
         Self {
             options,
             context: None,
@@ -53,11 +53,11 @@ impl Camera {
 
     /// A camera among those that `context` lists: a program's own context also has the software
     /// devices that it added.
-    pub fn in_context(options: CameraOptions, context: Arc<Mutex<Context>>) -> Self {
+    pub fn in_context(options: RealsenseOptions, context: Arc<Mutex<Context>>) -> Self {
         Self { context: Some(context), ..Self::new(options) }
     }
 
-    fn open_source(&mut self) -> Result<Source, CaptureError> {
+    fn open_source(&mut self) -> Result<RealsenseSource, CaptureError> {
         let shared = match &self.context {
             Some(context) => Arc::clone(context),
             None => {
@@ -75,7 +75,14 @@ impl Camera {
                 .map_err(|problem| failed(&format!("{name}: {problem}")))?;
         }
         let (next_sequence, barren) = (Arc::clone(&self.next_sequence), Arc::clone(&self.barren));
-        Ok(Source::new(Opened { context: shared, pipeline, name, is_bag, next_sequence, barren }))
+        Ok(RealsenseSource::new(OpenedPipeline {
+            context: shared,
+            pipeline,
+            name,
+            is_bag,
+            next_sequence,
+            barren,
+        }))
     }
 
     fn started(&mut self, context: &Context) -> Result<(ActivePipeline, String), CaptureError> {
@@ -106,7 +113,7 @@ impl Camera {
         let lost = |reason: String| CaptureError::Lost { device: wanted.clone(), reason };
         let mut devices = context.query_devices(HashSet::new());
         let serials: Vec<String> =
-            devices.iter().filter_map(|d| told(d, Rs2CameraInfo::SerialNumber)).collect();
+            devices.iter().filter_map(|d| stated(d, Rs2CameraInfo::SerialNumber)).collect();
         let Some(serial) = serial.or_else(|| serials.first().cloned()) else {
             return Err(lost("no RealSense camera is plugged in".to_owned()));
         };
@@ -144,7 +151,7 @@ impl Camera {
             .mode
             .size
             .map_or((0, 0), |size| (size.width as usize, size.height as usize));
-        let fps = self.options.mode.fps.map_or(USUAL_FPS, |fps| fps.round() as usize);
+        let fps = self.options.mode.fps.map_or(DEFAULT_FPS, |fps| fps.round() as usize);
         let number = CString::new(serial).map_err(|_| format!("{serial:?} is no serial number"))?;
         let offered: Vec<StreamProfile> =
             device.sensors().iter().flat_map(Sensor::stream_profiles).collect();
@@ -174,7 +181,7 @@ fn format_of(sensor: SensorKind) -> Rs2Format {
     }
 }
 
-impl SourceOpener for Camera {
+impl SourceOpener for RealsenseCamera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         Ok(Box::new(self.open_source()?))
     }
@@ -210,8 +217,8 @@ fn set(device: &Device, settings: Settings) -> Result<(), String> {
     Ok(())
 }
 
-/// What a device tells of itself.
-pub(super) fn told(device: &Device, what: Rs2CameraInfo) -> Option<String> {
+/// What a device states about itself.
+pub(super) fn stated(device: &Device, what: Rs2CameraInfo) -> Option<String> {
     device.info(what).map(|text| text.to_string_lossy().into_owned())
 }
 

@@ -1,4 +1,4 @@
-//! What `plumb devices` tells of RealSense cameras.
+//! What `plumb devices` lists of RealSense cameras.
 
 use std::collections::HashSet;
 
@@ -7,7 +7,7 @@ use realsense_rust::device::Device;
 use realsense_rust::kind::Rs2CameraInfo;
 
 use crate::capture::device_list::{DeviceListing, ListedDevice, ListedFormat, ListedSize};
-use crate::capture::realsense::camera::told;
+use crate::capture::realsense::camera::stated;
 use crate::capture::realsense::factory::sensor_of;
 use crate::geometry::pixel::ImageSize;
 
@@ -30,15 +30,15 @@ pub fn list_devices() -> DeviceListing {
 }
 
 fn listed(device: &Device) -> ListedDevice {
-    let serial = told(device, Rs2CameraInfo::SerialNumber);
+    let serial = stated(device, Rs2CameraInfo::SerialNumber);
     ListedDevice {
-        name: told(device, Rs2CameraInfo::Name).unwrap_or_default(),
+        name: stated(device, Rs2CameraInfo::Name).unwrap_or_default(),
         identity: serial.clone().unwrap_or_default(),
         serial,
-        bus: told(device, Rs2CameraInfo::PhysicalPort),
-        driver: told(device, Rs2CameraInfo::UsbTypeDescriptor)
+        bus: stated(device, Rs2CameraInfo::PhysicalPort),
+        driver: stated(device, Rs2CameraInfo::UsbTypeDescriptor)
             .map(|version| format!("USB {version}")),
-        firmware: told(device, Rs2CameraInfo::FirmwareVersion),
+        firmware: stated(device, Rs2CameraInfo::FirmwareVersion),
         formats: formats_of(device),
         ..ListedDevice::default()
     }

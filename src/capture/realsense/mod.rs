@@ -21,11 +21,11 @@ mod without;
 use std::path::PathBuf;
 
 #[cfg(feature = "realsense")]
-pub use camera::Camera;
+pub use camera::RealsenseCamera;
 #[cfg(feature = "realsense")]
 pub use listing::list_devices;
 #[cfg(not(feature = "realsense"))]
-pub use without::{Camera, list_devices};
+pub use without::{RealsenseCamera, list_devices};
 
 pub use settings::{Preset, Settings};
 
@@ -33,12 +33,12 @@ use crate::capture::mode::ModeRequest;
 
 /// Which device, and how it is to be set.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct CameraOptions {
+pub struct RealsenseOptions {
     /// Where its frames come from; default: the only device there is.
     pub origin: Origin,
     /// Size and rate of every stream; default: the device's own.
     pub mode: ModeRequest,
-    /// What the device is told besides; a recording is told nothing.
+    /// Extra device settings; ignored for .bag playback.
     pub settings: Settings,
 }
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use realsense_rust::frame::ImageFrame;
 
-/// A copy of a frame's pixels. A frame that a program gave to a software device tells no size: it
+/// A copy of a frame's pixels. A frame that a program gave to a software device states no size: it
 /// has the rows that its profile promises.
 pub(super) fn pixels_of<K>(frame: &ImageFrame<K>) -> Arc<[u8]> {
     let size = match frame.get_data_size() {

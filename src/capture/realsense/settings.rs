@@ -1,4 +1,4 @@
-//! What a RealSense device can be told besides its streams.
+//! Settings of a RealSense device besides its streams.
 
 /// How the device weighs depth's completeness against its accuracy: Intel's visual presets of the
 /// D400 line.

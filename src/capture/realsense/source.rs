@@ -14,7 +14,7 @@ use realsense_rust::sensor::Sensor;
 
 use crate::capture::frame_counter::FrameCounter;
 use crate::capture::host_clock::now;
-use crate::capture::realsense::camera::told;
+use crate::capture::realsense::camera::stated;
 use crate::capture::realsense::factory::{factory_calibration, sensor_of};
 use crate::capture::realsense::pixels::pixels_of;
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
@@ -23,12 +23,12 @@ use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat};
 use crate::imaging::timestamp::DeviceTime;
 
-/// A recording that has been silent for so long is over: the library does not tell its end.
+/// A recording that has been silent for so long is over: the library does not report its end.
 const END_OF_BAG: Duration = Duration::from_millis(1300);
 
 /// A started pipeline.
 #[derive(Debug)]
-pub(super) struct Opened {
+pub(super) struct OpenedPipeline {
     pub context: Arc<Mutex<Context>>,
     pub pipeline: ActivePipeline,
     /// The serial number, or the file.
@@ -39,7 +39,7 @@ pub(super) struct Opened {
 }
 
 /// A streaming device or recording.
-pub(super) struct Source {
+pub(super) struct RealsenseSource {
     /// `None` only while it is being closed.
     pipeline: Option<ActivePipeline>,
     description: SourceDescription,
@@ -55,10 +55,10 @@ pub(super) struct Source {
     _context: Arc<Mutex<Context>>,
 }
 
-impl Source {
-    pub fn new(opened: Opened) -> Self {
+impl RealsenseSource {
+    pub fn new(opened: OpenedPipeline) -> Self {
         let description = describe(&opened);
-        let Opened { context, pipeline, is_bag, next_sequence, barren, .. } = opened;
+        let OpenedPipeline { context, pipeline, is_bag, next_sequence, barren, .. } = opened;
         Self {
             pipeline: Some(pipeline),
             description,
@@ -129,7 +129,7 @@ impl Source {
     }
 }
 
-impl FrameSource for Source {
+impl FrameSource for RealsenseSource {
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
         let deadline = Instant::now() + timeout;
         loop {
@@ -183,7 +183,7 @@ impl FrameSource for Source {
     }
 }
 
-impl Drop for Source {
+impl Drop for RealsenseSource {
     fn drop(&mut self) {
         let _ = self.calibrating(false);
         if let Some(pipeline) = self.pipeline.take() {
@@ -192,12 +192,12 @@ impl Drop for Source {
     }
 }
 
-fn describe(opened: &Opened) -> SourceDescription {
+fn describe(opened: &OpenedPipeline) -> SourceDescription {
     let profile = opened.pipeline.profile();
     let device = profile.device();
     let streams = profile.streams();
     let factory: FactoryCalibration = factory_calibration(device, streams);
-    let told = |what| told(device, what);
+    let stated = |what| stated(device, what);
     let modes = streams.iter().filter_map(|stream| {
         let sensor = sensor_of(stream)?;
         let size = factory.sensor(sensor)?.image_size;
@@ -211,18 +211,20 @@ fn describe(opened: &Opened) -> SourceDescription {
     let temperature =
         device.sensors().iter().find_map(|sensor| sensor.get_option(Rs2Option::AsicTemperature));
     let mut facts: Vec<String> = modes.collect();
-    facts.extend(told(Rs2CameraInfo::FirmwareVersion).map(|version| format!("firmware {version}")));
+    facts.extend(
+        stated(Rs2CameraInfo::FirmwareVersion).map(|version| format!("firmware {version}")),
+    );
     facts.extend(temperature.map(|degrees| format!("{degrees:.0} °C")));
     SourceDescription {
         kind: "realsense",
         identity: opened.name.clone(),
         fps: streams.iter().map(|stream| f64::from(stream.framerate())).reduce(f64::min),
-        model: told(Rs2CameraInfo::Name),
-        serial: told(Rs2CameraInfo::SerialNumber),
+        model: stated(Rs2CameraInfo::Name),
+        serial: stated(Rs2CameraInfo::SerialNumber),
         bus: if opened.is_bag {
             Some(opened.name.clone())
         } else {
-            told(Rs2CameraInfo::PhysicalPort)
+            stated(Rs2CameraInfo::PhysicalPort)
         },
         mode: Some(facts.join(", ")),
         factory,

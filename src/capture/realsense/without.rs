@@ -2,23 +2,23 @@
 
 use crate::capture::device_list::DeviceListing;
 use crate::capture::realsense::bag_file::check_bag;
-use crate::capture::realsense::{CameraOptions, Origin};
+use crate::capture::realsense::{Origin, RealsenseOptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 
 /// A RealSense camera that cannot be opened.
 #[derive(Debug)]
-pub struct Camera {
-    options: CameraOptions,
+pub struct RealsenseCamera {
+    options: RealsenseOptions,
 }
 
-impl Camera {
+impl RealsenseCamera {
     /// As configured.
-    pub fn new(options: CameraOptions) -> Self {
+    pub fn new(options: RealsenseOptions) -> Self {
         Self { options }
     }
 }
 
-impl SourceOpener for Camera {
+impl SourceOpener for RealsenseCamera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         if let Origin::Bag(path) = &self.options.origin {
             check_bag(path)?;

@@ -1,29 +1,29 @@
 //! On Linux a USB camera is a V4L2 device.
 
 use crate::capture::device_list::DeviceListing;
-use crate::capture::uvc::{CameraOptions, Selector};
+use crate::capture::uvc::{Selector, UvcOptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener, v4l2};
 
 /// A USB camera that may come and go.
 #[derive(Debug)]
-pub struct Camera {
-    camera: v4l2::Camera,
+pub struct UvcCamera {
+    camera: v4l2::V4l2Camera,
 }
 
-impl Camera {
+impl UvcCamera {
     /// A camera that is not opened yet.
-    pub fn new(options: CameraOptions) -> Self {
+    pub fn new(options: UvcOptions) -> Self {
         let device = match options.selector {
             Selector::Index(index) => format!("/dev/video{index}"),
             Selector::Name(name) => name,
         };
         let options =
-            v4l2::CameraOptions { device: device.into(), mode: options.mode, ..Default::default() };
-        Self { camera: v4l2::Camera::new(options) }
+            v4l2::V4l2Options { device: device.into(), mode: options.mode, ..Default::default() };
+        Self { camera: v4l2::V4l2Camera::new(options) }
     }
 }
 
-impl SourceOpener for Camera {
+impl SourceOpener for UvcCamera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         self.camera.open()
     }

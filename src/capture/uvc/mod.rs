@@ -11,15 +11,15 @@ mod linux;
 mod portable;
 
 #[cfg(all(target_os = "linux", not(feature = "nokhwa")))]
-pub use linux::{Camera, list_devices};
+pub use linux::{UvcCamera, list_devices};
 #[cfg(any(not(target_os = "linux"), feature = "nokhwa"))]
-pub use portable::{Camera, list_devices};
+pub use portable::{UvcCamera, list_devices};
 
 use crate::capture::mode::ModeRequest;
 
 /// Which camera, and how it is to be set.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CameraOptions {
+pub struct UvcOptions {
     /// Which one.
     pub selector: Selector,
     /// Size, format and rate; default: as the device has them.

@@ -16,13 +16,13 @@ use nokhwa::{Buffer, NokhwaError};
 use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::host_clock::now;
 use crate::capture::mode::ModeRequest;
-use crate::capture::uvc::{CameraOptions, Selector};
+use crate::capture::uvc::{Selector, UvcOptions};
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 
-const USUAL_FPS: u32 = 30;
-const USUAL_SIZE: Resolution = Resolution { width_x: 640, height_y: 480 };
+const DEFAULT_FPS: u32 = 30;
+const DEFAULT_SIZE: Resolution = Resolution { width_x: 640, height_y: 480 };
 /// How long a camera may take to open.
 const OPENING: Duration = Duration::from_secs(10);
 /// Frames between the waiting thread and the reader; more would only be old ones.
@@ -38,24 +38,24 @@ const FORMATS: [(FrameFormat, &str, PixelFormat); 6] = [
 
 /// A camera that may come and go.
 #[derive(Debug)]
-pub struct Camera {
-    options: CameraOptions,
+pub struct UvcCamera {
+    options: UvcOptions,
     next_sequence: Arc<AtomicU64>,
 }
 
-impl Camera {
+impl UvcCamera {
     /// A camera that is not opened yet.
-    pub fn new(options: CameraOptions) -> Self {
+    pub fn new(options: UvcOptions) -> Self {
         Self { options, next_sequence: Arc::default() }
     }
 }
 
-impl SourceOpener for Camera {
+impl SourceOpener for UvcCamera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         let info = find(&self.options.selector)?;
         let name = info.human_name();
         let format = requested(&self.options.mode)?;
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(SharedFrames::default());
         let (frames, received) = sync_channel(QUEUE);
         let (opened, opening) = sync_channel(1);
         let waiting = Waiting { frames, shared: Arc::clone(&shared), name: name.clone() };
@@ -69,13 +69,13 @@ impl SourceOpener for Camera {
         let silent = |_| lost(&name, "it does not open within 10 s; plug it in again".to_owned());
         let mode = opening.recv_timeout(OPENING).map_err(silent)??;
         let next_sequence = Arc::clone(&self.next_sequence);
-        Ok(Box::new(Source { name, mode, received, shared, next_sequence }))
+        Ok(Box::new(UvcSource { name, mode, received, shared, next_sequence }))
     }
 }
 
 /// What the waiting thread and the reader share.
 #[derive(Debug, Default)]
-struct Shared {
+struct SharedFrames {
     stop: AtomicBool,
     missed: AtomicU64,
     damaged: AtomicU64,
@@ -84,7 +84,7 @@ struct Shared {
 /// The side that waits for the camera.
 struct Waiting {
     frames: SyncSender<Result<Frame, CaptureError>>,
-    shared: Arc<Shared>,
+    shared: Arc<SharedFrames>,
     name: String,
 }
 
@@ -132,15 +132,15 @@ impl Waiting {
 }
 
 /// The side that is read.
-struct Source {
+struct UvcSource {
     name: String,
     mode: CameraFormat,
     received: Receiver<Result<Frame, CaptureError>>,
-    shared: Arc<Shared>,
+    shared: Arc<SharedFrames>,
     next_sequence: Arc<AtomicU64>,
 }
 
-impl FrameSource for Source {
+impl FrameSource for UvcSource {
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
         let frame = self.received.recv_timeout(timeout).map_err(|error| match error {
             RecvTimeoutError::Timeout => CaptureError::TimedOut { waited: timeout },
@@ -173,7 +173,7 @@ impl FrameSource for Source {
     }
 }
 
-impl Drop for Source {
+impl Drop for UvcSource {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
@@ -229,11 +229,11 @@ fn requested(mode: &ModeRequest) -> Result<RequestedFormat<'static>, CaptureErro
         FrameFormat::RAWRGB,
         FrameFormat::RAWBGR,
     ];
-    let size = mode.size.map_or(USUAL_SIZE, |size| Resolution::new(size.width, size.height));
-    let fps = mode.fps.map_or(USUAL_FPS, |fps| fps.round() as u32);
+    let size = mode.size.map_or(DEFAULT_SIZE, |size| Resolution::new(size.width, size.height));
+    let fps = mode.fps.map_or(DEFAULT_FPS, |fps| fps.round() as u32);
     let Some(name) = &mode.format else {
-        let wish = CameraFormat::new(size, FrameFormat::MJPEG, fps);
-        return Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(wish), &ALL));
+        let requested = CameraFormat::new(size, FrameFormat::MJPEG, fps);
+        return Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(requested), &ALL));
     };
     let known = FORMATS.iter().find(|(_, known, _)| known.eq_ignore_ascii_case(name));
     let names: Vec<&str> = FORMATS.iter().map(|(_, name, _)| *name).collect();
@@ -241,8 +241,8 @@ fn requested(mode: &ModeRequest) -> Result<RequestedFormat<'static>, CaptureErro
         reason: format!("no format {name}; write one of {}", names.join(", ")),
     };
     let (format, ..) = known.ok_or_else(unknown)?;
-    let wish = CameraFormat::new(size, *format, fps);
-    Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(wish), &ALL))
+    let requested = CameraFormat::new(size, *format, fps);
+    Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(requested), &ALL))
 }
 
 /// A buffer as a frame; `None` when it holds less than it should, or a format that is not read.

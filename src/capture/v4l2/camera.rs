@@ -16,12 +16,12 @@ use crate::capture::v4l2::holder::holders_of;
 use crate::capture::v4l2::identity::{DeviceIdentity, find_by_request, is_stable};
 use crate::capture::v4l2::kernel;
 use crate::capture::v4l2::mode::{ModeError, set_mode};
-use crate::capture::v4l2::source::{Opened, Source};
+use crate::capture::v4l2::source::{OpenedDevice, V4l2Source};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 
 /// Which device, and how it is to be set.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct CameraOptions {
+pub struct V4l2Options {
     /// A path, a serial number, or a device's name or place as `plumb devices` lists them.
     pub device: PathBuf,
     /// Size, format and rate; default: as the device has them.
@@ -34,20 +34,20 @@ pub struct CameraOptions {
 
 /// A Linux camera that may come and go.
 #[derive(Debug)]
-pub struct Camera {
-    options: CameraOptions,
+pub struct V4l2Camera {
+    options: V4l2Options,
     identity: Option<DeviceIdentity>,
     /// The number of the next frame set: it goes on rising when the device is opened again.
     next_sequence: Arc<AtomicU64>,
 }
 
-impl Camera {
+impl V4l2Camera {
     /// A camera that is not opened yet.
-    pub fn new(options: CameraOptions) -> Self {
+    pub fn new(options: V4l2Options) -> Self {
         Self { options, identity: None, next_sequence: Arc::default() }
     }
 
-    fn open_source(&mut self) -> Result<Source, CaptureError> {
+    fn open_source(&mut self) -> Result<V4l2Source, CaptureError> {
         let node = self.node()?;
         let device = open_device(&node.path)?;
         let failed = |problem: &str| failed(&node.path, problem);
@@ -68,7 +68,7 @@ impl Camera {
         }
         let identity = self.identity.insert(DeviceIdentity::of(&node)).words();
         let (lock, next_sequence) = (self.options.lock, Arc::clone(&self.next_sequence));
-        let opened = Opened {
+        let opened = OpenedDevice {
             device,
             mode,
             controls,
@@ -78,7 +78,7 @@ impl Camera {
             lock,
             next_sequence,
         };
-        Source::start(opened)
+        V4l2Source::start(opened)
     }
 
     /// The node that the device has now.
@@ -114,7 +114,7 @@ impl Camera {
     }
 }
 
-impl SourceOpener for Camera {
+impl SourceOpener for V4l2Camera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         Ok(Box::new(self.open_source()?))
     }
@@ -177,20 +177,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn system_errors_are_told_with_what_to_do() {
-        let told =
+    fn system_errors_say_what_to_do() {
+        let message =
             |code| lost(Path::new("/dev/video9"), &io::Error::from_raw_os_error(code)).to_string();
-        assert_eq!(told(libc::ENODEV), "/dev/video9 was lost: it was unplugged");
-        assert!(told(libc::EACCES).contains("group video"));
-        assert!(told(libc::EBUSY).contains("in use by"));
-        assert!(told(libc::EIO).starts_with("/dev/video9 was lost: the driver answers: "));
+        assert_eq!(message(libc::ENODEV), "/dev/video9 was lost: it was unplugged");
+        assert!(message(libc::EACCES).contains("group video"));
+        assert!(message(libc::EBUSY).contains("in use by"));
+        assert!(message(libc::EIO).starts_with("/dev/video9 was lost: the driver answers: "));
     }
 
     #[test]
     fn a_device_that_is_not_there_may_still_come() {
-        let options =
-            CameraOptions { device: "/dev/video-none".into(), ..CameraOptions::default() };
-        let error = Camera::new(options).open_source().map(|_| ()).unwrap_err();
+        let options = V4l2Options { device: "/dev/video-none".into(), ..V4l2Options::default() };
+        let error = V4l2Camera::new(options).open_source().map(|_| ()).unwrap_err();
         assert!(matches!(error, CaptureError::Lost { .. }), "{error}");
     }
 }

@@ -177,9 +177,9 @@ impl Controls {
     fn name_of(&self, id: u32) -> String {
         let known =
             NAMES.iter().find(|(_, known)| *known == id).map(|(name, _)| (*name).to_owned());
-        let told =
+        let stated =
             || self.ranges.iter().find(|range| range.id == id).map(|range| plain(&range.name));
-        known.or_else(told).unwrap_or_default()
+        known.or_else(stated).unwrap_or_default()
     }
 }
 

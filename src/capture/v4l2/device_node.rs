@@ -10,9 +10,9 @@ const CLASS: &str = "/sys/class/video4linux";
 pub(super) struct DeviceNode {
     /// `/dev/videoN`.
     pub path: PathBuf,
-    /// The device's name as the kernel tells it.
+    /// The device's name as the kernel states it.
     pub name: String,
-    /// Which of its device's nodes it is: a USB camera's first gives pictures, its second metadata.
+    /// Which of its device's nodes it is: a USB camera's first gives images, its second metadata.
     pub index: u32,
     /// Where the device hangs in the machine, without the numbers that change when it is plugged in
     /// again.

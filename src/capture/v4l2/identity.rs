@@ -42,7 +42,7 @@ impl DeviceIdentity {
         at_its_place.or(if let [only] = kin[..] { Some(only) } else { None })
     }
 
-    /// Its name and what tells it from others of its kind.
+    /// Its name and what distinguishes it from others of its kind.
     pub fn words(&self) -> String {
         match &self.serial {
             Some(serial) => format!("{} (serial {serial})", self.name),

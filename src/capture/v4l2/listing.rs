@@ -1,4 +1,4 @@
-//! What `plumb devices` tells of Linux video devices.
+//! What `plumb devices` lists of Linux video devices.
 
 use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::v4l2::camera::open_device;
@@ -7,12 +7,12 @@ use crate::capture::v4l2::device_node::{DeviceNode, kernel_has_video, video_node
 use crate::capture::v4l2::holder::holders_of;
 use crate::capture::v4l2::{kernel, mode};
 
-/// Every Linux video device that gives pictures. Each is opened for a moment, which disturbs no
+/// Every Linux video device that gives images. Each is opened for a moment, which disturbs no
 /// stream.
 pub fn list_devices() -> DeviceListing {
     let devices: Vec<ListedDevice> = video_nodes().iter().filter_map(listed).collect();
     let missing = devices.is_empty().then(|| {
-        let absent = "no camera is plugged in: plug one in, or look into `dmesg` for what its driver says";
+        let absent = "no camera is plugged in: plug one in, or read in `dmesg` what its driver says";
         let without = "the kernel has no video devices (/sys/class/video4linux is absent): plug a camera in, load its \
                        driver (`sudo modprobe uvcvideo`), or give a container the host's /dev/video*";
         if kernel_has_video() { absent } else { without }.to_owned()

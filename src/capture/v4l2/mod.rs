@@ -20,5 +20,5 @@ mod listing;
 mod mode;
 mod source;
 
-pub use camera::{Camera, CameraOptions};
+pub use camera::{V4l2Camera, V4l2Options};
 pub use listing::list_devices;

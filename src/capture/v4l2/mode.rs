@@ -15,11 +15,11 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::PixelFormat;
 
 /// The rate that a format must reach to be preferred where none was asked for.
-const USUAL_FPS: f64 = 30.0;
+const DEFAULT_FPS: f64 = 30.0;
 
 /// A format that Plumb reads: how its samples lie in memory, and what becomes of them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Layout {
+pub(super) struct PixelLayout {
     /// The four-character code.
     pub code: [u8; 4],
     /// How the frame is passed on.
@@ -28,12 +28,12 @@ pub(super) struct Layout {
     pub shift: u32,
 }
 
-const fn layout(code: &[u8; 4], format: PixelFormat, shift: u32) -> Layout {
-    Layout { code: *code, format, shift }
+const fn layout(code: &[u8; 4], format: PixelFormat, shift: u32) -> PixelLayout {
+    PixelLayout { code: *code, format, shift }
 }
 
-/// Every format that is read, the one that is cheapest to look at first.
-const LAYOUTS: [Layout; 11] = [
+/// Every format that is read, the one that is cheapest to decode first.
+const LAYOUTS: [PixelLayout; 11] = [
     layout(b"GREY", PixelFormat::Mono8, 0),
     layout(b"NV12", PixelFormat::Nv12, 0),
     layout(b"YUYV", PixelFormat::Yuyv, 0),
@@ -47,7 +47,7 @@ const LAYOUTS: [Layout; 11] = [
     layout(b"JPEG", PixelFormat::Jpeg, 0),
 ];
 
-impl Layout {
+impl PixelLayout {
     /// The layout with this code, if it is read.
     fn of(code: [u8; 4]) -> Option<Self> {
         LAYOUTS.into_iter().find(|layout| layout.code == code)
@@ -57,7 +57,7 @@ impl Layout {
 /// What a device was set to.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Mode {
-    pub layout: Layout,
+    pub layout: PixelLayout,
     pub size: ImageSize,
     pub stride: usize,
     pub fps: Option<f64>,
@@ -81,7 +81,7 @@ pub(super) enum ModeError {
     /// It does not have the format that was asked for, or none that is read.
     #[error("{0}")]
     Unfit(String),
-    /// It has no picture to describe: a loopback device that no program feeds.
+    /// It has no image to describe: a loopback device that no program feeds.
     #[error("it gives no video at present; start the program that feeds it")]
     Idle,
     /// The device refused.
@@ -98,7 +98,7 @@ pub(super) fn set_mode(device: &Device, request: &ModeRequest) -> Result<Mode, M
     let size = request.size.unwrap_or(ImageSize::new(present.width, present.height));
     let code = choose(device, &present, size, request)?;
     let got = device.set_format(&Format::new(size.width, size.height, FourCC::new(&code)))?;
-    let layout = Layout::of(got.fourcc.repr).ok_or_else(|| unread(got.fourcc.repr))?;
+    let layout = PixelLayout::of(got.fourcc.repr).ok_or_else(|| unread(got.fourcc.repr))?;
     if request.format.is_some() && got.fourcc.repr != code {
         let (asked, given) = (name_of(code), name_of(got.fourcc.repr));
         return Err(ModeError::Unfit(format!(
@@ -147,8 +147,8 @@ fn choose(
                 ))
             });
     }
-    let wanted_fps = request.fps.unwrap_or(USUAL_FPS);
-    let reaches = |layout: &&Layout| {
+    let wanted_fps = request.fps.unwrap_or(DEFAULT_FPS);
+    let reaches = |layout: &&PixelLayout| {
         best_rate(device, layout.code, size).is_some_and(|fps| fps >= wanted_fps * 0.99)
     };
     let untouched = request.size.is_none() && request.fps.is_none();
@@ -156,7 +156,7 @@ fn choose(
         return Ok(present.fourcc.repr);
     }
     let best = readable().find(reaches).or_else(|| {
-        let rate = |layout: &&Layout| best_rate(device, layout.code, size).unwrap_or(0.0);
+        let rate = |layout: &&PixelLayout| best_rate(device, layout.code, size).unwrap_or(0.0);
         readable().rev().max_by(|a, b| rate(a).total_cmp(&rate(b)))
     });
     best.map(|layout| layout.code).ok_or_else(|| {
@@ -191,7 +191,7 @@ fn set_rate(device: &Device, fps: Option<f64>) -> Option<f64> {
         } else {
             Fraction::new(1000, (fps * 1000.0).round().max(1.0) as u32)
         };
-        // A device without a rate of its own refuses; the rate that is read back tells.
+        // A device without a rate of its own refuses; the rate that is read back decides.
         let _ = device.set_params(&Parameters::new(interval));
     }
     device.params().ok().and_then(|parameters| rate_of(parameters.interval))
@@ -210,7 +210,7 @@ pub(super) fn offered(device: &Device) -> Vec<ListedFormat> {
         for size in &mut sizes {
             size.fps = rates(device, format.fourcc.repr, size.size);
         }
-        let read = Layout::of(format.fourcc.repr).is_some();
+        let read = PixelLayout::of(format.fourcc.repr).is_some();
         ListedFormat {
             name: name_of(format.fourcc.repr),
             description: format.description,

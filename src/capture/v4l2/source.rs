@@ -17,7 +17,7 @@ use crate::capture::host_clock::now;
 use crate::capture::v4l2::camera::lost;
 use crate::capture::v4l2::controls::Controls;
 use crate::capture::v4l2::device_node::DeviceNode;
-use crate::capture::v4l2::mode::{Layout, Mode};
+use crate::capture::v4l2::mode::{Mode, PixelLayout};
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::timestamp::DeviceTime;
@@ -28,7 +28,7 @@ const BUFFERS: u32 = 4;
 const RESPITE: Duration = Duration::from_millis(2);
 
 /// An open device, set and ready to stream.
-pub(super) struct Opened {
+pub(super) struct OpenedDevice {
     pub device: Device,
     pub mode: Mode,
     pub controls: Controls,
@@ -40,8 +40,8 @@ pub(super) struct Opened {
 }
 
 /// A streaming device.
-pub(super) struct Source {
-    opened: Opened,
+pub(super) struct V4l2Source {
+    opened: OpenedDevice,
     /// `None` only while it is being closed.
     stream: Option<MmapStream<'static>>,
     /// Whether the stream has handed out a buffer that goes back with the next call.
@@ -50,9 +50,9 @@ pub(super) struct Source {
     losses: Losses,
 }
 
-impl Source {
+impl V4l2Source {
     /// Starts streaming; no frame has been waited for.
-    pub fn start(opened: Opened) -> Result<Self, CaptureError> {
+    pub fn start(opened: OpenedDevice) -> Result<Self, CaptureError> {
         let stream = MmapStream::with_buffers(&opened.device, Type::VideoCapture, BUFFERS);
         let counter = FrameCounter::new(opened.next_sequence.load(Ordering::Relaxed));
         let mut source =
@@ -137,7 +137,7 @@ impl Source {
     }
 }
 
-impl FrameSource for Source {
+impl FrameSource for V4l2Source {
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
         let deadline = Instant::now() + timeout;
         loop {
@@ -154,7 +154,7 @@ impl FrameSource for Source {
     }
 
     fn description(&self) -> SourceDescription {
-        let Opened { mode, node, identity, driver, .. } = &self.opened;
+        let OpenedDevice { mode, node, identity, driver, .. } = &self.opened;
         SourceDescription {
             kind: "v4l2",
             identity: identity.clone(),
@@ -172,7 +172,7 @@ impl FrameSource for Source {
     }
 
     fn calibrating(&mut self, on: bool) -> Result<(), CaptureError> {
-        let Opened { device, controls, lock, .. } = &mut self.opened;
+        let OpenedDevice { device, controls, lock, .. } = &mut self.opened;
         match (*lock, on) {
             (true, true) => controls.hold(device),
             (true, false) => controls.release(device),
@@ -186,7 +186,7 @@ impl FrameSource for Source {
     }
 }
 
-impl Drop for Source {
+impl Drop for V4l2Source {
     fn drop(&mut self) {
         self.opened.controls.restore(&self.opened.device);
         let stream = self.stream.take();
@@ -211,7 +211,7 @@ fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
     if metadata.flags.contains(Flags::ERROR) || used.is_empty() {
         return None;
     }
-    let Layout { format, shift, .. } = mode.layout;
+    let PixelLayout { format, shift, .. } = mode.layout;
     let whole = match format {
         PixelFormat::Jpeg => used.starts_with(&[0xff, 0xd8]),
         PixelFormat::Nv12 => used.len() >= mode.stride * mode.size.height as usize * 3 / 2,

@@ -10,7 +10,7 @@
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::{Sheet, Sheets};
 use crate::detection::grid::{Bounds, Grid};
-use crate::detection::placement::Placement;
+use crate::detection::placement::BoardPlacement;
 
 /// Least sum of agreements, in its own deviations by chance.
 const LEAST_SIGNIFICANCE: f32 = 6.7;
@@ -31,7 +31,7 @@ const READ: f32 = 0.8;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BoardLabel {
     /// How the sheet's columns and rows lie in the grid.
-    pub placement: Placement,
+    pub placement: BoardPlacement,
     /// In which of the sheet's ways.
     pub way: usize,
     /// Black and white change places.
@@ -80,7 +80,7 @@ impl BestLabel {
         self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
         for turns in 0..4 {
             for first in firsts(sheet, bounds, turns) {
-                let placement = Placement { first, turns, known: true };
+                let placement = BoardPlacement { first, turns, known: true };
                 if !aligned(sheets, placement) {
                     continue;
                 }
@@ -149,21 +149,21 @@ fn firsts(sheet: &Sheet, bounds: Bounds, turns: u8) -> impl Iterator<Item = (i32
 }
 
 /// The grid's cell in which the sheet's cell (col, row) lies.
-pub(super) fn cell_in_grid(placement: Placement, col: i32, row: i32) -> (i32, i32) {
+pub(super) fn cell_in_grid(placement: BoardPlacement, col: i32, row: i32) -> (i32, i32) {
     let (i, j) = placement.in_grid(col, row);
     let (k, l) = placement.in_grid(col + 1, row + 1);
     (i.min(k), j.min(l))
 }
 
 /// The sheet's cell that lies in the grid's cell (i, j).
-fn cell_in_sheet(placement: Placement, (i, j): (i32, i32)) -> (i32, i32) {
+fn cell_in_sheet(placement: BoardPlacement, (i, j): (i32, i32)) -> (i32, i32) {
     let (a, b) = placement.in_board(i, j);
     let (c, d) = placement.in_board(i + 1, j + 1);
     (a.min(c), b.min(d))
 }
 
 /// Whether wide intervals lie on wide ones.
-fn aligned(sheets: &Sheets, placement: Placement) -> bool {
+fn aligned(sheets: &Sheets, placement: BoardPlacement) -> bool {
     let (i, j) = cell_in_grid(placement, 0, 0);
     !sheets.alternates() || (i & 1, j & 1) == (0, 0)
 }
@@ -172,7 +172,7 @@ fn own_agreement(
     sheet: &Sheet,
     reading: &MarkerReading,
     index: usize,
-    placement: Placement,
+    placement: BoardPlacement,
 ) -> Option<f32> {
     let (col, row) = cell_in_sheet(placement, reading.cells[index].at);
     Some(reading.agreement(index, sheet.marker(col, row)?, placement.turns))
@@ -181,7 +181,7 @@ fn own_agreement(
 fn weigh_one(
     (sheets, sheet): (&Sheets, &Sheet),
     reading: &MarkerReading,
-    placement: Placement,
+    placement: BoardPlacement,
 ) -> Option<BoardLabel> {
     let (mut sum, mut weights) = (0.0, 0.0);
     for (index, cell) in reading.cells.iter().enumerate() {

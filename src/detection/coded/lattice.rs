@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use crate::detection::candidates::Candidate;
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::cross::{Vec2, Window};
+use crate::detection::cross::{CrossWindow, Vec2};
 use crate::detection::grid::{Grid, Node};
 use crate::detection::growth::in_steps;
 use crate::detection::seeds::{Neighborhood, Seed};
@@ -178,11 +178,12 @@ pub(super) fn settle(
     let [u, v] = steps;
     let shortest = u.norm().min(v.norm()).max(1e-3);
     let reach = (REACH * sheets.room).max(LEAST_REACH_PX / shortest);
-    let window = |center| Window::on_board(center, u, v, reach, MOST_REACH_PX).inside(image, 0.4);
-    let first = window(expected)?.look_for(image, 0.3)?;
-    let mut cross = window(first.center)?.look(image)?;
+    let window =
+        |center| CrossWindow::on_board(center, u, v, reach, MOST_REACH_PX).inside(image, 0.4);
+    let first = window(expected)?.measure_above(image, 0.3)?;
+    let mut cross = window(first.center)?.measure(image)?;
     if cross.score < least_score {
-        cross = window(cross.center)?.look_for(image, least_score)?;
+        cross = window(cross.center)?.measure_above(image, least_score)?;
     }
     // A corner of one square alone is as much like a crossing, but for its opposite square.
     let depth = window(cross.center)?.alternation(image)?;

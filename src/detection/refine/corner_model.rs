@@ -1,21 +1,22 @@
-//! What a blurred chessboard corner looks like: two edges that cross, each a Gaussian's integral
-//! across.
+//! A parametric model of a blurred chessboard corner: two crossing edges, each with a Gaussian's
+//! integral as profile.
 //!
 //! With u₁ and u₂ the distances to the two edges in units of the blur, ρ the correlation of the
-//! blur across them (the cosine between their normals, for a round blur), and Φ₂ the bivariate
+//! blur across them (the cosine between their normals, for isotropic blur), and Φ₂ the bivariate
 //! normal distribution, the pattern is t = 4Φ₂(u₁, u₂; ρ) − 2Φ(u₁) − 2Φ(u₂) + 1, in −1 … 1, here to
-//! third order in ρ (the tetrachoric series). The gray value is (level + amplitude·t + bend·(1 −
-//! t²))·(1 + gradient·x): `bend` takes up a camera's gamma.
+//! third order in ρ (the tetrachoric series: K. Pearson, 1900). The gray value is (level +
+//! amplitude·t + gamma_term·(1 − t²))·(1 + gradient·x): `gamma_term` models a camera's gamma to
+//! second order.
 
 /// How many unknowns [`CornerModel`] has, in the order of [`CornerModel::moved_by`].
 pub(super) const UNKNOWNS: usize = 9;
-/// The first of the two unknowns that move the corner: the last ones, so that what is left of them
-/// when all others are eliminated is a factor's corner.
+/// The first of the two unknowns that move the corner. They are the last ones, so that the block
+/// that remains after eliminating all others is the corner's own.
 pub(super) const SHIFT: usize = UNKNOWNS - 2;
 
-/// 1/σ of an edge that a pixel's own width alone blurs, or a sharpening camera a little less. An
-/// edge midway between two rows of pixels shows none of its width: without a limit it would be
-/// taken for infinitely sharp, and its place for unknown.
+/// 1/σ of an edge that only a pixel's own width blurs, with a margin for sharpening cameras. An
+/// edge midway between two rows of pixels shows no width at all: without a limit it would be taken
+/// for infinitely sharp, and its position for undetermined.
 const SHARPEST: f64 = 3.6;
 
 /// One corner, in the pixels of its window and relative to the window's origin.
@@ -33,8 +34,9 @@ pub(super) struct CornerModel {
     pub level: f64,
     /// Half the difference of white and black; its sign says which diagonal is white.
     pub amplitude: f64,
-    /// How far a gray value halfway lies above the mean.
-    pub bend: f64,
+    /// How far the gray value at an edge lies above the mean of black and white: a second-order
+    /// gamma term.
+    pub gamma_term: f64,
     /// Relative change of light per pixel.
     pub gradient: [f64; 2],
 }
@@ -50,25 +52,25 @@ impl CornerModel {
         self.along[0][0] * self.along[1][0] + self.along[0][1] * self.along[1][1]
     }
 
-    /// How far blur moves each bent edge along its normal: towards the middle of its curve, by half
-    /// the curvature times the variance of the blur along the edge, here that across the other
-    /// edge.
+    /// How far blur displaces each curved edge along its normal: towards the center of curvature,
+    /// by half the curvature times the variance of the blur along the edge, taken as that across
+    /// the other edge.
     pub fn pull_of_blur(&self) -> [f64; 2] {
         [0, 1].map(|edge| {
             self.curvature[edge] / 2.0 / (self.sharpness[1 - edge] * self.sharpness[1 - edge])
         })
     }
 
-    /// The move of `center` that shifts the two edges by `shift` along their normals.
+    /// The displacement of `center` that shifts the two edges by `shift` along their normals.
     pub fn center_move(&self, shift: [f64; 2]) -> [f64; 2] {
         let [a, b] = self.normals();
         let det = a[0] * b[1] - a[1] * b[0];
         [(shift[0] * b[1] - shift[1] * a[1]) / det, (a[0] * shift[1] - b[0] * shift[0]) / det]
     }
 
-    /// The model after a step in the unknowns: turn of each edge (radians), sharpness of each edge,
-    /// level, amplitude, bend, shift of each edge along its normal. Steps beyond what the
-    /// linearization can promise are cut short.
+    /// The model after a step in the unknowns: rotation of each edge (radians), sharpness of each
+    /// edge, level, amplitude, gamma term, offset of each edge along its normal. Steps beyond the
+    /// linearization's range are cut short.
     pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
         let mut moved = *self;
         for edge in 0..2 {
@@ -83,7 +85,7 @@ impl CornerModel {
         }
         moved.level += step[4];
         moved.amplitude += step[5];
-        moved.bend += step[6];
+        moved.gamma_term += step[6];
         let reach = 0.5 + 1.0 / self.sharpness[0].min(self.sharpness[1]);
         let [dx, dy] = self.center_move([step[SHIFT], step[SHIFT + 1]]);
         let short = (reach / length([dx, dy]).max(1e-12)).min(1.0);

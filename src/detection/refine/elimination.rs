@@ -8,16 +8,15 @@ pub(super) const COLUMNS: usize = UNKNOWNS + 1;
 const ROOM: usize = 12;
 const LANES: usize = 4;
 
-/// Sums of products of columns with each other. Of each row what is on the diagonal and right of it
-/// counts.
+/// Sums of products of columns with each other; the upper triangle is used.
 pub(super) type Products = [[f64; ROOM]; COLUMNS];
 
-/// What the normal equations tell.
+/// The solution of the normal equations.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Solved {
     /// The step in the unknowns.
     pub step: [f64; UNKNOWNS],
-    /// The sum of squares that it leaves.
+    /// The remaining sum of squares.
     pub left: f64,
     /// Covariance of the last two unknowns, the block of the inverse: xx, xy, yy.
     pub last_covariance: [f64; 3],
@@ -75,8 +74,8 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
     }
 }
 
-/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of
-/// that is left. A constant, so that rows remain in registers from one to the next.
+/// Eliminates unknown `K`, whose row then is in units of its diagonal; `None` unless `least` of the
+/// diagonal remains. `K` is a constant, so that rows stay in registers from one to the next.
 #[inline(always)]
 fn eliminate<const K: usize>(
     rows: &mut Products,

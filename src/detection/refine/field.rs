@@ -1,14 +1,14 @@
-//! What changes smoothly over a board: a polynomial of the place on it, fitted to what the corners
-//! tell, of the order that predicts a corner left out best.
+//! A quantity that changes smoothly over a board: a polynomial in column and row, fitted to the
+//! corners' measurements, of the order that predicts a left-out corner best.
 
 /// Terms of a polynomial of an order, from 0 to the highest.
 pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
 const MOST_TERMS: usize = 15;
 /// Room for them, for the sake of vectors.
 pub(super) const LANES: usize = 16;
-/// Corners that a term takes at least.
+/// Minimum corners per term.
 const SAMPLES_PER_TERM: usize = 2;
-/// Of a term's square so much must be told apart from those before it.
+/// Pivot threshold relative to the diagonal; rejects near-collinear basis terms.
 const APART: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 2;
@@ -16,26 +16,26 @@ const ROUNDS: usize = 2;
 /// McClure).
 const TOLERANCE: f64 = 6.0;
 
-/// What one corner tells: at column and row, a value.
+/// One corner's measurement: at column and row, a value.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct FieldSample {
     pub place: [f64; 2],
     pub value: f64,
-    /// How much it is to be believed: one over its variance, in any unit.
+    /// Its weight: one over its variance, in any unit.
     pub weight: f64,
 }
 
 /// A polynomial of column and row.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Field {
+pub(super) struct BoardField {
     /// Places are moved and scaled to −1 … 1.
     middle: [f64; 2],
     scale: [f64; 2],
     solution: Solution,
 }
 
-/// What was found: coefficients by order, and by falling power of the first of the two within it; 0
-/// beyond the terms.
+/// Coefficients by order, and by falling power of the first of the two within it; 0 beyond the
+/// terms.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Solution {
     pub coefficients: [f64; LANES],
@@ -44,7 +44,7 @@ pub(super) struct Solution {
 
 /// A solution and the weighted mean squares that it leaves, and that the highest order would.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Solved {
+pub(super) struct SolvedField {
     pub solution: Solution,
     pub mean_square: f64,
     pub chosen_mean_square: f64,
@@ -53,7 +53,7 @@ pub(super) struct Solved {
 /// Weighted normal equations of all terms (the lower triangle), their right sides, and the sums of
 /// trust and of squared values.
 #[derive(Default)]
-pub(super) struct Sums {
+pub(super) struct FieldSums {
     normal: [[f64; LANES]; MOST_TERMS],
     right: [f64; LANES],
     trust: f64,
@@ -65,15 +65,15 @@ pub(super) fn highest_order(count: usize, order: usize) -> usize {
     (0..=order).rev().find(|&order| SAMPLES_PER_TERM * TERMS[order] <= count).unwrap_or(0)
 }
 
-/// What is left of a sample's weight whose weighted square is `square`, of `mean_square` in the
-/// mean.
+/// The robust weight of a sample whose weighted square is `square`, where the mean is `mean_square`
+/// (Geman & McClure).
 #[inline(always)]
 pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
     let doubt = 1.0 + square / (TOLERANCE * mean_square);
     1.0 / (doubt * doubt)
 }
 
-impl Sums {
+impl FieldSums {
     /// Adds a sample: its columns, its value, its weight and how much of that is trust.
     #[inline(always)]
     pub fn add(
@@ -113,14 +113,13 @@ impl Sums {
         }
     }
 
-    /// The coefficients of the order up to `order` that generalised cross-validation prefers, of
-    /// `count` samples; and the mean square that the highest leaves. Of a term so much of its
-    /// square at least must be told apart from those before, `apart`. `None`: the samples do not
-    /// even tell a mean.
-    pub fn solve(mut self, order: usize, count: usize, apart: f64) -> Option<Solved> {
+    /// The coefficients of the order up to `order` that generalized cross-validation prefers
+    /// (Craven and Wahba, 1979), of `count` samples; and the mean square of the highest order.
+    /// `apart` is the pivot threshold. `None`: the samples do not determine even a mean.
+    pub fn solve(mut self, order: usize, count: usize, apart: f64) -> Option<SolvedField> {
         let Self { normal, right, trust, squares } = &mut self;
         let sound = factor(normal, TERMS[order], apart);
-        // What each term explains of the squares.
+        // The part of the squares that each term explains.
         for row in 0..sound {
             right[row] = (right[row] - dot(&normal[row][..row], &right[..row])) / normal[row][row];
         }
@@ -142,7 +141,7 @@ impl Sums {
             coefficients[row] = (right[row] - known) / normal[row][row];
         }
         let free = (1.0 - terms as f64 / count as f64).powi(2).max(1e-9);
-        Some(Solved {
+        Some(SolvedField {
             solution: Solution { coefficients, terms },
             mean_square: left,
             chosen_mean_square: score * free,
@@ -150,14 +149,14 @@ impl Sums {
     }
 }
 
-impl Field {
+impl BoardField {
     /// Fits a field of `order` at most; 0 everywhere if there are no samples.
     pub fn fit(samples: &[FieldSample], order: usize) -> Self {
         let mut field = Self::spanning(samples);
         let order = highest_order(samples.len(), order);
         let mut mean_square = f64::INFINITY;
         for _ in 0..ROUNDS {
-            let sums = pulp::Arch::new().dispatch(Summation {
+            let sums = pulp::Arch::new().dispatch(FieldSummation {
                 field: &field,
                 samples,
                 terms: TERMS[order],
@@ -223,20 +222,20 @@ impl Field {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
-struct Summation<'a> {
-    field: &'a Field,
+struct FieldSummation<'a> {
+    field: &'a BoardField,
     samples: &'a [FieldSample],
     terms: usize,
     mean_square: f64,
 }
 
-impl pulp::NullaryFnOnce for Summation<'_> {
-    type Output = Sums;
+impl pulp::NullaryFnOnce for FieldSummation<'_> {
+    type Output = FieldSums;
 
     #[inline(always)]
-    fn call(self) -> Sums {
+    fn call(self) -> FieldSums {
         let Self { field, samples, terms, mean_square } = self;
-        let mut sums = Sums::default();
+        let mut sums = FieldSums::default();
         for &FieldSample { place, value, weight } in samples {
             let basis = basis([
                 (place[0] - field.middle[0]) * field.scale[0],
@@ -283,8 +282,8 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-/// Puts the lower triangular L with L·Lᵀ in place of the first `terms` of `normal`; returns how
-/// many of them the samples tell apart.
+/// Replaces the first `terms` of `normal` by the lower triangular L with L·Lᵀ; returns how many of
+/// them the samples determine.
 fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, apart: f64) -> usize {
     for row in 0..terms {
         for col in 0..=row {
@@ -316,7 +315,7 @@ mod tests {
     fn a_polynomial_is_found_with_its_slope() {
         let of =
             |x: f64, y: f64| 1.0 + 0.3 * x - 0.2 * y + 0.01 * x * x * y - 0.004 * y * y * y * x;
-        let field = Field::fit(&samples(of), 4);
+        let field = BoardField::fit(&samples(of), 4);
         for [x, y] in [[0.0, 0.0], [8.0, 5.0], [3.5, 2.0]] {
             assert!((field.at([x, y]) - of(x, y)).abs() < 1e-9);
             let slope =
@@ -331,7 +330,7 @@ mod tests {
         let mut seen = samples(|x, y| 2.0 + 0.1 * x + noise(x, y));
         seen[13].value += 3.0;
         seen[40].value -= 2.0;
-        let field = Field::fit(&seen, 4);
+        let field = BoardField::fit(&seen, 4);
         assert!(
             (0..9)
                 .all(|col| (field.at([f64::from(col), 2.0]) - 2.0 - 0.1 * f64::from(col)).abs()
@@ -342,11 +341,13 @@ mod tests {
     #[test]
     fn few_samples_give_a_mean_and_none_nothing() {
         let at = |col: f64, value: f64| FieldSample { place: [col, 0.0], value, weight: 1.0 };
-        assert_eq!(Field::fit(&[], 2).at([1.0, 2.0]), 0.0);
-        assert!((Field::fit(&[at(0.0, 1.0), at(1.0, 2.0)], 2).at([5.0, 5.0]) - 1.5).abs() < 1e-12);
-        // Nothing tells a row from another.
+        assert_eq!(BoardField::fit(&[], 2).at([1.0, 2.0]), 0.0);
+        assert!(
+            (BoardField::fit(&[at(0.0, 1.0), at(1.0, 2.0)], 2).at([5.0, 5.0]) - 1.5).abs() < 1e-12
+        );
+        // All samples are on one row.
         let line: Vec<FieldSample> =
             (0..20).map(|col| at(f64::from(col), f64::from(col))).collect();
-        assert!(Field::fit(&line, 3).at([3.0, 9.0]).is_finite());
+        assert!(BoardField::fit(&line, 3).at([3.0, 9.0]).is_finite());
     }
 }

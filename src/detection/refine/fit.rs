@@ -3,7 +3,7 @@
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::elimination::solve;
 use crate::detection::refine::normal_equations::{
-    Columns, Linearized, Noise, NormalEquations, Residuals,
+    CornerEquations, Linearized, ModelColumns, Noise, Residuals,
 };
 use crate::detection::refine::samples::Samples;
 
@@ -13,7 +13,7 @@ pub(super) struct FitOptions {
     /// Linearizations: at least, unless the start was `alike`, and at most.
     pub iterations: [usize; 2],
     /// Stop when a step moves the corner by less than this, in standard deviations of the blur:
-    /// what is then left to go is its square.
+    /// convergence is quadratic, so the remaining error is its square.
     pub enough: f64,
     /// A first step that changes no other unknown by more than this, as a share of it or in
     /// radians, may be the only one.
@@ -24,13 +24,13 @@ pub(super) struct FitOptions {
 
 /// A fitted corner.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fit {
+pub(super) struct CornerFit {
     /// The model.
     pub model: CornerModel,
     /// How well it fits, before the last step.
     pub residuals: Residuals,
-    /// Mean square of the residuals after the last step, in units of the noise: as far as the
-    /// linearization can tell, and corrected for the unknowns and for the outliers' loss of weight.
+    /// Mean square of the residuals after the last step, in units of the noise: predicted by the
+    /// linearization, and corrected for the unknowns and the robust weights.
     pub mean_square: f64,
     /// The same as gray levels.
     pub residual_rms: f64,
@@ -40,10 +40,9 @@ pub(super) struct Fit {
     pub last_step: f64,
 }
 
-impl Fit {
-    /// Standard deviation of the corner's position per axis, in samples. The noise is taken from
-    /// this fit's own residuals, so that what the model does not explain makes the corner less
-    /// certain.
+impl CornerFit {
+    /// Standard deviation of the corner's position per axis, in samples. The noise is estimated
+    /// from this fit's own residuals, so that misfit makes the corner less certain.
     pub fn position_std(&self) -> f64 {
         let [xx, _, yy] = self.covariance;
         ((xx + yy) / 2.0 * self.mean_square).sqrt()
@@ -56,12 +55,12 @@ pub(super) fn fit(
     start: CornerModel,
     noise: &Noise,
     options: &FitOptions,
-    columns: &mut Columns,
-) -> Option<Fit> {
+    columns: &mut ModelColumns,
+) -> Option<CornerFit> {
     let mut model = start;
     let mut damping = 1e-4;
     let mut best = start;
-    let (mut first, mut second) = (NormalEquations::default(), NormalEquations::default());
+    let (mut first, mut second) = (CornerEquations::default(), CornerEquations::default());
     let (mut equations, mut next) = (&mut first, &mut second);
     let [least, most] = options.iterations;
     let linearized = Linearized { samples, noise, with_flat: options.with_flat };
@@ -86,7 +85,7 @@ pub(super) fn fit(
         {
             let residuals = equations.residuals;
             let mean_square = noise.corrected(&residuals, solved.left);
-            return Some(Fit {
+            return Some(CornerFit {
                 model,
                 residuals,
                 mean_square,

@@ -1,25 +1,25 @@
-//! Where an edge lies by its pixels near the corner, and where by those farther off. How far the
-//! two are apart is the noise as it acts on a position, whether or not it is correlated; what the
-//! model misses alike on both sides of an edge, such as the shape of motion blur, moves neither.
+//! Where an edge lies by its pixels near the corner, and by those farther off. The difference
+//! between the two is noise as it acts on a position, correlated or not; misfit that is symmetric
+//! about the edge, such as the shape of motion blur, moves neither.
 
 use pulp::{Simd, WithSimd};
 
 use crate::detection::refine::corner_model::{CornerModel, SHIFT};
-use crate::detection::refine::normal_equations::{Columns, RESIDUAL};
+use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
 use crate::detection::refine::samples::Samples;
 
-/// A half tells too little with less than this share of what the edge tells.
+/// Minimum information of a half, as a share of the whole edge's.
 const LEAST_SHARE: f64 = 0.1;
 
-/// For each edge the square of the difference between the shifts that its two halves ask for, in
+/// For each edge the square of the difference between the offsets that its two halves ask for, in
 /// units of the variance that white noise with the weights' standard deviations gives it. `reach`
-/// is how far the window goes along each edge, in samples; `columns` are those of the last
-/// linearization. `None` where a half tells too little.
+/// is the window's extent along each edge, in samples; `columns` are those of the last
+/// linearization. `None` where a half has too little information.
 pub(super) fn disagreements(
     samples: &Samples,
     model: &CornerModel,
     reach: [f64; 2],
-    columns: &Columns,
+    columns: &ModelColumns,
 ) -> [Option<f64>; 2] {
     pulp::Arch::new().dispatch(Halves { samples, model, reach, columns })
 }
@@ -28,7 +28,7 @@ struct Halves<'a> {
     samples: &'a Samples,
     model: &'a CornerModel,
     reach: [f64; 2],
-    columns: &'a Columns,
+    columns: &'a ModelColumns,
 }
 
 impl WithSimd for Halves<'_> {

@@ -1,10 +1,10 @@
-//! What a corner's neighbors on the board tell about it: how the edges bend, how the light
-//! changes.
+//! Priors of a corner from its neighbors on the board: the curvature of the edges and the gradient
+//! of the light.
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::GridCorner;
 use crate::detection::refine::corner_model::length;
-use crate::detection::refine::field::{Field, FieldSample};
+use crate::detection::refine::field::{BoardField, FieldSample};
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]
@@ -17,7 +17,7 @@ pub(super) struct Known {
     pub white: f64,
 }
 
-/// What the board tells about one corner.
+/// The board's prior for one corner.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Surroundings {
     /// Curvature of each edge, towards its normal (the edge's direction turned by +90°), in 1/px.
@@ -26,13 +26,13 @@ pub(super) struct Surroundings {
     pub light_gradient: [f64; 2],
 }
 
-/// Highest orders of the polynomials over the board: of the edges' bend and of the light. Under
-/// strong distortion a bend of lower order is wrong at the board's border by more than the corners'
-/// noise, in the same way in every picture.
-const BEND_ORDER: usize = 4;
+/// Highest orders of the polynomials over the board: of the edges' curvature and of the light.
+/// Under strong distortion, curvature of lower order is biased at the board's border by more than
+/// the corners' noise, in the same way in every image.
+const CURVATURE_ORDER: usize = 4;
 const LIGHT_ORDER: usize = 4;
 
-/// The corners as a table, and what they tell.
+/// The corners as a table, with the fields fitted to them.
 #[derive(Debug, Default)]
 pub(super) struct Lattice {
     first: [i64; 2],
@@ -40,12 +40,12 @@ pub(super) struct Lattice {
     slots: Vec<Option<u32>>,
     samples: Vec<FieldSample>,
     /// The curvature of the edges along each axis.
-    bends: [Field; 2],
+    curvatures: [BoardField; 2],
     /// The natural logarithm of white.
-    light: Field,
+    light: BoardField,
 }
 
-/// Grids that span more than this many places are no board: nothing is told about their corners.
+/// Largest span of a grid, in indices: beyond, no priors are estimated.
 const MOST_PLACES: i64 = 1 << 16;
 
 impl Lattice {
@@ -62,12 +62,12 @@ impl Lattice {
             samples.extend(corners.iter().filter_map(|corner| {
                 let (behind, here, ahead) =
                     (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
-                let (value, span) = bend([behind.at, here.at, ahead.at], here.along[axis])?;
-                // Points as uncertain as each other tell a curvature as certain as the square of
-                // what they span.
+                let (value, span) = curvature([behind.at, here.at, ahead.at], here.along[axis])?;
+                // With equal variances, the variance of a curvature is inverse to the fourth power
+                // of the span.
                 Some(FieldSample { place: place(corner.index), value, weight: span.powi(4) })
             }));
-            self.bends[axis] = Field::fit(&samples, BEND_ORDER);
+            self.curvatures[axis] = BoardField::fit(&samples, CURVATURE_ORDER);
         }
         samples.clear();
         samples.extend(corners.iter().zip(known).filter_map(|(corner, known)| {
@@ -77,7 +77,7 @@ impl Lattice {
                 weight: 1.0,
             })
         }));
-        self.light = Field::fit(&samples, LIGHT_ORDER);
+        self.light = BoardField::fit(&samples, LIGHT_ORDER);
         self.samples = samples;
     }
 
@@ -130,15 +130,14 @@ impl Lattice {
         Some(self.slots[self.place_of(index, step)?]? as usize)
     }
 
-    /// What the board tells about the corner at `index`: one corner's bend and light are noisy, and
-    /// those of corners at the board's border are not like those within, but over the board both
-    /// change smoothly.
+    /// The board's prior for the corner at `index`. One corner's curvature and light are noisy, and
+    /// corners at the border differ from those within, but over the board both change smoothly.
     pub fn surroundings(&self, index: GridIndex, axes: [[f64; 2]; 2]) -> Surroundings {
         let place = place(index);
         let light = self.light.slope(place);
         let det = axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0];
         Surroundings {
-            curvature: [0, 1].map(|axis| self.bends[axis].at(place)),
+            curvature: [0, 1].map(|axis| self.curvatures[axis].at(place)),
             light_gradient: [
                 (light[0] * axes[1][1] - light[1] * axes[0][1]) / det,
                 (light[1] * axes[0][0] - light[0] * axes[1][0]) / det,
@@ -171,7 +170,7 @@ pub(super) fn axes_of(corner: &GridCorner) -> Option<[[f64; 2]; 2]> {
 
 /// Curvature of the curve through three points, at the middle one, towards the normal of
 /// `direction`; and how far along that direction they span.
-fn bend([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<(f64, f64)> {
+fn curvature([behind, here, ahead]: [[f64; 2]; 3], direction: [f64; 2]) -> Option<(f64, f64)> {
     let along_across = |to: [f64; 2]| {
         let d = [to[0] - here[0], to[1] - here[1]];
         (d[0] * direction[0] + d[1] * direction[1], d[1] * direction[0] - d[0] * direction[1])

@@ -1,23 +1,23 @@
-//! Corners at which the model fits worse than at the board's others: beside what covers the board,
-//! or in its shadow.
+//! Corners at which the model fits worse than at the board's others: beside an occluder, or in its
+//! shadow.
 //!
-//! Noise is the board's: what one corner's residuals say of it, more or less than the others', is
-//! chance, or the shape of the blur, which moves no corner. What a cover leaves is on one side, and
-//! pulls: the corner is off by more the more of the residuals are of that kind.
+//! Noise is a property of the board: a corner whose residuals are a little above or below the
+//! others' shows chance, or the shape of the blur, which moves no corner. An occluder's residuals
+//! are one-sided and pull the corner: its error grows with the excess.
 
-/// Fewer corners than this have no usual fit.
+/// Minimum corners for a robust reference.
 const FEWEST_CORNERS: usize = 8;
-/// Mean squares are beyond the usual one by chance up to this many of their standard deviations,
+/// Mean squares exceed the median by chance up to this many of their standard deviations,
 /// √(2/samples).
 const CHANCE: f64 = 3.0;
 /// And never less than this, where a corner has no noise at all.
 const LEAST_TIMES: f64 = 0.1;
-/// What the excess over that adds to the factor on the standard deviation, and its square.
+/// Coefficients of the excess and of its square in the factor on the standard deviation.
 const PULL: [f64; 2] = [1.2, 0.7];
-/// With this many times the usual mean square a corner tells nothing about the board.
+/// A corner with this many times the median mean square is excluded from the board's fields.
 const REFERENCE: f64 = 2.5;
-/// No corner any more: this many times the usual mean square, and less than this part of the usual
-/// share of samples agrees.
+/// Rejected: this many times the median mean square, and an inlier ratio below this part of the
+/// median.
 const NO_CORNER: (f64, f64) = (3.0, 0.66);
 
 /// How well a corner's model fits its samples.
@@ -25,27 +25,27 @@ const NO_CORNER: (f64, f64) = (3.0, 0.66);
 pub(super) struct Quality {
     /// Mean square of the residuals in units of the noise.
     pub mean_square: f64,
-    /// The share of the samples that agree with the model.
+    /// Inlier ratio: the share of samples that agree with the model.
     pub inlier_ratio: f64,
-    /// How many these are.
+    /// Their number.
     pub samples: f64,
 }
 
-/// What is usual on a board.
+/// The medians over a board.
 #[derive(Clone, Copy)]
-struct Usual {
+struct BoardMedians {
     mean_square: f64,
     inlier_ratio: f64,
 }
 
 /// The qualities of a board's corners.
 #[derive(Debug, Default)]
-pub(super) struct Misfit {
+pub(super) struct CornerMisfit {
     of_corners: Vec<Option<Quality>>,
     sorted: Vec<f64>,
 }
 
-impl Misfit {
+impl CornerMisfit {
     /// Forgets all corners.
     pub fn clear(&mut self) {
         self.of_corners.clear();
@@ -56,30 +56,30 @@ impl Misfit {
         self.of_corners.push(quality);
     }
 
-    /// For each corner whether it fits well enough to tell about others.
+    /// For each corner whether it fits well enough to contribute to the board's fields.
     pub fn fits(&mut self) -> impl Iterator<Item = bool> + '_ {
-        let most = self.usual().map_or(f64::INFINITY, |usual| REFERENCE * usual.mean_square);
+        let most = self.medians().map_or(f64::INFINITY, |medians| REFERENCE * medians.mean_square);
         self.of_corners
             .iter()
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
     }
 
-    /// For each corner the factor on the standard deviation that its own residuals predicts; `None`
-    /// where what is seen is no corner beside the others.
+    /// For each corner the factor on the standard deviation predicted by its own residuals; `None`
+    /// where it is rejected beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {
-        let usual = self.usual();
+        let medians = self.medians();
         self.of_corners.iter().map(move |quality| {
-            let (quality, Some(usual)) = ((*quality)?, usual) else { return Some(1.0) };
-            let times = (quality.mean_square / usual.mean_square).max(LEAST_TIMES);
+            let (quality, Some(medians)) = ((*quality)?, medians) else { return Some(1.0) };
+            let times = (quality.mean_square / medians.mean_square).max(LEAST_TIMES);
             let excess = (times - 1.0 - CHANCE * (2.0 / quality.samples).sqrt()).max(0.0);
             let no_corner =
-                times > NO_CORNER.0 && quality.inlier_ratio < NO_CORNER.1 * usual.inlier_ratio;
+                times > NO_CORNER.0 && quality.inlier_ratio < NO_CORNER.1 * medians.inlier_ratio;
             (!no_corner).then_some((1.0 + excess * (PULL[0] + PULL[1] * excess)) / times.sqrt())
         })
     }
 
     /// The medians.
-    fn usual(&mut self) -> Option<Usual> {
+    fn medians(&mut self) -> Option<BoardMedians> {
         let Self { of_corners, sorted } = self;
         let mut median = |of: fn(&Quality) -> f64| {
             sorted.clear();
@@ -89,7 +89,7 @@ impl Misfit {
                 .then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
         };
         let (mean_square, inlier_ratio) = (median(|q| q.mean_square)?, median(|q| q.inlier_ratio)?);
-        (mean_square > 0.0).then_some(Usual { mean_square, inlier_ratio })
+        (mean_square > 0.0).then_some(BoardMedians { mean_square, inlier_ratio })
     }
 }
 
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     fn factors(qualities: &[Option<(f64, f64)>]) -> Vec<Option<f64>> {
-        let mut misfit = Misfit::default();
+        let mut misfit = CornerMisfit::default();
         for quality in qualities {
             misfit.take(quality.map(|(mean_square, inlier_ratio)| Quality {
                 mean_square,
@@ -119,7 +119,7 @@ mod tests {
                 .iter()
                 .all(|factor| factor.is_some_and(|factor| (factor - 1.0).abs() < 1e-12))
         );
-        // Three times the residuals predicts √3 times the deviation by themselves.
+        // Three times the mean square predicts √3 times the deviation by itself.
         assert!(factors[12].is_some_and(|factor| (5.0..6.0).contains(&(factor * 3_f64.sqrt()))));
         assert_eq!((factors[13], factors[14]), (None, None));
         assert!(factors[15].is_some_and(|factor| factor > 4.0));
@@ -136,14 +136,14 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_much_worse_tells_nothing_about_the_others() {
-        let mut misfit = Misfit::default();
+    fn what_fits_much_worse_contributes_nothing() {
+        let mut misfit = CornerMisfit::default();
         for mean_square in [1.0, 1.1, 0.9, 1.0, 1.2, 1.0, 2.0, 1.0, 5.0] {
             misfit.take(Some(Quality { mean_square, inlier_ratio: 0.9, samples: 100.0 }));
         }
         misfit.take(None);
-        let told: Vec<bool> = misfit.fits().collect();
-        assert_eq!(told, [true, true, true, true, true, true, true, true, false, false]);
+        let fits: Vec<bool> = misfit.fits().collect();
+        assert_eq!(fits, [true, true, true, true, true, true, true, true, false, false]);
     }
 
     #[test]

@@ -1,17 +1,17 @@
-//! Where exactly a corner is: a model of the blurred corner, fitted to its pixels, with an honest
-//! standard deviation.
+//! Sub-pixel corners: a parametric model of the blurred corner, fitted to its pixels, with a
+//! calibrated standard deviation.
 //!
 //! | stage | file | what it does |
 //! | --- | --- | --- |
 //! | window | `window`, `samples` | gathers the pixels along the cells' own axes, short of the next edges |
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against what does not belong |
-//! | board | `lattice`, `field`, `noise` | what all corners tell together: the edges' bend, the change of light, the noise |
+//! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
-//! Every corner is fitted twice: in a small window for itself, then in a large one, with the bend
-//! of the edges, the change of light and the noise known from the board. `README.md` beside this
-//! file says what was measured.
+//! Every corner is fitted twice: in a small window by itself, then in a large one, with the
+//! curvature of the edges, the change of light and the noise known from the board. `README.md`
+//! beside this file has the measurements.
 
 mod corner_model;
 mod elimination;
@@ -30,12 +30,12 @@ mod window;
 
 use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::corner_model::{CornerModel, length};
-use crate::detection::refine::fit::{Fit, FitOptions, fit};
+use crate::detection::refine::fit::{CornerFit, FitOptions, fit};
 use crate::detection::refine::halves::disagreements;
 use crate::detection::refine::lattice::{Known, Lattice, axes_of};
-use crate::detection::refine::misfit::{Misfit, Quality};
+use crate::detection::refine::misfit::{CornerMisfit, Quality};
 use crate::detection::refine::noise::PooledNoise;
-use crate::detection::refine::normal_equations::{Columns, Noise};
+use crate::detection::refine::normal_equations::{ModelColumns, Noise};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::straightness::{Placed, Straightness};
@@ -48,13 +48,13 @@ use crate::imaging::gray::GrayView;
 pub struct GridCorner {
     /// Its place in the grid. Each index may occur once.
     pub index: GridIndex,
-    /// Where it is, to about 1.5 px (less where cells are small: a fifth of a cell).
+    /// Its initial position, to about 1.5 px (less where cells are small: a fifth of a cell).
     pub pixel: Pixel,
     /// Its neighbors in the directions +col, +row, −col, −row, where they are known.
     pub neighbors: [Option<Pixel>; 4],
 }
 
-/// A corner as exactly as the picture tells.
+/// A refined corner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RefinedCorner {
     /// Where it is.
@@ -68,23 +68,23 @@ pub struct RefinedCorner {
     pub contrast: f64,
 }
 
-/// Refines corners; keeps its buffers from call to call.
+/// Refines corners; its buffers are reused from call to call.
 #[derive(Debug, Default)]
 pub struct Refiner {
     samples: Samples,
-    columns: Columns,
+    columns: ModelColumns,
     lattice: Lattice,
     noise: PooledNoise,
     scatter: Scatter,
-    misfit: Misfit,
+    misfit: CornerMisfit,
     straightness: Straightness,
-    /// The factor of each corner on its standard deviation; `None`: no corner.
+    /// The factor on each corner's standard deviation; `None` if it is rejected.
     of_corners: Vec<Option<f64>>,
     /// The covariance of each corner in units of the square of its standard deviation: xx, xy, yy.
     shapes: Vec<[f64; 3]>,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
-    /// Of the last window that a corner was fitted in alone.
+    /// The last window of a first fit.
     quarter_means: [f64; 2],
 }
 
@@ -92,28 +92,28 @@ pub struct Refiner {
 #[derive(Debug, Clone, Copy)]
 struct Fitted {
     window: Window,
-    fit: Fit,
+    fit: CornerFit,
     /// The noise it was weighted with.
     noise: Noise,
-    /// The share of the samples that agree with the model.
+    /// Inlier ratio: the share of samples that agree with the model.
     inlier_ratio: f64,
 }
 
-/// Half width of the windows, in samples: a window that any corner can be fitted in alone, and one
-/// beyond which more pixels cost more time than they are worth.
+/// Half width of the windows, in samples: of the first fit, and the largest, beyond which more
+/// pixels cost more time than they are worth.
 const FIRST_REACH: f64 = 5.0;
 const SECOND_REACH: f64 = 11.5;
 /// Fewer samples than this determine no corner.
 const FEWEST_SAMPLES: usize = 30;
 /// Fits are repeated with a larger window while the blur turns out this much wider than the window
-/// was made for.
+/// was made for,
 const WIDER: f64 = 1.4;
-/// And with the window at the corner when that is this many samples from the window's middle.
+/// and recentered when the corner is this many samples from the window's center.
 const RECENTER: f64 = 2.0;
 const MOST_WINDOWS: usize = 5;
-/// Corners whose edges together tell how far corners scatter.
+/// Number of corners whose edges give the scatter.
 const ENOUGH_CORNERS: usize = 40;
-/// The share of samples that agree with the model, at a corner in plain view.
+/// Inlier ratio of an unoccluded corner.
 const MOST_AGREE: f64 = 0.7;
 
 impl Refiner {
@@ -122,9 +122,9 @@ impl Refiner {
         Self::default()
     }
 
-    /// Refines each of `corners` of one board in `image` into `refined`, in their order, in place
-    /// of what was there. `None`: what is seen there is no chessboard corner, or nothing that
-    /// determines where it is. Allocates nothing that a board as large needed before.
+    /// Refines each of `corners` of one board in `image` into `refined`, in their order, replacing
+    /// its content. `None`: the image shows no chessboard corner there, or does not determine its
+    /// position. Does not allocate after a board as large.
     pub fn refine(
         &mut self,
         image: GrayView<'_>,
@@ -156,7 +156,7 @@ impl Refiner {
                 first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
             let second = second.filter(|second| second.is_corner(corner));
             self.misfit.take(second.as_ref().map(Fitted::quality));
-            if let Some(second) = second.as_ref().filter(|_| tells_scatter(corners, corner)) {
+            if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
@@ -205,7 +205,7 @@ impl Refiner {
         self.fitted.clear();
         self.noise.clear();
         self.scatter.clear();
-        let mut before = Before { blur_px: 1.0, contrast: 1.3, offset: 0.0, bend: 0.0 };
+        let mut before = Before { blur_px: 1.0, contrast: 1.3, offset: 0.0, gamma_term: 0.0 };
         for corner in corners {
             let fitted = self
                 .fit_alone(image, corner, &before)
@@ -219,8 +219,8 @@ impl Refiner {
     }
 
     /// The first fit of a corner: in a small window, whose size follows the blur and which moves
-    /// with the corner. Where that shows no corner the guess may be far off: a window of larger
-    /// bins sees farther.
+    /// with the corner. Where that fails the guess may be far off: a window of larger bins covers
+    /// more.
     fn fit_alone(
         &mut self,
         image: GrayView<'_>,
@@ -256,7 +256,7 @@ impl Refiner {
         best
     }
 
-    /// What the corner just fitted tells about the next.
+    /// Start values for the next corner, from the one just fitted.
     fn as_before(&self, fitted: &Fitted) -> Before {
         let model = &fitted.fit.model;
         let [minus, plus] = self.quarter_means;
@@ -265,22 +265,22 @@ impl Refiner {
             blur_px: fitted.blur_px(),
             contrast: (model.amplitude.abs() / half).clamp(1.0, 2.0),
             offset: ((model.level - (plus + minus) / 2.0) / half).clamp(-0.3, 0.3),
-            bend: (model.bend / half).clamp(-0.3, 0.3),
+            gamma_term: (model.gamma_term / half).clamp(-0.3, 0.3),
         }
     }
 
     fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
         self.gather(image, &window)?;
         let start = self.start(&window, before)?;
-        // What the noise is, is not known yet: as much in black as in white; how much does not
-        // matter.
+        // The noise is not known yet: black and white are taken as equally noisy; the scale does
+        // not matter.
         let noise = Noise { black: 1.0, white: 1.0, tolerance: 0.3 * start.amplitude.abs() + 6.0 };
-        // The first step may leave the corner where it is and yet find black, white and blur.
+        // The first step may leave the position and still find black, white and blur.
         let options = FitOptions { iterations: [2, 8], enough: 0.07, alike: 0.25, with_flat: true };
         self.fit(window, start, &noise, &options)
     }
 
-    /// The second fit, in a large window near the edges, with what the board tells.
+    /// The second fit, in a large window near the edges, with the board's priors.
     fn fit_within_board(
         &mut self,
         image: GrayView<'_>,
@@ -308,8 +308,8 @@ impl Refiner {
         if second.inlier_ratio > MOST_AGREE {
             return Some(second);
         }
-        // Much that disagrees may be another corner's or a hand's, or the start was too far off for
-        // so narrow a tolerance.
+        // Many outliers may belong to another corner or a hand, or the start was too far off for so
+        // narrow a tolerance.
         let patient = Noise { tolerance: noise.tolerance + 0.3 * start.amplitude.abs(), ..noise };
         let start = self
             .fit(window, start, &patient, &FitOptions { iterations: [2, 8], ..options })?
@@ -318,8 +318,8 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
-    /// Notes how far the parts of the edges of the corner just fitted, the `slot`-th, disagree,
-    /// beside what its residuals predicts.
+    /// Records corner `slot`'s difference between the near and far edge offsets, normalized by its
+    /// predicted variance.
     fn note_scatter(&mut self, slot: usize, fitted: &Fitted) {
         let Fitted { window, fit, noise, .. } = fitted;
         let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
@@ -351,8 +351,8 @@ impl Refiner {
         })
     }
 
-    /// The model before the first fit: along the axes, with black and white as the four quarters
-    /// have them, and what these make of it as at the corner before.
+    /// The model before the first fit: along the axes, with black and white from the means of the
+    /// four quadrants, corrected as at the corner before.
     fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
         let bin = window.bin as f64;
         let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
@@ -367,15 +367,14 @@ impl Refiner {
             curvature: [0.0; 2],
             level: (plus + minus) / 2.0 + before.offset * amplitude.abs(),
             amplitude: before.contrast * amplitude,
-            bend: before.bend * amplitude.abs(),
+            gamma_term: before.gamma_term * amplitude.abs(),
             gradient: [0.0; 2],
         })
     }
 }
 
-/// What a corner is expected to have in common with the one before. The last three are in units of
-/// half the difference of the quarters' means, which are less apart than black and white: the blur
-/// is in them.
+/// What neighboring corners have in common. The last three are in units of half the difference of
+/// the quadrants' means, which blur makes smaller than that of black and white.
 #[derive(Debug, Clone, Copy)]
 struct Before {
     blur_px: f64,
@@ -383,12 +382,11 @@ struct Before {
     contrast: f64,
     /// Its level less the mean of the quarters' means.
     offset: f64,
-    bend: f64,
+    gamma_term: f64,
 }
 
-/// Whether a corner is asked how its edges' parts disagree: of many corners, every other one is
-/// enough.
-fn tells_scatter(corners: &[GridCorner], corner: &GridCorner) -> bool {
+/// Whether a corner's edge halves are compared: of many corners, every other one is enough.
+fn is_compared(corners: &[GridCorner], corner: &GridCorner) -> bool {
     corners.len() < ENOUGH_CORNERS || (corner.index.col + corner.index.row) % 2 == 0
 }
 
@@ -411,12 +409,12 @@ impl Fitted {
         Known { at: self.center(), along: model.along, white }
     }
 
-    /// Whether the fit has come to rest at something that explains most of what is seen.
+    /// Whether the fit has converged to something that explains most of the contrast.
     fn has_settled(&self) -> bool {
         self.inlier_ratio > 0.4 && self.fit.last_step < 0.3
     }
 
-    /// Whether this may be the corner that was asked for.
+    /// Whether this may be the requested corner.
     fn may_be_corner(&self, corner: &GridCorner) -> bool {
         let [x, y] = self.center();
         let cell = self.window.axes.map(length).into_iter().fold(f64::INFINITY, f64::min);
@@ -427,15 +425,15 @@ impl Fitted {
             && model.correlation().abs() < 0.985
     }
 
-    /// Whether the second fit shows a corner: the model explains what is seen. Of true corners the
-    /// worst (motion blur over several pixels, heavy noise) keep a margin to each bound; of other
-    /// places in pictures of boards one in a hundred passes.
+    /// Whether the second fit is accepted. True corners keep a margin to each bound in the worst
+    /// conditions (motion blur over several pixels, heavy noise); of other positions in images of
+    /// boards one in a hundred passes.
     fn is_corner(&self, corner: &GridCorner) -> bool {
         let model = &self.fit.model;
         self.may_be_corner(corner)
             && self.inlier_ratio > 0.42
             && self.fit.last_step < 0.25
-            && model.bend.abs() < model.amplitude.abs()
+            && model.gamma_term.abs() < model.amplitude.abs()
             && self.fit.residual_rms < 0.6 * model.amplitude.abs()
     }
 

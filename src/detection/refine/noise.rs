@@ -1,4 +1,4 @@
-//! The noise of a picture's pixels, from what is left of the first fits where the pattern is flat.
+//! Pixel noise, from the residuals of the first fits where the pattern is flat.
 
 /// Noise where the pattern is black and where it is white, over all corners of a board.
 #[derive(Debug, Default)]
@@ -7,7 +7,7 @@ pub(super) struct PooledNoise {
     variances: [Vec<f64>; 2],
 }
 
-/// Rounding to whole gray levels alone makes this much variance.
+/// Variance of rounding to whole gray levels.
 const ROUNDING: f64 = 1.0 / 12.0;
 
 impl PooledNoise {
@@ -27,8 +27,8 @@ impl PooledNoise {
     }
 
     /// Standard deviation of single pixels in gray levels, black then white: the median over the
-    /// corners. Light's own noise grows with the light, and a camera's gamma turns that about, so
-    /// that either may be the larger.
+    /// corners. Shot noise grows with the light, and a camera's gamma can reverse that, so either
+    /// may be the larger.
     pub fn of_pixels(&mut self) -> [f64; 2] {
         let [black, white] = self.variances.each_mut().map(|variances| {
             let middle = variances.len() / 2;

@@ -29,15 +29,15 @@ impl Noise {
     }
 
     /// Mean of `squares`, a sum as in `residuals`, in units of the noise. With weights w = (1 +
-    /// x²/k²)⁻² the mean of w·x² over normal x is less than that of w by the factor 1 − 4/k² to
+    /// x²/k²)⁻² the mean of w·x² over normal x is smaller than that of w by the factor 1 − 4/k², to
     /// first order in 1/k².
     pub fn corrected(&self, residuals: &Residuals, squares: f64) -> f64 {
         squares / (residuals.effective - UNKNOWNS as f64).max(1.0) * (1.0 + self.loss())
     }
 
     /// The square of a sum of derivatives times residuals, in units of its variance under this
-    /// noise, corrected likewise: with these weights its mean is less by nearly (1 + 4/k²)⁻²
-    /// (within 3 % for k ≥ 4).
+    /// noise, corrected likewise: these weights reduce its mean by nearly (1 + 4/k²)⁻² (within 3 %
+    /// for k ≥ 4).
     pub fn corrected_disagreement(&self, square: f64) -> f64 {
         square * (1.0 + self.loss()).powi(2)
     }
@@ -50,10 +50,10 @@ impl Noise {
 /// The sums of a linearization. Weights are 1/σ² of the noise, less for the window's border and for
 /// outliers.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct NormalEquations {
-    /// Sums of products of the derivatives and the residual (seen less modelled).
+pub(super) struct CornerEquations {
+    /// Sums of products of the derivatives and the residual (measured minus modeled).
     pub products: Products,
-    /// What is left.
+    /// The residuals.
     pub residuals: Residuals,
 }
 
@@ -65,18 +65,18 @@ pub(super) struct Residuals {
     /// Sum of the weights of the window and of outliers, without the noise's: the number of samples
     /// in effect.
     pub effective: f64,
-    /// Residuals where the pattern is flat, if they were asked for: sum of squares about their mean
-    /// in gray levels and their number, black then white.
+    /// Residuals where the pattern is flat, if requested: sum of squares about their mean in gray
+    /// levels and their number, black then white.
     pub flat: [(f64, f64); 2],
 }
 
 /// Columns of derivatives, kept to be used again.
 #[derive(Debug, Default)]
-pub(super) struct Columns {
+pub(super) struct ModelColumns {
     lanes: Vec<f32>,
 }
 
-impl Columns {
+impl ModelColumns {
     /// One column of the last linearization, which was of `count` vectors.
     #[inline(always)]
     pub fn column<S: Simd>(&self, k: usize, count: usize) -> &[S::f32s] {
@@ -88,17 +88,22 @@ impl Columns {
 /// What to linearize, and how.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Linearized<'a> {
-    /// What is seen.
+    /// The measured samples.
     pub samples: &'a Samples,
-    /// How noisy that is.
+    /// Their noise.
     pub noise: &'a Noise,
-    /// Whether what is left where the pattern is flat is wanted.
+    /// Whether residuals where the pattern is flat are wanted.
     pub with_flat: bool,
 }
 
 impl Linearized<'_> {
     /// Linearizes `model`.
-    pub fn at(&self, model: &CornerModel, columns: &mut Columns, equations: &mut NormalEquations) {
+    pub fn at(
+        &self,
+        model: &CornerModel,
+        columns: &mut ModelColumns,
+        equations: &mut CornerEquations,
+    ) {
         pulp::Arch::new().dispatch(Linearize { what: *self, model, columns, equations });
     }
 }
@@ -106,8 +111,8 @@ impl Linearized<'_> {
 struct Linearize<'a> {
     what: Linearized<'a>,
     model: &'a CornerModel,
-    columns: &'a mut Columns,
-    equations: &'a mut NormalEquations,
+    columns: &'a mut ModelColumns,
+    equations: &'a mut CornerEquations,
 }
 
 impl WithSimd for Linearize<'_> {
@@ -153,7 +158,7 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         rest = tail;
         &mut S::as_mut_simd_f32s(column).0[..count]
     });
-    // The place of what is overwritten in the end, for a start.
+    // Scratch columns, overwritten below.
     let [s0, s1, d0, d1, p0, p1, f0, f1, ..] = &mut out;
     profiles(simd, [xs, ys], model, 0, [s0, d0, p0, f0]);
     profiles(simd, [xs, ys], model, 1, [s1, d1, p1, f1]);
@@ -163,7 +168,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     let (rho_half, rho2_sixth, rho2_third) =
         (of(rho / 2.0), of(rho * rho / 6.0), of(rho * rho / 3.0));
     let rho = of(rho);
-    let (level, amplitude, bend) = (of(model.level), of(model.amplitude), of(model.bend));
+    let (level, amplitude, gamma_term) =
+        (of(model.level), of(model.amplitude), of(model.gamma_term));
     let gradient = model.gradient.map(of);
     let sign = model.amplitude.signum();
     let noise_mean = of((noise.black + noise.white) / 2.0);
@@ -195,7 +201,7 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         }
         let light = mul_add(gradient[0], x, mul_add(gradient[1], y, one));
         let off = simd.negate_mul_add_f32s(t, t, one);
-        let gray = mul_add(bend, off, mul_add(amplitude, t, level));
+        let gray = mul_add(gamma_term, off, mul_add(amplitude, t, level));
         let residual = simd.negate_mul_add_f32s(gray, light, value);
         // Noise grows from black to white; outliers lose weight (Geman & McClure).
         let sd = mul_add(noise_slope, t, noise_mean);
@@ -204,7 +210,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         let doubt = mul(trust, sd);
         effective = mul_add(doubt, doubt, effective);
         let lit = mul(light, trust);
-        let by_t = mul(simd.negate_mul_add_f32s(simd.add_f32s(bend, bend), t, amplitude), lit);
+        let by_t =
+            mul(simd.negate_mul_add_f32s(simd.add_f32s(gamma_term, gamma_term), t, amplitude), lit);
         for k in 0..2 {
             let by_u = mul(by_t, slope[k]);
             let by_shift = mul(by_u, less_sharpness[k]);
@@ -219,7 +226,7 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
         if !WITH_FLAT {
             continue;
         }
-        // Where the pattern is flat, what is left is noise.
+        // Where the pattern is flat, the residual is noise.
         let weight = mul(doubt, doubt);
         let weighted = mul(residual, weight);
         for (side, sums) in flat.iter_mut().enumerate() {
@@ -242,8 +249,8 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
     }
 }
 
-/// Where samples lie along and across an edge, and its profile there: the step and its slope. In a
-/// loop of its own, which is short enough for the processor to look ahead.
+/// Position of samples along and across an edge, and its profile there: the step and its slope. A
+/// loop of its own, short enough for out-of-order execution.
 #[inline(always)]
 fn profiles<S: Simd>(
     simd: S,
@@ -275,7 +282,7 @@ fn profiles<S: Simd>(
 /// Sums of products of the columns: blocks of few enough sums for the registers, enough to keep the
 /// lanes busy.
 #[inline(always)]
-fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut NormalEquations) {
+fn products<S: Simd>(simd: S, columns: &[f32], length: usize, equations: &mut CornerEquations) {
     let products = &mut equations.products;
     triangle::<S, 4>(simd, columns, length, 0, products);
     block::<S, 4, 2>(simd, columns, length, [0, 4], products);
@@ -357,3 +364,7 @@ impl Residuals {
         self.squares / self.effective.max(1.0)
     }
 }
+
+#[cfg(test)]
+#[path = "normal_equations_tests.rs"]
+mod tests;

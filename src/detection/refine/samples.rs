@@ -9,8 +9,7 @@ use crate::imaging::gray::GrayView;
 
 /// Lanes are filled up to a multiple of this with samples of no weight.
 const PADDING: usize = 16;
-/// Pixels that are read at once, and rows of which it is found out at once where they lie in the
-/// window.
+/// Pixels read at once, and rows whose extent in the window is computed at once.
 const RUN: usize = 8;
 const ROWS: usize = 8;
 
@@ -32,7 +31,12 @@ impl Samples {
     /// Gathers the samples of `window`, those whose pixels all lie in `image`. Returns the fraction
     /// of the window that does.
     pub fn gather(&mut self, image: GrayView<'_>, window: &Window) -> f64 {
-        pulp::Arch::new().dispatch(Gather { samples: self, image, rows: Rows::new(window), window })
+        pulp::Arch::new().dispatch(Gather {
+            samples: self,
+            image,
+            rows: WindowRows::new(window),
+            window,
+        })
     }
 
     /// Positions x and y, gray values 0 … 255, and weights, in whole vectors: beyond the last
@@ -156,7 +160,7 @@ impl WithSimd for QuarterMeans<'_> {
 struct Gather<'a> {
     samples: &'a mut Samples,
     image: GrayView<'a>,
-    rows: Rows,
+    rows: WindowRows,
     window: &'a Window,
 }
 
@@ -222,12 +226,12 @@ fn rows_from<'a, const COUNT: usize>(
     std::array::from_fn(|k| &image.row(top + k)[left..])
 }
 
-/// What each row of a window holds: a parallelogram's run, or what of it is near an edge. In bins.
-struct Rows {
+/// Extent of each row of a window: a parallelogram's run, or the part of it near an edge. In bins.
+struct WindowRows {
     /// Middle per row, and half width, of four bands: two whose meet is the window, two that are
     /// near an edge.
     bands: [[f32; 2]; 4],
-    /// Rows −reach … reach may hold something.
+    /// WindowRows −reach … reach may be non-empty.
     reach: i64,
 }
 
@@ -240,7 +244,7 @@ struct Runs {
     wanted: i32,
 }
 
-impl Rows {
+impl WindowRows {
     fn new(window: &Window) -> Self {
         let bin = window.bin as f64;
         let axes = window.axes.map(|[x, y]| [x / bin, y / bin]);
@@ -298,8 +302,8 @@ impl Rows {
     }
 }
 
-/// A whole number of less than four million, as one; of a larger one any. Without the care that
-/// `as` takes of those.
+/// Converts a whole number below four million; any larger one gives an unspecified result. Skips
+/// the checks of `as`.
 #[inline(always)]
 fn whole(value: f32) -> i32 {
     // To this, one is the last of a number's bits.

@@ -1,17 +1,16 @@
-//! How much more or less corners scatter than the residuals of their fits predicts, over all
-//! corners of a board.
+//! How much more or less corners scatter than the residuals of their fits predict, over all corners
+//! of a board.
 
-/// How far the halves of edges disagree.
+/// Differences between the halves of edges.
 #[derive(Debug, Default)]
 pub(super) struct Scatter {
-    /// Of which corner, and squares in units of the variance that its residuals predicts.
+    /// The corner, and squares in units of the variance that its residuals predict.
     ratios: Vec<(usize, f64)>,
 }
 
-/// Fewer edges than this say nothing about a board.
+/// Minimum edges of an estimate.
 const FEWEST_EDGES: usize = 12;
-/// The share of the ratios, the smallest, that are averaged: what covers a board disturbs the
-/// others.
+/// The share of the smallest ratios that are averaged: occluders disturb the others.
 const TRUSTED: f64 = 0.9;
 /// The mean of that share of the squares of normally distributed numbers: 1 − 2·z·φ(z)/0.9 with z =
 /// 1.645.

@@ -1,38 +1,38 @@
-//! How much more or less corners scatter than predicted, by how straight their lines are: noise that
-//! spans a whole corner, as JPEG's blocks or light between corners make it, shows in no corner's
-//! own residuals, but it moves corners off their lines.
+//! How much more or less corners scatter than predicted, by how straight their lines are. Noise
+//! that spans a whole corner (JPEG blocks, light that differs between corners) is in no corner's
+//! own residuals, but moves corners off their lines.
 //!
 //! In a line's own frame, t along its chord and n across, a line is n = a + b·t + f(t, y), with its
-//! own a and b whatever the perspective, and one polynomial f of t, from its second power on, and
-//! of the line's place y that all lines share: the bend f″ that a lens makes is smooth over the
-//! picture.
+//! own a and b whatever the perspective, and one polynomial f that all lines share, in t (from its
+//! second power on) and in the line's position y: the curvature f″ of lens distortion is smooth
+//! over the image.
 
 use crate::detection::refine::corner_model::length;
-use crate::detection::refine::field::{LANES, Solution, Sums, TERMS, basis, highest_order, trust};
+use crate::detection::refine::field::{
+    FieldSums, LANES, Solution, TERMS, basis, highest_order, trust,
+};
 use crate::geometry::pixel::Pixel;
 
-/// Highest order of the bend.
+/// Highest order of the curvature polynomial.
 const BEND_ORDER: usize = 4;
-/// Of a term's square so much must be told apart from those before it: lines of few corners tell no
-/// high powers of t.
+/// Pivot threshold relative to the diagonal; rejects near-collinear basis terms, as high powers of
+/// t on short lines are.
 const APART: f64 = 1e-3;
 /// Least squares are repeated against outliers.
 const ROUNDS: usize = 2;
-/// What the weights against outliers leave of the mean square of normally distributed numbers: of
-/// (1 + z²/6)⁻².
+/// Mean square of normally distributed numbers under the robust weights (1 + z²/6)⁻².
 const TRUSTED: f64 = 0.66;
-/// The order that fits best takes up more than its terms: about half of those that were to choose
-/// from besides.
+/// The selected order takes up more than its own terms: about half of those of the other orders.
 const CHOICE: f64 = 0.5;
-/// The variance of a mean square of so many normally distributed numbers is 2 over that; less
-/// surely where some are doubted.
+/// The variance of a mean square of this many normal numbers is 2 over their count; a little more
+/// under robust weights.
 const CHANCE: f64 = 2.5;
-/// Fewer corners make no line that shows anything.
+/// Minimum corners of a line.
 const LEAST_LINE: usize = 3;
-/// Fewer degrees of freedom tell no scatter.
+/// Minimum degrees of freedom.
 const LEAST_FREE: f64 = 20.0;
-/// More scatter than this is not noise but a lens that bends lines more than f can follow; the
-/// more, the surer.
+/// Beyond this ratio the scatter is not noise but lens distortion that f cannot follow; the larger,
+/// the more certain.
 const MOST: f64 = 1.4;
 
 /// A corner in its line's frame: t and y scaled to about −1 … 1, n in pixels.
@@ -58,13 +58,13 @@ pub(super) struct Placed {
 #[derive(Debug, Default)]
 pub(super) struct Straightness {
     points: Vec<Point>,
-    /// Of each point the second integrals of the bend's terms, and n.
+    /// Of each point the second integrals of the curvature's terms, and n.
     columns: Vec<[f64; LANES]>,
-    /// Of each line as it lies, no point doubted.
+    /// Of each line, before robust weighting.
     trends: Vec<Trend>,
     /// Ends of the lines within `points`.
     ends: Vec<usize>,
-    /// Sum of squares left and of degrees of freedom, over both families of lines.
+    /// Remaining sum of squares and degrees of freedom, over both families of lines.
     left: f64,
     free: f64,
     /// The parts of their edges' pixels that corners share with the next along each axis, summed,
@@ -80,7 +80,7 @@ impl Straightness {
         (self.shared, self.windows) = ([0.0; 2], 0.0);
     }
 
-    /// Takes how far a corner's window reaches along each axis, as parts of the way to the next
+    /// Takes the extent of a corner's window along each axis, as parts of the distance to the next
     /// corner.
     pub fn note_window(&mut self, extent: [f64; 2]) {
         for (shared, extent) in self.shared.iter_mut().zip(extent) {
@@ -105,8 +105,12 @@ impl Straightness {
         let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
         let mut scatter = None;
         for _ in 0..ROUNDS {
-            let summation =
-                Summation { lines: self, solution: &solution, terms: TERMS[order], mean_square };
+            let summation = LineSummation {
+                lines: self,
+                solution: &solution,
+                terms: TERMS[order],
+                mean_square,
+            };
             let Some(solved) = pulp::Arch::new().dispatch(summation).solve(order, free, APART)
             else {
                 return;
@@ -117,11 +121,11 @@ impl Straightness {
         }
         if let Some(scatter) = scatter {
             let all = self.points.len() as f64;
-            // Offset and slope of each line, and the bend, take up their share.
+            // Offset and slope of each line, and the curvature, take degrees of freedom.
             let terms = solution.terms as f64 + CHOICE * (TERMS[order] - solution.terms) as f64;
             let free = (free as f64 - terms).max(1.0);
-            // Of noise that a corner shares with the next a smooth line takes up more: of n numbers
-            // with neighbors correlated by ρ, a projection to the p smoothest leaves n − p −
+            // A smooth line absorbs more of the noise that neighbors share: of n numbers whose
+            // neighbors are correlated by ρ, a projection to the p smoothest leaves n − p −
             // 2ρ·(n/π)·sin(πp/n).
             let correlation = self.shared[axis] / self.windows.max(1.0);
             let smooth =
@@ -132,7 +136,7 @@ impl Straightness {
         }
     }
 
-    /// The factor on standard deviations: as far from 1 as is not chance.
+    /// The factor on standard deviations: 1 as far as the deviation is explained by chance.
     pub fn std_factor(&self) -> f64 {
         if self.free < LEAST_FREE {
             return 1.0;
@@ -167,8 +171,8 @@ impl Straightness {
     }
 }
 
-/// What is the same in every round. A struct, not a closure: all of it must be inlined to be
-/// compiled for the processor.
+/// What all rounds share. A struct, not a closure: all of it must be inlined to be compiled for the
+/// processor.
 struct Preparation<'a> {
     lines: &'a mut Straightness,
 }
@@ -181,7 +185,7 @@ impl pulp::NullaryFnOnce for Preparation<'_> {
         let Straightness { points, columns, trends, ends, .. } = self.lines;
         columns.clear();
         for point in points.iter() {
-            columns.push(of_bend(point));
+            columns.push(curvature_columns(point));
         }
         trends.clear();
         let mut start = 0;
@@ -192,7 +196,7 @@ impl pulp::NullaryFnOnce for Preparation<'_> {
     }
 }
 
-struct Summation<'a> {
+struct LineSummation<'a> {
     lines: &'a Straightness,
     solution: &'a Solution,
     terms: usize,
@@ -206,18 +210,18 @@ struct Trend {
     columns: [[f64; LANES]; 2],
 }
 
-impl pulp::NullaryFnOnce for Summation<'_> {
-    type Output = Sums;
+impl pulp::NullaryFnOnce for LineSummation<'_> {
+    type Output = FieldSums;
 
     #[inline(always)]
-    fn call(self) -> Sums {
+    fn call(self) -> FieldSums {
         let Self { lines, solution, terms, mean_square } = self;
-        let mut sums = Sums::default();
+        let mut sums = FieldSums::default();
         let mut start = 0;
         for (&end, trend) in lines.ends.iter().zip(&lines.trends) {
             let (line, columns) = (&lines.points[start..end], &lines.columns[start..end]);
             start = end;
-            // First as it lies, then with less weight on what is far off.
+            // First unweighted, then with less weight on outliers.
             if !mean_square.is_finite() {
                 for (point, columns) in line.iter().zip(columns) {
                     let (columns, n) = trend.removed(point, columns);
@@ -237,9 +241,9 @@ impl pulp::NullaryFnOnce for Summation<'_> {
     }
 }
 
-/// The second integrals by t of all terms of the bend, and n beyond them.
+/// The second integrals by t of all terms of the curvature, and n beyond them.
 #[inline(always)]
-fn of_bend(point: &Point) -> [f64; LANES] {
+fn curvature_columns(point: &Point) -> [f64; LANES] {
     // By falling power of t within each order: t^p becomes t^(p+2) / ((p+1)(p+2)).
     const OVER: [f64; LANES] = [
         0.5,
@@ -318,7 +322,7 @@ impl Trend {
     }
 }
 
-/// What `solution` leaves of n.
+/// Residual of n after `solution`.
 #[inline(always)]
 fn left(columns: &[f64; LANES], mut n: f64, solution: &Solution) -> f64 {
     for (column, coefficient) in columns.iter().zip(&solution.coefficients) {
@@ -339,7 +343,7 @@ mod tests {
         (1..=DRAWS).map(|seed| factor_of(seed, k1, noise, [0.4; 2])).sum::<f64>() / DRAWS as f64
     }
 
-    /// A 9×6 board in perspective, bent by a lens (`k1` at a radius of 300 px), with noise of so
+    /// A 9×6 board in perspective, stretched by a lens (`k1` at a radius of 300 px), with noise of so
     /// many standard deviations.
     fn factor_of(seed: u64, k1: f64, noise: f64, extent: [f64; 2]) -> f64 {
         let mut state = seed;
@@ -360,8 +364,9 @@ mod tests {
             let w = 1.0 + 0.04 * col - 0.03 * row;
             let (x, y) =
                 ((60.0 * col - 10.0 * row - 240.0) / w, (12.0 * col + 55.0 * row - 150.0) / w);
-            let bent = 1.0 + k1 * (x * x + y * y) / 90_000.0;
-            let pixel = Pixel::new(320.0 + x * bent + normal(), 240.0 + y * bent + normal());
+            let stretched = 1.0 + k1 * (x * x + y * y) / 90_000.0;
+            let pixel =
+                Pixel::new(320.0 + x * stretched + normal(), 240.0 + y * stretched + normal());
             corners.push(Placed { pixel, covariance: [STD_PX * STD_PX, 0.0, STD_PX * STD_PX] });
         }
         let mut straightness = Straightness::default();
@@ -393,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bend_beyond_the_polynomials_changes_nothing() {
+    fn curvature_beyond_the_polynomials_changes_nothing() {
         assert!((0.95..1.1).contains(&factor(-0.9, 0.1)), "{}", factor(-0.9, 0.1));
     }
 

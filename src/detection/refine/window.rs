@@ -21,8 +21,8 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// A window that ends short of the next edges and reaches no more than `reach` samples along
-    /// each axis, in bins that keep what the blur leaves of the picture.
+    /// A window that ends short of the next edges and reaches at most `reach` samples along each
+    /// axis, in bins that match the resolution that the blur leaves.
     pub fn new(origin: [f64; 2], axes: [[f64; 2]; 2], blur_px: f64, reach: f64) -> Self {
         let sigma = sigma_px(blur_px);
         let area = (axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0]).abs();
@@ -46,9 +46,8 @@ impl Window {
         Self { bin: (times * self.bin).min(4), ..self }
     }
 
-    /// The same window along edges whose directions are known by now, without the pixels that are
-    /// far from both edges: they tell black and white, of which there is enough, and nothing of
-    /// where the edges are.
+    /// The same window along edges whose directions are known by now, without the pixels far from
+    /// both edges: they determine black and white, of which there is enough, but not the edges.
     pub fn along_edges(self, along: [[f64; 2]; 2], blur_px: f64) -> Self {
         let axes = [0, 1].map(|k| along[k].map(|v| v * length(self.axes[k])));
         Self { axes, strip_px: 2.7 * sigma_px(blur_px) + 0.3, ..self }

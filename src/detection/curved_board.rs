@@ -1,26 +1,25 @@
-//! Where a corner must be on a board that a lens bends: a surface of second order through the
-//! corners around it.
+//! Prediction of a corner on a board that lens distortion curves: a second-order surface through
+//! the corners around it.
 //!
-//! It takes three lines each way, so nothing is told of the first corner beyond the last line, but
-//! of those beside it. Across a few squares even a full fisheye bends and squeezes a board no more
-//! than that, where steps that only go on as they were, or as perspective alone has them, are off
-//! by a quarter of a square.
+//! Needs a 3×3 neighborhood: it can fill in, not extrapolate beyond the outermost line. Over a few
+//! squares a second-order surface follows even a full fisheye, where continuing the last step, or a
+//! homography, is off by a quarter of a square.
 
 use nalgebra::{SMatrix, SVector};
 
 use super::cross::Vec2;
 use super::grid::Grid;
 
-/// Corners this many lines away tell, on each side.
+/// Corners up to this many lines away are used, on each side.
 const REACH: i32 = 2;
 /// Terms of the surface: 1, i, j, i², ij, j².
 const TERMS: usize = 6;
-/// Fewer corners than this tell nothing.
+/// Minimum corners of a fit.
 const FEWEST: usize = TERMS + 2;
 
-/// Where the corner (i, j) of `grid` must be, itself not asked; `None` if too few corners are
-/// around it.
-pub(super) fn predict_bent(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
+/// Prediction of the corner (i, j) of `grid` without its own measurement; `None` if too few corners
+/// are around it.
+pub(super) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
     let mut right = SMatrix::<f32, TERMS, 2>::zeros();
     let (mut count, mut origin) = (0, None);
@@ -29,7 +28,7 @@ pub(super) fn predict_bent(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
         let away = p - *origin.get_or_insert(p);
         let (x, y) = (di as f32, dj as f32);
         let row = SVector::<f32, TERMS>::from([1.0, x, y, x * x, x * y, y * y]);
-        // The nearest tell most.
+        // Nearer corners have more weight.
         let weight = (1.0 + x * x + y * y).powi(-2);
         normal += row * row.transpose() * weight;
         right += row * away.transpose() * weight;
@@ -81,7 +80,7 @@ mod tests {
     fn a_corner_at_the_rim_of_a_fisheye_is_where_those_around_it_have_it() {
         let grid = grid((0..5).flat_map(|j| (0..5).map(move |i| (i, j))), fisheye);
         for (i, j) in [(4, 1), (4, 3), (3, 4), (2, 0), (2, 2)] {
-            let put = predict_bent(&grid, i, j).expect("enough corners");
+            let put = predict_on_curve(&grid, i, j).expect("enough corners");
             let step = (fisheye(i, j) - fisheye(i - 1, j)).norm();
             assert!(
                 (put - fisheye(i, j)).norm() < 0.15 * step,
@@ -92,12 +91,16 @@ mod tests {
     }
 
     #[test]
-    fn corners_that_determine_no_surface_tell_nothing() {
+    fn corners_that_determine_no_surface_give_no_prediction() {
         let straight = |i: i32, j: i32| Vec2::new(20.0 * i as f32, 20.0 * j as f32);
         assert_eq!(
-            predict_bent(&grid((0..3).flat_map(|j| (0..2).map(move |i| (i, j))), straight), 2, 1),
+            predict_on_curve(
+                &grid((0..3).flat_map(|j| (0..2).map(move |i| (i, j))), straight),
+                2,
+                1
+            ),
             None
         );
-        assert_eq!(predict_bent(&grid((0..10).map(|k| (k % 5, k / 5)), straight), 2, 2), None);
+        assert_eq!(predict_on_curve(&grid((0..10).map(|k| (k % 5, k / 5)), straight), 2, 2), None);
     }
 }

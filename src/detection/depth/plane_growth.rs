@@ -1,37 +1,37 @@
-//! The flat surface that a board lies on, as far as it goes: a plate, a table, a wall. A board
-//! covers a small part of most depth pictures; what it lies on often covers all of one, and tells
-//! what the board alone leaves open.
+//! The flat surface that a board lies on: a plate, a table, a wall. A board covers a small part of
+//! most depth images; its support often covers all of one, and determines what the board alone does
+//! not.
 //!
-//! Patches of the picture are taken in from the board outwards, each only where it goes on from one
-//! that was taken in: by its own noise, its slope, and how far it lies off the common plane. An
-//! edge, a gap or a step ends the surface.
+//! Patches are added from the board outwards, each only next to one that was added, tested by its
+//! own noise, its slope and its distance from the common plane. An edge, a gap or a step ends the
+//! surface.
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::detection::board_plane::{PlaneOptions, fit_tile};
+use crate::detection::depth::board_plane::{PlaneOptions, fit_tile};
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
-/// About how many patches cover a picture.
+/// About how many patches cover an image.
 const PATCHES: f64 = 400.0;
 
-/// A patch goes on from its neighbor if it differs from what the plane says between them by no
-/// more than this many standard deviations of both, and this part of 1/z: the systematic error
-/// changes by less from patch to patch.
+/// A patch continues its neighbor if it differs from the plane between them by at most this many
+/// standard deviations of both, and this part of 1/z: the systematic error changes by less from
+/// patch to patch.
 const STEP: [f64; 2] = [4.0, 0.0015];
 
 /// A patch whose readings scatter this many times as much as the board's has an edge in it.
 const ROUGH: f64 = 1.6;
 
-/// Readings next to each other err together: a patch's mean is no better than this many standard
-/// deviations of one.
+/// Neighboring readings are correlated: a patch's mean is taken as no better than this many
+/// standard deviations of one reading.
 const LEAST_READING_STDS: f64 = 0.1;
 
-/// One patch of the picture.
+/// One patch of the image.
 #[derive(Clone, Copy)]
-struct Patch {
+struct PlanePatch {
     tile: DepthTile,
     ray: Vector3<f64>,
 }
@@ -39,37 +39,37 @@ struct Patch {
 /// The patches of the surface that `board` (its own patches) lies on, without those inside its
 /// `outline`.
 pub fn grow_plane(
-    picture: &DepthImage,
+    image: &DepthImage,
     (reading, lens): (DepthReading, &Lens),
     (board, outline): (&[DepthTile], &[Pixel]),
     options: &PlaneOptions,
 ) -> Vec<DepthTile> {
-    let size = picture.size();
+    let size = image.size();
     let side = ((f64::from(size.width) * f64::from(size.height) / PATCHES).sqrt() as usize).max(6);
     let (across, down) = (size.width as usize / side, size.height as usize / side);
     let mut stds: Vec<f64> = board.iter().map(|tile| tile.reading_std).collect();
     stds.sort_by(f64::total_cmp);
-    let Some(usual_std) = stds.get(stds.len() / 2).copied() else { return Vec::new() };
+    let Some(median_std) = stds.get(stds.len() / 2).copied() else { return Vec::new() };
     let patch = |cell: usize| {
         let tile = measure(
-            picture,
+            image,
             (reading, options.invalid),
             [cell % across * side, cell / across * side],
             side,
         )?;
-        // Quantisation alone leaves a patch that lies along a step without any scatter: only more
-        // is suspicious.
+        // Quantization alone leaves a patch along a step without scatter: only more scatter is
+        // suspect.
         let step = reading.inverse_depth_step(tile.inverse_depth);
-        (tile.reading_std <= ROUGH * usual_std.hypot(0.5 * step)).then_some(())?;
-        Some(Patch { tile, ray: ray(lens, tile.pixel)? })
+        (tile.reading_std <= ROUGH * median_std.hypot(0.5 * step)).then_some(())?;
+        Some(PlanePatch { tile, ray: ray(lens, tile.pixel)? })
     };
-    let mut plane = Sums::default();
+    let mut plane = PlaneSums::default();
     board
         .iter()
-        .filter_map(|tile| Some(Patch { tile: *tile, ray: ray(lens, tile.pixel)? }))
+        .filter_map(|tile| Some(PlanePatch { tile: *tile, ray: ray(lens, tile.pixel)? }))
         .for_each(|p| plane.add(&p));
-    // Most patches of a picture are never reached: each is measured when it is.
-    let mut measured: Vec<Option<Option<Patch>>> = vec![None; across * down];
+    // Most patches are never reached: each is measured on first use.
+    let mut measured: Vec<Option<Option<PlanePatch>>> = vec![None; across * down];
     let mut patch_at = |cell: usize| *measured[cell].get_or_insert_with(|| patch(cell));
     let inside = |pixel: Pixel| is_inside(outline, pixel);
     let on_board = |cell: usize| {
@@ -113,13 +113,13 @@ pub fn grow_plane(
 
 /// The 1/z of a plane at its rays, by least squares: n of n · ray = 1/z.
 #[derive(Default)]
-struct Sums {
+struct PlaneSums {
     square: Matrix3<f64>,
     right: Vector3<f64>,
 }
 
-impl Sums {
-    fn add(&mut self, patch: &Patch) {
+impl PlaneSums {
+    fn add(&mut self, patch: &PlanePatch) {
         self.square += patch.ray * patch.ray.transpose();
         self.right += patch.ray * patch.tile.inverse_depth;
     }
@@ -129,9 +129,9 @@ impl Sums {
     }
 }
 
-fn goes_on(plane: &Vector3<f64>, (near, next): (&Patch, &Patch), tolerance: f64) -> bool {
-    let off = |patch: &Patch| patch.tile.inverse_depth - plane.dot(&patch.ray);
-    let std = |patch: &Patch| {
+fn goes_on(plane: &Vector3<f64>, (near, next): (&PlanePatch, &PlanePatch), tolerance: f64) -> bool {
+    let off = |patch: &PlanePatch| patch.tile.inverse_depth - plane.dot(&patch.ray);
+    let std = |patch: &PlanePatch| {
         patch.tile.reading_std * (1.0 / f64::from(patch.tile.count)).sqrt().max(LEAST_READING_STDS)
     };
     let limit = STEP[0] * std(near).hypot(std(next)) + STEP[1] * next.tile.inverse_depth;
@@ -149,14 +149,14 @@ fn neighbors(cell: usize, across: usize, down: usize) -> impl Iterator<Item = us
 
 /// The patch with this corner; `None` where a quarter of its readings is missing.
 fn measure(
-    picture: &DepthImage,
+    image: &DepthImage,
     (reading, invalid): (DepthReading, Option<u16>),
     [left, top]: [usize; 2],
     side: usize,
 ) -> Option<DepthTile> {
     let mut samples = Vec::with_capacity(side * side);
     for y in top..top + side {
-        for (x, raw) in picture.row(y).iter().enumerate().skip(left).take(side) {
+        for (x, raw) in image.row(y).iter().enumerate().skip(left).take(side) {
             if Some(*raw) != invalid
                 && let Some(inverse) = reading.inverse_depth(f64::from(*raw))
             {
@@ -185,7 +185,7 @@ fn is_inside(outline: &[Pixel], pixel: Pixel) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detection::board_plane::find_board_plane;
+    use crate::detection::depth::board_plane::find_board_plane;
     use crate::geometry::camera_matrix::CameraMatrix;
     use crate::geometry::pixel::ImageSize;
 
@@ -195,21 +195,21 @@ mod tests {
         Lens::pinhole(CameraMatrix { fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, skew: 0.0 })
     }
 
-    /// Grows from a board in the middle of a picture with this depth, in meters.
+    /// Grows from a board in the middle of an image with this depth, in meters.
     fn grown(z_m: impl Fn(f64, f64) -> f64) -> Vec<DepthTile> {
         let noise = |k: usize| 0.0004 * ((k as f64 * 12.9898).sin() * 43_758.545_3).fract();
         let reading = |k: usize| {
             ((z_m((k % 320) as f64, (k / 320) as f64) + noise(k)) * 10_000.0).round() as u16
         };
-        let picture =
+        let image =
             DepthImage::new(ImageSize::new(320, 240), (0..320 * 240).map(reading).collect())
                 .unwrap();
         let outline: Vec<Pixel> = [(120.0, 90.0), (200.0, 90.0), (200.0, 150.0), (120.0, 150.0)]
             .map(|(x, y)| Pixel::new(x, y))
             .to_vec();
         let options = PlaneOptions::default();
-        let board = find_board_plane(&picture, (METRIC, &lens()), &outline, &options).unwrap();
-        grow_plane(&picture, (METRIC, &lens()), (&board, &outline), &options)
+        let board = find_board_plane(&image, (METRIC, &lens()), &outline, &options).unwrap();
+        grow_plane(&image, (METRIC, &lens()), (&board, &outline), &options)
     }
 
     fn tilted(x: f64, y: f64) -> f64 {

@@ -1,8 +1,8 @@
-//! The board's surface in a depth picture: small patches inside its outline, each with its own
-//! noise, and nothing that isn't on the plane.
+//! The board's surface in a depth image: small patches inside its outline, each with its own noise,
+//! without what is off the plane.
 //!
-//! A plane's 1/z is linear over a pinhole's picture, so each patch is a straight-line fit; what a
-//! lens bends over one patch is far below its noise.
+//! A plane's 1/z is linear over a pinhole image, so each patch is a linear fit; lens distortion
+//! within one patch is far below its noise.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -18,8 +18,8 @@ pub struct PlaneOptions {
     pub invalid: Option<u16>,
     /// About how many patches. Default: 150.
     pub tiles: u32,
-    /// Patches further than this part of the depth from the common plane are something else.
-    /// Default: 0.05.
+    /// Patches farther than this part of the depth from the common plane are rejected. Default:
+    /// 0.05.
     pub tolerance: f64,
 }
 
@@ -32,20 +32,20 @@ impl Default for PlaneOptions {
 /// Why no surface was measured.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NoPlane {
-    /// The outline hardly touches the picture.
+    /// The outline is almost entirely outside the image.
     #[error("the board is outside the depth picture")]
     Outside,
     /// Too few readings inside the outline.
     #[error(
-        "only {percent} % of the depth picture inside the board's outline has readings, 40 % are needed"
+        "only {percent} % of the depth image inside the board's outline has readings, 40 % are needed"
     )]
     Holes {
         /// How many.
         percent: u32,
     },
-    /// What is inside the outline is not one plane.
+    /// The surface inside the outline is not one plane.
     #[error(
-        "what the depth picture shows inside the board's outline is not flat: {percent} % of it lies on one plane"
+        "what the depth image shows inside the board's outline is not flat: {percent} % of it lies on one plane"
     )]
     NotFlat {
         /// How much.
@@ -56,18 +56,18 @@ pub enum NoPlane {
 /// Readings of all patches are trimmed at this many standard deviations.
 const TRIM: f64 = 3.5;
 
-/// Measures the surface inside `outline` (a closed polygon in pixels of the depth picture), seen
+/// Measures the surface inside `outline` (a closed polygon in pixels of the depth image), seen
 /// through `lens`.
 ///
 /// # Errors
-/// [`NoPlane`]: outside the picture, holes, not flat.
+/// [`NoPlane`]: outside the image, holes, not flat.
 pub fn find_board_plane(
-    picture: &DepthImage,
+    image: &DepthImage,
     (reading, lens): (DepthReading, &Lens),
     outline: &[Pixel],
     options: &PlaneOptions,
 ) -> Result<Vec<DepthTile>, NoPlane> {
-    let spans = spans_inside(outline, picture);
+    let spans = spans_inside(outline, image);
     let area: usize = spans.iter().map(|span| span.end - span.start).sum();
     if area < 100 {
         return Err(NoPlane::Outside);
@@ -81,8 +81,7 @@ pub fn find_board_plane(
     for y in (top..bottom).step_by(side) {
         let rows = &spans[y - top..(y - top + side).min(spans.len())];
         for x in (left..right).step_by(side) {
-            let inside =
-                gather(picture, (reading, options.invalid), rows, x..x + side, &mut samples);
+            let inside = gather(image, (reading, options.invalid), rows, x..x + side, &mut samples);
             seen += samples.len();
             if 2 * samples.len() >= inside.max(side * side / 2) {
                 tiles.extend(fit_tile(&mut samples));
@@ -108,10 +107,10 @@ struct Span {
     end: usize,
 }
 
-/// One span per row from the outline's top to its bottom, as far as they lie in the picture. A
-/// board's outline is convex but for the lens's bend: its outermost crossings bound each row.
-fn spans_inside(outline: &[Pixel], picture: &DepthImage) -> Vec<Span> {
-    let size = picture.size();
+/// One span per row from the outline's top to its bottom, clipped to the image. A board's outline
+/// is convex but for lens distortion: its outermost crossings bound each row.
+fn spans_inside(outline: &[Pixel], image: &DepthImage) -> Vec<Span> {
+    let size = image.size();
     let finite = outline.len() >= 3 && outline.iter().all(|pixel| pixel.is_finite());
     let lowest = outline.iter().map(|p| p.y).fold(f64::INFINITY, f64::min).max(0.0);
     let highest = outline
@@ -143,7 +142,7 @@ fn spans_inside(outline: &[Pixel], picture: &DepthImage) -> Vec<Span> {
 /// Collects (x, y, 1/z) of the readings in a patch; answers how many pixels of it lie inside the
 /// outline.
 fn gather(
-    picture: &DepthImage,
+    image: &DepthImage,
     (reading, invalid): (DepthReading, Option<u16>),
     rows: &[Span],
     columns: std::ops::Range<usize>,
@@ -155,7 +154,7 @@ fn gather(
         let (start, end) = (span.start.max(columns.start), span.end.min(columns.end));
         inside += end.saturating_sub(start);
         for x in start..end {
-            let raw = picture.row(span.y)[x];
+            let raw = image.row(span.y)[x];
             if Some(raw) == invalid {
                 continue;
             }
@@ -203,8 +202,8 @@ pub(super) fn fit_tile(samples: &mut Vec<[f64; 3]>) -> Option<DepthTile> {
     last
 }
 
-/// Leaves the tiles that lie on one plane: of planes through three tiles the one with the least
-/// median deviation, then least squares over what lies near it.
+/// Keeps the tiles on one plane: least median of squares over planes through three tiles, then
+/// least squares over its inliers.
 fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     let ray = |tile: &DepthTile| {
         let bearing = lens.bearing_from_pixel(tile.pixel)?;
@@ -246,8 +245,8 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     tiles.retain(|_| deviations.next().is_some_and(|deviation| deviation <= tolerance));
 }
 
-/// How many triples are tried: with a third of the tiles elsewhere, all but one in 10⁷ pictures
-/// meet a good one.
+/// Triples tried: with a third of the tiles off the plane, all but one in 10⁷ images draw a triple
+/// of inliers.
 const TRIPLES: usize = 50;
 
 #[cfg(test)]
@@ -262,7 +261,7 @@ mod tests {
         Lens::pinhole(CameraMatrix { fx: 300.0, fy: 300.0, cx: 160.0, cy: 120.0, skew: 0.0 })
     }
 
-    fn picture(z_m: impl Fn(f64, f64) -> f64) -> DepthImage {
+    fn image(z_m: impl Fn(f64, f64) -> f64) -> DepthImage {
         let at = |k: usize| z_m((k % 320) as f64, (k / 320) as f64);
         DepthImage::new(
             ImageSize::new(320, 240),
@@ -283,7 +282,7 @@ mod tests {
     #[test]
     fn a_tilted_plane_is_measured_and_a_hand_before_it_is_left_out() {
         let plane = |x: f64, y: f64| 1.0 / (0.7 + 0.0004 * (x - 160.0) - 0.0002 * (y - 120.0));
-        let with_hand = picture(|x, y| if x > 150.0 && y > 150.0 { 0.6 } else { plane(x, y) });
+        let with_hand = image(|x, y| if x > 150.0 && y > 150.0 { 0.6 } else { plane(x, y) });
         let tiles = find_board_plane(
             &with_hand,
             (METRIC, &lens()),
@@ -301,17 +300,17 @@ mod tests {
 
     #[test]
     fn what_cannot_be_measured_is_said() {
-        let find = |picture: &DepthImage, outline: &[Pixel]| {
-            find_board_plane(picture, (METRIC, &lens()), outline, &PlaneOptions::default())
+        let find = |image: &DepthImage, outline: &[Pixel]| {
+            find_board_plane(image, (METRIC, &lens()), outline, &PlaneOptions::default())
         };
-        let flat = picture(|_, _| 1.0);
+        let flat = image(|_, _| 1.0);
         assert_eq!(find(&flat, &square(400.0, 500.0)), Err(NoPlane::Outside));
         assert_eq!(find(&flat, &[Pixel::new(f64::NAN, 0.0); 4]), Err(NoPlane::Outside));
         assert_eq!(
-            find(&picture(|_, _| 0.0), &square(40.0, 200.0)),
+            find(&image(|_, _| 0.0), &square(40.0, 200.0)),
             Err(NoPlane::Holes { percent: 0 })
         );
-        let bent = picture(|x, _| if x < 110.0 { 1.0 } else { 1.6 });
+        let bent = image(|x, _| if x < 110.0 { 1.0 } else { 1.6 });
         assert!(matches!(find(&bent, &square(40.0, 200.0)), Err(NoPlane::NotFlat { .. })));
     }
 }
