@@ -11,8 +11,9 @@
 //! | [`geometry`] | poses, pixels, lenses, boards | nothing |
 //! | [`imaging`] | frames, luma, decoding, undistortion | geometry |
 //! | [`detection`] | one image → a board, or why not | geometry, imaging |
+//! | [`features`] | scale-invariant keypoints, matches, tracks | geometry, imaging |
 //! | [`estimation`] | correspondences → an estimate with uncertainty | geometry |
-//! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, imaging, estimation, detection |
+//! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, imaging, estimation, detection, features |
 //! | [`simulation`] | a rendered world with exact truth | geometry, imaging |
 //! | [`recording`] | frames on disk | geometry, imaging |
 //! | [`capture`] | where frames come from | geometry, imaging, recording, simulation |
@@ -99,6 +100,7 @@ pub mod detection;
 pub mod document;
 pub mod estimation;
 pub mod export;
+pub mod features;
 pub mod geometry;
 pub mod http;
 pub mod imaging;

@@ -14,6 +14,7 @@ pub mod rgbd_calibration;
 mod rgbd_check;
 pub mod rig_session;
 pub mod running_estimate;
+pub mod scene;
 pub mod second_infrared;
 pub mod sensor;
 pub mod session;

@@ -18,6 +18,7 @@ pub mod problem;
 pub mod reading;
 pub mod recording;
 pub mod rig;
+pub mod scene;
 pub mod sensors;
 pub mod sensors_file;
 pub mod session;

@@ -7,7 +7,7 @@ use crate::geometry::lens::{Lens, LensModel};
 
 /// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's center:
 /// its cx and cy are ours plus one half.
-const CORNER_TO_CENTER_PX: f64 = 0.5;
+pub(super) const CORNER_TO_CENTER_PX: f64 = 0.5;
 
 /// One line a sensor, numbered from 1 in the order of documents.
 pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {

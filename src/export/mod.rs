@@ -10,6 +10,7 @@
 //! it is one sensor's: color's unless [`ExportOptions::sensor`] says another.
 
 mod colmap;
+pub mod colmap_scene;
 mod depth;
 mod kalibr;
 mod mrcal;

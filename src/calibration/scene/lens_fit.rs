@@ -1,0 +1,120 @@
+//! The fit of one lens model to a reconstruction, and which model the images call for.
+
+use crate::calibration::scene::refusal::SceneRefusal;
+use crate::estimation::problem::LensChoice;
+use crate::estimation::scene::bundle::{Bundle, BundleStop};
+use crate::estimation::scene::covariance::{LensCovariance, lens_covariance};
+use crate::estimation::scene::lens_prior::{COEFFICIENTS, SKEW};
+use crate::estimation::scene::reconstruction::Reconstruction;
+use crate::estimation::scene::robust_bundle::{RobustBundle, fit_robustly};
+use crate::geometry::lens::{Lens, LensModel};
+
+/// A fit of one model with what it says of the lens.
+#[derive(Debug, Clone)]
+pub(super) struct LensFit {
+    pub fit: RobustBundle,
+    pub covariance: LensCovariance,
+}
+
+const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
+
+/// Models compared by `auto`, fewest parameters first: eight coefficients are beyond what scenes
+/// determine.
+const COMPARED: [LensModel; 4] =
+    [LensModel::Pinhole, LensModel::Radial, LensModel::Brown, LensModel::KannalaBrandt];
+
+/// A larger model is taken if it lowers the cost by more than this, per parameter, in squared
+/// standard deviations that count how observations err together: of models that are no better one
+/// in 500.
+const WORTH: f64 = 6.0;
+
+/// Fits the lens that is asked for.
+pub(super) fn fit_lens(
+    start: &Reconstruction,
+    choice: LensChoice,
+    given: &[(String, f64)],
+) -> Result<LensFit, SceneRefusal> {
+    match choice {
+        LensChoice::Model(model) => fit_model(start, model, given),
+        LensChoice::Auto => choose(start, given),
+    }
+}
+
+fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, SceneRefusal> {
+    let knows = |model: &LensModel| {
+        let names = Lens::parameter_names(*model);
+        given.iter().all(|(name, _)| names.contains(&name.as_str()))
+    };
+    let mut fits: Vec<LensFit> = Vec::new();
+    let mut refusal = SceneRefusal::NoFit;
+    for model in COMPARED.into_iter().filter(knows) {
+        match fit_model(start, model, given) {
+            Ok(fit) => fits.push(fit),
+            Err(error) => refusal = error,
+        }
+    }
+    // All are judged on the observations and the noise of the one that explains most.
+    let Some(closest) =
+        fits.iter().min_by(|a, b| a.fit.noise_factor.total_cmp(&b.fit.noise_factor))
+    else {
+        return Err(refusal);
+    };
+    let bundle = &closest.fit.bundle;
+    let factor = closest.covariance.shared_by_image.max(closest.covariance.shared_by_point);
+    let costs: Vec<f64> = fits
+        .iter()
+        .map(|fit| {
+            let mut state = closest.fit.state.clone();
+            state.lens = fit.fit.state.lens;
+            let own = Bundle { free: fit.fit.bundle.free.clone(), ..bundle.clone() };
+            own.cost(&own.minimize(state, FITTING)) / factor
+        })
+        .collect();
+    let is_beaten = |small: usize| {
+        (small + 1..fits.len()).any(|large| {
+            let extra =
+                fits[large].fit.bundle.free.len() as f64 - fits[small].fit.bundle.free.len() as f64;
+            costs[small] - costs[large] > WORTH * extra.max(1.0)
+        })
+    };
+    let chosen = (0..fits.len()).find(|k| !is_beaten(*k)).unwrap_or(0);
+    Ok(fits.swap_remove(chosen))
+}
+
+/// Fits `model`, all parameters but skew and the `given` ones free.
+fn fit_model(
+    start: &Reconstruction,
+    model: LensModel,
+    given: &[(String, f64)],
+) -> Result<LensFit, SceneRefusal> {
+    let (mut parameters, names) = (first_guess(start, model), Lens::parameter_names(model));
+    let mut free: Vec<usize> = (0..parameters.len()).filter(|k| *k != SKEW).collect();
+    for (name, value) in given {
+        let unknown = || SceneRefusal::UnknownParameter { name: name.clone(), model };
+        let place = names.iter().position(|known| known == name).ok_or_else(unknown)?;
+        parameters[place] = *value;
+        free.retain(|k| *k != place);
+    }
+    let mut state = start.state.clone();
+    state.lens = Lens::from_parameters(model, &parameters).ok_or(SceneRefusal::NoFit)?;
+    let bundle = Bundle { free, ..start.bundle.clone() };
+    let fit = fit_robustly(bundle, state, FITTING);
+    let covariance = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
+    Ok(LensFit { fit, covariance })
+}
+
+/// The start's camera matrix with the model's most likely coefficients.
+fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
+    let known = start.state.lens.parameters();
+    let mut parameters = start.bundle.prior.mean(model);
+    parameters[..COEFFICIENTS].copy_from_slice(&known[..COEFFICIENTS]);
+    if model == LensModel::KannalaBrandt {
+        // What a lens without distortion has: the series of the tangent.
+        parameters[COEFFICIENTS..].iter_mut().for_each(|coefficient| *coefficient *= 2.0);
+    } else if let (Some(own), Some(first)) =
+        (parameters.get_mut(COEFFICIENTS), known.get(COEFFICIENTS))
+    {
+        *own = *first;
+    }
+    parameters
+}

@@ -1,0 +1,22 @@
+//! Calibration without a target: photographs of a static scene in, a lens out, with how far the
+//! photographs determine it, or why they do not.
+//!
+//! ```text
+//! images --correspondence--> pairs and tracks --estimation::scene--> lens, poses, points
+//!        --lens_fit--> the lens model that the images call for
+//!        --conditions, verdict--> how far to trust it
+//! ```
+
+pub mod conditions;
+pub mod correspondence;
+mod lens_fit;
+pub mod refusal;
+pub mod result;
+#[cfg(test)]
+mod scene_tests;
+mod solve;
+mod verdict;
+
+pub use refusal::SceneRefusal;
+pub use result::{SceneCalibration, ScenePoint, SceneView};
+pub use solve::{SceneOptions, calibrate_scene};

@@ -1,0 +1,101 @@
+//! Why images without a target determine no lens.
+
+/// Why there is no calibration: one line each, with what to do.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SceneRefusal {
+    /// Fewer than three.
+    #[error(
+        "{images} images are too few to calibrate without a target: give at least 3, better 8, from different places"
+    )]
+    TooFewImages {
+        /// How many there are.
+        images: usize,
+    },
+    /// One camera has one size.
+    #[error(
+        "`{name}` is {size}, the others are {expected}: all images must be by one camera, uncropped"
+    )]
+    DifferentSizes {
+        /// The image that differs.
+        name: String,
+        /// Its size.
+        size: crate::geometry::pixel::ImageSize,
+        /// That of most.
+        expected: crate::geometry::pixel::ImageSize,
+    },
+    /// Nothing to match.
+    #[error(
+        "the images have too little texture or are blurred (a median of {median} features): photograph something with texture, in focus, holding still"
+    )]
+    NoTexture {
+        /// The median number of features of an image.
+        median: usize,
+    },
+    /// Matches do not agree.
+    #[error(
+        "no two images show the same scene: between neighbors a median of {between_neighbors} matches agree; take smaller steps, and something whose texture does not repeat"
+    )]
+    NothingAgrees {
+        /// The median number of agreeing matches between an image and the next.
+        between_neighbors: usize,
+    },
+    /// The same image, or a camera on a tripod.
+    #[error(
+        "the camera stood still (or all images are the same one): move it around the scene between images"
+    )]
+    Still,
+    /// Homographies explain all, but no rotation.
+    #[error(
+        "one plane is all that the images show, which does not determine the lens: include things at different depths"
+    )]
+    OnePlane,
+    /// No depth to begin with.
+    #[error(
+        "hardly any parallax ({parallax_deg:.1} degrees in the median): move the camera sideways by at least a tenth of the distance to the scene"
+    )]
+    HardlyAnyParallax {
+        /// The median angle between rays to a point.
+        parallax_deg: f64,
+    },
+    /// Only a part hangs together.
+    #[error(
+        "only {used} of {images} images hang together: too few matches between neighbors (a median of {between_neighbors}), too little texture or too large steps"
+    )]
+    TooFewConnected {
+        /// Images with a pose.
+        used: usize,
+        /// All.
+        images: usize,
+        /// The median number of agreeing matches between an image and the next.
+        between_neighbors: usize,
+    },
+    /// Focal length and depth trade.
+    #[error(
+        "the camera only moved forward (within {angle_deg:.0} degrees of where it points): focal length, distortion and depth trade; move it sideways, and rotate it about its axis"
+    )]
+    ForwardMotion {
+        /// The root mean square angle between motion and optical axis.
+        angle_deg: f64,
+    },
+    /// The estimate is worthless.
+    #[error(
+        "the images do not determine the focal length (known to {percent:.0} % only): move the camera sideways around the scene, and rotate it by 90 degrees about its axis for some images"
+    )]
+    FocalUndetermined {
+        /// Its standard deviation over itself.
+        percent: f64,
+    },
+    /// A name that the lens does not have.
+    #[error("--given {name}: the {model} lens has no such parameter")]
+    UnknownParameter {
+        /// What was given.
+        name: String,
+        /// The lens asked for.
+        model: crate::geometry::lens::LensModel,
+    },
+    /// The numbers fell apart.
+    #[error(
+        "no lens fits the images: give sharp images of one static scene by one camera with fixed zoom and focus"
+    )]
+    NoFit,
+}

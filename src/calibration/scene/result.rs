@@ -1,0 +1,49 @@
+//! What comes of images without a target.
+
+use nalgebra::Point3;
+
+use crate::calibration::calibration::{Checks, SensorCalibration, Verdict};
+use crate::geometry::pixel::Pixel;
+use crate::geometry::pose::Pose;
+
+/// A lens from images of a static scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneCalibration {
+    /// The lens with its uncertainty; its views are [`Self::views`].
+    pub sensor: SensorCalibration,
+    /// Each image that was given, in order.
+    pub views: Vec<SceneView>,
+    /// The scene.
+    pub points: Vec<ScenePoint>,
+    /// How much was used.
+    pub checks: Checks,
+    /// How far to trust it.
+    pub verdict: Verdict,
+    /// Parameters that the prior knows at least as well as the images do.
+    pub held_by_prior: Vec<&'static str>,
+}
+
+/// One image.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneView {
+    /// Its path or sequence number.
+    pub name: String,
+    /// Why it has no pose.
+    pub reason: Option<String>,
+    /// The root mean square length of its residuals, in pixels.
+    pub rms_px: Option<f64>,
+    /// Its pose; `None` for an image that was not used. The first used is the identity, and the
+    /// greatest distance between two is 1.
+    pub camera_from_scene: Option<Pose>,
+}
+
+/// A scene point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScenePoint {
+    /// In the scene's frame.
+    pub point: Point3<f64>,
+    /// (view, where it shows the point).
+    pub seen: Vec<(usize, Pixel)>,
+    /// The root mean square length of its residuals, in pixels.
+    pub rms_px: f64,
+}

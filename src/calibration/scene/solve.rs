@@ -1,0 +1,310 @@
+//! From images to a calibration or a refusal.
+
+use nalgebra::{DMatrix, Point3};
+
+use crate::calibration::calibration::{Checks, ProjectionUncertainty, SensorCalibration};
+use crate::calibration::scene::conditions::SceneConditions;
+use crate::calibration::scene::correspondence::{Correspondence, SceneImage, correspond};
+use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
+use crate::calibration::scene::refusal::SceneRefusal;
+use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneView};
+use crate::calibration::scene::verdict::{self, Evidence};
+use crate::estimation::problem::LensChoice;
+use crate::estimation::scene::bundle::CameraMotion;
+use crate::estimation::scene::hypotheses::reconstruct_best;
+use crate::estimation::scene::reconstruction::Reconstruction;
+use crate::estimation::scene::rotation_only::reconstruct_rotations;
+use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+
+/// What is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneOptions {
+    /// Which lens model.
+    pub lens: LensChoice,
+    /// Lens parameters that are known, by name.
+    pub given: Vec<(String, f64)>,
+    /// Threads; the result does not depend on it.
+    pub threads: usize,
+}
+
+impl Default for SceneOptions {
+    fn default() -> Self {
+        Self { lens: LensChoice::Auto, given: Vec::new(), threads: 1 }
+    }
+}
+
+/// Images with fewer features have nothing to match.
+const LEAST_FEATURES: usize = 60;
+
+/// A motion within this angle of the optical axis, in degrees, is forward: sines of its parallax
+/// are a quarter of those of a sideways motion.
+const FORWARD_DEG: f64 = 15.0;
+
+/// A forward motion whose axes point this differently, in degrees, is no longer one.
+const TURNED_DEG: f64 = 30.0;
+
+/// Less parallax, in degrees, than this leaves focal length and depth to the noise.
+const LEAST_PARALLAX_DEG: f64 = 2.0;
+
+/// A focal length that is known no better than this part of itself is not determined.
+const WORTHLESS: f64 = 0.2;
+
+/// Calibrates from `images` of a static scene by one camera.
+///
+/// # Errors
+/// [`SceneRefusal`] where they do not determine the lens, and why.
+pub fn calibrate_scene(
+    images: &[SceneImage],
+    options: &SceneOptions,
+) -> Result<SceneCalibration, SceneRefusal> {
+    let size = checked_size(images)?;
+    let found = correspond(images, size, options.threads);
+    let start = reconstruction(&found, options)?;
+    let fit = fit_lens(&start, options.lens, &options.given)?;
+    let conditions = SceneConditions::of(&fit.fit);
+    check_determined(&fit, &conditions, &found, &start)?;
+    Ok(finished(images, &start, &fit, (&conditions, &found)))
+}
+
+/// The size of all images, if there are enough and they have features.
+fn checked_size(images: &[SceneImage]) -> Result<ImageSize, SceneRefusal> {
+    if images.len() < 3 {
+        return Err(SceneRefusal::TooFewImages { images: images.len() });
+    }
+    let count = |size: ImageSize| images.iter().filter(|image| image.size == size).count();
+    let sizes = images.iter().map(|image| image.size);
+    let size = sizes.max_by_key(|size| count(*size)).unwrap_or(images[0].size);
+    if let Some(other) = images.iter().find(|image| image.size != size) {
+        let (name, expected) = (other.name.clone(), size);
+        return Err(SceneRefusal::DifferentSizes { name, size: other.size, expected });
+    }
+    let features = images.iter().map(SceneImage::feature_count).collect();
+    let median = middle(features);
+    if median < LEAST_FEATURES {
+        return Err(SceneRefusal::NoTexture { median });
+    }
+    Ok(size)
+}
+
+fn middle(mut counts: Vec<usize>) -> usize {
+    counts.sort_unstable();
+    counts.get(counts.len() / 2).copied().unwrap_or(0)
+}
+
+fn reconstruction(
+    found: &Correspondence,
+    options: &SceneOptions,
+) -> Result<Reconstruction, SceneRefusal> {
+    let between_neighbors = middle(found.between_neighbors.clone());
+    let verified = found.general.len() + found.rotated.len();
+    if verified == 0 {
+        return Err(SceneRefusal::NothingAgrees { between_neighbors });
+    }
+    if found.still == verified {
+        return Err(SceneRefusal::Still);
+    }
+    let given = options.given.iter().find(|(name, _)| name == "fx" || name == "fy");
+    let focal = given.map(|(_, value)| *value);
+    if found.general.len() < 2 || found.general.len() * 4 < found.rotated.len() {
+        return reconstruct_rotations(&found.problem, &found.rotated).ok_or(SceneRefusal::OnePlane);
+    }
+    reconstruct_best(&found.problem, &found.general, focal)
+        .ok_or(SceneRefusal::HardlyAnyParallax { parallax_deg: 0.0 })
+}
+
+fn check_determined(
+    fit: &LensFit,
+    conditions: &SceneConditions,
+    found: &Correspondence,
+    start: &Reconstruction,
+) -> Result<(), SceneRefusal> {
+    let (used, images) = (start.images.len(), found.problem.images);
+    let between_neighbors = middle(found.between_neighbors.clone());
+    if used < 3 || used * 2 < images {
+        return Err(SceneRefusal::TooFewConnected { used, images, between_neighbors });
+    }
+    let moving = conditions.motion == CameraMotion::Moving;
+    let forward = conditions.sideways_deg < FORWARD_DEG && conditions.turned_deg < TURNED_DEG;
+    if moving && forward {
+        return Err(SceneRefusal::ForwardMotion { angle_deg: conditions.sideways_deg });
+    }
+    if moving && conditions.parallax_deg < LEAST_PARALLAX_DEG {
+        let parallax_deg = conditions.parallax_deg;
+        return Err(SceneRefusal::HardlyAnyParallax { parallax_deg });
+    }
+    let focal_std = verdict::relative_focal_std(fit);
+    if !(focal_std < WORTHLESS) {
+        return Err(SceneRefusal::FocalUndetermined { percent: 100.0 * focal_std });
+    }
+    Ok(())
+}
+
+fn finished(
+    images: &[SceneImage],
+    start: &Reconstruction,
+    fit: &LensFit,
+    (conditions, found): (&SceneConditions, &Correspondence),
+) -> SceneCalibration {
+    let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
+    let (lens, size) = (state.lens, found.problem.image_size);
+    let frame = SceneFrame::of(start, &state.cameras_from_scene);
+    let points = scene_points(start, fit, &frame);
+    let views: Vec<SceneView> = images
+        .iter()
+        .enumerate()
+        .map(|(image, of)| view(of, image, &frame, &points, &lens))
+        .collect();
+    let covariance = full_covariance(&lens, &bundle.free, &fit.covariance.matrix);
+    let lens_std: Vec<f64> = covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect();
+    let grid = PixelGrid::over(size, 16);
+    let map = projection_uncertainty(&lens, &covariance, grid, Distance::Infinity);
+    let (median, worst) = map
+        .as_ref()
+        .and_then(|map| map.median_and_worst())
+        .unwrap_or((f64::INFINITY, f64::INFINITY));
+    let center = map.as_ref().and_then(|map| map.center()).unwrap_or(f64::INFINITY);
+    let (count, sum) = points.iter().fold((0, 0.0), |(count, sum), point| {
+        (count + point.seen.len(), sum + point.rms_px.powi(2) * point.seen.len() as f64)
+    });
+    let all = count + fit.fit.dropped;
+    let checks = Checks {
+        split_half_ratio: None,
+        held_out_rms_px: None,
+        outlier_fraction: fit.fit.dropped as f64 / all.max(1) as f64,
+        coverage: coverage(&points, size),
+    };
+    let held_by_prior = held_by_prior(&lens, fit);
+    let evidence = Evidence {
+        fit,
+        conditions,
+        map: map.as_ref(),
+        used: start.images.len(),
+        images: images.len(),
+        held_by_prior: &held_by_prior,
+    };
+    let sensor = SensorCalibration {
+        image_size: size,
+        lens,
+        lens_std,
+        lens_covariance: covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
+        rms_px: (sum / count.max(1) as f64).sqrt(),
+        uncertainty_px: ProjectionUncertainty { center, median, worst },
+        views: Vec::new(),
+        compared: Vec::new(),
+        board_warp_m: None,
+    };
+    let verdict = verdict::judge(&evidence);
+    SceneCalibration { sensor, views, points, checks, verdict, held_by_prior }
+}
+
+/// The frame of results: the first used image, the greatest distance between two cameras 1.
+struct SceneFrame {
+    /// By image.
+    camera_from_scene: Vec<Option<Pose>>,
+    scene_from_state: Pose,
+    scale: f64,
+}
+
+impl SceneFrame {
+    fn of(start: &Reconstruction, cameras_from_state: &[Pose]) -> Self {
+        let centers: Vec<_> =
+            cameras_from_state.iter().map(|pose| pose.inverse().translation()).collect();
+        let distances = centers.iter().flat_map(|a| centers.iter().map(move |b| (a - b).norm()));
+        let widest = distances.fold(0.0, f64::max);
+        let scale = if widest > 0.0 { 1.0 / widest } else { 1.0 };
+        let first = (0..start.images.len()).min_by_key(|k| start.images[*k]).unwrap_or(0);
+        let scene_from_state = cameras_from_state[first];
+        let count = start.images.iter().max().map_or(0, |last| last + 1);
+        let mut camera_from_scene = vec![None; count];
+        for (image, camera_from_state) in start.images.iter().zip(cameras_from_state) {
+            let pose = *camera_from_state * scene_from_state.inverse();
+            camera_from_scene[*image] =
+                Some(Pose::new(pose.rotation(), pose.translation() * scale));
+        }
+        Self { camera_from_scene, scene_from_state, scale }
+    }
+
+    fn point(&self, in_state: &Point3<f64>) -> Point3<f64> {
+        (self.scene_from_state * *in_state) * self.scale
+    }
+}
+
+fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Vec<ScenePoint> {
+    let (bundle, state) = (&fit.fit.bundle, &fit.fit.state);
+    let squares = bundle.squares(state);
+    let all = state.points.iter().zip(&bundle.observations).zip(&squares);
+    all.map(|((point, seen), squares)| {
+        let px2 = seen.iter().zip(squares).map(|(seen, square)| square / seen.inverse_std.powi(2));
+        ScenePoint {
+            point: frame.point(point),
+            rms_px: (px2.sum::<f64>() / seen.len().max(1) as f64).sqrt(),
+            seen: seen.iter().map(|seen| (start.images[seen.camera], seen.pixel)).collect(),
+        }
+    })
+    .collect()
+}
+
+fn view(
+    of: &SceneImage,
+    image: usize,
+    frame: &SceneFrame,
+    points: &[ScenePoint],
+    lens: &Lens,
+) -> SceneView {
+    let name = of.name.clone();
+    let Some(camera_from_scene) = frame.camera_from_scene.get(image).copied().flatten() else {
+        let reason = "too few of its features agree with the other images".to_owned();
+        return SceneView { name, reason: Some(reason), rms_px: None, camera_from_scene: None };
+    };
+    let (mut sum, mut count) = (0.0, 0);
+    for point in points {
+        for (_, pixel) in point.seen.iter().filter(|(seen_in, _)| *seen_in == image) {
+            let projected = lens.pixel_from_point(&(camera_from_scene * point.point));
+            sum += projected.map_or(0.0, |projected| projected.distance_px(*pixel).powi(2));
+            count += 1;
+        }
+    }
+    let rms_px = (count > 0).then(|| (sum / f64::from(count)).sqrt());
+    SceneView { name, reason: None, rms_px, camera_from_scene: Some(camera_from_scene) }
+}
+
+/// The covariance of all lens parameters: 0 for those that were held.
+fn full_covariance(lens: &Lens, free: &[usize], matrix: &DMatrix<f64>) -> DMatrix<f64> {
+    let count = lens.parameters().len();
+    let mut full = DMatrix::zeros(count, count);
+    for (i, a) in free.iter().enumerate() {
+        for (j, b) in free.iter().enumerate() {
+            full[(*a, *b)] = matrix[(i, j)];
+        }
+    }
+    full
+}
+
+/// The part of the image's cells (12 along the longer side) with points.
+fn coverage(points: &[ScenePoint], size: ImageSize) -> f64 {
+    let side = f64::from(size.width.max(size.height)) / 12.0;
+    let cells = |length: u32| (f64::from(length) / side).ceil().max(1.0);
+    let seen: std::collections::BTreeSet<(i64, i64)> = points
+        .iter()
+        .flat_map(|point| &point.seen)
+        .map(|(_, pixel)| ((pixel.x / side) as i64, (pixel.y / side) as i64))
+        .collect();
+    (seen.len() as f64 / (cells(size.width) * cells(size.height))).min(1.0)
+}
+
+/// A parameter whose standard deviation the images lower by less than a third.
+const HELD: f64 = 0.67;
+
+fn held_by_prior(lens: &Lens, fit: &LensFit) -> Vec<&'static str> {
+    let (model, bundle) = (lens.model(), &fit.fit.bundle);
+    let (names, before) = (Lens::parameter_names(model), bundle.prior.std(model));
+    let shared = fit.covariance.shared_by_image.max(fit.covariance.shared_by_point);
+    let held = bundle.free.iter().enumerate().filter(|(k, parameter)| {
+        let after = (fit.covariance.matrix[(*k, *k)] / shared).sqrt();
+        after > HELD * before[**parameter]
+    });
+    held.map(|(_, parameter)| names[*parameter]).collect()
+}

@@ -1,0 +1,171 @@
+//! How far to trust a lens that came from a scene, in words that a person can act on.
+
+use crate::calibration::calibration::{Grade, Verdict};
+use crate::calibration::scene::conditions::SceneConditions;
+use crate::calibration::scene::lens_fit::LensFit;
+use crate::estimation::scene::bundle::CameraMotion;
+use crate::estimation::uncertainty::UncertaintyMap;
+
+/// A focal length known to this part of itself (1 sigma) is good; to the second, usable.
+const FOCAL_STD: [f64; 2] = [0.002, 0.01];
+/// Projections known to this part of the image's diagonal, as with boards …
+const KNOWN_TO: [f64; 2] = [0.0005, 0.00125];
+/// … in this part of the image.
+const KNOWN_PART: [f64; 2] = [0.95, 0.67];
+/// How many times larger the uncertainty is than if each observation erred by itself.
+const SHARED: [f64; 2] = [4.0, 12.0];
+/// The part of the observations that was not used.
+const OUTLIERS: [f64; 2] = [0.15, 0.4];
+/// The median parallax, in degrees, below which depth is weak.
+const PARALLAX_DEG: f64 = 5.0;
+/// Points within this part of their spread from a plane are one.
+const RELIEF: f64 = 0.02;
+/// Images that all stand upright leave the principal point to the parallax.
+const ROLLED_DEG: f64 = 30.0;
+
+/// What the verdict rests on.
+pub(super) struct Evidence<'a> {
+    pub fit: &'a LensFit,
+    pub conditions: &'a SceneConditions,
+    pub map: Option<&'a UncertaintyMap>,
+    pub used: usize,
+    pub images: usize,
+    pub held_by_prior: &'a [&'static str],
+}
+
+/// The standard deviation of fx over fx; 0 where it was given.
+pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
+    let matrix = &fit.covariance.matrix;
+    let focal = fit.fit.bundle.free.iter().position(|parameter| *parameter == 0);
+    focal.map_or(0.0, |k| matrix[(k, k)].sqrt() / fit.fit.state.lens.matrix.fx)
+}
+
+/// Grades and says why.
+pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
+    let findings = [
+        unused_images(evidence),
+        focal(evidence),
+        projections(evidence),
+        shared_error(evidence),
+        outliers(evidence),
+        motion(evidence),
+        held(evidence),
+    ];
+    let mut findings: Vec<(Grade, String)> = findings.into_iter().flatten().collect();
+    findings.sort_by_key(|(grade, _)| *grade);
+    let grade = findings.first().map_or(Grade::Good, |(grade, _)| *grade);
+    Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+}
+
+/// The grade of a figure that should be low.
+fn graded(value: f64, [good, usable]: [f64; 2]) -> Grade {
+    if value <= good {
+        Grade::Good
+    } else if value <= usable {
+        Grade::Usable
+    } else {
+        Grade::Poor
+    }
+}
+
+fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
+    (grade != Grade::Good).then_some((grade, reason))
+}
+
+fn unused_images(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let unused = evidence.images - evidence.used;
+    let part = unused as f64 / evidence.images as f64;
+    worse_than_good(
+        graded(part, [0.1, 0.4]),
+        format!(
+            "{unused} of {} images have too little in common with the others: take smaller steps",
+            evidence.images
+        ),
+    )
+}
+
+fn focal(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let std = relative_focal_std(evidence.fit);
+    let percent = 100.0 * std;
+    worse_than_good(
+        graded(std, FOCAL_STD),
+        format!(
+            "the focal length is known to {percent:.2} % (1 sigma): add images from more places around the scene, some rotated by 90 degrees"
+        ),
+    )
+}
+
+fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let Some(map) = evidence.map else {
+        let reason = "nothing tells where in the image projections can be trusted".to_owned();
+        return Some((Grade::Poor, reason));
+    };
+    let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();
+    let limits = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
+    let part = |limit: f64| {
+        seen.iter().filter(|std| **std <= limit).count() as f64 / seen.len().max(1) as f64
+    };
+    let grade = if part(limits[0]) >= KNOWN_PART[0] {
+        Grade::Good
+    } else if part(limits[1]) >= KNOWN_PART[1] {
+        Grade::Usable
+    } else {
+        Grade::Poor
+    };
+    let worst = seen.iter().copied().fold(0.0, f64::max);
+    let percent = 100.0 * (1.0 - part(limits[0]));
+    worse_than_good(
+        grade,
+        format!(
+            "projections are uncertain by more than {:.2} px (1 sigma) in {percent:.0} % of the image, by up to {worst:.2} px: add images that show texture there",
+            limits[0]
+        ),
+    )
+}
+
+fn shared_error(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let covariance = &evidence.fit.covariance;
+    let factor = covariance.shared_by_image.max(covariance.shared_by_point).sqrt();
+    worse_than_good(
+        graded(factor, SHARED),
+        format!(
+            "observations are off together, which makes the result {factor:.1} times as uncertain as their scatter alone would: try another lens model, and check that the scene is static"
+        ),
+    )
+}
+
+fn outliers(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let kept: usize = evidence.fit.fit.bundle.observations.iter().map(Vec::len).sum();
+    let part = evidence.fit.fit.dropped as f64 / (kept + evidence.fit.fit.dropped).max(1) as f64;
+    let percent = 100.0 * part;
+    worse_than_good(
+        graded(part, OUTLIERS),
+        format!(
+            "{percent:.0} % of the observations disagree: check for moving things, reflections and blur"
+        ),
+    )
+}
+
+fn motion(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let SceneConditions { motion, parallax_deg, relief, rolled_deg, .. } = *evidence.conditions;
+    let reason = if motion == CameraMotion::RotationOnly {
+        "the camera only rotated: the lens follows from the rotations alone; move it too".to_owned()
+    } else if parallax_deg < PARALLAX_DEG {
+        format!(
+            "little parallax ({parallax_deg:.1} degrees in the median): move the camera further around the scene"
+        )
+    } else if relief < RELIEF && rolled_deg < ROLLED_DEG {
+        "the scene is nearly one plane: include things at different depths".to_owned()
+    } else {
+        return None;
+    };
+    Some((Grade::Usable, reason))
+}
+
+fn held(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let names = evidence.held_by_prior.join(", ");
+    let reason = format!(
+        "the images say no more of {names} than what lenses are like beforehand: rotate the camera by 90 degrees about its axis for some images"
+    );
+    (!evidence.held_by_prior.is_empty()).then_some((Grade::Usable, reason))
+}

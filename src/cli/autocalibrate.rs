@@ -1,0 +1,177 @@
+//! `plumb autocalibrate`: from photographs of a static scene to a calibration, without a target.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
+use crate::cli::files::write_file;
+use crate::cli::in_order::{all_cores, in_order};
+use crate::cli::lens_name::LensName;
+use crate::cli::sources::{FrameSets, SourcedFrames};
+use crate::cli::{Failure, output, progress};
+use crate::document::scene::SceneCalibrationDocument;
+use crate::export::colmap_scene;
+use crate::geometry::lens::Lens;
+use crate::imaging::decode;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::gray::GrayImage;
+use crate::imaging::point_cloud::{CloudPoint, to_ply};
+
+/// Calibrates a camera from images of a static scene, without a target.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The lens model to fit.
+    #[arg(long, default_value = "auto")]
+    lens: LensName,
+    /// A lens parameter that is known, as fx=600; may be given several times.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = crate::cli::estimated::parameter)]
+    given: Vec<(String, f64)>,
+    /// How many threads to use; all cores unless given. The result does not depend on it.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Print the calibration as one JSON document.
+    #[arg(long)]
+    json: bool,
+    /// Write the calibration document to FILE.
+    #[arg(long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Write the scene's points to FILE (PLY).
+    #[arg(long, value_name = "FILE.ply")]
+    points: Option<PathBuf>,
+    /// Write COLMAP's cameras.txt, images.txt and points3D.txt to DIR, which is made if it is not
+    /// there.
+    #[arg(long, value_name = "DIR")]
+    colmap: Option<PathBuf>,
+    /// Images, folders of images, quoted globs, or recordings (.mcap).
+    #[arg(required = true, value_name = "SOURCE")]
+    sources: Vec<String>,
+}
+
+/// Images used at most: of more, as of a video, every so manyth is taken.
+const MAX_IMAGES: usize = 60;
+
+/// Runs the command.
+///
+/// # Errors
+/// When an image cannot be read, or the images do not determine the lens.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let threads = args.threads.map_or_else(all_cores, usize::from);
+    let started = Instant::now();
+    let images = images(args, threads)?;
+    let options = SceneOptions { lens: args.lens.into(), given: args.given.clone(), threads };
+    let spinner = progress::spinner("solving");
+    let solved = calibrate_scene(&images, &options);
+    spinner.finish_and_clear();
+    let calibration = solved.map_err(Failure::failed)?;
+    let id = ulid::Ulid::generate().to_string();
+    let mut document = SceneCalibrationDocument::new(id, jiff::Timestamp::now(), &calibration);
+    document.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1000.0);
+    if let Some(path) = &args.out {
+        let json = serde_json::to_string_pretty(&document).map_err(Failure::failed)? + "\n";
+        write_file(path, json.as_bytes())?;
+    }
+    if let Some(path) = &args.points {
+        write_file(path, &to_ply(&cloud(&calibration), "scene"))?;
+    }
+    if let Some(folder) = &args.colmap {
+        write_colmap(folder, &calibration)?;
+    }
+    if args.json {
+        output::print_json(&document)
+    } else {
+        output::print_text(&summary(&calibration))
+    }
+}
+
+/// The features of every image, in order.
+fn images(args: &Args, threads: usize) -> Result<Vec<SceneImage>, Failure> {
+    for source in &args.sources {
+        if !Path::new(source).exists() && !source.contains(['*', '?', '[']) {
+            let line = format!("{source}: there is no such file or folder; check the path");
+            return Err(Failure::failed(line));
+        }
+    }
+    let count = FrameSets::new(args.sources.iter().cloned()).count();
+    let step = count.div_ceil(MAX_IMAGES).max(1);
+    let mut images = Vec::new();
+    let spinner = progress::spinner("finding features");
+    in_order(
+        FrameSets::new(args.sources.iter().cloned()).step_by(step),
+        threads,
+        || {
+            |frames: Result<SourcedFrames, _>| {
+                frames
+                    .map_err(|unreadable: crate::cli::sources::Unreadable| unreadable.reason)
+                    .and_then(|frames| image(&frames))
+            }
+        },
+        |image| {
+            spinner.inc(1);
+            images.push(image.map_err(Failure::failed)?);
+            Ok::<(), Failure>(())
+        },
+    )?;
+    spinner.finish_and_clear();
+    Ok(images)
+}
+
+fn image(frames: &SourcedFrames) -> Result<SceneImage, String> {
+    let name = frames.path();
+    let frame = frames
+        .set
+        .frame(SensorKind::Color)
+        .ok_or_else(|| format!("{name}: has no picture sensor"))?;
+    let mut luma = GrayImage::default();
+    decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
+    Ok(SceneImage::of(name, luma.view()))
+}
+
+fn cloud(calibration: &SceneCalibration) -> Vec<CloudPoint> {
+    let point = |point: &crate::calibration::scene::ScenePoint| CloudPoint {
+        point_m: [point.point.x as f32, point.point.y as f32, point.point.z as f32],
+        color: [128; 3],
+    };
+    calibration.points.iter().map(point).collect()
+}
+
+fn write_colmap(folder: &Path, calibration: &SceneCalibration) -> Result<(), Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| {
+        Failure::failed(format!("{}: cannot be made ({error})", folder.display()))
+    })?;
+    let files = colmap_scene::files(calibration).map_err(Failure::failed)?;
+    for (name, text) in files {
+        write_file(&folder.join(name), text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// What a person wants to know first.
+fn summary(calibration: &SceneCalibration) -> String {
+    let (sensor, verdict) = (&calibration.sensor, &calibration.verdict);
+    let used = calibration.views.iter().filter(|view| view.camera_from_scene.is_some()).count();
+    let mut lines = vec![
+        format!("color: {} lens for {} images", sensor.lens.model(), sensor.image_size),
+        format!(
+            "  images: {used} of {} used, {} points, rms {:.4} px",
+            calibration.views.len(),
+            calibration.points.len(),
+            sensor.rms_px
+        ),
+    ];
+    let names = Lens::parameter_names(sensor.lens.model());
+    for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
+        if *std > 0.0 || value != 0.0 {
+            let held =
+                if calibration.held_by_prior.contains(name) { " (by the prior)" } else { "" };
+            lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}{held}"));
+        }
+    }
+    for view in calibration.views.iter().filter(|view| view.camera_from_scene.is_none()) {
+        let reason = view.reason.as_deref().unwrap_or("no reason given");
+        lines.push(format!("  not used: {}: {reason}", view.name));
+    }
+    lines.push(format!("verdict: {}", verdict.grade.name()));
+    lines.extend(verdict.reasons.iter().map(|reason| format!("  {reason}")));
+    lines.join("\n") + "\n"
+}

@@ -1,0 +1,358 @@
+//! Bundle adjustment: the lens, all poses and all points that explain all observations best, by
+//! Levenberg–Marquardt (B. Triggs et al., *Bundle adjustment – a modern synthesis*, 2000). Each
+//! point is eliminated from the normal equations (the Schur complement), so that a step costs a
+//! solve of the size of the lens and the poses.
+
+use nalgebra::{
+    DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Point3, SMatrix, Vector2, Vector3,
+};
+
+use crate::estimation::scene::lens_prior::LensPrior;
+use crate::geometry::lens::{Lens, MAX_PARAMETERS};
+use crate::geometry::pixel::Pixel;
+use crate::geometry::pose::Pose;
+
+/// What is estimated.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneState {
+    /// One for all images.
+    pub lens: Lens,
+    /// Each image's pose. The first stays where it is: the scene's frame is fixed to it.
+    pub cameras_from_scene: Vec<Pose>,
+    /// In the scene's frame.
+    pub points: Vec<Point3<f64>>,
+}
+
+/// One point seen by one camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SceneObservation {
+    /// Index of the pose.
+    pub camera: usize,
+    /// Where.
+    pub pixel: Pixel,
+    /// One over the standard deviation of each coordinate, per pixel.
+    pub inverse_std: f64,
+}
+
+/// What is seen, and what may change.
+#[derive(Debug, Clone)]
+pub struct Bundle {
+    /// By point.
+    pub observations: Vec<Vec<SceneObservation>>,
+    /// Which of [`Lens::parameters`] are estimated, ascending.
+    pub free: Vec<usize>,
+    /// What is known of the lens beforehand.
+    pub prior: LensPrior,
+    /// What the camera did.
+    pub motion: CameraMotion,
+    /// Residuals much above this, in standard deviations, count little (Cauchy's loss); infinite
+    /// for least squares.
+    pub robust_limit: f64,
+}
+
+/// What the camera did between the images.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CameraMotion {
+    /// It was in different places.
+    Moving,
+    /// It only rotated: translations are 0, and points are directions.
+    RotationOnly,
+}
+
+/// A linearised observation, in standard deviations.
+pub(super) struct Row {
+    pub camera: usize,
+    pub residual: Vector2<f64>,
+    pub by_lens: SMatrix<f64, 2, MAX_PARAMETERS>,
+    pub by_pose: Matrix2x6<f64>,
+    pub by_point: Matrix2x3<f64>,
+}
+
+/// The normal equations of lens and poses, points eliminated.
+pub(super) struct Reduced {
+    pub matrix: DMatrix<f64>,
+    pub gradient: DVector<f64>,
+    /// Per point, what gives its step back.
+    points: Vec<EliminatedPoint>,
+}
+
+struct EliminatedPoint {
+    inverse: Matrix3<f64>,
+    gradient: Vector3<f64>,
+    by_lens: SMatrix<f64, MAX_PARAMETERS, 3>,
+    by_pose: Vec<(usize, SMatrix<f64, 6, 3>)>,
+}
+
+/// When a descent ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BundleStop {
+    /// Steps at most.
+    pub max_steps: usize,
+    /// A step that lowers the cost by less than this part is the last.
+    pub least_decrease: f64,
+}
+
+const START_DAMPING: f64 = 1e-4;
+const MAX_DAMPING: f64 = 1e8;
+
+impl Bundle {
+    /// How many parameters lens and poses have.
+    pub(super) fn size(&self, cameras: usize) -> usize {
+        self.free.len() + 6 * cameras.saturating_sub(1)
+    }
+
+    /// Where the parameters of a camera's pose begin; `None` for the first, which is fixed.
+    pub(super) fn pose_start(&self, camera: usize) -> Option<usize> {
+        Some(self.free.len() + 6 * camera.checked_sub(1)?)
+    }
+
+    /// The observations of one point, linearised. An observation behind its camera is left out.
+    pub(super) fn rows(&self, state: &SceneState, point: usize) -> Vec<Row> {
+        let row = |seen: &SceneObservation| {
+            let camera_from_scene = state.cameras_from_scene[seen.camera];
+            let in_camera = camera_from_scene * state.points[point];
+            let projection = state.lens.project(&in_camera)?;
+            let offset = projection.pixel.to_vector() - seen.pixel.to_vector();
+            let residual = offset * seen.inverse_std;
+            let weight = self.weight(residual.norm_squared()).sqrt();
+            let scale = seen.inverse_std * weight;
+            let rotation = camera_from_scene.rotation_matrix();
+            let by_point = projection.by_point * scale;
+            let turned = rotation * state.points[point].coords;
+            let by_rotation = -by_point * turned.cross_matrix();
+            let mut by_pose = Matrix2x6::zeros();
+            by_pose.fixed_columns_mut::<3>(0).copy_from(&by_rotation);
+            if self.motion == CameraMotion::Moving {
+                by_pose.fixed_columns_mut::<3>(3).copy_from(&by_point);
+            }
+            let mut by_lens = SMatrix::<f64, 2, MAX_PARAMETERS>::zeros();
+            for (k, parameter) in self.free.iter().enumerate() {
+                by_lens.set_column(k, &(projection.by_parameters.column(*parameter) * scale));
+            }
+            Some(Row {
+                camera: seen.camera,
+                residual: residual * weight,
+                by_lens,
+                by_pose,
+                by_point: by_point * rotation,
+            })
+        };
+        self.observations[point].iter().filter_map(row).collect()
+    }
+
+    /// The weight of an observation with this squared residual, in squared standard deviations.
+    fn weight(&self, square: f64) -> f64 {
+        if self.robust_limit.is_finite() {
+            1.0 / (1.0 + square / self.robust_limit.powi(2))
+        } else {
+            1.0
+        }
+    }
+
+    fn loss(&self, square: f64) -> f64 {
+        let limit = self.robust_limit.powi(2);
+        if limit.is_finite() { limit * (1.0 + square / limit).ln() } else { square }
+    }
+
+    /// What is minimised: losses and the prior's squares. Observations behind a camera cost as much
+    /// as one a hundred standard deviations off.
+    pub fn cost(&self, state: &SceneState) -> f64 {
+        let mut cost = 0.0;
+        for (point, seen) in state.points.iter().zip(&self.observations) {
+            for seen in seen {
+                let in_camera = state.cameras_from_scene[seen.camera] * *point;
+                let square = state.lens.pixel_from_point(&in_camera).map_or(1e4, |pixel| {
+                    (pixel.to_vector() - seen.pixel.to_vector()).norm_squared()
+                        * seen.inverse_std
+                        * seen.inverse_std
+                });
+                cost += self.loss(square);
+            }
+        }
+        let prior = self.prior.terms(&state.lens);
+        cost + prior.iter().map(|term| term.residual * term.residual).sum::<f64>()
+    }
+
+    /// The reduced normal equations at `state`, diagonals raised by the part `damping`.
+    pub(super) fn reduced(&self, state: &SceneState, damping: f64) -> Reduced {
+        let size = self.size(state.cameras_from_scene.len());
+        let lens = self.free.len();
+        let (mut matrix, mut gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let mut points = Vec::with_capacity(state.points.len());
+        for point in 0..state.points.len() {
+            let rows = self.rows(state, point);
+            let mut block = Matrix3::zeros();
+            let mut point_gradient = Vector3::zeros();
+            let mut by_lens = SMatrix::<f64, MAX_PARAMETERS, 3>::zeros();
+            let mut by_pose: Vec<(usize, SMatrix<f64, 6, 3>)> = Vec::with_capacity(rows.len());
+            for row in &rows {
+                block += row.by_point.tr_mul(&row.by_point);
+                point_gradient += row.by_point.tr_mul(&row.residual);
+                by_lens += row.by_lens.tr_mul(&row.by_point);
+                add_lens(&mut matrix, &mut gradient, row, lens);
+                let Some(start) = self.pose_start(row.camera) else { continue };
+                add_pose(&mut matrix, &mut gradient, row, (start, lens));
+                by_pose.push((start, row.by_pose.tr_mul(&row.by_point)));
+            }
+            for k in 0..3 {
+                block[(k, k)] *= 1.0 + damping;
+            }
+            if self.motion == CameraMotion::RotationOnly {
+                // A direction's length means nothing: hold it.
+                let along = state.points[point].coords;
+                block += along * along.transpose() * block.trace();
+            }
+            let inverse = block.try_inverse().unwrap_or_else(Matrix3::zeros);
+            let eliminated =
+                EliminatedPoint { inverse, gradient: point_gradient, by_lens, by_pose };
+            eliminated.subtract(&mut matrix, &mut gradient, lens);
+            points.push(eliminated);
+        }
+        self.add_prior(&state.lens, &mut matrix, &mut gradient);
+        if self.motion == CameraMotion::RotationOnly {
+            for translation in (lens + 3..size).filter(|k| (k - lens) % 6 >= 3) {
+                matrix[(translation, translation)] = 1.0;
+            }
+        }
+        for k in 0..size {
+            matrix[(k, k)] *= 1.0 + damping;
+        }
+        matrix.fill_upper_triangle_with_lower_triangle();
+        Reduced { matrix, gradient, points }
+    }
+
+    fn add_prior(&self, lens: &Lens, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
+        for term in self.prior.terms(lens) {
+            let place = |parameter: usize| self.free.iter().position(|free| *free == parameter);
+            let terms: Vec<(usize, f64)> =
+                term.by_parameters.iter().filter_map(|(p, d)| Some((place(*p)?, *d))).collect();
+            for (i, a) in &terms {
+                gradient[*i] += a * term.residual;
+                for (j, b) in terms.iter().filter(|(j, _)| j <= i) {
+                    matrix[(*i, *j)] += a * b;
+                }
+            }
+        }
+    }
+
+    /// Descends from `start`.
+    pub fn minimize(&self, start: SceneState, stop: BundleStop) -> SceneState {
+        let mut state = start;
+        let mut cost = self.cost(&state);
+        let mut damping = START_DAMPING;
+        for _ in 0..stop.max_steps {
+            let reduced = self.reduced(&state, damping);
+            let next = self.step(&state, &reduced);
+            let next = next.map(|next| (self.cost(&next), next));
+            let Some((next_cost, next)) = next.filter(|(next_cost, _)| *next_cost < cost) else {
+                damping *= 10.0;
+                if damping > MAX_DAMPING {
+                    break;
+                }
+                continue;
+            };
+            let settled = cost - next_cost < stop.least_decrease * cost;
+            (state, cost) = (next, next_cost);
+            damping = (damping * 0.1).max(1e-9);
+            if settled {
+                break;
+            }
+        }
+        state
+    }
+
+    fn step(&self, state: &SceneState, reduced: &Reduced) -> Option<SceneState> {
+        let step = -reduced.matrix.clone().cholesky()?.solve(&reduced.gradient);
+        let mut parameters = state.lens.parameters();
+        for (k, parameter) in self.free.iter().enumerate() {
+            parameters[*parameter] += step[k];
+        }
+        let plausible = parameters[0] > 0.0 && parameters[1] > 0.0;
+        let lens = Lens::from_parameters(state.lens.model(), &parameters).filter(|_| plausible)?;
+        let moved = |(camera, camera_from_scene): (usize, &Pose)| {
+            let Some(start) = self.pose_start(camera) else { return *camera_from_scene };
+            let part =
+                |k: usize| Vector3::new(step[start + k], step[start + k + 1], step[start + k + 2]);
+            let turn = nalgebra::UnitQuaternion::from_scaled_axis(part(0));
+            let translation = camera_from_scene.translation() + part(3);
+            Pose::new(turn * camera_from_scene.rotation(), translation)
+        };
+        let points = state.points.iter().zip(&reduced.points);
+        Some(SceneState {
+            lens,
+            cameras_from_scene: state.cameras_from_scene.iter().enumerate().map(moved).collect(),
+            points: points.map(|(point, own)| point + own.step(&step, self.free.len())).collect(),
+        })
+    }
+}
+
+fn add_lens(matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, row: &Row, lens: usize) {
+    for i in 0..lens {
+        let column = row.by_lens.column(i);
+        gradient[i] += column.dot(&row.residual);
+        for j in 0..=i {
+            matrix[(i, j)] += column.dot(&row.by_lens.column(j));
+        }
+    }
+}
+
+fn add_pose(
+    matrix: &mut DMatrix<f64>,
+    gradient: &mut DVector<f64>,
+    row: &Row,
+    (start, lens): (usize, usize),
+) {
+    for i in 0..6 {
+        let column = row.by_pose.column(i);
+        gradient[start + i] += column.dot(&row.residual);
+        for j in 0..lens {
+            matrix[(start + i, j)] += column.dot(&row.by_lens.column(j));
+        }
+        for j in 0..=i {
+            matrix[(start + i, start + j)] += column.dot(&row.by_pose.column(j));
+        }
+    }
+}
+
+impl EliminatedPoint {
+    /// Takes the point's part off the lower triangle.
+    fn subtract(&self, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, lens: usize) {
+        let by_lens = self.by_lens * self.inverse;
+        let lens_gradient = by_lens * self.gradient;
+        for i in 0..lens {
+            gradient[i] -= lens_gradient[i];
+            for j in 0..=i {
+                matrix[(i, j)] -= by_lens.row(i).dot(&self.by_lens.row(j));
+            }
+        }
+        for (a, (start, block)) in self.by_pose.iter().enumerate() {
+            let carried = block * self.inverse;
+            let pose_gradient = carried * self.gradient;
+            let with_lens = carried * self.by_lens.transpose();
+            for i in 0..6 {
+                gradient[start + i] -= pose_gradient[i];
+                for j in 0..lens {
+                    matrix[(start + i, j)] -= with_lens[(i, j)];
+                }
+            }
+            // Observations are by camera: earlier ones have smaller numbers.
+            for (other, other_block) in &self.by_pose[..=a] {
+                let both = carried * other_block.transpose();
+                let mut view = matrix.fixed_view_mut::<6, 6>(*start, *other);
+                view -= both;
+            }
+        }
+    }
+
+    /// The point's own step, given that of lens and poses.
+    fn step(&self, step: &DVector<f64>, lens: usize) -> Vector3<f64> {
+        let mut rest = self.gradient;
+        for k in 0..lens {
+            rest += self.by_lens.row(k).transpose() * step[k];
+        }
+        for (start, block) in &self.by_pose {
+            rest += block.tr_mul(&step.fixed_rows::<6>(*start));
+        }
+        -(self.inverse * rest)
+    }
+}

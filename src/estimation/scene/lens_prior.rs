@@ -1,0 +1,101 @@
+//! What is known of a lens before any image: held against parameters that the images hardly
+//! determine, too weak to move one that they do.
+
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+
+/// The standard deviation of the principal point from the image's middle, over the image's width:
+/// what sensors and lenses are mounted to.
+const CENTER_STD: f64 = 0.02;
+
+/// The standard deviation of fy / fx from 1: pixels are square but for how images were resampled.
+const ASPECT_STD: f64 = 0.002;
+
+/// The standard deviations of coefficients: radial ones of ordinary lenses, and tangential ones as
+/// of cameras with mounted lenses.
+const RADIAL_STD: f64 = 0.2;
+const TANGENTIAL_STD: f64 = 0.0005;
+
+/// The coefficients of Kannala and Brandt's model half way between an equidistant lens (0) and one
+/// without distortion (the series of the tangent: 1/3, 2/15, 17/315, 62/2835).
+const HALF_TANGENT: [f64; 4] = [1.0 / 6.0, 1.0 / 15.0, 17.0 / 630.0, 31.0 / 2835.0];
+
+/// Independent Gaussian priors on a lens's parameters.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensPrior {
+    /// The image.
+    pub image_size: ImageSize,
+}
+
+/// One thing a prior says: a residual in standard deviations, and its derivative by parameters (in
+/// the order of [`Lens::parameters`]).
+#[derive(Debug, Clone, PartialEq)]
+pub struct PriorTerm {
+    /// In standard deviations.
+    pub residual: f64,
+    /// (parameter, derivative).
+    pub by_parameters: Vec<(usize, f64)>,
+}
+
+/// Where a parameter is in [`Lens::parameters`].
+pub const FX: usize = 0;
+/// See [`FX`].
+pub const FY: usize = 1;
+/// See [`FX`].
+pub const CX: usize = 2;
+/// See [`FX`].
+pub const CY: usize = 3;
+/// See [`FX`].
+pub const SKEW: usize = 4;
+/// The first coefficient.
+pub const COEFFICIENTS: usize = 5;
+
+impl LensPrior {
+    /// The standard deviation of each parameter before any image, in the order of
+    /// [`Lens::parameters`]; infinite for the focal lengths.
+    pub fn std(&self, model: LensModel) -> Vec<f64> {
+        let center = CENTER_STD * f64::from(self.image_size.width);
+        let mut std = vec![f64::INFINITY, f64::INFINITY, center, center, 0.0];
+        let tangential = |name: &&str| name.starts_with('p');
+        std.extend(
+            model
+                .coefficient_names()
+                .iter()
+                .map(|name| if tangential(name) { TANGENTIAL_STD } else { RADIAL_STD }),
+        );
+        std
+    }
+
+    /// The most likely value of each parameter before any image; the focal lengths' are 0.
+    pub fn mean(&self, model: LensModel) -> Vec<f64> {
+        let middle = self.image_size.center();
+        let mut mean = vec![0.0, 0.0, middle.x, middle.y, 0.0];
+        match model {
+            LensModel::KannalaBrandt => mean.extend(HALF_TANGENT),
+            _ => mean.resize(COEFFICIENTS + model.coefficient_names().len(), 0.0),
+        }
+        mean
+    }
+
+    /// What it says about `lens`.
+    pub fn terms(&self, lens: &Lens) -> Vec<PriorTerm> {
+        let (parameters, std) = (lens.parameters(), self.std(lens.model()));
+        let mean = self.mean(lens.model());
+        let ratio = parameters[FY] / parameters[FX];
+        let mut terms = vec![PriorTerm {
+            residual: (ratio - 1.0) / ASPECT_STD,
+            by_parameters: vec![
+                (FX, -ratio / parameters[FX] / ASPECT_STD),
+                (FY, 1.0 / parameters[FX] / ASPECT_STD),
+            ],
+        }];
+        for (k, value) in parameters.iter().enumerate().filter(|(k, _)| ![FX, FY, SKEW].contains(k))
+        {
+            terms.push(PriorTerm {
+                residual: (value - mean[k]) / std[k],
+                by_parameters: vec![(k, 1.0 / std[k])],
+            });
+        }
+        terms
+    }
+}

@@ -1,0 +1,22 @@
+//! A camera's lens, its poses and the scene's points from points seen in many images, nothing of
+//! the scene known (HZ chapters 18 and 19).
+//!
+//! ```text
+//! tracks --reconstruction--> poses, points and a first lens, image by image (resection)
+//!        --bundle--> all at once: lens, poses, points by least squares
+//!        --covariance--> what of the lens the images determine, and how well
+//! ```
+//!
+//! Lengths have no unit: the scene's frame is that of the first used camera, and the greatest
+//! distance between two cameras is 1. What images hardly determine is held by stated priors
+//! ([`lens_prior`]).
+
+pub mod bundle;
+pub mod covariance;
+pub mod hypotheses;
+pub mod lens_prior;
+pub mod problem;
+pub mod reconstruction;
+pub mod resection;
+pub mod robust_bundle;
+pub mod rotation_only;

@@ -1,0 +1,145 @@
+//! A camera that only rotated: its lens from how the image moves (R. Hartley, *Self-calibration
+//! from multiple views with a rotating camera*, 1994; HZ section 19.6). No depth is seen, but the
+//! angles between directions are the same in all images.
+
+use nalgebra::{Matrix3, Point3};
+
+use crate::estimation::scene::bundle::{
+    Bundle, BundleStop, CameraMotion, SceneObservation, SceneState,
+};
+use crate::estimation::scene::lens_prior::{FX, FY, LensPrior};
+use crate::estimation::scene::problem::SceneProblem;
+use crate::estimation::scene::reconstruction::Reconstruction;
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::homography::Homography;
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pose::Pose;
+
+/// Two images and the homography between them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RotatedPair {
+    /// The first image.
+    pub first: usize,
+    /// The second image.
+    pub second: usize,
+    /// Pixels of the second image from pixels of the first.
+    pub homography: Homography,
+    /// How many matches agree.
+    pub matches: usize,
+}
+
+/// Focal lengths tried, over the longer side.
+const SHORTEST: f64 = 0.3;
+const LONGEST: f64 = 8.0;
+const TRIED: usize = 120;
+
+/// K⁻¹ H K of a rotation is orthonormal to this, mean square of its entries' deviation.
+const ORTHONORMAL: f64 = 0.02;
+
+/// How far K⁻¹ H K is from a rotation.
+fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64>) {
+    let k = matrix.to_matrix();
+    let Some(inverse) = k.try_inverse() else { return (f64::INFINITY, Matrix3::identity()) };
+    let m = inverse * homography.matrix() * k;
+    let m = m / m.determinant().abs().cbrt().max(1e-12) * m.determinant().signum();
+    ((m.transpose() * m - Matrix3::identity()).norm(), m)
+}
+
+/// The focal length for which the homographies are nearest to rotations, and that deviation.
+pub fn focal_of_rotations(pairs: &[RotatedPair], problem: &SceneProblem) -> Option<(f64, f64)> {
+    let size = problem.image_size;
+    let (longer, center) = (f64::from(size.width.max(size.height)), size.center());
+    let weight: usize = pairs.iter().map(|pair| pair.matches).sum();
+    let cost = |focal: f64| {
+        let matrix = CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 };
+        let sum: f64 = pairs
+            .iter()
+            .map(|pair| pair.matches as f64 * deviation(&pair.homography, matrix).0.min(1.0))
+            .sum();
+        sum / weight.max(1) as f64
+    };
+    let tried = (0..TRIED).map(|k| {
+        let part = k as f64 / (TRIED - 1) as f64;
+        longer * SHORTEST * (LONGEST / SHORTEST).powf(part)
+    });
+    let best = tried.map(|focal| (focal, cost(focal))).min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (best.1 < 5.0 * ORTHONORMAL).then_some(best)
+}
+
+/// Rotations and directions from `pairs`, chained from the best connected image; `None` where the
+/// homographies are no rotations of one camera.
+pub fn reconstruct_rotations(
+    problem: &SceneProblem,
+    pairs: &[RotatedPair],
+) -> Option<Reconstruction> {
+    let (focal, _) = focal_of_rotations(pairs, problem)?;
+    let center = problem.image_size.center();
+    let matrix = CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 };
+    let lens = Lens::from_parameters(
+        LensModel::Radial,
+        &[matrix.fx, matrix.fy, matrix.cx, matrix.cy, 0.0, 0.0],
+    )?;
+    let (images, cameras_from_scene) = chained(problem.images, pairs, matrix);
+    let place = |image: usize| images.iter().position(|k| *k == image);
+    let (mut observations, mut points) = (Vec::new(), Vec::new());
+    for track in &problem.tracks {
+        let mut seen: Vec<SceneObservation> = track
+            .iter()
+            .filter_map(|at| {
+                let inverse_std = 1.0 / at.std_px;
+                Some(SceneObservation { camera: place(at.image)?, pixel: at.pixel, inverse_std })
+            })
+            .collect();
+        seen.sort_by_key(|seen| seen.camera);
+        let Some(first) = seen.first().filter(|_| seen.len() >= 2) else { continue };
+        let Some(bearing) = lens.bearing_from_pixel(first.pixel) else { continue };
+        let direction = cameras_from_scene[first.camera].inverse() * bearing.into_inner();
+        points.push(Point3::from(direction));
+        observations.push(seen);
+    }
+    let prior = LensPrior { image_size: problem.image_size };
+    let mut bundle = Bundle {
+        observations,
+        free: vec![FX, FY],
+        prior,
+        motion: CameraMotion::RotationOnly,
+        robust_limit: f64::INFINITY,
+    };
+    let state = SceneState { lens, cameras_from_scene, points };
+    bundle.robust_limit = 2.4 * bundle.median_noise(&state);
+    let state = bundle.minimize(state, BundleStop { max_steps: 20, least_decrease: 1e-4 });
+    (images.len() >= 2).then_some(Reconstruction { images, bundle, state })
+}
+
+/// Rotations from the image with the most matches outward, each along its strongest pair.
+fn chained(images: usize, pairs: &[RotatedPair], matrix: CameraMatrix) -> (Vec<usize>, Vec<Pose>) {
+    let matches_of = |image: usize| -> usize {
+        let own = pairs.iter().filter(|pair| pair.first == image || pair.second == image);
+        own.map(|pair| pair.matches).sum()
+    };
+    let first = (0..images).max_by_key(|image| (matches_of(*image), images - image)).unwrap_or(0);
+    let (mut order, mut poses) = (vec![first], vec![Pose::identity()]);
+    loop {
+        let open =
+            |pair: &&RotatedPair| order.contains(&pair.first) != order.contains(&pair.second);
+        let Some(pair) = pairs.iter().filter(open).max_by_key(|pair| pair.matches) else { break };
+        let (_, rotation) = deviation(&pair.homography, matrix);
+        let nearest = rotation.svd(true, true);
+        let rotation = match (nearest.u, nearest.v_t) {
+            (Some(u), Some(v_t)) => u * v_t,
+            _ => Matrix3::identity(),
+        };
+        let second_from_first = Pose::from_matrix(&rotation, nalgebra::Vector3::zeros());
+        let known = |image: usize| order.iter().position(|k| *k == image).map(|k| poses[k]);
+        let (image, camera_from_scene) = match (known(pair.first), known(pair.second)) {
+            (Some(first_from_scene), _) => (pair.second, second_from_first * first_from_scene),
+            (_, Some(second_from_scene)) => {
+                (pair.first, second_from_first.inverse() * second_from_scene)
+            }
+            _ => break,
+        };
+        order.push(image);
+        poses.push(camera_from_scene);
+    }
+    (order, poses)
+}

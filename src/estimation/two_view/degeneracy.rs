@@ -1,0 +1,175 @@
+//! What two images show of their geometry: a full one, or one that a homography explains.
+
+use nalgebra::{Matrix3, Point2};
+
+use crate::estimation::two_view::PointPair;
+use crate::estimation::two_view::fundamental::{
+    fundamental_from_many, fundamental_from_seven, sampson_distance_px,
+};
+use crate::estimation::two_view::ransac::{Consensus, RansacOptions, SampledModel, ransac};
+use crate::estimation::two_view::refinement::refine_fundamental;
+use crate::geometry::homography::Homography;
+use crate::geometry::pixel::ImageSize;
+
+/// What the matches of two images determine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TwoViewKind {
+    /// Points at different depths and a moved camera: F is determined.
+    General,
+    /// A homography explains the matches: one plane, or a camera that only rotated (or hardly
+    /// moved). F is not determined.
+    Homography,
+    /// Matches are where they were: the camera stood still, or it is the same image.
+    Still,
+}
+
+/// The geometry of two images with the matches that agree on it.
+#[derive(Debug, Clone)]
+pub struct TwoViewGeometry {
+    /// What the matches determine.
+    pub kind: TwoViewKind,
+    /// F, as well as the matches determine it.
+    pub fundamental: Matrix3<f64>,
+    /// The homography that explains most of them.
+    pub homography: Option<Homography>,
+    /// Which matches agree on F, ascending.
+    pub inliers: Vec<usize>,
+    /// How many of those a homography explains as well.
+    pub on_homography: usize,
+    /// The median displacement of the matches between the images, in pixels.
+    pub displacement_px: f64,
+}
+
+/// A homography that explains this part of F's inliers leaves too little for F: where outliers are
+/// 5 % they alone can make up the rest (P. Torr, *An assessment of information criteria for motion
+/// model selection*, 1997, discusses the choice; COLMAP takes 0.8).
+const HOMOGRAPHY_PART: f64 = 0.8;
+
+/// Fewer matches agree by chance too easily.
+const LEAST_INLIERS: usize = 16;
+
+/// A displacement below this is no motion, in pixels.
+const STILL_PX: f64 = 0.5;
+
+/// The geometry that most of `pairs` agree on; `None` where no more agree than chance explains.
+pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoViewGeometry> {
+    let epipolar = Epipolar { pairs, size };
+    let Consensus { model, inliers, limit_px, .. } =
+        ransac(&epipolar, &RansacOptions { max_limit_px: 4.0, ..RansacOptions::default() })?;
+    if inliers.len() < LEAST_INLIERS {
+        return None;
+    }
+    let agreeing: Vec<PointPair> = inliers.iter().map(|k| pairs[*k]).collect();
+    let fundamental = refine_fundamental(&model, &agreeing).unwrap_or(model);
+    let planar = Planar { pairs: &agreeing, size };
+    // Plane or not is asked at F's own precision.
+    let limit_px = limit_px.max(1.0) * 1.5;
+    let options = RansacOptions { max_limit_px: 8.0, ..RansacOptions::default() };
+    let homography = ransac(&planar, &options).map(|consensus| consensus.model);
+    let on_homography = homography.as_ref().map_or(0, |homography| {
+        let explained =
+            |k: &usize| planar.squared_residual_px2(homography, *k) <= limit_px * limit_px;
+        (0..agreeing.len()).filter(explained).count()
+    });
+    let mut moved: Vec<f64> = agreeing.iter().map(|p| (p.second - p.first).norm()).collect();
+    moved.sort_by(f64::total_cmp);
+    let displacement_px = moved[moved.len() / 2];
+    let kind = if displacement_px < STILL_PX {
+        TwoViewKind::Still
+    } else if on_homography as f64 > HOMOGRAPHY_PART * agreeing.len() as f64 {
+        TwoViewKind::Homography
+    } else {
+        TwoViewKind::General
+    };
+    Some(TwoViewGeometry { kind, fundamental, homography, inliers, on_homography, displacement_px })
+}
+
+/// The search for F.
+pub struct Epipolar<'a> {
+    /// The matches.
+    pub pairs: &'a [PointPair],
+    /// The size of the images.
+    pub size: ImageSize,
+}
+
+impl SampledModel for Epipolar<'_> {
+    type Model = Matrix3<f64>;
+    const SAMPLE: usize = 7;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn fit_sample(&self, sample: &[usize]) -> Vec<Matrix3<f64>> {
+        let Ok(sample) = <&[usize; 7]>::try_from(sample) else { return Vec::new() };
+        fundamental_from_seven(&sample.map(|k| self.pairs[k]))
+    }
+
+    fn fit_inliers(&self, _: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        let pairs: Vec<PointPair> = inliers.iter().map(|k| self.pairs[*k]).collect();
+        refine_fundamental(&fundamental_from_many(&pairs)?, &pairs)
+    }
+
+    fn squared_residual_px2(&self, f: &Matrix3<f64>, index: usize) -> f64 {
+        sampson_distance_px(f, &self.pairs[index]).powi(2)
+    }
+
+    /// A strip along a line through the image.
+    fn chance(&self, limit_px: f64) -> f64 {
+        let area = f64::from(self.size.width) * f64::from(self.size.height);
+        2.0 * self.size.diagonal_px() * limit_px / area.max(1.0)
+    }
+
+    fn max_solutions(&self) -> f64 {
+        3.0
+    }
+}
+
+/// The search for a homography.
+pub struct Planar<'a> {
+    /// The matches.
+    pub pairs: &'a [PointPair],
+    /// The size of the images.
+    pub size: ImageSize,
+}
+
+impl Planar<'_> {
+    fn fit(&self, indices: &[usize], refine: bool) -> Option<Homography> {
+        let pairs: Vec<(Point2<f64>, Point2<f64>)> =
+            indices.iter().map(|k| (self.pairs[*k].first, self.pairs[*k].second)).collect();
+        if refine { Homography::fit_refined(&pairs) } else { Homography::fit(&pairs) }.ok()
+    }
+}
+
+impl SampledModel for Planar<'_> {
+    type Model = Homography;
+    const SAMPLE: usize = 4;
+
+    fn count(&self) -> usize {
+        self.pairs.len()
+    }
+
+    fn fit_sample(&self, sample: &[usize]) -> Vec<Homography> {
+        self.fit(sample, false).into_iter().collect()
+    }
+
+    fn fit_inliers(&self, _: &Homography, inliers: &[usize]) -> Option<Homography> {
+        self.fit(inliers, true)
+    }
+
+    fn squared_residual_px2(&self, homography: &Homography, index: usize) -> f64 {
+        let pair = &self.pairs[index];
+        let mapped = homography.apply(pair.first);
+        mapped.map_or(f64::INFINITY, |mapped| (mapped - pair.second).norm_squared())
+    }
+
+    /// A disk in the image.
+    fn chance(&self, limit_px: f64) -> f64 {
+        let area = f64::from(self.size.width) * f64::from(self.size.height);
+        std::f64::consts::PI * limit_px * limit_px / area.max(1.0)
+    }
+
+    fn max_solutions(&self) -> f64 {
+        1.0
+    }
+}

@@ -1,0 +1,183 @@
+//! The most likely two-view geometry: least squares of Sampson distances (HZ section 11.4.3), over
+//! exactly the freedom that the matrix has.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
+
+use crate::estimation::two_view::PointPair;
+use crate::estimation::two_view::essential::essential_from_pose;
+use crate::geometry::pose::Pose;
+
+/// Steps at most; few are needed from an algebraic fit.
+const MAX_STEPS: usize = 10;
+
+/// A step that lowers the cost by less than this part ends the descent.
+const LEAST_DECREASE: f64 = 1e-7;
+
+/// Something with an epipolar matrix and few degrees of freedom.
+trait EpipolarGeometry: Sized {
+    fn matrix(&self) -> Matrix3<f64>;
+    /// The derivative of [`Self::matrix`] by each degree of freedom.
+    fn tangents(&self) -> Vec<Matrix3<f64>>;
+    fn stepped(&self, step: &DVector<f64>) -> Self;
+}
+
+/// F with the least sum of squared Sampson distances near `f`, by its seven degrees of freedom
+/// (A. Bartoli and P. Sturm, *Nonlinear estimation of the fundamental matrix with minimal
+/// parameters*, 2004).
+pub fn refine_fundamental(f: &Matrix3<f64>, pairs: &[PointPair]) -> Option<Matrix3<f64>> {
+    Some(descend(Orthonormal::of(f)?, pairs).matrix())
+}
+
+/// The pose `second_from_first`, unit translation, with the least sum of squared Sampson distances
+/// of `pairs` in normalised coordinates near `second_from_first`.
+pub fn refine_pose(second_from_first: &Pose, pairs: &[PointPair]) -> Pose {
+    let start = UnitBaseline {
+        rotation: second_from_first.rotation_matrix(),
+        translation: second_from_first.translation().normalize(),
+    };
+    let UnitBaseline { rotation, translation } = descend(start, pairs);
+    Pose::from_matrix(&rotation, translation)
+}
+
+/// Levenberg–Marquardt.
+fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair]) -> G {
+    let mut best = start;
+    let mut lambda = 1e-4;
+    let (mut cost, mut normal, mut gradient) = equations(&best, pairs);
+    for _ in 0..MAX_STEPS {
+        let mut damped = normal.clone();
+        for k in 0..damped.nrows() {
+            damped[(k, k)] *= 1.0 + lambda;
+        }
+        let Some(factor) = damped.cholesky() else { break };
+        let next = best.stepped(&-factor.solve(&gradient));
+        let (next_cost, next_normal, next_gradient) = equations(&next, pairs);
+        if !(next_cost < cost) {
+            lambda *= 10.0;
+            if lambda > 1e6 {
+                break;
+            }
+            continue;
+        }
+        let settled = cost - next_cost < LEAST_DECREASE * cost;
+        (best, cost, normal, gradient) = (next, next_cost, next_normal, next_gradient);
+        lambda *= 0.1;
+        if settled {
+            break;
+        }
+    }
+    best
+}
+
+fn equations(
+    geometry: &impl EpipolarGeometry,
+    pairs: &[PointPair],
+) -> (f64, DMatrix<f64>, DVector<f64>) {
+    let (f, tangents) = (geometry.matrix(), geometry.tangents());
+    let size = tangents.len();
+    let (mut cost, mut normal) = (0.0, DMatrix::zeros(size, size));
+    let (mut gradient, mut row) = (DVector::zeros(size), DVector::zeros(size));
+    for pair in pairs {
+        let [first, second] = pair.homogeneous();
+        let (in_second, in_first) = (f * first, f.tr_mul(&second));
+        let squares = in_second.xy().norm_squared() + in_first.xy().norm_squared();
+        if !(squares > 0.0) {
+            continue;
+        }
+        let (root, error) = (squares.sqrt(), second.dot(&in_second));
+        let residual = error / root;
+        for (value, tangent) in row.iter_mut().zip(&tangents) {
+            let (by_second, by_first) = (tangent * first, tangent.tr_mul(&second));
+            let slope = in_second.xy().dot(&by_second.xy()) + in_first.xy().dot(&by_first.xy());
+            *value = (second.dot(&by_second) - residual * slope / root) / root;
+        }
+        cost += residual * residual;
+        normal.ger(1.0, &row, &row, 1.0);
+        gradient.axpy(residual, &row, 1.0);
+    }
+    (cost, normal, gradient)
+}
+
+fn axes() -> [Matrix3<f64>; 3] {
+    [Vector3::x(), Vector3::y(), Vector3::z()].map(|axis| axis.cross_matrix())
+}
+
+/// F = U diag(cos a, sin a, 0) Vᵀ.
+struct Orthonormal {
+    u: Matrix3<f64>,
+    v: Matrix3<f64>,
+    angle: f64,
+}
+
+impl Orthonormal {
+    fn of(f: &Matrix3<f64>) -> Option<Self> {
+        let svd = f.svd(true, true);
+        let angle = svd.singular_values[1].atan2(svd.singular_values[0]);
+        Some(Self { u: svd.u?, v: svd.v_t?.transpose(), angle })
+    }
+
+    fn middle(&self) -> Matrix3<f64> {
+        Matrix3::from_diagonal(&Vector3::new(self.angle.cos(), self.angle.sin(), 0.0))
+    }
+}
+
+impl EpipolarGeometry for Orthonormal {
+    fn matrix(&self) -> Matrix3<f64> {
+        self.u * self.middle() * self.v.transpose()
+    }
+
+    fn tangents(&self) -> Vec<Matrix3<f64>> {
+        let (middle, v_t) = (self.middle(), self.v.transpose());
+        let by_angle =
+            Matrix3::from_diagonal(&Vector3::new(-self.angle.sin(), self.angle.cos(), 0.0));
+        let mut tangents: Vec<_> = axes().iter().map(|g| self.u * g * middle * v_t).collect();
+        tangents.extend(axes().iter().map(|g| -self.u * middle * g * v_t));
+        tangents.push(self.u * by_angle * v_t);
+        tangents
+    }
+
+    fn stepped(&self, step: &DVector<f64>) -> Self {
+        let turn = |k: usize| {
+            Rotation3::from_scaled_axis(Vector3::new(step[k], step[k + 1], step[k + 2]))
+                .into_inner()
+        };
+        Self { u: self.u * turn(0), v: self.v * turn(3), angle: self.angle + step[6] }
+    }
+}
+
+/// E = [t]ₓ R with |t| = 1.
+struct UnitBaseline {
+    rotation: Matrix3<f64>,
+    translation: Vector3<f64>,
+}
+
+impl UnitBaseline {
+    /// Two unit directions across the translation.
+    fn across(&self) -> [Vector3<f64>; 2] {
+        let axis = Vector3::ith(self.translation.iamin(), 1.0);
+        let first = self.translation.cross(&axis).normalize();
+        [first, self.translation.cross(&first)]
+    }
+}
+
+impl EpipolarGeometry for UnitBaseline {
+    fn matrix(&self) -> Matrix3<f64> {
+        essential_from_pose(&self.rotation, &self.translation)
+    }
+
+    fn tangents(&self) -> Vec<Matrix3<f64>> {
+        let e = self.matrix();
+        let mut tangents: Vec<_> = axes().iter().map(|g| e * g).collect();
+        tangents.extend(self.across().iter().map(|t| essential_from_pose(&self.rotation, t)));
+        tangents
+    }
+
+    fn stepped(&self, step: &DVector<f64>) -> Self {
+        let turn = Rotation3::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+        let [a, b] = self.across();
+        Self {
+            rotation: self.rotation * turn.into_inner(),
+            translation: (self.translation + a * step[3] + b * step[4]).normalize(),
+        }
+    }
+}

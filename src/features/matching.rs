@@ -1,0 +1,211 @@
+//! Which features of two images show the same thing: each the other's nearest, and much nearer
+//! than any second (Lowe 2004, section 7.1).
+
+use crate::features::descriptor::{Descriptor, LENGTH, UNIT};
+
+/// A feature of one image and the feature of another that shows the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Match {
+    /// Index in the first image.
+    pub first: usize,
+    /// Index in the second image.
+    pub second: usize,
+}
+
+/// How much nearer the nearest must be than the second nearest, as a ratio of distances (Lowe
+/// 2004, figure 11).
+const RATIO: f32 = 0.8;
+
+/// Descriptors that share less than this part of their direction show different things whatever
+/// the ratio: a Euclidean distance of 0.7 at unit length, as COLMAP takes it.
+const LEAST_PRODUCT: f32 = 1.0 - 0.7 * 0.7 / 2.0;
+
+/// Columns of descriptors that are multiplied together.
+const LANES: usize = 16;
+/// Rows of descriptors that are multiplied together.
+const ROWS: usize = 6;
+
+/// Descriptors laid out for products: blocks of [`LANES`] descriptors, number by number.
+#[derive(Debug, Clone)]
+pub struct DescriptorTable {
+    len: usize,
+    rows: Vec<[f32; LENGTH]>,
+    blocks: Vec<[[f32; LANES]; LENGTH]>,
+}
+
+impl DescriptorTable {
+    /// Of `descriptors`, in their order.
+    pub fn new(descriptors: &[Descriptor]) -> Self {
+        let mut rows: Vec<[f32; LENGTH]> =
+            descriptors.iter().map(|descriptor| descriptor.0.map(f32::from)).collect();
+        let mut blocks = vec![[[0.0; LANES]; LENGTH]; rows.len().div_ceil(LANES)];
+        for (k, row) in rows.iter().enumerate() {
+            for (number, value) in row.iter().enumerate() {
+                blocks[k / LANES][number][k % LANES] = *value;
+            }
+        }
+        rows.resize(rows.len().next_multiple_of(ROWS), [0.0; LENGTH]);
+        Self { len: descriptors.len(), rows, blocks }
+    }
+}
+
+/// The matches between two images, by the first image's index. The products of descriptors are
+/// whole numbers below 2²⁴, so that they are exact in any order.
+pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> Vec<Match> {
+    let nearest = pulp::Arch::new().dispatch(Search { first, second });
+    let mut matches = Vec::new();
+    for (index, row) in nearest.rows.iter().enumerate().take(first.len) {
+        let distance = |product: f32| (2.0 - 2.0 * product / (UNIT * UNIT)).max(0.0);
+        let is_near = row.best >= LEAST_PRODUCT * UNIT * UNIT;
+        let is_distinct = distance(row.best) < RATIO * RATIO * distance(row.second);
+        let is_mutual = nearest.column_rows.get(row.column) == Some(&(index as u32));
+        if is_near && is_distinct && is_mutual {
+            matches.push(Match { first: index, second: row.column });
+        }
+    }
+    matches
+}
+
+/// The greatest products of a row of the table of products.
+#[derive(Debug, Clone, Copy)]
+struct Nearest {
+    best: f32,
+    second: f32,
+    column: usize,
+}
+
+struct Search<'a> {
+    first: &'a DescriptorTable,
+    second: &'a DescriptorTable,
+}
+
+struct Found {
+    rows: Vec<Nearest>,
+    /// The row with the greatest product of each column.
+    column_rows: Vec<u32>,
+}
+
+/// Blocks of columns whose numbers stay in the nearest cache while rows go by.
+const CACHED_BLOCKS: usize = 4;
+
+#[derive(Clone, Copy)]
+struct Lanes {
+    best: [f32; LANES],
+    second: [f32; LANES],
+    block: [u32; LANES],
+}
+
+impl pulp::NullaryFnOnce for Search<'_> {
+    type Output = Found;
+
+    #[inline(always)]
+    fn call(self) -> Found {
+        let Self { first, second } = self;
+        let nothing = Lanes { best: [-1.0; LANES], second: [-1.0; LANES], block: [0; LANES] };
+        let mut lanes = vec![nothing; first.rows.len()];
+        let mut column_best = vec![[-1.0_f32; LANES]; second.blocks.len()];
+        let mut column_rows = vec![[0_u32; LANES]; second.blocks.len()];
+        for start in (0..second.blocks.len()).step_by(CACHED_BLOCKS) {
+            let end = (start + CACHED_BLOCKS).min(second.blocks.len());
+            for (quad, rows) in first.rows.chunks_exact(ROWS).enumerate() {
+                let rows: [&[f32; LENGTH]; ROWS] = std::array::from_fn(|k| &rows[k]);
+                for block in start..end {
+                    let products = multiply(rows, &second.blocks[block]);
+                    for (k, products) in products.iter().enumerate() {
+                        let row = quad * ROWS + k;
+                        let lanes = &mut lanes[row];
+                        let (best, at) = (&mut column_best[block], &mut column_rows[block]);
+                        for j in 0..LANES {
+                            let product = products[j];
+                            let low = product.min(lanes.best[j]);
+                            lanes.second[j] = lanes.second[j].max(low);
+                            let better = product > lanes.best[j];
+                            lanes.block[j] = if better { block as u32 } else { lanes.block[j] };
+                            lanes.best[j] = product.max(lanes.best[j]);
+                            let better = product > best[j];
+                            at[j] = if better { row as u32 } else { at[j] };
+                            best[j] = product.max(best[j]);
+                        }
+                    }
+                }
+            }
+        }
+        let rows = lanes.iter().map(|lanes| nearest(lanes, second.len)).collect();
+        Found { rows, column_rows: column_rows.as_flattened()[..second.len].to_vec() }
+    }
+}
+
+#[inline(always)]
+fn multiply(rows: [&[f32; LENGTH]; ROWS], block: &[[f32; LANES]; LENGTH]) -> [[f32; LANES]; ROWS] {
+    let mut products = [[0.0_f32; LANES]; ROWS];
+    for number in 0..LENGTH {
+        let values = &block[number];
+        for k in 0..ROWS {
+            let factor = rows[k][number];
+            for j in 0..LANES {
+                products[k][j] = factor.mul_add(values[j], products[k][j]);
+            }
+        }
+    }
+    products
+}
+
+/// The best and second best over all lanes; what fills the last block up is skipped.
+fn nearest(lanes: &Lanes, len: usize) -> Nearest {
+    let mut nearest = Nearest { best: -1.0, second: -1.0, column: usize::MAX };
+    for j in 0..LANES {
+        let column = lanes.block[j] as usize * LANES + j;
+        if column >= len {
+            continue;
+        }
+        let better = lanes.best[j] > nearest.best
+            || (lanes.best[j] == nearest.best && column < nearest.column);
+        let (high, low) =
+            if better { (lanes.best[j], nearest.best) } else { (nearest.best, lanes.best[j]) };
+        if better {
+            nearest.column = column;
+        }
+        nearest.best = high;
+        nearest.second = nearest.second.max(low).max(lanes.second[j]);
+    }
+    nearest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn descriptors(count: usize, seed: u32) -> Vec<Descriptor> {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 24) as u8 / 4
+        };
+        (0..count).map(|_| Descriptor(std::array::from_fn(|_| next()))).collect()
+    }
+
+    #[test]
+    fn agrees_with_the_plain_search() {
+        let (a, mut b) = (descriptors(53, 1), descriptors(41, 2));
+        for k in 0..20 {
+            b[2 * k] = a[k + 7];
+            b[2 * k].0[k] ^= 3;
+        }
+        let product = |x: &Descriptor, y: &Descriptor| {
+            x.0.iter().zip(y.0).map(|(x, y)| f32::from(*x) * f32::from(y)).sum::<f32>()
+        };
+        let nearest = |x: &Descriptor, of: &[Descriptor]| {
+            (0..of.len())
+                .max_by(|i, j| product(x, &of[*i]).total_cmp(&product(x, &of[*j])).then(j.cmp(i)))
+        };
+        let matches = match_descriptors(&DescriptorTable::new(&a), &DescriptorTable::new(&b));
+        for Match { first, second } in &matches {
+            assert_eq!(nearest(&a[*first], &b), Some(*second));
+            assert_eq!(nearest(&b[*second], &a), Some(*first));
+        }
+        assert!(matches.len() <= 41);
+        assert!(
+            match_descriptors(&DescriptorTable::new(&a), &DescriptorTable::new(&[])).is_empty()
+        );
+    }
+}

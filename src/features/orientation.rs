@@ -1,0 +1,114 @@
+//! Gradients, and the directions that dominate around a keypoint (Lowe 2004, section 5).
+
+use std::f32::consts::TAU;
+
+use crate::features::extrema::Extremum;
+use crate::features::plane::Plane;
+
+/// Bins of the histogram of directions.
+const BINS: usize = 36;
+
+/// The histogram's window, in keypoint scales.
+const WINDOW_SIGMA: f64 = 1.5;
+
+/// Peaks this high beside the highest are directions of their own.
+const PEAK: f32 = 0.8;
+
+/// Directions of one keypoint at most: a third one hardly ever matches.
+const MAX_DIRECTIONS: usize = 2;
+
+/// Length and direction (0 to 2π) of the luma gradient at each pixel, 0 at the border.
+pub(super) struct Gradients {
+    pub width: usize,
+    pub height: usize,
+    /// Length, direction.
+    pub values: Vec<[f32; 2]>,
+}
+
+impl Gradients {
+    pub fn of(plane: &Plane) -> Self {
+        let (width, height) = (plane.width, plane.height);
+        let mut values = vec![[0.0; 2]; width * height];
+        pulp::Arch::new().dispatch(Fill { plane, values: &mut values });
+        Self { width, height, values }
+    }
+}
+
+struct Fill<'a> {
+    plane: &'a Plane,
+    values: &'a mut [[f32; 2]],
+}
+
+impl pulp::NullaryFnOnce for Fill<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let width = self.plane.width;
+        for y in 1..self.plane.height.saturating_sub(1) {
+            let (above, row, below) =
+                (self.plane.row(y - 1), self.plane.row(y), self.plane.row(y + 1));
+            let out = &mut self.values[y * width + 1..(y + 1) * width - 1];
+            let sides = row[..width - 2].iter().zip(&row[2..]);
+            let ends = above[1..].iter().zip(&below[1..]);
+            for ((out, (left, right)), (up, down)) in out.iter_mut().zip(sides).zip(ends) {
+                let (dx, dy) = (right - left, down - up);
+                *out = [(dx * dx + dy * dy).sqrt(), direction(dy, dx)];
+            }
+        }
+    }
+}
+
+/// atan2 in 0 to 2π within 1e-4: M. Abramowitz and I. A. Stegun, *Handbook of mathematical
+/// functions*, 4.4.49, without branches.
+#[inline(always)]
+fn direction(y: f32, x: f32) -> f32 {
+    let (ax, ay) = (x.abs(), y.abs());
+    let (low, high) = (ax.min(ay), ax.max(ay).max(1e-20));
+    let a = low / high;
+    let s = a * a;
+    let polynomial = ((0.079_331 * s - 0.288_679) * s + 0.995_354) * a;
+    let angle = if ay > ax { TAU / 4.0 - polynomial } else { polynomial };
+    let angle = if x < 0.0 { TAU / 2.0 - angle } else { angle };
+    if y < 0.0 { TAU - angle } else { angle }
+}
+
+/// The dominating directions around `extremum`, strongest first, in radians.
+pub(super) fn orientations(gradients: &Gradients, extremum: &Extremum) -> Vec<f64> {
+    let sigma = WINDOW_SIGMA * extremum.sigma();
+    let radius = (3.0 * sigma).round();
+    let range = |center: f64, limit: usize| {
+        let from = (center - radius).max(1.0) as usize;
+        from..=((center + radius) as usize).min(limit.saturating_sub(2))
+    };
+    let mut histogram = [0.0_f32; BINS];
+    let factor = (-0.5 / (sigma * sigma)) as f32;
+    for y in range(extremum.y, gradients.height) {
+        let dy = y as f32 - extremum.y as f32;
+        for x in range(extremum.x, gradients.width) {
+            let dx = x as f32 - extremum.x as f32;
+            let [length, angle] = gradients.values[y * gradients.width + x];
+            let bin = (angle * (BINS as f32 / TAU) + 0.5) as usize % BINS;
+            histogram[bin] += length * ((dx * dx + dy * dy) * factor).exp();
+        }
+    }
+    for _ in 0..2 {
+        let last = histogram;
+        for (k, value) in histogram.iter_mut().enumerate() {
+            *value =
+                0.25 * last[(k + BINS - 1) % BINS] + 0.5 * last[k] + 0.25 * last[(k + 1) % BINS];
+        }
+    }
+    let highest = histogram.iter().copied().fold(0.0, f32::max);
+    let mut peaks: Vec<(f32, f64)> = (0..BINS)
+        .filter_map(|k| {
+            let (left, at, right) =
+                (histogram[(k + BINS - 1) % BINS], histogram[k], histogram[(k + 1) % BINS]);
+            let is_peak = at > left && at >= right && at >= PEAK * highest && highest > 0.0;
+            let offset = f64::from(0.5 * (left - right) / (left - 2.0 * at + right));
+            is_peak.then(|| (at, (k as f64 + offset) * std::f64::consts::TAU / BINS as f64))
+        })
+        .collect();
+    peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
+    peaks.into_iter().take(MAX_DIRECTIONS).map(|(_, angle)| angle).collect()
+}
