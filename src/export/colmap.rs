@@ -30,7 +30,8 @@ pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
     Ok(text)
 }
 
-fn camera(lens: &Lens) -> (&'static str, Vec<f64>) {
+/// COLMAP's name for the model, and its parameters; skew is left out.
+pub(super) fn camera(lens: &Lens) -> (&'static str, Vec<f64>) {
     let k = lens.matrix;
     let mut coefficients = lens.distortion.coefficients();
     let (model, count) = match lens.model() {

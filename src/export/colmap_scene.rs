@@ -4,29 +4,25 @@ use std::fmt::Write;
 use std::path::Path;
 
 use crate::calibration::scene::SceneCalibration;
-use crate::export::ExportError;
-use crate::export::colmap::{CORNER_TO_CENTER_PX, cameras};
-use crate::export::sensors::Sensor;
+use crate::export::colmap::{CORNER_TO_CENTER_PX, camera};
+use crate::export::number::decimal;
 
 /// The three files with their names. Images are numbered from 1 in the order of views.
-///
-/// # Errors
-/// [`ExportError`] for a lens that COLMAP has no model for.
-pub fn files(calibration: &SceneCalibration) -> Result<[(&'static str, String); 3], ExportError> {
-    let sensor = Sensor {
-        name: "color",
-        is_camera: false,
-        image_size: calibration.sensor.image_size,
-        lens: &calibration.sensor.lens,
-        rms_px: Some(calibration.sensor.rms_px),
-        first_from_sensor: None,
-    };
-    let cameras = cameras(&[sensor])?;
-    Ok([
+pub fn files(calibration: &SceneCalibration) -> [(&'static str, String); 3] {
+    let sensor = &calibration.sensor;
+    let (model, parameters) = camera(&sensor.lens);
+    let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
+    let cameras = format!(
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {} {} {}\n",
+        sensor.image_size.width,
+        sensor.image_size.height,
+        parameters.join(" ")
+    );
+    [
         ("cameras.txt", cameras),
         ("images.txt", images(calibration)),
         ("points3D.txt", points(calibration)),
-    ])
+    ]
 }
 
 fn images(calibration: &SceneCalibration) -> String {

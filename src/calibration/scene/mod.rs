@@ -18,5 +18,5 @@ mod solve;
 mod verdict;
 
 pub use refusal::SceneRefusal;
-pub use result::{SceneCalibration, ScenePoint, SceneView};
+pub use result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 pub use solve::{SceneOptions, calibrate_scene};

@@ -2,15 +2,16 @@
 
 use nalgebra::Point3;
 
-use crate::calibration::calibration::{Checks, SensorCalibration, Verdict};
-use crate::geometry::pixel::Pixel;
+use crate::calibration::result::{Checks, ProjectionUncertainty, Verdict};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
 /// A lens from images of a static scene.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneCalibration {
-    /// The lens with its uncertainty; its views are [`Self::views`].
-    pub sensor: SensorCalibration,
+    /// The lens with its uncertainty.
+    pub sensor: SceneSensor,
     /// Each image that was given, in order.
     pub views: Vec<SceneView>,
     /// The scene.
@@ -21,6 +22,24 @@ pub struct SceneCalibration {
     pub verdict: Verdict,
     /// Parameters that the prior knows at least as well as the images do.
     pub held_by_prior: Vec<&'static str>,
+}
+
+/// The lens and how well it is known.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneSensor {
+    /// The size of the images it holds for.
+    pub image_size: ImageSize,
+    /// The lens.
+    pub lens: Lens,
+    /// Standard deviation of each lens parameter, in the order of [`Lens::parameter_names`]; 0 for
+    /// a fixed one.
+    pub lens_std: Vec<f64>,
+    /// Covariance of the lens parameters, row by row in the same order.
+    pub lens_covariance: Vec<Vec<f64>>,
+    /// Root mean square of the used observations' reprojection errors.
+    pub rms_px: f64,
+    /// Predicted 1-σ reprojection uncertainty over the image.
+    pub uncertainty_px: ProjectionUncertainty,
 }
 
 /// One image.

@@ -2,12 +2,12 @@
 
 use nalgebra::{DMatrix, Point3};
 
-use crate::calibration::calibration::{Checks, ProjectionUncertainty, SensorCalibration};
+use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::{Correspondence, SceneImage, correspond};
 use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
 use crate::calibration::scene::refusal::SceneRefusal;
-use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneView};
+use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 use crate::calibration::scene::verdict::{self, Evidence};
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::bundle::CameraMotion;
@@ -185,16 +185,13 @@ fn finished(
         images: images.len(),
         held_by_prior: &held_by_prior,
     };
-    let sensor = SensorCalibration {
+    let sensor = SceneSensor {
         image_size: size,
         lens,
         lens_std,
         lens_covariance: covariance.row_iter().map(|row| row.iter().copied().collect()).collect(),
         rms_px: (sum / count.max(1) as f64).sqrt(),
         uncertainty_px: ProjectionUncertainty { center, median, worst },
-        views: Vec::new(),
-        compared: Vec::new(),
-        board_warp_m: None,
     };
     let verdict = verdict::judge(&evidence);
     SceneCalibration { sensor, views, points, checks, verdict, held_by_prior }

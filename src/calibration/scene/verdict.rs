@@ -1,6 +1,6 @@
 //! How far to trust a lens that came from a scene, in words that a person can act on.
 
-use crate::calibration::calibration::{Grade, Verdict};
+use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::lens_fit::LensFit;
 use crate::estimation::scene::bundle::CameraMotion;
