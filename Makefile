@@ -72,7 +72,7 @@ lint:
 	$(PACKAGES) build
 	cargo fmt --check
 	cargo clippy --all-targets -- -D warnings
-	RUSTDOCFLAGS=-Dwarnings cargo doc --no-deps --document-private-items
+	RUSTDOCFLAGS=-Dwarnings cargo doc --no-deps
 
 # Licences, advisories, bans and sources of all dependencies; installs cargo-deny, which takes minutes.
 audit:

@@ -84,12 +84,37 @@
 //! 8. Only `main` ends the process.
 //! 9. Threads are named, channels bounded, drops counted.
 //!
-//! # Words
+//! # Glossary
 //!
-//! *device* (hardware), *source* (yields frames), *sensor* (color, infrared, depth), *frame* (one
-//! image), *frame set* (taken together), *detection* (a board found), *view* (a detection kept),
-//! *session* (collecting towards one result), *solve* (the computation), *calibration* (the
-//! result), *recording* (frames on disk), *space* (where coordinates live).
+//! The field's terms are used as in Hartley and Zisserman's *Multiple View Geometry* and OpenCV's
+//! documentation: observation, correspondence, residual, reprojection error, inlier, outlier,
+//! covariance, homography, occlusion. The project's own:
+//!
+//! | word | meaning |
+//! | --- | --- |
+//! | device, source | hardware; what yields frames (a device, a recording, the simulator) |
+//! | sensor | one imager of a camera: color, infrared, second infrared or depth |
+//! | frame, frame set | one image as it came; the frames that a camera took together |
+//! | detection | a board found in an image: corners with indices and standard deviations |
+//! | partial board | a detection without some of the board's corners |
+//! | view | a detection that a session accepted |
+//! | session | collects views towards one calibration |
+//! | admission | the decision to accept a view, or to reject it with a reason |
+//! | suggested pose | where the board should be shown next |
+//! | solve | the computation from views to a calibration |
+//! | calibration | the immutable result: lenses, poses, covariance, checks, verdict |
+//! | verdict | good, usable or poor, with reasons to act on |
+//! | rig | several cameras fixed to each other |
+//! | auxiliary sensor | infrared or depth of a camera whose color image shows the board |
+//! | noise floor | common standard deviation added in quadrature to every corner's own |
+//! | variance inflation | factor on all variances because corners of one view err together |
+//! | pose jitter | motion of one sensor relative to another between their exposures |
+//! | occluder | what hides part of the board |
+//! | recording | frames on disk: MCAP, a ROS bag, or a folder of images |
+//! | space | where coordinates live: board, camera, color, depth, rig, image |
+//!
+//! A pose `a_from_b` maps coordinates in b to coordinates in a. `tests/system/words.rs` keeps
+//! other words for these out.
 
 pub mod calibration;
 pub mod capture;

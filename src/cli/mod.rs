@@ -5,7 +5,7 @@
 //! for each item where the command says so. What goes wrong is a [`Failure`]: one line and an exit
 //! code, told to the user here and nowhere else.
 //!
-//! A new command is a file, a variant of [`Command`], and an arm of [`dispatch`].
+//! A new command is a file, a variant of `Command`, and an arm of `dispatch`.
 
 pub mod autocalibrate;
 pub mod calibrate;

@@ -223,7 +223,7 @@ impl WrittenSource {
     fn realsense(&self, place: &Place) -> Result<SourceConfig, ConfigError> {
         match self.path {
             None => {
-                self.takes_only(&["serial", "width", "height", "fps", "preset", "emitter"], place)?
+                self.takes_only(&["serial", "width", "height", "fps", "preset", "emitter"], place)?;
             }
             Some(_) => self.takes_only(&["serial", "path"], place)?,
         }

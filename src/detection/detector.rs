@@ -70,7 +70,7 @@ pub struct Detector {
 }
 
 /// The result of verifying a grid.
-enum Found {
+enum GridOutcome {
     Whole(BoardPlacement),
     Part(BoardPlacement),
     Other { cols: u32, rows: u32 },
@@ -205,19 +205,19 @@ impl Detector {
             }
             grids += 1;
             match self.judge(image, level, seen) {
-                Found::Whole(placement) => {
+                GridOutcome::Whole(placement) => {
                     std::mem::swap(&mut self.grid, &mut self.part);
                     return Some(placement);
                 }
-                Found::Part(placement) => {
+                GridOutcome::Part(placement) => {
                     let count = self.grid.members.len();
                     if best.is_none_or(|(most, _)| count > most) {
                         *best = Some((count, placement));
                         std::mem::swap(&mut self.grid, &mut self.part);
                     }
                 }
-                Found::Other { cols, rows } => seen.other = seen.other.or(Some((cols, rows))),
-                Found::Nothing => {}
+                GridOutcome::Other { cols, rows } => seen.other = seen.other.or(Some((cols, rows))),
+                GridOutcome::Nothing => {}
             }
         }
         None
@@ -250,42 +250,47 @@ impl Detector {
     }
 
     /// Verifies the grid found on `level`, and tracks it down to the image itself.
-    fn judge(&mut self, image: GrayView<'_>, level: usize, seen: &mut SearchEvidence) -> Found {
+    fn judge(
+        &mut self,
+        image: GrayView<'_>,
+        level: usize,
+        seen: &mut SearchEvidence,
+    ) -> GridOutcome {
         if let Some(bounds) = self.grid.bounds()
             && self.exceeds_board(bounds)
         {
             seen.too_large = true;
-            return Found::Other { cols: larger(bounds), rows: smaller(bounds) };
+            return GridOutcome::Other { cols: larger(bounds), rows: smaller(bounds) };
         }
         let small = self.grid.members.len() < SMALL;
         self.follow(image, level);
         if small && self.grid.members.len() >= self.most_corners() {
-            return Found::Nothing;
+            return GridOutcome::Nothing;
         }
         if !verify(image, &mut self.grid) {
-            return Found::Nothing;
+            return GridOutcome::Nothing;
         }
         // A grid that was rejected on a coarser level is not bridged again.
         let verified = self.grid.members.len();
         if verified >= seen.bridged + WORTH_BRIDGING {
             seen.bridged = verified;
             if self.bridge(image) && !verify(image, &mut self.grid) {
-                return Found::Nothing;
+                return GridOutcome::Nothing;
             }
         }
-        let Some(bounds) = self.grid.bounds() else { return Found::Nothing };
+        let Some(bounds) = self.grid.bounds() else { return GridOutcome::Nothing };
         let count = self.grid.members.len();
         if count > seen.largest {
             seen.largest = count;
             seen.size = (larger(bounds), smaller(bounds));
         }
         match self.placement(image) {
-            Some(placement) if self.is_whole() => Found::Whole(placement),
+            Some(placement) if self.is_whole() => GridOutcome::Whole(placement),
             Some(placement) if count >= self.least_part() && smaller(bounds) >= LEAST_LINE => {
-                Found::Part(placement)
+                GridOutcome::Part(placement)
             }
-            Some(_) => Found::Nothing,
-            None => Found::Other { cols: larger(bounds), rows: smaller(bounds) },
+            Some(_) => GridOutcome::Nothing,
+            None => GridOutcome::Other { cols: larger(bounds), rows: smaller(bounds) },
         }
     }
 

@@ -1,7 +1,9 @@
-//! One luma image → a chessboard, or the reason why not. Pure; uses geometry and imaging.
+#![doc = include_str!("README.md")]
 //!
-//! **May miss, never mislabels.** `README.md` beside this file has the table of stages, what was
-//! measured, and what was tried.
+//! # Interface
+//!
+//! Pure; uses geometry and imaging. [`detect`] searches one image for a chessboard; a
+//! [`Detector`] keeps its buffers from image to image, and tracks ([`tracking`]).
 
 pub mod board_detection;
 mod candidates;
@@ -23,6 +25,8 @@ pub mod refine;
 mod report;
 mod response;
 mod seeds;
+#[cfg(test)]
+mod stage_drawings;
 pub mod tracking;
 mod verification;
 

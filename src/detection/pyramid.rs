@@ -9,18 +9,18 @@ use crate::imaging::gray::GrayView;
 /// The levels above the image. Buffers are reused from image to image.
 #[derive(Debug, Default)]
 pub(super) struct Pyramid {
-    levels: Vec<Plane>,
+    levels: Vec<LevelPixels>,
     built: usize,
 }
 
 #[derive(Debug, Default)]
-struct Plane {
+struct LevelPixels {
     width: usize,
     height: usize,
     pixels: Vec<u8>,
 }
 
-impl Plane {
+impl LevelPixels {
     fn view(&self) -> Option<GrayView<'_>> {
         GrayView::new(self.width, self.height, self.width, &self.pixels)
     }
@@ -30,12 +30,12 @@ impl Pyramid {
     /// Builds the levels 1 to `coarsest` of `image`.
     pub(super) fn build(&mut self, image: GrayView<'_>, coarsest: usize) {
         if self.levels.len() < coarsest {
-            self.levels.resize_with(coarsest, Plane::default);
+            self.levels.resize_with(coarsest, LevelPixels::default);
         }
         self.built = coarsest;
         for level in 0..coarsest {
             let (below, from) = self.levels.split_at_mut(level);
-            let source = below.last().and_then(Plane::view).unwrap_or(image);
+            let source = below.last().and_then(LevelPixels::view).unwrap_or(image);
             if let Some(plane) = from.first_mut() {
                 halve(source, plane);
             }
@@ -48,7 +48,7 @@ impl Pyramid {
         level
             .checked_sub(1)
             .and_then(|above| self.levels.get(above))
-            .and_then(Plane::view)
+            .and_then(LevelPixels::view)
             .unwrap_or(image)
     }
 }
@@ -60,7 +60,7 @@ pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     (0..12).take_while(|level| longer >> level >= least).last().unwrap_or(0)
 }
 
-fn halve(source: GrayView<'_>, into: &mut Plane) {
+fn halve(source: GrayView<'_>, into: &mut LevelPixels) {
     (into.width, into.height) = (source.width() / 2, source.height() / 2);
     into.pixels.resize(into.width * into.height, 0);
     pulp::Arch::new().dispatch(Halve { source, width: into.width, pixels: &mut into.pixels });

@@ -26,7 +26,7 @@ pub struct SensorsDocument {
 
 /// One of them, by what it measures.
 #[derive(Debug, Clone, PartialEq)]
-#[expect(clippy::large_enum_variant, reason = "a handful of them exist at a time")]
+#[allow(clippy::large_enum_variant, reason = "a handful of them exist at a time")]
 pub enum AnySensorDocument {
     /// Light.
     Image(SensorDocument),

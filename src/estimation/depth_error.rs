@@ -100,8 +100,8 @@ impl Prior {
 }
 
 /// What triangulates measures 1/z up to a scale and an offset. What is curved in it beyond that,
-/// over the whole picture, cannot be told from how far the sensor stands back along its axis (1/(z
-/// + t) = 1/z − t/z² …): it is held to this part of 1/z at the middle of the depths seen, and is
+/// over the whole picture, cannot be told from how far the sensor stands back along its axis
+/// (1/(z + t) = 1/z − t/z² …): it is held to this part of 1/z at the middle of the depths seen, and is
 /// free to differ from one part of the picture to another.
 const LINEAR_TERMS: usize = 2;
 const MEAN_CURVATURE: f64 = 0.002;
@@ -202,7 +202,7 @@ struct Fold {
 fn rows(correction: &DepthCorrection, judged: &JudgedTile, columns: &mut Vec<(usize, f64)>) -> f64 {
     columns.clear();
     correction_columns(correction, &judged.tile, |index, value| {
-        columns.push((index, value * judged.inverse_std))
+        columns.push((index, value * judged.inverse_std));
     });
     (judged.tile.inverse_depth - judged.plane) * judged.inverse_std
 }

@@ -15,7 +15,7 @@ const EDGE_RATIO: f64 = 10.0;
 /// Steps of the quadratic fit before an extremum counts as unstable.
 const MAX_STEPS: usize = 5;
 
-/// Extrema this near to the border have no neighbourhood.
+/// Extrema this near to the border have no neighborhood.
 const BORDER: usize = 5;
 
 /// An extremum in an octave's own pixels.
@@ -68,7 +68,7 @@ fn is_extremum(planes: &[Plane], [x, y, level]: [usize; 3]) -> bool {
     })
 }
 
-/// Lowe 2004, equations 2 and 3: the extremum of the quadratic through the neighbours; `None`
+/// Lowe 2004, equations 2 and 3: the extremum of the quadratic through the neighbors; `None`
 /// where it wanders off, has little contrast, or is an edge.
 fn refined(planes: &[Plane], at: [usize; 3]) -> Option<Extremum> {
     let [mut x, mut y, mut level] = at;

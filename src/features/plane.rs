@@ -54,7 +54,7 @@ impl Plane {
     }
 }
 
-/// Half of a normalised Gaussian: the middle, then what is 1, 2, … pixels from it.
+/// Half of a normalized Gaussian: the middle, then what is 1, 2, … pixels from it.
 fn kernel(sigma: f64) -> Vec<f32> {
     let radius = (REACH * sigma).ceil().max(1.0) as usize;
     let weight = |k: usize| (-0.5 * (k as f64 / sigma).powi(2)).exp();

@@ -200,7 +200,7 @@ impl AprilGrid {
             return Err(TargetError::Size { cols, rows, of: "tags", least: 1 });
         }
         check_length("tag_m", tag_m)?;
-        if !(spacing >= 0.05 && spacing <= 1.0) {
+        if !(0.05..=1.0).contains(&spacing) {
             return Err(TargetError::Spacing { spacing });
         }
         if let Some(bits) = self.border_bits.filter(|bits| !(1..=2).contains(bits)) {

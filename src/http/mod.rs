@@ -1,4 +1,4 @@
-//! The daemon's face: routes in [`router`], one file a resource. Uses geometry, imaging,
+//! The daemon's face: routes in `router`, one file a resource. Uses geometry, imaging,
 //! estimation, calibration, document, export, store and pipeline; never a camera.
 //!
 //! Every answer is read from the newest state; only a `stop` waits, and only for its solve. Every

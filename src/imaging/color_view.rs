@@ -80,7 +80,7 @@ impl ColorView {
         match &self.projection {
             ColorProjection::Plane(lens) => points.for_each(|(x, y)| [*x, *y] = lens.pixel(*x, *y)),
             ColorProjection::Table(table) => {
-                points.for_each(|(x, y)| [*x, *y] = table.pixel(*x, *y))
+                points.for_each(|(x, y)| [*x, *y] = table.pixel(*x, *y));
             }
         }
     }

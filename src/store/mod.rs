@@ -112,7 +112,7 @@ mod tests {
             "store DIR/plumb.sqlite: damaged or not a plumb store: file is not a database; move it away, or restore it from a copy"
         );
         let foreign = refusal(|path| {
-            Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap()
+            Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap();
         });
         assert!(
             foreign.contains("not a plumb store: it is another program's database"),

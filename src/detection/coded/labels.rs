@@ -136,7 +136,7 @@ impl BestLabel {
 /// Where the sheet's first corner may lie in the grid so that the sheet covers `bounds`.
 fn firsts(sheet: &Sheet, bounds: Bounds, turns: u8) -> impl Iterator<Item = (i32, i32)> {
     let [across, down] = sheet.lines;
-    let (width, height) = if turns % 2 == 0 { (across, down) } else { (down, across) };
+    let (width, height) = if turns.is_multiple_of(2) { (across, down) } else { (down, across) };
     // The grid's index of the least corner of the turned sheet.
     let range = |(least, most): (i32, i32), length: i32| most - length + 1..=least;
     let (dx, dy) = match turns {

@@ -202,7 +202,12 @@ impl WithSimd for Gather<'_> {
                     let left = (first[0] + i64::from(from[k]) * bin) as usize;
                     match window.bin {
                         1 => {
-                            samples.push_run(at, image.bytes(), top * image.stride() + left, length)
+                            samples.push_run(
+                                at,
+                                image.bytes(),
+                                top * image.stride() + left,
+                                length,
+                            );
                         }
                         2 => samples.push_binned(at, rows_from::<2>(image, top, left), length),
                         _ => samples.push_binned(at, rows_from::<4>(image, top, left), length),

@@ -144,13 +144,13 @@ fn linearize_tile(
     row.globals.clear();
     let globals = &mut row.globals;
     correction_columns(correction, tile, |index, value| {
-        globals.push((correction_at + index, value * inverse_std))
+        globals.push((correction_at + index, value * inverse_std));
     });
     let by_gain = -row.residual / gain;
     // The same coefficients in the same order.
     let mut entries = globals.iter_mut();
     gain_columns(correction, tile, |_, value| {
-        entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain)
+        entries.next().into_iter().for_each(|entry| entry.1 += value * by_gain);
     });
     add_lens_columns(
         (layout, lens),

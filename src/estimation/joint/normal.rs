@@ -50,7 +50,7 @@ pub(crate) fn linearize(
     linearize_within((layout, state), observations, loss, &mut Columns::default())
 }
 
-/// As [`linearize`], in room that is there already.
+/// As [`linearize()`], in room that is there already.
 pub(crate) fn linearize_within(
     (layout, state): (&Layout, &State),
     observations: &[BoardObservation],
