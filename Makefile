@@ -65,6 +65,7 @@ elsewhere:
 deb:
 	$(PACKAGES) build
 	cargo deb --version >/dev/null 2>&1 || cargo install --locked cargo-deb
+	packaging/third-party-notices > target/THIRD-PARTY-NOTICES
 	cargo deb --strip
 
 # Format, clippy and documentation: no warning is accepted.

@@ -11,7 +11,10 @@ use crate::capture::{CaptureError, FrameSource};
 use crate::cli::{Failure, output, progress};
 use crate::config::{CameraConfig, Config, Overrides};
 use crate::daemon::sources::opener_of;
-use crate::recording::McapWriter;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{FrameSet, SensorKind};
+use crate::recording::{McapWriter, RecordingError, Ros2Writer};
 
 /// How long one wait for a frame is: a request to stop is seen between two.
 const WAIT: Duration = Duration::from_millis(200);
@@ -22,9 +25,12 @@ pub struct Args {
     /// The camera's name in the configuration
     #[arg(long, value_name = "NAME")]
     camera: String,
-    /// The recording to write
+    /// The recording to write; with --ros2 a folder
     #[arg(long, value_name = "FILE.mcap")]
     out: PathBuf,
+    /// Write a ROS 2 bag: a folder with an MCAP file and its metadata.yaml
+    #[arg(long)]
+    ros2: bool,
     /// How long to record, from the first frame on
     #[arg(long, value_name = "N", value_parser = positive_seconds)]
     seconds: Option<Duration>,
@@ -34,6 +40,48 @@ pub struct Args {
     /// Print what was recorded as one JSON document
     #[arg(long)]
     json: bool,
+}
+
+/// The recording being written.
+enum Writer {
+    Foxglove(McapWriter),
+    Ros2(Ros2Writer),
+}
+
+impl Writer {
+    fn create(args: &Args) -> Result<Self, RecordingError> {
+        if args.ros2 {
+            return Ros2Writer::create(&args.out, &args.camera).map(Self::Ros2);
+        }
+        McapWriter::create(&args.out, &args.camera).map(Self::Foxglove)
+    }
+
+    fn write(&mut self, set: &FrameSet) -> Result<(), RecordingError> {
+        match self {
+            Self::Foxglove(writer) => writer.write(set),
+            Self::Ros2(writer) => writer.write(set),
+        }
+    }
+
+    fn write_lens(
+        &mut self,
+        sensor: SensorKind,
+        size: ImageSize,
+        lens: &Lens,
+        utc_ns: i64,
+    ) -> Result<(), RecordingError> {
+        match self {
+            Self::Foxglove(writer) => writer.write_lens(sensor, size, lens, utc_ns),
+            Self::Ros2(writer) => writer.write_lens(sensor, size, lens, utc_ns),
+        }
+    }
+
+    fn finish(self) -> Result<(), RecordingError> {
+        match self {
+            Self::Foxglove(writer) => writer.finish(),
+            Self::Ros2(writer) => writer.finish(),
+        }
+    }
 }
 
 /// What was recorded.
@@ -57,7 +105,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let of_camera =
         |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera));
     let mut source = opener_of(&camera.source).open().map_err(|error| of_camera(&error))?;
-    let mut writer = McapWriter::create(&args.out, &args.camera).map_err(Failure::failed)?;
+    let mut writer = Writer::create(args).map_err(Failure::failed)?;
     let stop = stopped_by_signal()?;
     let mut recorded = Recorded { path: &args.out, camera: &args.camera, frame_sets: 0, lost: 0 };
     let outcome = record(source.as_mut(), &mut writer, &mut recorded, (&stop, args.seconds));
@@ -84,7 +132,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 
 fn record(
     source: &mut dyn FrameSource,
-    writer: &mut McapWriter,
+    writer: &mut Writer,
     recorded: &mut Recorded<'_>,
     (stop, limit): (&AtomicBool, Option<Duration>),
 ) -> Result<(), Failure> {
@@ -117,7 +165,7 @@ fn record(
 
 fn write_factory_lenses(
     source: &dyn FrameSource,
-    writer: &mut McapWriter,
+    writer: &mut Writer,
     utc_ns: i64,
 ) -> Result<(), Failure> {
     for stated in source.description().factory.sensors {

@@ -139,7 +139,7 @@ impl McapWriter {
     }
 }
 
-fn write_error(path: &Path, error: mcap::McapError) -> RecordingError {
+pub(super) fn write_error(path: &Path, error: mcap::McapError) -> RecordingError {
     let source = match error {
         mcap::McapError::Io(source) => source,
         other => std::io::Error::other(other.to_string()),

@@ -12,6 +12,8 @@ mod mcap_writer;
 mod messages;
 mod natural_order;
 mod records;
+mod ros2_messages;
+mod ros2_writer;
 mod unpack;
 
 use std::path::{Path, PathBuf};
@@ -21,6 +23,7 @@ pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};
 pub use mcap_writer::McapWriter;
 pub use natural_order::natural_order;
+pub use ros2_writer::Ros2Writer;
 
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;

@@ -158,6 +158,9 @@ impl RecordReader {
         let longer = || damaged("a record is longer than its chunk");
         if let Some(chunk) = &mut self.chunk {
             chunk.left = chunk.left.checked_sub(RECORD_HEADER).ok_or_else(longer)?;
+            if chunk.unpacked.is_some() {
+                self.budget.take_record().map_err(Broken::Damaged)?;
+            }
         }
         let header = self.read_exact(RECORD_HEADER)?;
         let length = u64::from_le_bytes(std::array::from_fn(|i| header[1 + i]));

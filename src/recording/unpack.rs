@@ -9,16 +9,28 @@ const UNPACKED_AT_LEAST: u64 = 48 << 20;
 /// they shrink tenfold, and rendered ones a hundredfold.
 const LARGEST_RATIO: u64 = 1000;
 
+/// What a small file may unpack to in records.
+const RECORDS_AT_LEAST: u64 = 100_000;
+/// Bytes of the file that each record beyond that must have taken: ten times fewer than the
+/// smallest message does when it is compressed well.
+const LEAST_BYTES_PER_RECORD: u64 = 2;
+/// What is unpacked at once.
+const READ_AHEAD: usize = 64 << 10;
+
 /// How much may still be unpacked from a file.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct UnpackBudget {
     left: u64,
+    records: u64,
 }
 
 impl UnpackBudget {
     /// Of a file of `length` bytes.
     pub(super) fn of_file(length: u64) -> Self {
-        Self { left: UNPACKED_AT_LEAST.saturating_add(length.saturating_mul(LARGEST_RATIO)) }
+        Self {
+            left: UNPACKED_AT_LEAST.saturating_add(length.saturating_mul(LARGEST_RATIO)),
+            records: RECORDS_AT_LEAST + length / LEAST_BYTES_PER_RECORD,
+        }
     }
 
     /// How many bytes that is.
@@ -31,6 +43,13 @@ impl UnpackBudget {
         self.left = self.left.checked_sub(length).ok_or_else(|| {
             format!("it unpacks to more than {LARGEST_RATIO} times its size, as no recording does")
         })?;
+        Ok(())
+    }
+
+    /// Takes one record from it; why not, in a few words.
+    pub(super) fn take_record(&mut self) -> Result<(), String> {
+        let left = self.records.checked_sub(1);
+        self.records = left.ok_or("it unpacks to more records than its size can hold")?;
         Ok(())
     }
 }
@@ -62,11 +81,12 @@ impl Compression {
         self,
         packed: impl Read + Send + 'static,
     ) -> Result<Box<dyn Read + Send>, std::io::Error> {
-        Ok(match self {
+        let unpacked: Box<dyn Read + Send> = match self {
             Self::Zstd => Box::new(zstd::Decoder::new(packed)?),
             Self::Lz4 => Box::new(lz4_flex::frame::FrameDecoder::new(BufReader::new(packed))),
             Self::Bzip2 => Box::new(bzip2::read::BzDecoder::new(packed)),
-        })
+        };
+        Ok(Box::new(BufReader::with_capacity(READ_AHEAD, unpacked)))
     }
 }
 

@@ -13,13 +13,19 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="session")
-def plumb():
-    """Runs Plumb with arguments; the finished process, with its output as text."""
+def plumb_binary():
+    """The binary under test."""
     binary = ROOT / os.environ.get("PLUMB", "target/debug/plumb")
     assert binary.is_file(), f"{binary} is missing: `cargo build` makes it"
+    return binary
+
+
+@pytest.fixture(scope="session")
+def plumb(plumb_binary):
+    """Runs Plumb with arguments; the finished process, with its output as text."""
 
     def run(*arguments, succeeds=True):
-        done = subprocess.run([binary, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+        done = subprocess.run([plumb_binary, *map(str, arguments)], capture_output=True, text=True, timeout=120)
         assert (done.returncode == 0) == succeeds, f"{arguments}: {done.returncode}\n{done.stdout}{done.stderr}"
         return done
 

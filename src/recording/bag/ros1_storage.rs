@@ -126,6 +126,9 @@ impl Ros1Storage {
         {
             return Ok(None);
         }
+        if self.chunk.as_ref().is_some_and(|chunk| chunk.unpacked.is_some()) {
+            self.budget.take_record().map_err(Broken::Damaged)?;
+        }
         let length = self.length(LONGEST_HEADER)?;
         let header = RecordHeader::read(&self.read(length)?)?;
         Ok(Some((header, self.length(LONGEST_RECORD)?)))

@@ -1,0 +1,179 @@
+//! Frames as ROS 2 messages: the topics and types that drivers publish, in CDR.
+//!
+//! The color sensor of camera `front` is `/front/image_raw` in `front_optical_frame` (REP 103),
+//! its others `/front/depth/image_rect_raw`, `/front/infra1/image_rect_raw` and so on.
+
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+
+pub(super) const IMAGE: &str = "sensor_msgs/msg/Image";
+pub(super) const COMPRESSED_IMAGE: &str = "sensor_msgs/msg/CompressedImage";
+pub(super) const CAMERA_INFO: &str = "sensor_msgs/msg/CameraInfo";
+
+/// What image_transport puts before a compressed depth image: its format (0, which it also writes
+/// for depths of 16 bits, stored as they are) and two numbers of the other encoding.
+const COMPRESSED_DEPTH_HEADER: [u8; 12] = [0; 12];
+
+/// A message, and where it goes.
+#[derive(Debug, Clone)]
+pub(super) struct Ros2Message {
+    pub topic: String,
+    pub type_name: &'static str,
+    pub bytes: Vec<u8>,
+}
+
+/// The frame of `camera` as a message, taken at `utc_ns`.
+pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Message> {
+    let base = format!("{}/{}", namespace(camera, frame.sensor), image_name(frame.sensor));
+    let mut cdr = Cdr::with_header(utc_ns, &frame_id(camera, frame.sensor));
+    if let PixelFormat::Jpeg | PixelFormat::Png = frame.format {
+        let is_depth = frame.sensor == SensorKind::Depth && frame.format == PixelFormat::Png;
+        let topic = format!("{base}/{}", if is_depth { "compressedDepth" } else { "compressed" });
+        if is_depth {
+            cdr.text("16UC1; compressedDepth png");
+            cdr.bytes(&[&COMPRESSED_DEPTH_HEADER, &*frame.bytes]);
+        } else {
+            cdr.text(frame.format.name());
+            cdr.bytes(&[&frame.bytes]);
+        }
+        return Some(Ros2Message { topic, type_name: COMPRESSED_IMAGE, bytes: cdr.0 });
+    }
+    cdr.u32(frame.size.height);
+    cdr.u32(frame.size.width);
+    cdr.text(encoding(frame.format));
+    cdr.0.push(0);
+    cdr.u32(u32::try_from(frame.stride).ok()?);
+    cdr.bytes(&[&frame.bytes]);
+    Some(Ros2Message { topic: base, type_name: IMAGE, bytes: cdr.0 })
+}
+
+/// What is stated of a sensor's lens, as `camera_info`.
+pub(super) fn camera_info(
+    (camera, sensor): (&str, SensorKind),
+    lens: &Lens,
+    size: ImageSize,
+    utc_ns: i64,
+) -> Ros2Message {
+    let m = lens.matrix;
+    let model = match lens.model() {
+        LensModel::Pinhole | LensModel::Radial | LensModel::Brown => "plumb_bob",
+        LensModel::Rational => "rational_polynomial",
+        LensModel::KannalaBrandt => "equidistant",
+    };
+    let mut distortion = lens.distortion.coefficients();
+    if model == "plumb_bob" {
+        distortion.resize(5, 0.0);
+    }
+    let mut cdr = Cdr::with_header(utc_ns, &frame_id(camera, sensor));
+    cdr.u32(size.height);
+    cdr.u32(size.width);
+    cdr.text(model);
+    cdr.u32(distortion.len() as u32);
+    distortion.iter().for_each(|d| cdr.f64(*d));
+    let matrix = [m.fx, m.skew, m.cx, 0.0, m.fy, m.cy, 0.0, 0.0, 1.0];
+    let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+    let projection = [m.fx, m.skew, m.cx, 0.0, 0.0, m.fy, m.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
+    for value in matrix.iter().chain(&rotation).chain(&projection) {
+        cdr.f64(*value);
+    }
+    // No binning, and the region of interest is the whole image.
+    (0..6).for_each(|_| cdr.u32(0));
+    cdr.0.push(0);
+    let topic = format!("{}/camera_info", namespace(camera, sensor));
+    Ros2Message { topic, type_name: CAMERA_INFO, bytes: cdr.0 }
+}
+
+fn namespace(camera: &str, sensor: SensorKind) -> String {
+    match sensor {
+        SensorKind::Color => format!("/{camera}"),
+        SensorKind::Infrared => format!("/{camera}/infra1"),
+        SensorKind::Infrared2 => format!("/{camera}/infra2"),
+        SensorKind::Depth => format!("/{camera}/depth"),
+    }
+}
+
+fn image_name(sensor: SensorKind) -> &'static str {
+    if sensor == SensorKind::Color { "image_raw" } else { "image_rect_raw" }
+}
+
+fn frame_id(camera: &str, sensor: SensorKind) -> String {
+    match sensor {
+        SensorKind::Color => format!("{camera}_optical_frame"),
+        other => format!("{camera}_{}_optical_frame", other.name()),
+    }
+}
+
+/// The name in `sensor_msgs/image_encodings.hpp`.
+fn encoding(format: PixelFormat) -> &'static str {
+    match format {
+        PixelFormat::Yuyv => "yuv422_yuy2",
+        PixelFormat::Uyvy => "yuv422",
+        other => other.name(),
+    }
+}
+
+/// The definition of a type with those that it is made of, as `ros2msg` schemas hold them.
+pub(super) fn definition(type_name: &str) -> String {
+    let own = match type_name {
+        IMAGE => {
+            "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data\n"
+        }
+        COMPRESSED_IMAGE => "std_msgs/Header header\nstring format\nuint8[] data\n",
+        _ => {
+            "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nfloat64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi\n"
+        }
+    };
+    let part = |name: &str, fields: &str| format!("{}\nMSG: {name}\n{fields}", "=".repeat(80));
+    let mut text = own.to_owned()
+        + &part("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n")
+        + &part("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n");
+    if type_name == CAMERA_INFO {
+        let fields =
+            "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n";
+        text += &part("sensor_msgs/RegionOfInterest", fields);
+    }
+    text
+}
+
+/// A message in little-endian CDR.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    /// Begins with the four bytes that state the encoding, and a `std_msgs/Header`.
+    fn with_header(utc_ns: i64, frame_id: &str) -> Self {
+        let mut cdr = Self(vec![0, 1, 0, 0]);
+        let utc_ns = utc_ns.max(0);
+        cdr.u32(u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX));
+        cdr.u32((utc_ns % 1_000_000_000) as u32);
+        cdr.text(frame_id);
+        cdr
+    }
+
+    /// Numbers begin at a multiple of their length, counted after the first four bytes.
+    fn align(&mut self, length: usize) {
+        let end = 4 + (self.0.len() - 4).next_multiple_of(length);
+        self.0.resize(end, 0);
+    }
+
+    fn u32(&mut self, value: u32) {
+        self.align(4);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn f64(&mut self, value: f64) {
+        self.align(8);
+        self.0.extend(value.to_le_bytes());
+    }
+
+    fn text(&mut self, text: &str) {
+        self.u32(text.len() as u32 + 1);
+        self.0.extend(text.as_bytes());
+        self.0.push(0);
+    }
+
+    fn bytes(&mut self, parts: &[&[u8]]) {
+        self.u32(parts.iter().map(|part| part.len()).sum::<usize>() as u32);
+        parts.iter().for_each(|part| self.0.extend_from_slice(part));
+    }
+}

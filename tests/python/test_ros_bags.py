@@ -1,0 +1,150 @@
+"""Bags that ROS's tools write are read as the pictures they were made of, and Plumb's own open in them."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory as Ros2Decoder
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_typestore
+
+import ros_bags
+from test_recordings import RECORDINGS, frames
+
+KINDS = ["mcap", "db3", "mcap.zstd", "db3.zstd", "db3.messages", "bag", "bag.bz2", "bag.lz4"]
+ENCODINGS = ["mono16", "bgr8", "rgb8", "bgra8", "rgba8", "yuv422_yuy2", "png"]
+SHARED = next((up / "shared/data" for up in Path(__file__).resolve().parents if (up / "shared/data").is_dir()), None)
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Twelve grey pictures of the bundled walk."""
+    messages, _ = frames(RECORDINGS / "walk.mcap")
+    decoded = [cv2.imdecode(np.frombuffer(m.data, np.uint8), cv2.IMREAD_GRAYSCALE) for _, _, m, _ in messages[::12]]
+    return decoded[:12]
+
+
+def lens(plumb, *sources):
+    """What a calibration says of the lens and of each view, to the last bit."""
+    done = plumb("calibrate", "--board", "9x6", "--square", "25mm", "--lens", "brown", "--json", "--every-frame", *sources)
+    document = json.loads(done.stdout)
+    color = document["sensors"]["color"] if "sensors" in document else document
+    return json.dumps({key: value for key, value in color.items() if key in ("lens", "rms_px", "deviations", "covariance")})
+
+
+@pytest.fixture(scope="module")
+def expected(plumb, pictures, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures")
+    for index, pixels in enumerate(pictures):
+        cv2.imwrite(str(folder / f"{index:03}.png"), pixels)
+    answer = lens(plumb, folder)
+    assert "fx" in answer
+    return answer
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_storage_gives_the_calibration_of_its_pictures(kind, plumb, pictures, expected, tmp_path):
+    path = tmp_path / ("front.bag" if kind.startswith("bag") else "front")
+    assert lens(plumb, ros_bags.write_pictures(path, kind, pictures, "mono8")) == expected
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_every_lossless_encoding_gives_the_calibration_of_its_pictures(encoding, plumb, pictures, expected, tmp_path):
+    assert lens(plumb, ros_bags.write_pictures(tmp_path / "front", "mcap", pictures, encoding)) == expected
+
+
+def test_real_pictures(plumb, tmp_path):
+    if SHARED is None:
+        pytest.skip("no shared/data beside the project: nothing was tested on real pictures")
+    files = sorted((SHARED / "opencv-samples").glob("left[0-9]*.jpg"))
+    assert files
+    bag = ros_bags.write_pictures(tmp_path / "left", "db3", [file.read_bytes() for file in files], "jpeg")
+    assert lens(plumb, bag) == lens(plumb, *files)
+
+
+def detect(plumb, *arguments, succeeds=True):
+    done = plumb("detect", "--board", "9x6", "--json", *arguments, succeeds=succeeds)
+    return [json.loads(line) for line in done.stdout.splitlines()] if succeeds else done.stderr
+
+
+def test_several_cameras_are_several_cameras(plumb, pictures, tmp_path):
+    with ros_bags.Bag(tmp_path / "two", "mcap") as bag:
+        for index, pixels in enumerate(pictures[:3]):
+            time_ns = ros_bags.START_NS + index * ros_bags.INTERVAL_NS
+            bag.image("/left/image_raw", time_ns, pixels, "mono8")
+            bag.image("/right/image_raw", time_ns, pixels[:, ::-1].copy(), "rgb8")
+    line = detect(plumb, tmp_path / "two", succeeds=False)
+    assert "/left/image_raw" in line and "--topic" in line and line.count("\n") == 1
+    left = detect(plumb, "--topic", "/left/image_raw", tmp_path / "two")
+    right = detect(plumb, "--topic", "/right", tmp_path / "two")
+    assert len(left) == len(right) == 3 and all(line["found"] for line in left)
+    assert left[0]["corners"] != right[0]["corners"]
+
+
+def image_bag(path, encoding="mono8", **changed):
+    """A bag with one image of 64 × 48, with fields `changed`."""
+    pixels = np.zeros((48, 64), np.uint8)
+    with ros_bags.Bag(path, "mcap") as bag:
+        fields = {"header": bag.header(ros_bags.START_NS), "height": 48, "width": 64, "encoding": encoding,
+                  "is_bigendian": 0, "step": 64, "data": pixels.reshape(-1)}
+        bag.write("/front/image_raw", "sensor_msgs/msg/Image", ros_bags.START_NS, **{**fields, **changed})
+    return path
+
+
+def test_bad_bags_are_one_line(plumb, pictures, tmp_path):
+    def refused(path, *words):
+        line = detect(plumb, path, succeeds=False)
+        assert line.count("\n") == 1 and all(word in line for word in words), line
+
+    refused(image_bag(tmp_path / "rvl", "rvl16"), "/front/image_raw", "rvl16", "mono8")
+    refused(image_bag(tmp_path / "short", data=np.zeros(100, np.uint8)), "64x48", "100")
+    refused(image_bag(tmp_path / "step", step=10), "64x48", "10 bytes")
+    with ros_bags.Bag(tmp_path / "none", "db3") as bag:
+        bag.transform("base", "front", (0.0, 0.0, 0.0))
+    refused(tmp_path / "none", "no frames", "sensor_msgs")
+    whole = ros_bags.write_pictures(tmp_path / "cut.bag", "bag.lz4", pictures[:4], "mono8")
+    whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    refused(whole, "cut.bag")
+    for kind in ("mcap", "db3"):
+        folder = ros_bags.write_pictures(tmp_path / f"cut_{kind}", kind, pictures[:4], "mono8")
+        file = next(folder.glob(f"*.{kind}"))
+        content = file.read_bytes()
+        file.write_bytes(content[: len(content) // 2])
+        refused(folder, f"cut_{kind}")
+        (tmp_path / "nothing").mkdir(exist_ok=True)
+        file.unlink()
+        refused(folder, file.name, "no such file")
+    # Without its metadata a database still says all that is needed.
+    folder = ros_bags.write_pictures(tmp_path / "bare", "db3", pictures[:2], "mono8")
+    (folder / "metadata.yaml").unlink()
+    assert len(detect(plumb, folder)) == len(detect(plumb, next(folder.glob("*.db3")))) == 2
+
+
+def test_what_plumb_records_opens_in_ros(plumb, tmp_path):
+    config, out = tmp_path / "plumb.toml", tmp_path / "front"
+    source = f'{{ kind = "recording", path = "{RECORDINGS}/rgbd.mcap", pace = "fastest" }}'
+    config.write_text(f'[[camera]]\nname = "front"\nsource = {source}\n')
+    plumb("record", "--ros2", "--camera", "front", "--config", config, "--out", out)
+    shipped, _ = frames(RECORDINGS / "rgbd.mcap")
+    depth = [message.data for topic, _, message, _ in shipped if topic == "/front/depth"]
+    color = [message for topic, _, message, _ in shipped if topic == "/front/color"]
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with rosbag2.Reader(out) as reader:
+        counts = {connection.topic: connection.msgcount for connection in reader.connections}
+        assert counts["/front/image_raw/compressed"] == len(color) == counts["/front/depth/image_rect_raw/compressedDepth"]
+        read = {}
+        for connection, time_ns, data in reader.messages():
+            message = store.deserialize_cdr(data, connection.msgtype)
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == time_ns
+            read.setdefault(connection.topic, []).append(message)
+    assert [m.data.tobytes() for m in read["/front/image_raw/compressed"]] == [bytes(m.data) for m in color]
+    assert read["/front/image_raw/compressed"][0].header.frame_id == "front_optical_frame"
+    packed = read["/front/depth/image_rect_raw/compressedDepth"]
+    assert [m.data.tobytes()[12:] for m in packed] == [bytes(data) for data in depth]
+    with next(out.glob("*.mcap")).open("rb") as file:
+        decoded = list(make_reader(file, decoder_factories=[Ros2Decoder()]).iter_decoded_messages())
+    assert len(decoded) == sum(counts.values())
+    assert len(detect(plumb, out)) == len(color)
