@@ -1,9 +1,11 @@
 //! `plumb calibrate`: from pictures or a recording to a calibration.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::calibration::result::CalibratedView;
 use crate::calibration::solve::solve_views;
 use crate::cli::calibrate_rgbd;
+use crate::cli::calibrate_target::gather_target;
 use crate::cli::calibration_output::{OutputArgs, finished};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::Gathered;
@@ -12,19 +14,30 @@ use crate::cli::length::Length;
 use crate::cli::lens_name::LensName;
 use crate::cli::search::searcher;
 use crate::cli::sources::{FrameSets, TopicArgs};
+use crate::cli::target_search::read_target;
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::DetectOptions;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::CameraProblem;
 use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::target::Target;
 
 /// Calibrates a camera from pictures of a chessboard, or from a recording.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
     search: SearchArgs,
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long, required_unless_present = "target")]
+    board: Option<BoardSize>,
     /// The side of one square, with its unit, as in 25mm.
-    #[arg(long)]
-    square: Length,
+    #[arg(long, required_unless_present = "target")]
+    square: Option<Length>,
+    /// The target in FILE, in place of --board and --square: a chessboard, a ChArUco board or an
+    /// AprilGrid as JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["board", "square"])]
+    target: Option<PathBuf>,
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
@@ -37,26 +50,28 @@ pub struct Args {
 /// Which pictures to search, and for what.
 #[derive(Debug, clap::Args)]
 pub struct SearchArgs {
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
-    /// along a column.
-    #[arg(long)]
-    pub board: BoardSize,
     /// Also use pictures in which only part of the board is seen.
     #[arg(long)]
-    allow_partial: bool,
+    pub(super) allow_partial: bool,
     /// How many pictures to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    threads: Option<u16>,
+    pub(super) threads: Option<u16>,
     #[command(flatten)]
-    reading: TopicArgs,
+    pub(super) reading: TopicArgs,
     /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags).
     #[arg(required = true, value_name = "SOURCE")]
-    sources: Vec<String>,
+    pub(super) sources: Vec<String>,
 }
 
 impl SearchArgs {
     fn detect_options(&self) -> DetectOptions {
         DetectOptions { allow_partial: self.allow_partial }
+    }
+
+    /// # Errors
+    /// When a source is not there.
+    pub(super) fn check_sources(&self) -> Result<(), Failure> {
+        self.sources.iter().try_for_each(|source| check_there(source))
     }
 
     /// The sources, in as many words as a line holds.
@@ -73,10 +88,19 @@ impl SearchArgs {
 /// # Errors
 /// When a source is not there, the board is in too few pictures, or they leave the lens open.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let target = Chessboard::new(args.search.board, args.square.meters).map_err(Failure::usage)?;
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
     args.estimated.add_to(&mut options);
+    let target = match (args.board, args.square, &args.target) {
+        (Some(board), Some(square), _) => {
+            Chessboard::new(board, square.meters).map_err(Failure::usage)?
+        }
+        (_, _, Some(file)) => match read_target(file)? {
+            Target::Chessboard(board) => board,
+            target => return calibrate_with_markers(args, &target, &options),
+        },
+        _ => return Err(Failure::usage("give --board and --square, or --target")),
+    };
     if let [source] = args.search.sources.as_slice()
         && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
@@ -85,16 +109,34 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;
         return args.output.give(&calibration, Some(elapsed_ms));
     }
-    let (problem, others) = gather(&args.search, target)?.finish()?;
+    let gathered = gather(&args.search, target)?.finish()?;
+    solve(args, Some(target), gathered, &options)
+}
+
+fn calibrate_with_markers(
+    args: &Args,
+    target: &Target,
+    options: &CameraOptions,
+) -> Result<(), Failure> {
+    solve(args, None, gather_target(&args.search, target)?, options)
+}
+
+/// Solves the problem and gives the calibration; pictures that are no views keep their places.
+fn solve(
+    args: &Args,
+    target: Option<Chessboard>,
+    (problem, others): (CameraProblem, Vec<(usize, CalibratedView)>),
+    options: &CameraOptions,
+) -> Result<(), Failure> {
     let spinner = progress::spinner("solving");
-    let solved = solve_views(&problem, &options);
+    let solved = solve_views(&problem, options);
     spinner.finish_and_clear();
     let mut solved =
         solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
     for (place, view) in others {
         solved.sensor.views.insert(place.min(solved.sensor.views.len()), view);
     }
-    let calibration = finished(Some(target), solved);
+    let calibration = finished(target, solved);
     args.output.give(&calibration, None)
 }
 
@@ -103,16 +145,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 /// # Errors
 /// When a source is not there, or pictures differ in size.
 pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure> {
-    for source in &args.sources {
-        check_there(source)?;
-    }
+    args.check_sources()?;
     let options = args.detect_options();
     let mut gathered = Gathered::new(target);
     let spinner = progress::spinner("searching pictures");
     in_order(
         FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
-        || searcher(args.board, options, 1),
+        || searcher(target.size, options, 1),
         |looked| {
             spinner.inc(1);
             gathered.add(looked)

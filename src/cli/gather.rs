@@ -151,7 +151,7 @@ impl Gathered {
     }
 }
 
-fn unused(name: String, reason: String) -> CalibratedView {
+pub(super) fn unused(name: String, reason: String) -> CalibratedView {
     CalibratedView {
         name,
         used: false,

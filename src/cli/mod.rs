@@ -10,6 +10,7 @@
 pub mod autocalibrate;
 pub mod calibrate;
 mod calibrate_rgbd;
+mod calibrate_target;
 pub mod calibration_output;
 pub mod correct;
 pub mod detect;

@@ -18,6 +18,8 @@ use crate::imaging::gray::GrayImage;
 pub struct TargetSearched {
     /// Its path; for a frame of a recording with its number.
     pub path: String,
+    /// The recording it is part of.
+    pub recording: Option<String>,
     /// What there is to know about it besides what is seen in it.
     pub frame: FrameFacts,
     /// What is seen in it.
@@ -60,6 +62,6 @@ pub fn target_searcher(
             elapsed_ms = elapsed_ms.min(search().1);
         }
         let frame = frame_facts(&frames, image.size());
-        Ok(TargetSearched { path, frame, answer, elapsed_ms })
+        Ok(TargetSearched { path, recording: frames.recording, frame, answer, elapsed_ms })
     }
 }

@@ -14,7 +14,7 @@ use crate::cli::files::read_calibration;
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::geometry::board::Chessboard;
+use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::Lens;
 
 /// A change of this many of the calibration's own standard deviations is one.
@@ -33,6 +33,10 @@ pub struct Args {
     calibration: PathBuf,
     #[command(flatten)]
     search: SearchArgs,
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long)]
+    board: BoardSize,
     /// Print the answer as one JSON document
     #[arg(long)]
     json: bool,
@@ -65,7 +69,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         .guide()
         .ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
     let square_m = calibration.target.map_or(ANY_SQUARE_M, |target| target.square_m);
-    let target = Chessboard::new(args.search.board, square_m).map_err(Failure::usage)?;
+    let target = Chessboard::new(args.board, square_m).map_err(Failure::usage)?;
     let (problem, _) = gather(&args.search, target)?.finish()?;
     if problem.image_size != sensor.image_size {
         return Err(Failure::failed(format!(

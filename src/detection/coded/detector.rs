@@ -3,14 +3,16 @@
 
 use crate::detection::candidates::CandidateSearch;
 use crate::detection::coded::answer::{NoTarget, TargetDetection};
-use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels};
+use crate::detection::coded::chart::ChartPair;
+use crate::detection::coded::ends::seen_ends;
+use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, MOST_BEYOND};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::cross::Vec2;
 use crate::detection::grid::Grid;
-use crate::detection::pyramid::Pyramid;
+use crate::detection::pyramid::{Pyramid, coarsest_level};
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
 use crate::detection::response::Response;
 use crate::detection::seeds::Neighborhood;
@@ -30,8 +32,8 @@ const SAME_PX: f32 = 2.5;
 /// Tangent of how far a crossing may lie off the edge that leads to it: less than the payloads'
 /// crossings do.
 const OFF_EDGE: f32 = 0.16;
-/// Levels that are searched, the image itself first.
-const LEVELS: [usize; 3] = [0, 1, 2];
+/// Images whose longer side is more are searched at half their size first.
+const LARGE: usize = 1500;
 /// An image whose shorter side is less holds no target.
 const LEAST_SIDE: usize = 24;
 
@@ -47,6 +49,7 @@ pub struct TargetDetector {
     used: Vec<bool>,
     /// Candidates in the order in which they are started from, and how far their squares reach.
     order: Vec<(usize, usize)>,
+    pairs: Vec<ChartPair>,
     pub(super) growth: LatticeGrowth,
     pub(super) grid: Grid,
     pub(super) spare: Grid,
@@ -68,8 +71,11 @@ impl TargetDetector {
     /// A detector of `target`; `None` of a target without markers, for which there is
     /// [`Detector`](crate::detection::detector::Detector).
     pub fn new(target: Target) -> Option<Self> {
+        let sheets = Sheets::of(&target)?;
+        let [wide, narrow] = sheets.widths.map(f64::from);
         Some(Self {
-            sheets: Sheets::of(&target)?,
+            refiner: Refiner::with_room(2.0 * narrow.min(wide) / (wide + narrow)),
+            sheets,
             target,
             pyramid: Pyramid::default(),
             response: Response::default(),
@@ -77,13 +83,13 @@ impl TargetDetector {
             neighborhood: Neighborhood::with_links_within(OFF_EDGE),
             used: Vec::new(),
             order: Vec::new(),
+            pairs: Vec::new(),
             growth: LatticeGrowth::default(),
             grid: Grid::default(),
             spare: Grid::default(),
             reading: MarkerReading::default(),
             guesses: Vec::new(),
             refined: Vec::new(),
-            refiner: Refiner::new(),
         })
     }
 
@@ -102,9 +108,12 @@ impl TargetDetector {
             let target = self.target.to_string();
             return Err(NoTarget::ImageTooSmall { width, height, target });
         }
-        self.pyramid.build(image, LEVELS.len() - 1);
+        let coarsest = coarsest_level(image.size(), 1);
+        self.pyramid.build(image, coarsest);
         let mut seen = Unlabelled::default();
-        for level in LEVELS {
+        let half = usize::from(width.max(height) > LARGE).min(coarsest);
+        let order = (0..=coarsest).map(|level| if level <= half { half - level } else { level });
+        for level in order {
             if (width.min(height) >> level) < LEAST_SIDE {
                 continue;
             }
@@ -176,7 +185,7 @@ impl TargetDetector {
                     return Some(label);
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
-                BoardLabels::None => {}
+                BoardLabels::Two(..) | BoardLabels::None => {}
             }
         }
         None
@@ -202,17 +211,41 @@ impl TargetDetector {
                 let sheet = &self.sheets.ways[way];
                 let in_bright = self.sheets.in_bright != inverted;
                 self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
-                let mut best = BestLabel::default();
                 // Ways that differ in their cells alone are read once.
-                let inset = sheet.inset;
-                while self.sheets.ways.get(way).is_some_and(|sheet| sheet.inset == inset) {
-                    best.weigh((&self.sheets, way), &self.grid, &self.reading, inverted);
-                    way += 1;
+                let alike = self.sheets.ways[way..]
+                    .iter()
+                    .take_while(|other| other.inset == sheet.inset)
+                    .count();
+                for beyond in [0, MOST_BEYOND] {
+                    let mut best = BestLabel::default();
+                    for way in way..way + alike {
+                        let sheet = (&self.sheets, way);
+                        best.weigh(sheet, &self.grid, &self.reading, (inverted, beyond));
+                    }
+                    let labels = best.labels(&self.reading, &self.sheets);
+                    believed = better(believed, self.by_ends(view, labels));
+                    if matches!(believed, BoardLabels::One(_)) {
+                        break;
+                    }
                 }
-                believed = better(believed, best.labels(&self.reading, &self.sheets));
+                way += alike;
             }
         }
         believed
+    }
+
+    /// Of two places alike the one whose ends are seen.
+    fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
+        let BoardLabels::Two(first, second) = labels else { return labels };
+        let ends = [first, second].map(|label| {
+            let sheet = (&self.sheets, self.sheets.ways[label.way].lines);
+            seen_ends(view, sheet, &self.grid, label.placement, &mut self.pairs)
+        });
+        match (ends[0], ends[1]) {
+            (1.., 0) => BoardLabels::One(first),
+            (0, 1..) => BoardLabels::One(second),
+            _ => BoardLabels::Elsewhere(first.markers),
+        }
     }
 
     /// Searches for those corners of the labelled board that growing did not reach, and forgets what

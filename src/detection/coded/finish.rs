@@ -5,7 +5,7 @@ use crate::detection::board_detection::GridIndex;
 use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{LatticeScene, settle};
+use crate::detection::coded::lattice::{LatticeScene, MOST_REACH_PX, expect_bent, settle};
 use crate::detection::cross::Vec2;
 use crate::detection::grid::Node;
 use crate::detection::growth::in_steps;
@@ -17,13 +17,17 @@ use crate::imaging::gray::GrayView;
 /// units of the narrower interval.
 const MOST_OFF: f32 = 0.25;
 const MOST_OFF_REFINED: f32 = 0.12;
+/// The part of that which a suspect one may: refinement refused it, or gave it this many times the
+/// median standard deviation, as at the edge of a highlight or of a cover.
+const SUSPECT_SHARE: f32 = 0.4;
+const SUSPECT_STDS: f64 = 5.0;
 /// A lattice with more misplaced crossings than this part of them is none.
 const MOST_MISPLACED: f32 = 0.2;
 /// How far refinement may move a crossing, in the same units.
-const MOST_MOVED: f64 = 0.3;
+const MOST_MOVED: f64 = 0.25;
 /// Least correlation with a crossing of one that is reported without refinement, and its standard
 /// deviation.
-const STANDING_SCORE: f32 = 0.75;
+const STANDING_SCORE: f32 = 0.65;
 const STANDING_STD_PX: f64 = 0.5;
 
 impl TargetDetector {
@@ -73,8 +77,8 @@ impl TargetDetector {
                 in_steps(p - node.pixel, steps.map(|step| step * narrow))
                     .is_some_and(|off| off.x.abs().max(off.y.abs()) < 0.15)
             };
-            if let Some(sharp) =
-                settle(scene, node.pixel, steps, 0.5).filter(|sharp| near(sharp.pixel))
+            if let Some(sharp) = settle(scene, node.pixel, steps, (0.5, MOST_REACH_PX))
+                .filter(|sharp| near(sharp.pixel))
             {
                 self.grid.set(i, j, sharp);
             }
@@ -94,11 +98,21 @@ impl TargetDetector {
                 else {
                     continue;
                 };
-                let off = self
-                    .grid
-                    .pixel(i, j)
-                    .and_then(|pixel| in_steps(pixel - expected, steps.map(|step| step * narrow)));
-                let off = off.map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()));
+                let Some(pixel) = self.grid.pixel(i, j) else { continue };
+                let cell = steps.map(|step| step * narrow);
+                let off_from = |expected| {
+                    in_steps(pixel - expected, cell)
+                        .map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()))
+                };
+                let mut off = off_from(expected);
+                // Where a lens bends lines, those that end here show it.
+                if off > most
+                    && let Some(bent) = expect_bent(&self.sheets, &self.grid, (i, j))
+                {
+                    off = off.min(off_from(bent));
+                }
+                let suspect = self.grid.get(i, j).is_some_and(|node| node.tight);
+                let off = if suspect { off / SUSPECT_SHARE } else { off };
                 if off > worst.0 {
                     worst = (off, Some((i, j)));
                 }
@@ -114,7 +128,7 @@ impl TargetDetector {
     /// Refines all crossings of `grid`; those that are none are taken out.
     fn refine(&mut self, image: GrayView<'_>) {
         self.guesses.clear();
-        let reach = self.sheets.widths[0].min(self.sheets.widths[1]);
+        let reach = 0.5 * (self.sheets.widths[0] + self.sheets.widths[1]);
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
         for index in 0..self.grid.members.len() {
             let (i, j) = self.grid.members[index];
@@ -131,6 +145,9 @@ impl TargetDetector {
             });
         }
         self.refiner.refine(image, &self.guesses, &mut self.refined);
+        let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
+        stds.sort_unstable_by(f64::total_cmp);
+        let most_std_px = SUSPECT_STDS * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
         for (guess, refined) in self.guesses.iter().zip(&mut self.refined) {
             let GridIndex { col, row } = guess.index;
             let nearest = guess.neighbors.iter().flatten();
@@ -142,10 +159,11 @@ impl TargetDetector {
             match refined {
                 Some(refined) => {
                     let pixel = Vec2::new(refined.pixel.x as f32, refined.pixel.y as f32);
-                    self.grid.set(col, row, Node { pixel, ..node });
+                    let tight = refined.std_px > most_std_px;
+                    self.grid.set(col, row, Node { pixel, tight, ..node });
                 }
                 None if node.score < STANDING_SCORE => self.grid.remove(col, row),
-                None => {}
+                None => self.grid.set(col, row, Node { tight: true, ..node }),
             }
         }
     }

@@ -27,6 +27,11 @@ const MOST_CONTRADICTIONS: f32 = 0.1;
 /// Least weight of a cell that is counted as read.
 const READ: f32 = 0.8;
 
+/// Lines of a lattice that may lie beyond the board: what is around it has crossings too. And the
+/// least part of the crossings that lie on it.
+pub(super) const MOST_BEYOND: i32 = 2;
+const LEAST_ON_BOARD: f32 = 0.85;
+
 /// Where a lattice lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct BoardLabel {
@@ -47,6 +52,8 @@ pub(super) struct BoardLabel {
 pub(super) enum BoardLabels {
     /// One place.
     One(BoardLabel),
+    /// Two places alike.
+    Two(BoardLabel, BoardLabel),
     /// So many cells have codes of the target, but elsewhere.
     Elsewhere(usize),
     /// Nothing.
@@ -57,7 +64,7 @@ pub(super) enum BoardLabels {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct BestLabel {
     first: Option<BoardLabel>,
-    second: f32,
+    second: Option<BoardLabel>,
     contradictions: usize,
     largest: usize,
 }
@@ -69,7 +76,7 @@ impl BestLabel {
         (sheets, way): (&Sheets, usize),
         grid: &Grid,
         reading: &MarkerReading,
-        inverted: bool,
+        (inverted, beyond): (bool, i32),
     ) {
         let Some(bounds) = grid.firm_bounds() else { return };
         let sheet = &sheets.ways[way];
@@ -79,19 +86,22 @@ impl BestLabel {
         }
         self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
         for turns in 0..4 {
-            for first in firsts(sheet, bounds, turns) {
+            for first in firsts(sheet, bounds, turns, beyond) {
                 let placement = BoardPlacement { first, turns, known: true };
-                if !aligned(sheets, placement) {
+                if !aligned(sheets, placement) || !covers(sheet, grid, placement) {
                     continue;
                 }
                 if let Some(label) = weigh_one((sheets, sheet), reading, placement) {
                     let label = BoardLabel { way, inverted, ..label };
                     match self.first {
                         Some(best) if best.significance >= label.significance => {
-                            self.second = self.second.max(label.significance);
+                            let least = self.second.map_or(0.0, |second| second.significance);
+                            if label.significance > least {
+                                self.second = Some(label);
+                            }
                         }
                         before => {
-                            self.second = before.map_or(self.second, |best| best.significance);
+                            self.second = before;
                             self.first = Some(label);
                         }
                     }
@@ -119,13 +129,16 @@ impl BestLabel {
         } else {
             LEAST_SIGNIFICANCE
         };
-        if best.significance < least
-            || best.significance < self.second + MARGIN
-            || against as f32 > MOST_CONTRADICTIONS * agree as f32
-        {
+        if best.significance < least || against as f32 > MOST_CONTRADICTIONS * agree as f32 {
             return self.none();
         }
-        BoardLabels::One(BoardLabel { markers: agree, ..best })
+        let best = BoardLabel { markers: agree, ..best };
+        match self.second {
+            Some(second) if best.significance < second.significance + MARGIN => {
+                BoardLabels::Two(best, BoardLabel { markers: agree, ..second })
+            }
+            _ => BoardLabels::One(best),
+        }
     }
 
     fn none(&self) -> BoardLabels {
@@ -133,12 +146,19 @@ impl BestLabel {
     }
 }
 
-/// Where the sheet's first corner may lie in the grid so that the sheet covers `bounds`.
-fn firsts(sheet: &Sheet, bounds: Bounds, turns: u8) -> impl Iterator<Item = (i32, i32)> {
+/// Where the sheet's first corner may lie in the grid so that the sheet covers `bounds` but for so
+/// many lines `beyond` it.
+fn firsts(
+    sheet: &Sheet,
+    bounds: Bounds,
+    turns: u8,
+    beyond: i32,
+) -> impl Iterator<Item = (i32, i32)> {
     let [across, down] = sheet.lines;
     let (width, height) = if turns.is_multiple_of(2) { (across, down) } else { (down, across) };
     // The grid's index of the least corner of the turned sheet.
-    let range = |(least, most): (i32, i32), length: i32| most - length + 1..=least;
+    let range =
+        move |(least, most): (i32, i32), length: i32| most - length + 1 - beyond..=least + beyond;
     let (dx, dy) = match turns {
         0 => (0, 0),
         1 => (width - 1, 0),
@@ -146,6 +166,16 @@ fn firsts(sheet: &Sheet, bounds: Bounds, turns: u8) -> impl Iterator<Item = (i32
         _ => (0, height - 1),
     };
     range(bounds.j, height).flat_map(move |j| range(bounds.i, width).map(move |i| (i + dx, j + dy)))
+}
+
+/// Whether nearly all crossings lie on the sheet.
+fn covers(sheet: &Sheet, grid: &Grid, placement: BoardPlacement) -> bool {
+    let [across, down] = sheet.lines;
+    let on = grid.members.iter().filter(|&&(i, j)| {
+        let (col, row) = placement.in_board(i, j);
+        (0..across).contains(&col) && (0..down).contains(&row)
+    });
+    on.count() as f32 >= LEAST_ON_BOARD * grid.members.len() as f32
 }
 
 /// The grid's cell in which the sheet's cell (col, row) lies.

@@ -13,10 +13,12 @@ use crate::imaging::gray::GrayView;
 
 /// Least correlation with a crossing.
 const LEAST_SCORE: f32 = 0.55;
-/// The same for a place that a chart of many crossings puts there.
+/// The same for a place of a board that is labelled.
 const LEAST_KNOWN_SCORE: f32 = 0.5;
 /// Least contrast, as a share of the nearest crossings'.
 const LEAST_CONTRAST: f32 = 0.35;
+/// The same of a board that is labelled: a highlight takes most of it.
+const LEAST_KNOWN_CONTRAST: f32 = 0.2;
 /// Least alternation of the four squares, as a share of the contrast.
 const LEAST_ALTERNATION: f32 = 0.25;
 /// How far a crossing may lie from where its neighbors put it, in units of the narrower interval.
@@ -25,7 +27,9 @@ const MOST_OFF: f32 = 0.3;
 /// pixels.
 const REACH: f32 = 0.85;
 const LEAST_REACH_PX: f32 = 2.5;
-const MOST_REACH_PX: f32 = 9.0;
+pub(super) const MOST_REACH_PX: f32 = 9.0;
+/// Beside something that covers the rest.
+const CLOSE_REACH_PX: f32 = 4.5;
 /// Crossings that are searched for before a wrong start must have shown itself.
 const TRIAL: usize = 7;
 
@@ -92,7 +96,7 @@ impl LatticeGrowth {
             if !grid.attempt(i, j) {
                 continue;
             }
-            if let Some(node) = self.detect_at(scene, grid, (i, j), LEAST_SCORE) {
+            if let Some(node) = self.detect_at(scene, grid, (i, j), false) {
                 grid.set(i, j, node);
                 self.push_around(i, j);
             }
@@ -109,7 +113,7 @@ impl LatticeGrowth {
         let before = grid.members.len();
         for &(i, j) in places {
             if grid.get(i, j).is_none()
-                && let Some(node) = self.detect_at(scene, grid, (i, j), LEAST_KNOWN_SCORE)
+                && let Some(node) = self.detect_at(scene, grid, (i, j), true)
             {
                 grid.set(i, j, node);
             }
@@ -138,32 +142,95 @@ impl LatticeGrowth {
         &mut self,
         scene: LatticeScene<'_>,
         grid: &Grid,
-        (i, j): (i32, i32),
-        least_score: f32,
+        at: (i32, i32),
+        labelled: bool,
     ) -> Option<Node> {
-        let (expected, steps) = self.expect(scene.sheets, grid, (i, j))?;
+        let (expected, steps) = self.expect(scene.sheets, grid, at)?;
+        let place = Expected {
+            pixel: expected,
+            steps,
+            polarity: grid.polarity(at.0, at.1),
+            contrast: contrast_near(grid, at.0, at.1),
+            labelled,
+        };
+        place.detect(scene).or_else(|| {
+            let bent = expect_bent(scene.sheets, grid, at)?;
+            Expected { pixel: bent, ..place }.detect(scene)
+        })
+    }
+}
+
+/// A place at which a crossing is expected.
+#[derive(Debug, Clone, Copy)]
+struct Expected {
+    pixel: Vec2,
+    /// One unit of the lattice along each axis, in pixels.
+    steps: [Vec2; 2],
+    polarity: f32,
+    /// Of the crossings next to it.
+    contrast: f32,
+    /// It is a place of a board that is labelled.
+    labelled: bool,
+}
+
+impl Expected {
+    /// The crossing there.
+    fn detect(&self, scene: LatticeScene<'_>) -> Option<Node> {
         let narrow = scene.sheets.widths[0].min(scene.sheets.widths[1]);
-        let cell = steps.map(|step| step * narrow);
-        let polarity = grid.polarity(i, j);
-        let contrast = contrast_near(grid, i, j);
-        // What the candidates have is there is nearer to the truth than what neighbors expect.
-        let way = steps.map(|step| step / step.norm().max(1e-3));
-        let edges = if polarity > 0.0 { way } else { [way[1], way[0]] };
+        let cell = self.steps.map(|step| step * narrow);
+        let (least_score, least_contrast) = if self.labelled {
+            (LEAST_KNOWN_SCORE, LEAST_KNOWN_CONTRAST)
+        } else {
+            (LEAST_SCORE, LEAST_CONTRAST)
+        };
+        let is_it = |node: &Node| {
+            in_steps(node.pixel - self.pixel, cell).is_some_and(|off| {
+                node.contrast * self.polarity >= least_contrast * self.contrast
+                    && off.x.abs() <= MOST_OFF
+                    && off.y.abs() <= MOST_OFF
+            })
+        };
+        let nearest = self.candidate(scene, cell);
+        let places = [nearest.map(|index| scene.candidates[index].pixel), Some(self.pixel)];
+        let reaches: &[f32] =
+            if self.labelled { &[MOST_REACH_PX, CLOSE_REACH_PX] } else { &[MOST_REACH_PX] };
+        reaches.iter().find_map(|&most_px| {
+            places.iter().flatten().find_map(|&place| {
+                settle(scene, place, self.steps, (least_score, most_px)).filter(is_it)
+            })
+        })
+    }
+
+    /// The candidate nearest to it whose edges run as they must: it is nearer to the truth than
+    /// what the other crossings predict.
+    fn candidate(&self, scene: LatticeScene<'_>, cell: [Vec2; 2]) -> Option<usize> {
+        let way = self.steps.map(|step| step / step.norm().max(1e-3));
+        let edges = if self.polarity > 0.0 { way } else { [way[1], way[0]] };
         let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
-        let reach = MOST_OFF * cell[0].norm().max(cell[1].norm());
         let alike = |candidate: &Candidate| {
             turn(candidate.edges[0], edges[0]) < 0.5 && turn(candidate.edges[1], edges[1]) < 0.5
         };
-        let nearest = scene.neighborhood.nearest(scene.candidates, expected, reach.max(1.5), alike);
-        let at = nearest.map_or(expected, |index| scene.candidates[index].pixel);
-        let node = settle(scene, at, steps, least_score)
-            .or_else(|| nearest.and_then(|_| settle(scene, expected, steps, least_score)))?;
-        let off = in_steps(node.pixel - expected, cell)?;
-        (node.contrast * polarity >= LEAST_CONTRAST * contrast
-            && off.x.abs() <= MOST_OFF
-            && off.y.abs() <= MOST_OFF)
-            .then_some(node)
+        let reach = (MOST_OFF * cell[0].norm().max(cell[1].norm())).max(1.5);
+        scene.neighborhood.nearest(scene.candidates, self.pixel, reach, alike)
     }
+}
+
+/// Where the lines that end beside the crossing (i, j) put it if they go on bending: a polynomial
+/// of second order through the last three crossings of each.
+pub(super) fn expect_bent(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<Vec2> {
+    let (mut sum, mut count) = (Vec2::zeros(), 0.0);
+    for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
+        let at = |k: i32| sheets.line(if dj == 0 { i + k * di } else { j + k * dj });
+        let pixel = |k: i32| grid.pixel(i + k * di, j + k * dj);
+        if let (Some(p), Some(q), Some(r)) = (pixel(1), pixel(2), pixel(3)) {
+            let [t, a, b, c] = [at(0), at(1), at(2), at(3)];
+            sum += p * ((t - b) * (t - c) / ((a - b) * (a - c)))
+                + q * ((t - a) * (t - c) / ((b - a) * (b - c)))
+                + r * ((t - a) * (t - b) / ((c - a) * (c - b)));
+            count += 1.0;
+        }
+    }
+    (count > 0.0).then(|| sum / count)
 }
 
 /// The crossing at `expected`, wherever exactly it settles in windows that end short of what is
@@ -172,14 +239,13 @@ pub(super) fn settle(
     scene: LatticeScene<'_>,
     expected: Vec2,
     steps: [Vec2; 2],
-    least_score: f32,
+    (least_score, most_px): (f32, f32),
 ) -> Option<Node> {
     let LatticeScene { image, sheets, .. } = scene;
     let [u, v] = steps;
     let shortest = u.norm().min(v.norm()).max(1e-3);
     let reach = (REACH * sheets.room).max(LEAST_REACH_PX / shortest);
-    let window =
-        |center| CrossWindow::on_board(center, u, v, reach, MOST_REACH_PX).inside(image, 0.4);
+    let window = |center| CrossWindow::on_board(center, u, v, reach, most_px).inside(image, 0.4);
     let first = window(expected)?.measure_above(image, 0.3)?;
     let mut cross = window(first.center)?.measure(image)?;
     if cross.score < least_score {

@@ -11,6 +11,7 @@
 //! | lattice | `chart`, `lattice` | from one cell to the next crossing, where the nearest ones put it |
 //! | reading | `reading` | how well each marker cell agrees with each code |
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
+//! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | detector | `detector`, `finish` | levels, completion by the labelled board, refinement |
 //!
 //! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
@@ -19,6 +20,7 @@
 pub mod answer;
 mod chart;
 pub mod detector;
+mod ends;
 mod finish;
 mod labels;
 mod lattice;

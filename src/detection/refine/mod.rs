@@ -71,6 +71,8 @@ pub struct RefinedCorner {
 /// Refines corners; its buffers are reused from call to call.
 #[derive(Debug, Default)]
 pub struct Refiner {
+    /// The part of the way to the neighbors that is not free of other edges.
+    taken: f64,
     samples: Samples,
     columns: ModelColumns,
     lattice: Lattice,
@@ -120,6 +122,11 @@ impl Refiner {
     /// A refiner with empty buffers.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// One for boards whose next edges lie at this part of the way to the given neighbors.
+    pub fn with_room(room: f64) -> Self {
+        Self { taken: 1.0 - room, ..Self::default() }
     }
 
     /// Refines each of `corners` of one board in `image` into `refined`, in their order, replacing
@@ -232,8 +239,13 @@ impl Refiner {
         let (mut origin, mut blur_px, mut coarser) = (guess, before.blur_px.max(0.7), 1);
         let mut best = None;
         for _ in 0..MOST_WINDOWS {
-            let window =
-                Window::new(origin, axes, blur_px, FIRST_REACH * coarser as f64).coarsened(coarser);
+            let window = Window::new(
+                origin,
+                axes,
+                blur_px,
+                (FIRST_REACH * coarser as f64, 1.0 - self.taken),
+            )
+            .coarsened(coarser);
             let Some(first) = self
                 .fit_in(image, window, &Before { blur_px, ..*before })
                 .filter(Fitted::has_settled)
@@ -288,7 +300,12 @@ impl Refiner {
         first: &Fitted,
         noise: [f64; 2],
     ) -> Option<Fitted> {
-        let window = Window::new(first.center(), first.window.axes, first.blur_px(), SECOND_REACH);
+        let window = Window::new(
+            first.center(),
+            first.window.axes,
+            first.blur_px(),
+            (SECOND_REACH, 1.0 - self.taken),
+        );
         let window = window.along_edges(first.fit.model.along, first.blur_px());
         self.gather(image, &window)?;
         let bin = window.bin as f64;

@@ -21,15 +21,22 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// A window that ends short of the next edges and reaches at most `reach` samples along each
-    /// axis, in bins that match the resolution that the blur leaves.
-    pub fn new(origin: [f64; 2], axes: [[f64; 2]; 2], blur_px: f64, reach: f64) -> Self {
+    /// A window that ends short of the next edges, which lie at the part `free` of the axes, and
+    /// reaches at most `reach` samples along each axis, in bins that match the resolution that the
+    /// blur leaves.
+    pub fn new(
+        origin: [f64; 2],
+        axes: [[f64; 2]; 2],
+        blur_px: f64,
+        (reach, free): (f64, f64),
+    ) -> Self {
         let sigma = sigma_px(blur_px);
         let area = (axes[0][0] * axes[1][1] - axes[0][1] * axes[1][0]).abs();
         let lengths = axes.map(length);
         // The distance from the corner to the next edge that runs along the other axis.
         let room = [area / lengths[1], area / lengths[0]];
-        let fraction = room.map(|room| (1.0 - 2.3 * sigma / room).clamp(0.45, 0.85));
+        let fraction =
+            room.map(|room| free * (1.0 - 2.3 * sigma / (free * room)).clamp(0.45, 0.85));
         let wanted = f64::max(fraction[0] * lengths[0], fraction[1] * lengths[1]);
         let bin = match sigma {
             s if s > 3.0 && wanted > 2.0 * reach => 4,
