@@ -1,14 +1,13 @@
-//! The table of what a view's other sensors gave at the same moment.
+//! What a view's other sensors gave in its frame set, as rows of the table of views.
 
-use rusqlite::{Row, params};
-
+use crate::calibration::sensor::SensorId;
+use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
-use crate::document::detection::DetectionDocument;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
+use crate::store::Store;
 use crate::store::error::StoreError;
-use crate::store::views::Picture;
-use crate::store::{Store, json};
+use crate::store::views::{Picture, SensorView};
 
 /// What another sensor gave together with a kept view.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,49 +27,34 @@ pub struct Companion {
 }
 
 impl Store {
-    /// Writes down what other sensors gave together with views that are stored already, all or
-    /// none.
+    /// Writes down what other sensors of an instrument that is one camera gave together with views
+    /// that are stored already, all or none.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also for a view that is not there; [`StoreError::Unstorable`] for a
+    /// [`StoreError::Missing`] for a view that is not there; [`StoreError::Failed`], [`StoreError::Unstorable`] for a
     /// detection with a number that is none.
     pub fn append_companions(
         &self,
         session_id: &str,
         companions: &[Companion],
     ) -> Result<(), StoreError> {
-        let stored = |companion: &Companion| {
-            let detection = companion.detection.as_ref().map(DetectionDocument::from);
-            detection
-                .map(|detection| json::write(&detection, || row_name(session_id, companion)))
-                .transpose()
+        let numbered = self.sensor_views(session_id)?;
+        let with_view = |companion: &Companion| {
+            let view = numbered.iter().find(|view| view.number == Some(companion.number));
+            let row = || format!("view {} of session {session_id}", companion.number);
+            let view = view.ok_or_else(|| StoreError::Missing { row: row() })?;
+            let sensor_view = SensorView {
+                frame_set: view.frame_set,
+                sensor: SensorId { kind: companion.sensor, ..view.sensor.clone() },
+                number: None,
+                frame: FrameFacts { image_size: companion.image_size, ..view.frame.clone() },
+                unit_m: companion.unit_m,
+                detection: companion.detection.clone(),
+            };
+            Ok((sensor_view, companion.picture.clone()))
         };
-        let detections = companions.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
-        let mut connection = self.connection();
-        let insert = || {
-            let transaction = connection.transaction()?;
-            for (companion, detection) in companions.iter().zip(&detections) {
-                let Companion { number, sensor, image_size, unit_m, picture, .. } = companion;
-                let row = params![
-                    session_id,
-                    number,
-                    sensor.name(),
-                    image_size.width,
-                    image_size.height,
-                    unit_m,
-                    detection,
-                    picture.media_type,
-                    picture.bytes
-                ];
-                let sql =
-                    "INSERT INTO companions (session, number, sensor, width, height, unit_m, detection, media_type,
-                    picture) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9)";
-                transaction.execute(sql, row)?;
-            }
-            transaction.commit()
-        };
-        let inserted: Result<(), rusqlite::Error> = { insert }();
-        inserted.map_err(|e| self.failed(&e))
+        let views = companions.iter().map(with_view).collect::<Result<Vec<_>, _>>()?;
+        self.append_sensor_views(session_id, &views)
     }
 
     /// What other sensors gave together with a session's views, view by view; nothing for a camera
@@ -79,56 +63,25 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
     pub fn companions(&self, session_id: &str) -> Result<Vec<Companion>, StoreError> {
-        let rows = || {
-            let connection = self.connection();
-            let mut statement = connection.prepare(
-                "SELECT number, sensor, width, height, unit_m, detection, media_type, picture
-                FROM companions WHERE session = ?1 ORDER BY number, sensor",
-            )?;
-            let rows = statement.query_map([session_id], StoredCompanion::from_row)?;
-            rows.collect::<Result<Vec<_>, _>>()
+        let views = self.sensor_views(session_id)?;
+        let companion = |view: &SensorView| {
+            let of_camera = |other: &&SensorView| {
+                other.frame_set == view.frame_set && other.sensor.camera == view.sensor.camera
+            };
+            let number = views.iter().filter(of_camera).find_map(|other| other.number)?;
+            Some(self.sensor_picture(session_id, view.frame_set, &view.sensor).map(|picture| {
+                Some(Companion {
+                    number,
+                    sensor: view.sensor.kind,
+                    image_size: view.frame.image_size,
+                    unit_m: view.unit_m,
+                    detection: view.detection.clone(),
+                    picture: picture?,
+                })
+            }))
         };
-        let rows = rows().map_err(|e| self.failed(&e))?;
-        rows.into_iter().map(|row| row.into_companion(session_id)).collect()
-    }
-}
-
-fn row_name(session_id: &str, companion: &Companion) -> String {
-    format!("{} of view {} of session {session_id}", companion.sensor.name(), companion.number)
-}
-
-struct StoredCompanion {
-    number: u32,
-    sensor: String,
-    image_size: ImageSize,
-    unit_m: Option<f64>,
-    detection: Option<String>,
-    picture: Picture,
-}
-
-impl StoredCompanion {
-    fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
-        Ok(Self {
-            number: row.get(0)?,
-            sensor: row.get(1)?,
-            image_size: ImageSize::new(row.get(2)?, row.get(3)?),
-            unit_m: row.get(4)?,
-            detection: row.get(5)?,
-            picture: Picture { media_type: row.get(6)?, bytes: row.get(7)? },
-        })
-    }
-
-    fn into_companion(self, session_id: &str) -> Result<Companion, StoreError> {
-        let Self { number, sensor, image_size, unit_m, detection, picture } = self;
-        let row = || format!("{sensor} of view {number} of session {session_id}");
-        let unreadable = |detail: String| StoreError::Unreadable { row: row(), detail };
-        let kind = SensorKind::from_name(&sensor)
-            .ok_or_else(|| unreadable("no such sensor".to_owned()))?;
-        let document: Option<DetectionDocument> =
-            detection.map(|text| json::read(&text, row)).transpose()?;
-        let detection = document.map(|document| Detection::try_from(&document)).transpose();
-        let detection = detection.map_err(|e| unreadable(e.to_string()))?;
-        Ok(Companion { number, sensor: kind, image_size, unit_m, detection, picture })
+        let others = views.iter().filter(|view| view.number.is_none());
+        others.filter_map(companion).filter_map(Result::transpose).collect()
     }
 }
 
@@ -182,7 +135,7 @@ mod tests {
             [companion(0, SensorKind::Depth, None), companion(7, SensorKind::Depth, None)];
         assert!(matches!(
             store.append_companions("s1", &companions),
-            Err(StoreError::Failed { .. })
+            Err(StoreError::Missing { .. })
         ));
         assert_eq!(store.companions("s1").unwrap(), []);
     }

@@ -23,7 +23,7 @@ use rusqlite::{Connection, ErrorCode};
 pub use crate::store::companions::Companion;
 pub use crate::store::error::StoreError;
 pub use crate::store::rig_views::RigPlace;
-pub use crate::store::views::Picture;
+pub use crate::store::views::{Picture, SensorView};
 
 /// The database's name in the store's folder.
 const FILE_NAME: &str = "plumb.sqlite";

@@ -1,11 +1,11 @@
-//! The table that says which camera of a rig a view is of.
+//! Which camera of a rig a view is of, as the table of views has it.
 
-use rusqlite::params;
-
+use crate::calibration::sensor::SensorId;
 use crate::calibration::view::View;
+use crate::imaging::frame::SensorKind;
 use crate::store::Store;
 use crate::store::error::StoreError;
-use crate::store::views::{Picture, insert_view};
+use crate::store::views::{Picture, SensorView, numbered};
 
 /// Where a view of a rig's session belongs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,7 +23,7 @@ impl Store {
     /// is the place's.
     ///
     /// # Errors
-    /// As [`Store::append_view`].
+    /// As [`Store::append_sensor_views`].
     pub fn append_rig_view(
         &self,
         session_id: &str,
@@ -32,18 +32,9 @@ impl Store {
         picture: &Picture,
     ) -> Result<(), StoreError> {
         let view = View { number: place.number, ..view.clone() };
-        let insert = insert_view(session_id, &view, &picture.media_type, &picture.bytes)?;
-        let mut connection = self.connection();
-        let mut write = || {
-            let transaction = connection.transaction()?;
-            insert(&transaction)?;
-            let sql =
-                "INSERT INTO rig_views (session, number, camera, moment) VALUES (?1, ?2, ?3, ?4)";
-            transaction
-                .execute(sql, params![session_id, place.number, place.camera, place.moment])?;
-            transaction.commit()
-        };
-        write().map_err(|e| self.failed(&e))
+        let sensor = SensorId::of(&place.camera, SensorKind::Color);
+        let sensor_view = numbered(&view, place.moment, sensor);
+        self.append_sensor_views(session_id, &[(sensor_view, picture.clone())])
     }
 
     /// Where the views of a rig's session belong, in the order they were kept; nothing for one
@@ -52,17 +43,14 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`].
     pub fn rig_places(&self, session_id: &str) -> Result<Vec<RigPlace>, StoreError> {
-        let rows = || {
-            let connection = self.connection();
-            let mut statement = connection.prepare(
-                "SELECT number, camera, moment FROM rig_views WHERE session = ?1 ORDER BY number",
-            )?;
-            let place = |row: &rusqlite::Row<'_>| {
-                Ok(RigPlace { number: row.get(0)?, camera: row.get(1)?, moment: row.get(2)? })
-            };
-            statement.query_map([session_id], place)?.collect::<Result<Vec<_>, _>>()
+        let place = |view: SensorView| {
+            let (number, camera) = (view.number?, view.sensor.camera?);
+            Some(RigPlace { number, camera, moment: view.frame_set })
         };
-        rows().map_err(|e| self.failed(&e))
+        let views = self.sensor_views(session_id)?.into_iter();
+        let mut places: Vec<RigPlace> = views.filter_map(place).collect();
+        places.sort_by_key(|place| place.number);
+        Ok(places)
     }
 }
 

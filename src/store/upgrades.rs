@@ -13,6 +13,7 @@ const UPGRADES: &[&str] = &[
     include_str!("upgrades/002.sql"),
     include_str!("upgrades/003.sql"),
     include_str!("upgrades/004.sql"),
+    include_str!("upgrades/005.sql"),
 ];
 
 /// Marks the file as Plumb's: "Plmb" in ASCII.
@@ -64,17 +65,55 @@ fn upgrade(connection: &mut Connection, found: i64) -> Result<(), rusqlite::Erro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::Store;
+    use crate::geometry::pixel::ImageSize;
+    use crate::imaging::frame::SensorKind;
     use crate::store::calibrations::tests::calibration;
     use crate::store::sessions::tests::record;
     use crate::store::views::tests::view;
+    use crate::store::{Companion, Picture, RigPlace, Store};
 
-    /// A store at an older version, with a session, a view and a calibration in it.
-    fn older_store(folder: &Path, version: usize) {
+    /// The views of versions 1 to 4.
+    const OLD_VIEWS: &str = "INSERT INTO older.views SELECT session, number, sequence, name, host_time_ns, device_time_ns,
+        width, height, detection, media_type, picture FROM main.views WHERE number IS NOT NULL";
+    /// The depth and infrared of versions 3 and 4.
+    const OLD_COMPANIONS: &str =
+        "INSERT INTO older.companions SELECT session, frame_set, sensor, width, height, unit_m,
+        detection, media_type, picture FROM main.views WHERE number IS NULL";
+    /// The rigs of version 4.
+    const OLD_RIGS: &str =
+        "INSERT INTO older.rig_views SELECT session, number, camera, frame_set FROM main.views
+        WHERE camera <> ''";
+
+    /// What a session of a rig and one of a depth camera hold.
+    fn held(store: &Store) -> (Vec<Companion>, Vec<RigPlace>) {
+        (store.companions("s1").unwrap(), store.rig_places("s2").unwrap())
+    }
+
+    /// A store at an older version, with sessions, views and a calibration in it.
+    fn older_store(folder: &Path, version: usize) -> (Vec<Companion>, Vec<RigPlace>) {
         let store = Store::open(folder).unwrap();
         store.begin_session(&record("s1")).unwrap();
         store.append_view("s1", &view(0), "image/jpeg", b"jpeg").unwrap();
+        let picture = Picture { media_type: "image/png".to_owned(), bytes: vec![5; 5] };
+        let depth = Companion {
+            number: 0,
+            sensor: SensorKind::Depth,
+            image_size: ImageSize::new(64, 48),
+            unit_m: Some(0.1 / 3.0),
+            detection: None,
+            picture: picture.clone(),
+        };
+        store.append_companions("s1", &[depth]).unwrap();
+        if version >= 4 {
+            store.begin_session(&record("s2")).unwrap();
+            for (number, camera) in ["left", "right"].into_iter().enumerate() {
+                let number = number as u32;
+                let place = RigPlace { number, camera: camera.to_owned(), moment: 7 };
+                store.append_rig_view("s2", &place, &view(number), &picture).unwrap();
+            }
+        }
         store.append_calibration(&calibration("c1", 5)).unwrap();
+        let held = held(&store);
         drop(store);
         let newest = Connection::open(folder.join("plumb.sqlite")).unwrap();
         let older = Connection::open(folder.join("older.sqlite")).unwrap();
@@ -85,23 +124,30 @@ mod tests {
         newest
             .execute("ATTACH ?1 AS older", [folder.join("older.sqlite").to_str().unwrap()])
             .unwrap();
-        for table in ["sessions", "views", "calibrations"] {
+        for table in ["sessions", "calibrations"] {
             newest
                 .execute_batch(&format!("INSERT INTO older.{table} SELECT * FROM main.{table}"))
                 .unwrap();
         }
+        let from = [(1, OLD_VIEWS), (3, OLD_COMPANIONS), (4, OLD_RIGS)];
+        for (_, copy) in from.into_iter().filter(|(first, _)| version >= *first) {
+            newest.execute_batch(copy).unwrap();
+        }
         newest.execute_batch("DETACH older").unwrap();
         drop(newest);
         std::fs::rename(folder.join("older.sqlite"), folder.join("plumb.sqlite")).unwrap();
+        (if version >= 3 { held.0 } else { Vec::new() }, held.1)
     }
 
     #[test]
     fn every_older_store_is_brought_up_to_date_with_what_it_held() {
         for version in 1..UPGRADES.len() {
             let folder = tempfile::tempdir().unwrap();
-            older_store(folder.path(), version);
+            let expected = older_store(folder.path(), version);
             let store = Store::open(folder.path()).unwrap();
-            assert_eq!(store.unfinished_sessions().unwrap(), [(record("s1"), vec![view(0)])]);
+            let unfinished = store.unfinished_sessions().unwrap();
+            assert_eq!(unfinished[0], (record("s1"), vec![view(0)]));
+            assert_eq!(held(&store), expected, "from version {version}");
             assert_eq!(store.picture("s1", 0).unwrap().unwrap().bytes, b"jpeg");
             assert_eq!(store.calibration("c1").unwrap(), Some(calibration("c1", 5)));
             store.set_current("front", "c1").unwrap();

@@ -1,11 +1,15 @@
-//! The table of kept views, each with its picture.
+//! The table of views: what each sensor gave in a frame set that a session kept, with its picture.
 
+use rusqlite::types::Value;
 use rusqlite::{Connection, OptionalExtension, Row, params};
 
+use crate::calibration::sensor::SensorId;
+use crate::calibration::session::KeptView;
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 use crate::document::detection::DetectionDocument;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::SensorKind;
 use crate::store::error::StoreError;
 use crate::store::{Store, json};
 
@@ -14,38 +18,74 @@ use crate::store::{Store, json};
 pub struct Picture {
     /// What `bytes` are, as in `image/jpeg`.
     pub media_type: String,
-    /// The encoded picture.
+    /// The encoded picture; of depth without loss.
     pub bytes: Vec<u8>,
 }
 
+/// What a sensor gave in a frame set that was kept.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensorView {
+    /// The frame set; what was taken together has the same.
+    pub frame_set: u32,
+    /// The sensor.
+    pub sensor: SensorId,
+    /// Its number among the session's views, for the sensor of a camera that the board is looked
+    /// for in; `None` for the camera's others.
+    pub number: Option<u32>,
+    /// The frame, with the size of this sensor's image.
+    pub frame: FrameFacts,
+    /// Meters per unit of depth, where the device states it.
+    pub unit_m: Option<f64>,
+    /// The board in it, where it was found.
+    pub detection: Option<Detection>,
+}
+
+impl SensorView {
+    /// The view of a camera as its session goes on with it; `camera` is the camera's place in the
+    /// instrument. `None` for a sensor that the board is not looked for in.
+    pub fn to_kept(&self, camera: usize) -> Option<(KeptView, View)> {
+        let (number, detection) = (self.number?, self.detection.clone()?);
+        let kept = KeptView { number, camera, frame_set: self.frame_set, view: 0 };
+        Some((kept, View { number, frame: self.frame.clone(), detection }))
+    }
+}
+
 impl Store {
-    /// Writes a kept view down with its picture; both are on disk when this returns.
+    /// Writes down what sensors gave in a frame set with their pictures, all or none; all are on
+    /// disk when this returns.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also for a session that was never begun or a number that is taken;
-    /// [`StoreError::Unstorable`] for a detection with a number that is none.
-    pub fn append_view(
+    /// [`StoreError::Failed`], also for a session that was never begun, or a number or place that
+    /// is taken; [`StoreError::Unstorable`] for a detection with a number that is none.
+    pub fn append_sensor_views(
         &self,
         session_id: &str,
-        view: &View,
-        media_type: &str,
-        picture: &[u8],
+        views: &[(SensorView, Picture)],
     ) -> Result<(), StoreError> {
-        let insert = insert_view(session_id, view, media_type, picture)?;
-        insert(&self.connection()).map_err(|e| self.failed(&e))?;
-        Ok(())
+        let stored = |(view, _): &(SensorView, Picture)| detection_column(session_id, view);
+        let detections = views.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
+        let mut connection = self.connection();
+        let mut insert = || {
+            let transaction = connection.transaction()?;
+            for ((view, picture), detection) in views.iter().zip(&detections) {
+                insert_view(&transaction, session_id, (view, picture, detection))?;
+            }
+            transaction.commit()
+        };
+        insert().map_err(|e| self.failed(&e))
     }
 
-    /// The views of a session in the order they were kept; none for a session that is not there.
+    /// What every sensor gave in the frame sets of a session, frame set by frame set, the sensors
+    /// with a number first; none for a session that is not there.
     ///
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
-    pub fn views(&self, session_id: &str) -> Result<Vec<View>, StoreError> {
+    pub fn sensor_views(&self, session_id: &str) -> Result<Vec<SensorView>, StoreError> {
         let rows = || {
             let connection = self.connection();
             let mut statement = connection.prepare(
-                "SELECT number, sequence, name, host_time_ns, device_time_ns, width, height, detection
-                FROM views WHERE session = ?1 ORDER BY number",
+                "SELECT frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns, width, height,
+                unit_m, detection FROM views WHERE session = ?1 ORDER BY frame_set, number IS NULL, number, camera, sensor",
             )?;
             let rows = statement.query_map([session_id], StoredView::from_row)?;
             rows.collect::<Result<Vec<_>, _>>()
@@ -54,14 +94,63 @@ impl Store {
         rows.into_iter().map(|row| row.into_view(session_id)).collect()
     }
 
+    /// The picture that a sensor gave in a session's frame set.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`].
+    pub fn sensor_picture(
+        &self,
+        session_id: &str,
+        frame_set: u32,
+        sensor: &SensorId,
+    ) -> Result<Option<Picture>, StoreError> {
+        let place = params![session_id, frame_set, camera_column(sensor), sensor.kind.name()];
+        self.select_picture("frame_set = ?2 AND camera = ?3 AND sensor = ?4", place)
+    }
+
     /// The picture of a session's view.
     ///
     /// # Errors
     /// [`StoreError::Failed`].
     pub fn picture(&self, session_id: &str, number: u32) -> Result<Option<Picture>, StoreError> {
-        let sql = "SELECT media_type, picture FROM views WHERE session = ?1 AND number = ?2";
+        self.select_picture("number = ?2", params![session_id, number])
+    }
+
+    /// The numbered views of a session in the order they were kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
+    pub fn views(&self, session_id: &str) -> Result<Vec<View>, StoreError> {
+        let all = self.sensor_views(session_id)?;
+        let mut views: Vec<View> = all.iter().filter_map(|view| Some(view.to_kept(0)?.1)).collect();
+        views.sort_by_key(|view| view.number);
+        Ok(views)
+    }
+
+    /// Writes a kept view of an instrument that is one camera down with its picture.
+    ///
+    /// # Errors
+    /// As [`Store::append_sensor_views`].
+    pub fn append_view(
+        &self,
+        session_id: &str,
+        view: &View,
+        media_type: &str,
+        picture: &[u8],
+    ) -> Result<(), StoreError> {
+        let sensor_view = numbered(view, view.number, SensorId::own(SensorKind::Color));
+        let picture = Picture { media_type: media_type.to_owned(), bytes: picture.to_vec() };
+        self.append_sensor_views(session_id, &[(sensor_view, picture)])
+    }
+
+    fn select_picture(
+        &self,
+        place: &str,
+        values: &[&dyn rusqlite::ToSql],
+    ) -> Result<Option<Picture>, StoreError> {
+        let sql = format!("SELECT media_type, picture FROM views WHERE session = ?1 AND {place}");
         self.connection()
-            .query_row(sql, params![session_id, number], |row| {
+            .query_row(&sql, values, |row| {
                 Ok(Picture { media_type: row.get(0)?, bytes: row.get(1)? })
             })
             .optional()
@@ -69,67 +158,101 @@ impl Store {
     }
 }
 
-/// What writes a view down, on whatever connection or transaction.
-pub(super) fn insert_view<'a>(
-    session_id: &'a str,
-    view: &'a View,
-    media_type: &'a str,
-    picture: &'a [u8],
-) -> Result<impl Fn(&Connection) -> Result<usize, rusqlite::Error> + 'a, StoreError> {
-    let detection = json::write(&DetectionDocument::from(&view.detection), || {
-        row_name(session_id, view.number)
-    })?;
-    let frame = &view.frame;
-    Ok(move |connection: &Connection| {
-        let row = params![
-            session_id,
-            view.number,
-            // SQLite has no unsigned integers: the bits are kept.
-            frame.sequence as i64,
-            frame.name,
-            frame.host_time_ns,
-            frame.device_time_ns,
-            frame.image_size.width,
-            frame.image_size.height,
-            detection,
-            media_type,
-            picture
-        ];
-        let sql = "INSERT INTO views (session, number, sequence, name, host_time_ns, device_time_ns, width, height,
-            detection, media_type, picture) VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11)";
-        connection.execute(sql, row)
-    })
+/// A view of the sensor that the board is looked for in.
+pub(super) fn numbered(view: &View, frame_set: u32, sensor: SensorId) -> SensorView {
+    let detection = Some(view.detection.clone());
+    let (number, frame) = (Some(view.number), view.frame.clone());
+    SensorView { frame_set, sensor, number, frame, unit_m: None, detection }
 }
 
-fn row_name(session_id: &str, number: u32) -> String {
-    format!("view {number} of session {session_id}")
+/// A camera's name as the column has it.
+fn camera_column(sensor: &SensorId) -> &str {
+    sensor.camera.as_deref().unwrap_or_default()
+}
+
+fn row_name(session_id: &str, frame_set: u32, sensor: &str) -> String {
+    format!("{sensor} in frame set {frame_set} of session {session_id}")
+}
+
+fn detection_column(session_id: &str, view: &SensorView) -> Result<Value, StoreError> {
+    let Some(detection) = &view.detection else { return Ok(Value::Null) };
+    let document = DetectionDocument::from(detection);
+    let row = || row_name(session_id, view.frame_set, view.sensor.kind.name());
+    json::write(&document, row).map(Value::Text)
+}
+
+fn insert_view(
+    connection: &Connection,
+    session_id: &str,
+    (view, picture, detection): (&SensorView, &Picture, &Value),
+) -> Result<usize, rusqlite::Error> {
+    let frame = &view.frame;
+    let row = params![
+        session_id,
+        view.frame_set,
+        camera_column(&view.sensor),
+        view.sensor.kind.name(),
+        view.number,
+        // SQLite has no unsigned integers: the bits are kept.
+        frame.sequence as i64,
+        frame.name,
+        frame.host_time_ns,
+        frame.device_time_ns,
+        frame.image_size.width,
+        frame.image_size.height,
+        view.unit_m,
+        detection,
+        picture.media_type,
+        picture.bytes
+    ];
+    let sql = "INSERT INTO views (session, frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns,
+        width, height, unit_m, detection, media_type, picture)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)";
+    connection.execute(sql, row)
 }
 
 struct StoredView {
-    number: u32,
+    camera: String,
+    sensor: String,
+    frame_set: u32,
+    number: Option<u32>,
     frame: FrameFacts,
-    detection: String,
+    unit_m: Option<f64>,
+    detection: Option<String>,
 }
 
 impl StoredView {
     fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
         let frame = FrameFacts {
-            sequence: row.get::<_, i64>(1)? as u64,
-            name: row.get(2)?,
-            host_time_ns: row.get(3)?,
-            device_time_ns: row.get(4)?,
-            image_size: ImageSize::new(row.get(5)?, row.get(6)?),
+            sequence: row.get::<_, i64>(4)? as u64,
+            name: row.get(5)?,
+            host_time_ns: row.get(6)?,
+            device_time_ns: row.get(7)?,
+            image_size: ImageSize::new(row.get(8)?, row.get(9)?),
         };
-        Ok(Self { number: row.get(0)?, frame, detection: row.get(7)? })
+        Ok(Self {
+            frame_set: row.get(0)?,
+            camera: row.get(1)?,
+            sensor: row.get(2)?,
+            number: row.get(3)?,
+            frame,
+            unit_m: row.get(10)?,
+            detection: row.get(11)?,
+        })
     }
 
-    fn into_view(self, session_id: &str) -> Result<View, StoreError> {
-        let row = || row_name(session_id, self.number);
-        let document: DetectionDocument = json::read(&self.detection, row)?;
-        let detection = Detection::try_from(&document);
-        let detection =
-            detection.map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })?;
-        Ok(View { number: self.number, frame: self.frame, detection })
+    fn into_view(self, session_id: &str) -> Result<SensorView, StoreError> {
+        let Self { camera, sensor, frame_set, number, frame, unit_m, detection } = self;
+        let row = || row_name(session_id, frame_set, &sensor);
+        let unreadable = |detail: String| StoreError::Unreadable { row: row(), detail };
+        let kind = SensorKind::from_name(&sensor)
+            .ok_or_else(|| unreadable("no such sensor".to_owned()))?;
+        let document: Option<DetectionDocument> =
+            detection.map(|text| json::read(&text, row)).transpose()?;
+        let detection = document.map(|document| Detection::try_from(&document)).transpose();
+        let detection = detection.map_err(|e| unreadable(e.to_string()))?;
+        let sensor = SensorId { camera: (!camera.is_empty()).then_some(camera), kind };
+        Ok(SensorView { frame_set, sensor, number, frame, unit_m, detection })
     }
 }
 
@@ -169,6 +292,39 @@ pub(super) mod tests {
         );
         assert_eq!(store.picture("s1", 2).unwrap(), None);
         assert_eq!(store.views("s2").unwrap(), []);
+    }
+
+    #[test]
+    fn sensors_of_a_frame_set_come_back_whole_or_not_at_all() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        store.begin_session(&record("s1")).unwrap();
+        let of = |camera: &str, number: u32| {
+            let color = numbered(&view(number), 3, SensorId::of(camera, SensorKind::Color));
+            let depth = SensorView {
+                sensor: SensorId::of(camera, SensorKind::Depth),
+                number: None,
+                unit_m: Some(0.1 / 3.0),
+                detection: None,
+                ..color.clone()
+            };
+            [color, depth]
+        };
+        let picture = |view: SensorView| {
+            let bytes = view.sensor.kind.name().as_bytes().to_vec();
+            (view, Picture { media_type: "image/png".to_owned(), bytes })
+        };
+        let (left, right) = (of("left", 0).map(picture), of("right", 1).map(picture));
+        store.append_sensor_views("s1", &left).unwrap();
+        store.append_sensor_views("s1", &right).unwrap();
+        let again = [right[1].clone(), left[0].clone()];
+        assert!(store.append_sensor_views("s1", &again).is_err(), "their places are taken");
+        let expected = [&left[0], &right[0], &left[1], &right[1]].map(|(view, _)| view.clone());
+        assert_eq!(store.sensor_views("s1").unwrap(), expected);
+        let (depth, picture) = &right[1];
+        let found = store.sensor_picture("s1", 3, &depth.sensor).unwrap();
+        assert_eq!(found.as_ref(), Some(picture));
+        assert_eq!(store.sensor_picture("s1", 2, &depth.sensor).unwrap(), None);
     }
 
     #[test]
