@@ -99,7 +99,7 @@ pub struct SessionMember {
     pub boards_seen: u64,
     /// Views kept.
     pub views_kept: u32,
-    /// Views kept of moments at which another camera's was kept too.
+    /// Views kept of frame sets in which another camera's was kept too.
     pub views_shared: u32,
     /// Why the other frames were not kept.
     pub rejected: Rejections,
@@ -111,6 +111,23 @@ pub struct SessionMember {
     pub estimate: Option<RunningEstimate>,
 }
 
+impl SessionMember {
+    /// A camera that has not given anything yet.
+    pub fn begin(camera: &str) -> Self {
+        Self {
+            camera: camera.to_owned(),
+            frames_seen: 0,
+            boards_seen: 0,
+            views_kept: 0,
+            views_shared: 0,
+            rejected: Rejections::default(),
+            coverage: Coverage::default(),
+            guidance: Guidance::default(),
+            estimate: None,
+        }
+    }
+}
+
 /// A session as seen from outside.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionRecord {
@@ -120,7 +137,7 @@ pub struct SessionRecord {
     pub camera: String,
     /// What each camera of a rig contributes, in the rig's order; empty for one camera. What the
     /// record itself says of frames and boards is then the sum, of coverage and estimate the worst
-    /// camera's, and of views the moments kept.
+    /// camera's, and of views the frame sets kept.
     pub members: Vec<SessionMember>,
     /// What was asked for.
     pub request: SessionRequest,
@@ -173,6 +190,33 @@ impl SessionRecord {
             guidance: Guidance::default(),
             estimate: None,
             calibration: None,
+        }
+    }
+
+    /// What it says of the camera, of an instrument that is one.
+    pub(super) fn to_member(&self) -> SessionMember {
+        SessionMember {
+            frames_seen: self.frames_seen,
+            boards_seen: self.boards_seen,
+            views_kept: self.views_kept,
+            rejected: self.rejected.clone(),
+            coverage: self.coverage.clone(),
+            guidance: self.guidance.clone(),
+            estimate: self.estimate,
+            ..SessionMember::begin(&self.camera)
+        }
+    }
+
+    /// Takes what is known of the camera, of an instrument that is one.
+    pub(super) fn take_member(&mut self, member: &SessionMember) {
+        self.frames_seen = member.frames_seen;
+        self.boards_seen = member.boards_seen;
+        self.views_kept = member.views_kept;
+        self.rejected = member.rejected.clone();
+        self.coverage = member.coverage.clone();
+        self.estimate = member.estimate;
+        if self.state == SessionState::Collecting {
+            self.guidance = member.guidance.clone();
         }
     }
 }

@@ -228,6 +228,7 @@ impl<'a> Gathered<'a> {
             let request = SessionRequest { target, lens: LensChoice::Auto, finish: None };
             Session::begin(
                 SessionRecord::begin("", "", request, set.host_time.utc_ns),
+                &[],
                 &AdmissionOptions::default(),
             )
         });
@@ -238,12 +239,8 @@ impl<'a> Gathered<'a> {
             device_time_ns: set.device_time.map(|time| time.monotonic_ns),
             image_size: *image_size,
         };
-        let before = session.views().len();
-        session.observe(
-            &frame,
-            seen.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())),
-        );
-        session.views().len() > before
+        let observed = session.observe_frame(frame, seen.clone().map_err(Rejection::NoBoard));
+        observed.is_some_and(|observed| !observed.kept.is_empty())
     }
 
     fn corners(

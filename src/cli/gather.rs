@@ -3,6 +3,7 @@
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::CalibratedView;
 use crate::calibration::session::Session;
+use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
 use crate::cli::Failure;
@@ -134,18 +135,16 @@ impl Gathered {
             let request =
                 SessionRequest { target: self.target, lens: LensChoice::Auto, finish: None };
             let record = SessionRecord::begin("", "", request, looked.frame.host_time_ns);
-            (path.to_owned(), Session::begin(record, &AdmissionOptions::default()))
+            (path.to_owned(), Session::begin(record, &[], &AdmissionOptions::default()))
         });
-        session.observe(
-            &looked.frame,
-            looked.answer.as_ref().map_err(|no_board| Rejection::NoBoard(no_board.clone())),
-        );
+        session
+            .observe_frame(looked.frame.clone(), looked.answer.clone().map_err(Rejection::NoBoard));
     }
 
     fn end_recording(&mut self) {
         let Some((path, session)) = self.session.take() else { return };
         let record = session.record();
-        let kept = session.views();
+        let kept = session.camera(0).map(CameraPart::views).unwrap_or_default();
         tracing::info!("{path}: {} of {} frames kept as views", kept.len(), record.frames_seen);
         self.pictures.extend(kept.iter().map(|view| Ok(view.to_board_view(&self.target))));
     }

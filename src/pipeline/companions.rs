@@ -110,8 +110,9 @@ pub(super) fn rgbd_input(
         ),
         with_infrared: infrared.is_some_and(same_camera),
     };
-    let captures = session.views().iter().map(capture).collect();
-    Some(RgbdInput { board, color_size: session.image_size()?, depth, captures })
+    let part = session.camera(0)?;
+    let captures = part.views().iter().map(capture).collect();
+    Some(RgbdInput { board, color_size: part.image_size()?, depth, captures })
 }
 
 /// Color and right infrared of a session whose views have `companions`; `None` where none has the
@@ -131,8 +132,9 @@ pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Optio
         infrared2: of_view(view)
             .map_or_else(Vec::new, |companion| corners(companion, view, &board)),
     };
-    let captures = session.views().iter().map(capture).collect();
-    Some(StereoInput { board, color_size: session.image_size()?, infrared2_size, captures })
+    let part = session.camera(0)?;
+    let captures = part.views().iter().map(capture).collect();
+    Some(StereoInput { board, color_size: part.image_size()?, infrared2_size, captures })
 }
 
 fn corners(infrared: &Companion, view: &View, board: &Chessboard) -> Vec<Correspondence> {

@@ -17,7 +17,10 @@ impl SessionThread {
     /// Holds a kept view against the current calibration.
     pub(super) fn look_for_drift(&mut self, number: u32) {
         let (Some(watch), Some(session)) = (&mut self.drift, &self.session) else { return };
-        let Some(view) = session.views().get(number as usize) else { return };
+        let Some(view) = session.camera(0).and_then(|part| part.views().get(number as usize))
+        else {
+            return;
+        };
         let seen = view.to_board_view(&session.record().request.target);
         if let Some(drift) = watch.see(&seen, view.frame.image_size) {
             self.publish_drift(drift);

@@ -9,8 +9,7 @@ use ulid::Ulid;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::{Calibration, Grade};
-use crate::calibration::rig_session::{RigAction, RigSession, RigView, Sighting};
-use crate::calibration::session::SessionOver;
+use crate::calibration::session::{Action, CameraFrame, KeptView, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::solve_rig::solve_rig;
 use crate::calibration::view::View;
@@ -44,7 +43,7 @@ pub(super) struct RigThread {
 
 /// The rig's newest session, with the cameras that it borrows.
 pub(super) struct Current {
-    session: RigSession,
+    session: Session,
     cameras: Vec<Arc<LiveCamera>>,
 }
 
@@ -56,7 +55,7 @@ impl RigThread {
                 Next::Message(message) => self.take(message),
                 Next::Moment(moment) => self.observe(moment),
                 Next::Ended(reason) => {
-                    self.tell(|session| session.sources_ended(&reason, utc_now_ns()))
+                    self.tell(|session| session.source_ended(&reason, utc_now_ns()))
                 }
             }
         }
@@ -74,10 +73,10 @@ impl RigThread {
             }
             RigMessage::Resume(record, cameras) => self.resume(*record, cameras),
             RigMessage::Stop(id, reply) => {
-                let _ = reply.send(self.end(&id, RigSession::stop));
+                let _ = reply.send(self.end(&id, Session::stop));
             }
             RigMessage::Abort(id, reply) => {
-                let _ = reply.send(self.end(&id, RigSession::abort));
+                let _ = reply.send(self.end(&id, Session::abort));
             }
             RigMessage::Solved { session, solved } => self.finish(&session, solved),
         }
@@ -99,7 +98,7 @@ impl RigThread {
         }
         let record =
             SessionRecord::begin(&Ulid::generate().to_string(), &rig, request, utc_now_ns());
-        let session = RigSession::begin(record, &self.rig.plan.cameras, &self.admission);
+        let session = Session::begin(record, &self.rig.plan.cameras, &self.admission);
         let record = session.record().clone();
         self.store
             .begin_session(&record)
@@ -130,7 +129,7 @@ impl RigThread {
             "session goes on"
         );
         let (session, actions) =
-            RigSession::resume(record, &self.rig.plan.cameras, views, &self.admission);
+            Session::resume(record, &self.rig.plan.cameras, &views, &self.admission);
         if session.record().state == SessionState::Collecting
             && let Err(error) = self.borrow_cameras(session.record(), &cameras)
         {
@@ -140,11 +139,11 @@ impl RigThread {
             );
         }
         self.current = Some(Current { session, cameras });
-        self.perform(actions, &[]);
+        self.perform(actions);
         self.show();
     }
 
-    fn stored_views(&self, session: &str) -> Vec<(RigView, View)> {
+    fn stored_views(&self, session: &str) -> Vec<(KeptView, View)> {
         let read = || {
             Ok::<_, crate::store::StoreError>((
                 self.store.rig_places(session)?,
@@ -160,7 +159,7 @@ impl RigThread {
             |camera: &str| members.iter().position(|name| name == camera).unwrap_or(members.len());
         let place = |place: &RigPlace| {
             let RigPlace { number, ref camera, moment } = *place;
-            RigView { number, member: member(camera), moment, view: 0 }
+            KeptView { number, camera: member(camera), frame_set: moment, view: 0 }
         };
         let of_place = |at: &RigPlace| views.iter().find(|view| view.number == at.number).cloned();
         places.iter().filter_map(|at| Some((place(at), of_place(at)?))).collect()
@@ -204,7 +203,7 @@ impl RigThread {
     fn end(
         &mut self,
         id: &str,
-        how: fn(&mut RigSession, i64) -> Result<Vec<RigAction>, SessionOver>,
+        how: fn(&mut Session, i64) -> Result<Vec<Action>, SessionOver>,
     ) -> Result<SessionRecord, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
         let current = self
@@ -214,7 +213,7 @@ impl RigThread {
             .ok_or_else(unknown)?;
         let actions = how(&mut current.session, utc_now_ns())
             .map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
-        self.perform(actions, &[]);
+        self.perform(actions);
         self.show();
         self.current.as_ref().map(|current| current.session.record().clone()).ok_or_else(unknown)
     }
@@ -224,9 +223,9 @@ impl RigThread {
     fn searched_if_worth(&mut self, mut moment: Vec<Option<Looked>>) -> Vec<Option<Looked>> {
         let Some(Current { session, .. }) = &self.current else { return moment };
         let worth = |(member, looked): (usize, &Option<Looked>)| {
-            let (Some(looked), Some(own)) = (looked, session.session(member)) else { return false };
-            let keeps =
-                |detection: &Arc<_>| own.would_keep(&frame_facts(&looked.captured), detection);
+            let Some(looked) = looked else { return false };
+            let facts = frame_facts(&looked.captured);
+            let keeps = |detection: &Arc<_>| session.would_keep(member, &facts, detection);
             looked.look.outcome.as_ref().is_ok_and(keeps)
         };
         if moment.iter().enumerate().any(worth) {
@@ -243,7 +242,7 @@ impl RigThread {
     fn observe(&mut self, moment: Vec<Option<Looked>>) {
         let moment = self.searched_if_worth(moment);
         let Some(current) = self.current.as_mut() else { return };
-        let sightings: Vec<Option<Sighting>> =
+        let sightings: Vec<Option<CameraFrame>> =
             moment.iter().map(|looked| looked.as_ref().map(sighting)).collect();
         let Some(observed) = current.session.observe(&sightings) else { return };
         for ((camera, looked), admission) in
@@ -253,53 +252,53 @@ impl RigThread {
                 publish_detection(camera, &current.session.record().id, looked, admission);
             }
         }
-        self.perform(observed.actions, &moment);
+        for kept in &observed.kept {
+            if let Some(Some(looked)) = moment.get(kept.camera) {
+                self.keep(kept, looked);
+            }
+        }
+        self.perform(observed.actions);
         self.show();
     }
 
     /// Lets something happen to the session, if there is one, and performs what it decides.
-    fn tell(&mut self, what: impl FnOnce(&mut RigSession) -> Vec<RigAction>) {
+    fn tell(&mut self, what: impl FnOnce(&mut Session) -> Vec<Action>) {
         if let Some(current) = &mut self.current {
             let actions = what(&mut current.session);
             if !actions.is_empty() {
-                self.perform(actions, &[]);
+                self.perform(actions);
                 self.show();
             }
         }
     }
 
-    fn perform(&mut self, actions: Vec<RigAction>, moment: &[Option<Looked>]) {
+    fn perform(&mut self, actions: Vec<Action>) {
         for action in actions {
             match action {
-                RigAction::Keep(place) => {
-                    if let Some(Some(looked)) = moment.get(place.member) {
-                        self.keep(&place, looked);
-                    }
-                }
-                RigAction::Estimate(member) => self.estimate(member),
-                RigAction::Announce => self.publish_session(),
-                RigAction::Solve => {
+                Action::Estimate(member) => self.estimate(member),
+                Action::Announce => self.publish_session(),
+                Action::Solve => {
                     self.release();
                     self.save_session();
                     self.solve();
                 }
-                RigAction::Close => self.close(),
+                Action::Close => self.close(),
             }
         }
     }
 
-    fn keep(&self, place: &RigView, looked: &Looked) {
+    fn keep(&self, place: &KeptView, looked: &Looked) {
         let Some(Current { session, cameras }) = &self.current else { return };
-        let own =
-            session.session(place.member).and_then(|own| own.views().get(place.view as usize));
-        let (Some(view), Some(camera)) = (own, cameras.get(place.member)) else { return };
+        let (Some(view), Some(camera)) = (session.view(place), cameras.get(place.camera)) else {
+            return;
+        };
         camera.metrics.views.with_label_values(&[&camera.name]).inc();
         let id = &session.record().id;
         let picture = picture_of(&looked.captured.frame_set).and_then(view_picture);
         let (media_type, bytes) = picture.unwrap_or(("image/jpeg", Vec::new().into()));
         let picture = Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() };
         let kept =
-            RigPlace { number: place.number, camera: camera.name.clone(), moment: place.moment };
+            RigPlace { number: place.number, camera: camera.name.clone(), moment: place.frame_set };
         if let Err(error) = self.store.append_rig_view(id, &kept, view, &picture) {
             // The session goes on with the view in memory; only a restart would lose it.
             tracing::error!(
@@ -316,10 +315,10 @@ impl RigThread {
     /// machine is.
     fn estimate(&mut self, member: usize) {
         let Some(current) = &mut self.current else { return };
-        let Some(own) = current.session.session(member) else { return };
-        let estimate = Job::of(own, false).estimate();
+        let job = Job::of(&current.session, member, false);
+        let estimate = job.and_then(|job| job.estimate());
         let actions = current.session.estimated(member, estimate);
-        self.perform(actions, &[]);
+        self.perform(actions);
     }
 
     fn solve(&self) {
@@ -434,7 +433,7 @@ impl RigThread {
     }
 }
 
-fn sighting(looked: &Looked) -> Sighting {
+fn sighting(looked: &Looked) -> CameraFrame {
     let seen = match &looked.look.outcome {
         Ok(detection) => Ok(detection.as_ref().clone()),
         Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
@@ -442,7 +441,7 @@ fn sighting(looked: &Looked) -> Sighting {
             Err(Rejection::Unreadable { detail: detail.clone() })
         }
     };
-    Sighting { frame: frame_facts(&looked.captured), seen }
+    CameraFrame { frame: frame_facts(&looked.captured), seen }
 }
 
 fn publish_detection(

@@ -13,7 +13,7 @@ use ulid::Ulid;
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::drift::DriftWatch;
 use crate::calibration::result::{Calibration, Grade};
-use crate::calibration::session::{Action, Observed, Session};
+use crate::calibration::session::{Action, KeptView, Observed, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
@@ -71,7 +71,12 @@ impl SessionThread {
             views = views.len(),
             "session goes on"
         );
-        let (session, actions) = Session::resume(record, views, &self.admission);
+        let place = |view: View| {
+            let number = view.number;
+            (KeptView { number, camera: 0, frame_set: number, view: number }, view)
+        };
+        let views: Vec<(KeptView, View)> = views.into_iter().map(place).collect();
+        let (session, actions) = Session::resume(record, &[], &views, &self.admission);
         self.begin_search(&session);
         self.drift = self.drift_watch();
         self.session = Some(session);
@@ -87,13 +92,13 @@ impl SessionThread {
                     self.tell(|session| session.source_ended(&reason, utc_now_ns()));
                 }
             }
-            Message::CameraLost(reason) => self.tell(|session| session.camera_lost(&reason)),
+            Message::CameraLost(reason) => self.tell(|session| session.camera_lost(0, &reason)),
             Message::Moved(what) => self.tell_moved(what),
             Message::CameraBack => self.tell(Session::camera_back),
             Message::Waited(seconds) => self.tell(|session| session.waited(seconds)),
             Message::Estimated { session: id, estimate } => {
                 if self.is_current(&id) {
-                    self.tell(|session| session.estimated(estimate.map(|estimate| *estimate)));
+                    self.tell(|session| session.estimated(0, estimate.map(|estimate| *estimate)));
                 }
             }
             Message::Solved { session: id, solved } => {
@@ -132,7 +137,7 @@ impl SessionThread {
         self.store
             .begin_session(&record)
             .map_err(|error| StartError::Store { detail: error.to_string() })?;
-        let session = Session::begin(record.clone(), &self.admission);
+        let session = Session::begin(record.clone(), &[], &self.admission);
         tracing::info!(camera, session = record.id, "session begins");
         self.begin_search(&session);
         self.drift = self.drift_watch();
@@ -177,7 +182,7 @@ impl SessionThread {
     fn end(
         &mut self,
         id: &str,
-        how: fn(&mut Session, i64) -> Result<Vec<Action>, crate::calibration::session::SessionOver>,
+        how: fn(&mut Session, i64) -> Result<Vec<Action>, SessionOver>,
     ) -> Result<SessionRecord, EndError> {
         let unknown = || EndError::UnknownSession { id: id.to_owned() };
         let session = self
@@ -202,7 +207,7 @@ impl SessionThread {
         // A followed board decides whether its frame is worth keeping; what is kept is what a
         // search finds in it.
         let worth =
-            |detection: &Arc<Detection>| look.followed && session.would_keep(&facts, detection);
+            |detection: &Arc<Detection>| look.followed && session.would_keep(0, &facts, detection);
         let look = if look.outcome.as_ref().is_ok_and(worth) {
             Look::of(
                 self.board_look.look(&captured.frame_set, search.board, Manner::Searched),
@@ -212,21 +217,23 @@ impl SessionThread {
             look
         };
         let seen = match &look.outcome {
-            Ok(detection) => Ok(detection.as_ref()),
+            Ok(detection) => Ok(detection.as_ref().clone()),
             Err(LookError::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
             Err(LookError::Unreadable { detail }) => {
                 Err(Rejection::Unreadable { detail: detail.clone() })
             }
         };
-        let Some(observed) = session.observe(&facts, seen) else { return };
+        let Some(observed) = session.observe_frame(facts, seen) else { return };
         self.publish_detection(captured, search, &look, &observed);
         let in_line = captured.waits && self.estimates_decide();
+        for kept in &observed.kept {
+            self.keep(kept, captured);
+        }
         for action in observed.actions {
             match action {
-                Action::Keep(number) => self.keep(number, captured),
                 // A replay that waits for its frames waits for this too: how fast the machine is
                 // must not decide where it ends.
-                Action::Estimate if in_line => self.estimate_in_line(),
+                Action::Estimate(camera) if in_line => self.estimate_in_line(camera),
                 other => self.perform(vec![other]),
             }
         }
@@ -238,17 +245,17 @@ impl SessionThread {
         finish.is_some_and(|finish| finish.uncertainty_px.is_some())
     }
 
-    fn estimate_in_line(&mut self) {
+    fn estimate_in_line(&mut self, camera: usize) {
         if let Some(session) = &mut self.session {
-            let estimate = Job::of(session, false).estimate();
-            let actions = session.estimated(estimate);
+            let estimate = Job::of(session, camera, false).and_then(|job| job.estimate());
+            let actions = session.estimated(camera, estimate);
             self.perform(actions);
         }
     }
 
-    fn keep(&mut self, number: u32, captured: &CapturedFrame) {
+    fn keep(&mut self, kept: &KeptView, captured: &CapturedFrame) {
         let Some(session) = &self.session else { return };
-        let Some(view) = session.views().get(number as usize) else { return };
+        let (number, Some(view)) = (kept.number, session.view(kept)) else { return };
         self.camera.metrics.views.with_label_values(&[&self.camera.name]).inc();
         let id = &session.record().id;
         let picture = picture_of(&captured.frame_set).and_then(view_picture);
@@ -297,8 +304,7 @@ impl SessionThread {
     fn perform(&mut self, actions: Vec<Action>) {
         for action in actions {
             match action {
-                Action::Keep(_) => {}
-                Action::Estimate => self.send_job(false),
+                Action::Estimate(_) => self.send_job(false),
                 Action::Announce => self.publish_session(),
                 Action::Solve => {
                     self.camera.search.set(None);
@@ -311,8 +317,9 @@ impl SessionThread {
     }
 
     fn send_job(&self, is_final: bool) {
-        if let Some(session) = &self.session {
-            let mut job = Job::of(session, is_final);
+        if let Some(session) = &self.session
+            && let Some(mut job) = Job::of(session, 0, is_final)
+        {
             if is_final {
                 let companions = self.companions_of(session);
                 job.with_depth = rgbd_input(session, &companions, self.stated_depth().as_ref());
@@ -453,7 +460,8 @@ impl SessionThread {
         look: &Look,
         observed: &Observed,
     ) {
-        let rejection = observed.admission.as_ref().err();
+        let Some(admission) = observed.admissions.first().and_then(Option::as_ref) else { return };
+        let rejection = admission.as_ref().err();
         let (name, metrics) = (&self.camera.name, &self.camera.metrics);
         if let Some(rejection) = rejection {
             metrics.rejected.with_label_values(&[name, rejection.kind()]).inc();
@@ -462,7 +470,7 @@ impl SessionThread {
         self.camera.publish(EventKind::Detection(DetectionEvent::of(
             looked,
             &search.session,
-            &observed.admission,
+            admission,
         )));
         metrics
             .latency_seconds

@@ -38,21 +38,22 @@ pub(super) struct Job {
 }
 
 impl Job {
-    pub(super) fn of(session: &Session, is_final: bool) -> Self {
-        let record = session.record();
+    /// Of the camera at place `camera`; `None` for a place that the session does not have.
+    pub(super) fn of(session: &Session, camera: usize, is_final: bool) -> Option<Self> {
+        let (record, part) = (session.record(), session.camera(camera)?);
         let views =
-            session.views().iter().map(|view| view.to_board_view(&record.request.target)).collect();
-        let image_size = session.image_size().unwrap_or(ImageSize::new(0, 0));
-        Self {
+            part.views().iter().map(|view| view.to_board_view(&record.request.target)).collect();
+        let image_size = part.image_size().unwrap_or(ImageSize::new(0, 0));
+        Some(Self {
             session: record.id.clone(),
-            going_on: session.going_on().filter(|_| !is_final).cloned(),
+            going_on: part.going_on().filter(|_| !is_final).cloned(),
             problem: CameraProblem { image_size, views },
             lens: record.request.lens,
             is_final,
             target: record.request.target,
             with_depth: None,
             with_infrared2: None,
-        }
+        })
     }
 
     fn options(&self) -> CameraOptions {

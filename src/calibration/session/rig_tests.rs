@@ -1,20 +1,20 @@
-//! A rig's session against seeded moments: what is kept together, what is not, how it ends.
+//! A rig's session against seeded frame sets: what is kept together, what is not, how it ends.
 
 use nalgebra::Vector3;
 
 use super::*;
 use crate::calibration::placement::tests::{SIZE, detection_at};
-use crate::calibration::session_record::Finish;
+use crate::calibration::session_record::{Finish, SessionRequest};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
 
 const NOW_NS: i64 = 9_000_000_000;
 
-fn session(cameras: &[&str], finish: Option<Finish>) -> RigSession {
+fn session(cameras: &[&str], finish: Option<Finish>) -> Session {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
     let request = SessionRequest { target, lens: LensChoice::Auto, finish };
     let cameras: Vec<String> = cameras.iter().map(|camera| (*camera).to_owned()).collect();
-    RigSession::begin(
+    Session::begin(
         SessionRecord::begin("01", "pair", request, 1_000_000_000),
         &cameras,
         &AdmissionOptions::default(),
@@ -36,28 +36,25 @@ fn board(across: f64, far: f64, tilt: f64) -> Detection {
     detection_at(Vector3::new(across, 0.02, far), Vector3::new(tilt, 0.0, 0.0))
 }
 
-fn sees(time_ms: i64, detection: Detection) -> Option<Sighting> {
-    Some(Sighting { frame: frame(time_ms), seen: Ok(detection) })
+fn sees(time_ms: i64, detection: Detection) -> Option<CameraFrame> {
+    Some(CameraFrame { frame: frame(time_ms), seen: Ok(detection) })
 }
 
-fn places(session: &RigSession) -> Vec<(usize, u32, u32)> {
-    session.views().iter().map(|place| (place.member, place.moment, place.view)).collect()
+fn places(session: &Session) -> Vec<(usize, u32, u32)> {
+    session.kept().iter().map(|place| (place.camera, place.frame_set, place.view)).collect()
 }
 
 #[test]
 fn what_is_new_to_one_camera_is_kept_of_all_that_see_it() {
     let mut session = session(&["left", "right", "far"], None);
-    let none = Some(Sighting {
+    let none = Some(CameraFrame {
         frame: frame(0),
         seen: Err(Rejection::Partial { seen: 40, expected: 54 }),
     });
     let first = [sees(0, board(0.0, 0.5, 0.0)), sees(0, board(-0.1, 0.5, 0.0)), none];
     let observed = session.observe(&first).unwrap();
     assert_eq!(places(&session), [(0, 0, 0), (1, 0, 0)]);
-    assert_eq!(
-        observed.actions.iter().filter(|action| matches!(action, RigAction::Keep(_))).count(),
-        2
-    );
+    assert_eq!(observed.kept, session.kept());
     // New to the left camera alone.
     session
         .observe(&[sees(1000, board(0.1, 0.5, 0.5)), sees(1000, board(-0.1, 0.5, 0.0)), None])
@@ -99,7 +96,7 @@ fn too_little_fails_and_says_what_there_is() {
     let mut session = session(&["left", "right"], None);
     session.observe(&[sees(0, board(0.0, 0.5, 0.0)), sees(0, board(-0.1, 0.5, 0.0))]).unwrap();
     let actions = session.stop(NOW_NS).unwrap();
-    assert_eq!(actions, [RigAction::Close]);
+    assert_eq!(actions, [Action::Close]);
     let record = session.record();
     assert_eq!(record.state, SessionState::Failed);
     assert!(record.reason.as_ref().unwrap().contains("left 1, right 1"), "{:?}", record.reason);
@@ -120,24 +117,12 @@ fn a_session_goes_on_with_its_stored_views() {
             ])
             .unwrap();
     }
-    let stored: Vec<(RigView, View)> = session
-        .views()
-        .iter()
-        .map(|place| {
-            (
-                place.clone(),
-                session.session(place.member).unwrap().views()[place.view as usize].clone(),
-            )
-        })
-        .collect();
+    let stored: Vec<(KeptView, View)> =
+        session.kept().iter().map(|kept| (*kept, session.view(kept).unwrap().clone())).collect();
     let cameras = ["left".to_owned(), "right".to_owned()];
-    let (resumed, actions) = RigSession::resume(
-        session.record().clone(),
-        &cameras,
-        stored,
-        &AdmissionOptions::default(),
-    );
-    assert_eq!(resumed.views(), session.views());
+    let (resumed, actions) =
+        Session::resume(session.record().clone(), &cameras, &stored, &AdmissionOptions::default());
+    assert_eq!(resumed.kept(), session.kept());
     assert_eq!(resumed.input(), session.input());
-    assert!(actions.contains(&RigAction::Estimate(1)));
+    assert!(actions.contains(&Action::Estimate(1)));
 }

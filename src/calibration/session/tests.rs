@@ -5,12 +5,13 @@ use nalgebra::Vector3;
 use super::*;
 use crate::calibration::placement::tests::{SIZE, detection_at};
 use crate::calibration::result::ProjectionUncertainty;
-use crate::calibration::session_record::{RunningEstimate, SessionRequest};
+use crate::calibration::session_record::{Finish, RunningEstimate, SessionRequest};
 use crate::detection::board_detection::NoBoard;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 
 const NOW_NS: i64 = 9_000_000_000;
 
@@ -19,6 +20,7 @@ fn session(finish: Option<Finish>) -> Session {
     let request = SessionRequest { target, lens: LensChoice::Auto, finish };
     Session::begin(
         SessionRecord::begin("01", "front", request, 1_000_000_000),
+        &[],
         &AdmissionOptions::default(),
     )
 }
@@ -52,10 +54,26 @@ fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
     Some(EstimateSoFar { running, going_on: None })
 }
 
+/// What became of a frame.
+fn admitted(
+    session: &mut Session,
+    frame: &FrameFacts,
+    seen: Result<&Detection, Rejection>,
+) -> Result<u32, Rejection> {
+    let observed = session.observe_frame(frame.clone(), seen.cloned()).unwrap();
+    observed.admissions[0].clone().unwrap()
+}
+
+/// A session's views as they are stored.
+fn stored(session: &Session) -> Vec<(KeptView, View)> {
+    session.kept().iter().map(|kept| (*kept, session.view(kept).unwrap().clone())).collect()
+}
+
 /// Feeds `detections` as frames from `first` on; the actions of all.
 fn feed(session: &mut Session, first: u64, detections: &[Detection]) -> Vec<Action> {
-    let observed =
-        |(k, detection)| session.observe(&frame(first + k as u64), Ok(detection)).unwrap();
+    let observed = |(k, detection): (usize, &Detection)| {
+        session.observe_frame(frame(first + k as u64), Ok(detection.clone())).unwrap()
+    };
     detections.iter().enumerate().map(observed).flat_map(|observed| observed.actions).collect()
 }
 
@@ -64,12 +82,14 @@ fn new_placements_are_kept_and_known_ones_named() {
     let mut session = session(None);
     let detections = placements();
     for (n, detection) in detections.iter().enumerate() {
-        let observed = session.observe(&frame(n as u64), Ok(detection)).unwrap();
-        assert_eq!(observed.admission, Ok(n as u32));
-        assert_eq!(observed.actions[0], Action::Keep(n as u32));
+        let observed = session.observe_frame(frame(n as u64), Ok(detection.clone())).unwrap();
+        let number = n as u32;
+        assert_eq!(observed.admissions, [Some(Ok(number))]);
+        let kept = KeptView { number, camera: 0, frame_set: number, view: number };
+        assert_eq!(observed.kept, [kept]);
     }
-    let again = session.observe(&frame(20), Ok(&detections[5])).unwrap();
-    assert_eq!(again.admission, Err(Rejection::TooSimilar { view: 5 }));
+    let again = admitted(&mut session, &frame(20), Ok(&detections[5]));
+    assert_eq!(again, Err(Rejection::TooSimilar { view: 5 }));
     let record = session.record();
     assert_eq!((record.frames_seen, record.boards_seen, record.views_kept), (13, 13, 12));
     assert_eq!(record.rejected.of("too_similar"), 1);
@@ -96,7 +116,7 @@ fn each_reason_is_counted_and_told() {
         (&other_size, Ok(&still), Some("other_image_size")),
     ];
     for (frame, seen, expected) in steps {
-        let admission = session.observe(frame, seen).unwrap().admission;
+        let admission = admitted(&mut session, frame, seen);
         assert_eq!(admission.as_ref().err().map(Rejection::kind), expected, "{admission:?}");
     }
     assert_eq!(session.record().rejected.total(), 6);
@@ -112,26 +132,27 @@ fn a_pile_of_photographs_has_no_motion() {
         host_time_ns: frame(0).host_time_ns + n as i64 * 10_000_000,
         ..frame(n)
     };
-    assert_eq!(session.observe(&named(0), Ok(&still)).unwrap().admission, Ok(0));
-    assert_eq!(session.observe(&named(1), Ok(&moved)).unwrap().admission, Ok(1));
+    assert_eq!(admitted(&mut session, &named(0), Ok(&still)), Ok(0));
+    assert_eq!(admitted(&mut session, &named(1), Ok(&moved)), Ok(1));
 }
 
 #[test]
 fn one_estimate_at_a_time_and_the_newest_views_at_the_end() {
     let mut session = session(None);
     let detections = placements();
-    let wished =
-        |actions: &[Action]| actions.iter().filter(|action| **action == Action::Estimate).count();
+    let wished = |actions: &[Action]| {
+        actions.iter().filter(|action| **action == Action::Estimate(0)).count()
+    };
     assert_eq!(
         wished(&feed(&mut session, 0, &detections[..6])),
         1,
         "the third view asks, the others wait"
     );
-    assert_eq!(session.estimated(estimate_of(3, 0.5)), [Action::Announce, Action::Estimate]);
-    assert_eq!(session.estimated(estimate_of(6, 0.4)), [Action::Announce]);
-    assert!(!session.is_estimating());
+    assert_eq!(session.estimated(0, estimate_of(3, 0.5)), [Action::Announce, Action::Estimate(0)]);
+    assert_eq!(session.estimated(0, estimate_of(6, 0.4)), [Action::Announce]);
+    assert!(!session.camera(0).unwrap().is_estimating());
     assert_eq!(wished(&feed(&mut session, 6, &detections[6..7])), 1);
-    session.estimated(None);
+    session.estimated(0, None);
     assert_eq!(
         session.record().estimate.unwrap().views,
         6,
@@ -145,17 +166,21 @@ fn goals_end_it() {
     let mut session = session(Some(goal));
     feed(&mut session, 0, &placements()[..5]);
     assert_eq!(
-        session.estimated(estimate_of(3, 0.1)),
-        [Action::Announce, Action::Estimate],
+        session.estimated(0, estimate_of(3, 0.1)),
+        [Action::Announce, Action::Estimate(0)],
         "of too few views"
     );
-    assert_eq!(session.estimated(estimate_of(5, 0.3)), [Action::Announce], "not sure enough");
+    assert_eq!(session.estimated(0, estimate_of(5, 0.3)), [Action::Announce], "not sure enough");
     feed(&mut session, 5, &placements()[5..6]);
     assert_eq!(
-        session.estimated(estimate_of(6, 0.2)),
+        session.estimated(0, estimate_of(6, 0.2)),
         [Action::Announce, Action::Announce, Action::Solve]
     );
-    assert_eq!(session.observe(&frame(9), Ok(&placements()[9])), None, "takes no more frames");
+    assert_eq!(
+        session.observe_frame(frame(9), Ok(placements()[9].clone())),
+        None,
+        "takes no more frames"
+    );
     assert_eq!(session.stop(NOW_NS), Ok(Vec::new()), "it solves already");
     assert_eq!(session.solved(Ok("c".to_owned()), NOW_NS), [Action::Close]);
     let record = session.record();
@@ -197,7 +222,7 @@ fn too_few_views_fail_and_stay() {
     let mut session = session(None);
     feed(&mut session, 0, &placements()[..2]);
     assert_eq!(session.stop(NOW_NS), Ok(vec![Action::Close]));
-    assert_eq!((session.record().state, session.views().len()), (SessionState::Failed, 2));
+    assert_eq!((session.record().state, session.kept().len()), (SessionState::Failed, 2));
     assert!(
         session
             .record()
@@ -226,8 +251,8 @@ fn an_aborted_solve_changes_nothing_any_more() {
 fn a_loss_is_waited_through_and_said() {
     let mut session = session(None);
     feed(&mut session, 0, &placements()[..4]);
-    assert_eq!(session.camera_lost("unplugged"), [Action::Announce]);
-    assert_eq!(session.camera_lost("unplugged"), [], "said once");
+    assert_eq!(session.camera_lost(0, "unplugged"), [Action::Announce]);
+    assert_eq!(session.camera_lost(0, "unplugged"), [], "said once");
     assert_eq!(session.record().reason.as_deref(), Some("waits for the camera: unplugged"));
     assert_eq!(session.camera_back(), [Action::Announce]);
     assert_eq!(session.record().reason, None);
@@ -256,21 +281,19 @@ fn a_resumed_session_is_the_one_that_was() {
     feed(&mut before, 0, &placements()[..7]);
     let (mut after, actions) = Session::resume(
         before.record().clone(),
-        before.views().to_vec(),
+        &[],
+        &stored(&before),
         &AdmissionOptions::default(),
     );
-    assert_eq!(actions, [Action::Announce, Action::Estimate]);
-    assert_eq!((after.record(), after.views()), (before.record(), before.views()));
-    let again = after.observe(&frame(7), Ok(&placements()[3])).unwrap();
-    assert_eq!(again.admission, Err(Rejection::TooSimilar { view: 3 }));
-    assert_eq!(after.observe(&frame(8), Ok(&placements()[7])).unwrap().admission, Ok(7));
+    assert_eq!(actions, [Action::Announce, Action::Estimate(0)]);
+    assert_eq!((after.record(), stored(&after)), (before.record(), stored(&before)));
+    let again = admitted(&mut after, &frame(7), Ok(&placements()[3]));
+    assert_eq!(again, Err(Rejection::TooSimilar { view: 3 }));
+    assert_eq!(admitted(&mut after, &frame(8), Ok(&placements()[7])), Ok(7));
 
     after.stop(NOW_NS).unwrap();
-    let (_, actions) = Session::resume(
-        after.record().clone(),
-        after.views().to_vec(),
-        &AdmissionOptions::default(),
-    );
+    let (_, actions) =
+        Session::resume(after.record().clone(), &[], &stored(&after), &AdmissionOptions::default());
     assert_eq!(actions, [Action::Announce, Action::Solve]);
 }
 
@@ -282,13 +305,13 @@ fn the_operator_is_told_what_lasts_and_not_what_flickers() {
     feed(&mut session, 0, &placements()[..1]);
     let wish = message(&session);
     (1..4).for_each(|n| {
-        session.observe(&frame(n), no_board());
+        session.observe_frame(frame(n), no_board());
     });
     assert_eq!(message(&session), wish);
-    let actions = session.observe(&frame(4), no_board()).unwrap().actions;
+    let actions = session.observe_frame(frame(4), no_board()).unwrap().actions;
     assert_eq!(
         (message(&session).as_str(), actions),
         ("show the board to the camera", vec![Action::Announce])
     );
-    assert_eq!(session.observe(&frame(5), no_board()).unwrap().actions, [], "nothing new");
+    assert_eq!(session.observe_frame(frame(5), no_board()).unwrap().actions, [], "nothing new");
 }

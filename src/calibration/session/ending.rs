@@ -1,5 +1,5 @@
-//! How a session comes to its end: the rules that one camera's session and a rig's share. What
-//! differs, whether what was gathered can be solved, they tell themselves: `Ok`, or why not.
+//! How a session comes to its end. Whether what was gathered can be solved is an argument: `Ok`, or
+//! why not.
 //!
 //! ```text
 //! collecting ──stop, goal reached, time up──▶ solving ──▶ finished
@@ -9,6 +9,7 @@
 //! ```
 
 use crate::calibration::guidance::Guidance;
+use crate::calibration::session::action::Action;
 use crate::calibration::session_record::{Finish, SessionRecord, SessionState};
 
 /// A request that comes too late.
@@ -19,25 +20,14 @@ pub struct SessionOver {
     pub state: SessionState,
 }
 
-/// What whoever owns a session has to do towards its end.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ending {
-    /// Announce that the record changed.
-    Announce,
-    /// Solve what was gathered.
-    Solve,
-    /// Store the record for good.
-    Close,
-}
-
 impl SessionRecord {
     /// By request: solves, or fails where `enough` says why it cannot. Nothing new for one that
     /// solves already.
-    pub(super) fn stop<A: From<Ending>>(
+    pub(super) fn stop(
         &mut self,
         enough: Result<(), String>,
         now_ns: i64,
-    ) -> Result<Vec<A>, SessionOver> {
+    ) -> Result<Vec<Action>, SessionOver> {
         match self.state {
             SessionState::Collecting => Ok(self.solve_or_fail(enough, now_ns)),
             SessionState::Solving => Ok(Vec::new()),
@@ -46,7 +36,7 @@ impl SessionRecord {
     }
 
     /// By request: gives it up.
-    pub(super) fn abort<A: From<Ending>>(&mut self, now_ns: i64) -> Result<Vec<A>, SessionOver> {
+    pub(super) fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
         match self.state {
             SessionState::Collecting | SessionState::Solving => {
                 Ok(self.close(SessionState::Aborted, None, now_ns))
@@ -56,10 +46,7 @@ impl SessionRecord {
     }
 
     /// By itself, where `finish` is reached: its frames tell the time.
-    pub(super) fn solve_or_fail_by_itself<A: From<Ending>>(
-        &mut self,
-        enough: Result<(), String>,
-    ) -> Vec<A> {
+    pub(super) fn solve_or_fail_by_itself(&mut self, enough: Result<(), String>) -> Vec<Action> {
         let now_ns = self.started_at_ns.saturating_add((self.collecting_s * 1e9) as i64);
         self.solve_or_fail(enough, now_ns)
     }
@@ -72,12 +59,12 @@ impl SessionRecord {
 
     /// No frame will ever come again: a session that was to end by itself ends now, another one
     /// waits to be stopped.
-    pub(super) fn source_ended<A: From<Ending>>(
+    pub(super) fn source_ended(
         &mut self,
         reason: &str,
         enough: Result<(), String>,
         now_ns: i64,
-    ) -> Vec<A> {
+    ) -> Vec<Action> {
         if self.state != SessionState::Collecting {
             return Vec::new();
         }
@@ -85,15 +72,11 @@ impl SessionRecord {
             return self.solve_or_fail(enough, now_ns);
         }
         self.reason = Some(format!("{reason}; stop the session to solve what it gathered"));
-        vec![Ending::Announce.into()]
+        vec![Action::Announce]
     }
 
     /// Takes the outcome of the solve: the id of the calibration, or why there is none.
-    pub(super) fn solved<A: From<Ending>>(
-        &mut self,
-        outcome: Result<String, String>,
-        now_ns: i64,
-    ) -> Vec<A> {
+    pub(super) fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
         if self.state != SessionState::Solving {
             return Vec::new();
         }
@@ -106,30 +89,21 @@ impl SessionRecord {
         }
     }
 
-    fn solve_or_fail<A: From<Ending>>(
-        &mut self,
-        enough: Result<(), String>,
-        now_ns: i64,
-    ) -> Vec<A> {
+    fn solve_or_fail(&mut self, enough: Result<(), String>, now_ns: i64) -> Vec<Action> {
         if let Err(reason) = enough {
             return self.close(SessionState::Failed, Some(reason), now_ns);
         }
         self.state = SessionState::Solving;
         self.reason = None;
         self.guidance = Guidance::default();
-        vec![Ending::Announce.into(), Ending::Solve.into()]
+        vec![Action::Announce, Action::Solve]
     }
 
-    fn close<A: From<Ending>>(
-        &mut self,
-        state: SessionState,
-        reason: Option<String>,
-        now_ns: i64,
-    ) -> Vec<A> {
+    fn close(&mut self, state: SessionState, reason: Option<String>, now_ns: i64) -> Vec<Action> {
         self.state = state;
         self.reason = reason;
         self.guidance = Guidance::default();
         self.finished_at_ns = Some(now_ns.max(self.started_at_ns));
-        vec![Ending::Close.into()]
+        vec![Action::Close]
     }
 }

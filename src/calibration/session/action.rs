@@ -1,0 +1,54 @@
+//! What goes into a session and what comes out of it.
+
+use crate::calibration::admission::Rejection;
+use crate::calibration::view::FrameFacts;
+use crate::detection::board_detection::Detection;
+
+/// What one camera gave in a frame set.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraFrame {
+    /// The frame that was searched.
+    pub frame: FrameFacts,
+    /// The board in it, or why there is none.
+    pub seen: Result<Detection, Rejection>,
+}
+
+/// A view that a session kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KeptView {
+    /// Counts the views of all cameras, from 0.
+    pub number: u32,
+    /// The camera, as its place in the instrument.
+    pub camera: usize,
+    /// The frame set; views of the same one were taken together.
+    pub frame_set: u32,
+    /// Which of the camera's own views it is.
+    pub view: u32,
+}
+
+/// What whoever owns the session has to do, in this order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Action {
+    /// Estimate the lens of the camera at this place from its views, and answer with
+    /// `Session::estimated`.
+    Estimate(usize),
+    /// Announce that the record changed in a way the operator should see.
+    Announce,
+    /// Take no more frames, solve what was gathered, and answer with `Session::solved`.
+    Solve,
+    /// Store the record for good: the session is over.
+    Close,
+}
+
+/// What became of a frame set.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Observed {
+    /// Camera by camera: which of the camera's own views it became, or why it became none; `None`
+    /// for a camera that gave no frame.
+    pub admissions: Vec<Option<Result<u32, Rejection>>>,
+    /// Views to store with the images that were just observed, before anything else is done and
+    /// before the next frame set is taken. Nothing but an observed frame set brings one.
+    pub kept: Vec<KeptView>,
+    /// What to do then.
+    pub actions: Vec<Action>,
+}

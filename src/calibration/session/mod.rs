@@ -1,0 +1,420 @@
+//! What the product decides: a calibration session of an instrument as a state machine. Frame sets
+//! go in (what each camera gave at about the same time), [`Action`]s come out; whoever owns the
+//! session performs them. How it ends is in [`ending`], what one camera gathers in [`camera`].
+//!
+//! A single camera is an instrument of one. Each camera keeps the views that teach something of its
+//! own lens; with each of them, the other cameras that see the board in that frame set keep theirs
+//! too, new to them or not: it says where they are. A view is shared only if the board hardly moved
+//! between the two images.
+//!
+//! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
+//! kept depends on the frames alone; only reaching an uncertainty goal depends on when estimates
+//! are ready.
+
+mod action;
+pub mod camera;
+mod ending;
+mod together;
+
+use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::guidance::Guidance;
+use crate::calibration::running_estimate::EstimateSoFar;
+pub use crate::calibration::session::action::{Action, CameraFrame, KeptView, Observed};
+use crate::calibration::session::camera::CameraPart;
+pub use crate::calibration::session::camera::LEAST_VIEWS;
+pub use crate::calibration::session::ending::SessionOver;
+use crate::calibration::session::together::Together;
+use crate::calibration::session_record::{
+    RunningEstimate, SessionMember, SessionRecord, SessionState,
+};
+use crate::calibration::solve_rig::{RigCameraInput, RigInput};
+use crate::calibration::view::{FrameFacts, View};
+use crate::detection::board_detection::Detection;
+
+/// An instrument's session.
+#[derive(Debug, Clone)]
+pub struct Session {
+    record: SessionRecord,
+    cameras: Vec<CameraPart>,
+    together: Together,
+    kept: Vec<KeptView>,
+    /// Numbers are never used twice, whatever became of the views that had them.
+    next_number: u32,
+    frame_sets: u32,
+    /// Of what came before this run, and of what was waited without frames.
+    other_collecting_s: f64,
+}
+
+impl Session {
+    /// A session that collects from the next frame set on. `cameras` are the names of a rig's
+    /// cameras; none for an instrument that is one camera.
+    pub fn begin(record: SessionRecord, cameras: &[String], options: &AdmissionOptions) -> Self {
+        let of_rig = cameras.iter().map(|camera| {
+            let known = record.members.iter().find(|member| member.camera == *camera);
+            known.cloned().unwrap_or_else(|| SessionMember::begin(camera))
+        });
+        let mut summaries: Vec<SessionMember> = of_rig.collect();
+        if summaries.is_empty() {
+            summaries.push(record.to_member());
+        }
+        let part = |summary| CameraPart::new(record.request.target, summary, options);
+        let cameras_of: Vec<CameraPart> = summaries.into_iter().map(part).collect();
+        let mut session = Self {
+            together: Together::new(cameras_of.len()),
+            cameras: cameras_of,
+            other_collecting_s: record.collecting_s,
+            record,
+            kept: Vec::new(),
+            next_number: 0,
+            frame_sets: 0,
+        };
+        session.renew(!cameras.is_empty());
+        session
+    }
+
+    /// A session as it was stored, with its views in order; those of a camera that is not in the
+    /// rig any more have a place that it does not have, and are left out. One that was collecting
+    /// goes on collecting, one that was solving solves again.
+    pub fn resume(
+        record: SessionRecord,
+        cameras: &[String],
+        views: &[(KeptView, View)],
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record, cameras, options);
+        session.record.reason = None;
+        for (place, view) in views {
+            session.next_number = session.next_number.max(place.number + 1);
+            let Some(camera) = session.cameras.get_mut(place.camera) else { continue };
+            if let Some(own) = camera.restore(view) {
+                session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+                session.kept.push(KeptView { view: own, ..*place });
+            }
+        }
+        session.renew(session.is_rig());
+        let mut actions = vec![Action::Announce];
+        match session.record.state {
+            SessionState::Solving => actions.push(Action::Solve),
+            SessionState::Collecting => {
+                actions.extend(session.request_estimates(|_| true));
+            }
+            _ => {}
+        }
+        (session, actions)
+    }
+
+    /// The session as seen from outside.
+    pub fn record(&self) -> &SessionRecord {
+        &self.record
+    }
+
+    /// The kept views of all cameras, in the order they were kept.
+    pub fn kept(&self) -> &[KeptView] {
+        &self.kept
+    }
+
+    /// The part of the camera at this place.
+    pub fn camera(&self, camera: usize) -> Option<&CameraPart> {
+        self.cameras.get(camera)
+    }
+
+    /// The view that was kept as `kept`.
+    pub fn view(&self, kept: &KeptView) -> Option<&View> {
+        self.cameras.get(kept.camera)?.views().get(kept.view as usize)
+    }
+
+    /// What has been gathered, as a problem to solve.
+    pub fn input(&self) -> RigInput {
+        let board = self.record.request.target;
+        let camera = |(place, part): (usize, &CameraPart)| {
+            let views = self.kept.iter().filter(|kept| kept.camera == place);
+            let view = |kept: &KeptView| {
+                Some((kept.frame_set as usize, self.view(kept)?.to_board_view(&board)))
+            };
+            Some(RigCameraInput {
+                name: part.summary().camera.clone(),
+                image_size: part.image_size()?,
+                views: views.filter_map(view).collect(),
+            })
+        };
+        RigInput { board, cameras: self.cameras.iter().enumerate().filter_map(camera).collect() }
+    }
+
+    /// Takes one frame set: what each camera gave, in the instrument's order. `None` once the
+    /// session takes no more.
+    pub fn observe(&mut self, frame_set: &[Option<CameraFrame>]) -> Option<Observed> {
+        if self.record.state != SessionState::Collecting {
+            return None;
+        }
+        self.together.take(frame_set);
+        let mut admissions: Vec<Option<Result<u32, Rejection>>> = (self.cameras.iter_mut())
+            .zip(frame_set)
+            .map(|(camera, seen)| Some(camera.observe(seen.as_ref()?)))
+            .collect();
+        let kept = self.keep(frame_set, &mut admissions);
+        let grown = |camera: usize| kept.iter().any(|kept| kept.camera == camera);
+        let mut actions = self.request_estimates(grown);
+        let before = self.record.guidance.clone();
+        self.renew(self.is_rig());
+        if before != self.record.guidance || !kept.is_empty() {
+            actions.push(Action::Announce);
+        }
+        actions.extend(self.end_if_reached());
+        Some(Observed { admissions, kept, actions })
+    }
+
+    /// As [`Session::observe`], of an instrument that is one camera.
+    pub fn observe_frame(
+        &mut self,
+        frame: FrameFacts,
+        seen: Result<Detection, Rejection>,
+    ) -> Option<Observed> {
+        self.observe(&[Some(CameraFrame { frame, seen })])
+    }
+
+    /// Whether the camera at this place would keep `frame` for what was detected in it, if it were
+    /// observed now.
+    pub fn would_keep(&self, camera: usize, frame: &FrameFacts, detection: &Detection) -> bool {
+        self.record.state == SessionState::Collecting
+            && self.cameras.get(camera).is_some_and(|camera| camera.would_keep(frame, detection))
+    }
+
+    /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves
+    /// the one before.
+    pub fn estimated(&mut self, camera: usize, estimate: Option<EstimateSoFar>) -> Vec<Action> {
+        let is_over = self.record.state.is_over();
+        let mut actions = Vec::new();
+        if let Some(part) = self.cameras.get_mut(camera) {
+            if estimate.is_some() && !is_over {
+                actions.push(Action::Announce);
+            }
+            part.estimated(estimate.filter(|_| !is_over));
+        }
+        if is_over {
+            return actions;
+        }
+        self.renew(self.is_rig());
+        if self.record.state == SessionState::Collecting {
+            let outdated = self.cameras.get(camera).is_some_and(CameraPart::is_estimate_outdated);
+            actions.extend(self.request_estimates(|other| other == camera && outdated));
+            actions.extend(self.end_if_reached());
+        }
+        actions
+    }
+
+    /// Solves what has been gathered; with too few views it fails at once. Nothing new for one that
+    /// solves already. `now_ns` is UTC since the Unix epoch.
+    ///
+    /// # Errors
+    /// [`SessionOver`].
+    pub fn stop(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
+        let enough = self.enough();
+        self.record.stop(enough, now_ns)
+    }
+
+    /// Gives it up; its views stay. `now_ns` is UTC since the Unix epoch.
+    ///
+    /// # Errors
+    /// [`SessionOver`].
+    pub fn abort(&mut self, now_ns: i64) -> Result<Vec<Action>, SessionOver> {
+        self.record.abort(now_ns)
+    }
+
+    /// Takes the answer to [`Action::Solve`]: the id of the calibration, or why there is none.
+    pub fn solved(&mut self, outcome: Result<String, String>, now_ns: i64) -> Vec<Action> {
+        self.record.solved(outcome, now_ns)
+    }
+
+    /// The camera at this place gives no frames for `reason`: the session waits for it, and says
+    /// so.
+    pub fn camera_lost(&mut self, camera: usize, reason: &str) -> Vec<Action> {
+        let is_rig = self.is_rig();
+        let Some(part) = self.cameras.get_mut(camera) else { return Vec::new() };
+        part.lost();
+        let which = if is_rig {
+            format!("camera `{}`", part.summary().camera)
+        } else {
+            "the camera".to_owned()
+        };
+        let reason = Some(format!("waits for {which}: {reason}"));
+        if self.record.state != SessionState::Collecting || self.record.reason == reason {
+            return Vec::new();
+        }
+        self.record.reason = reason;
+        vec![Action::Announce]
+    }
+
+    /// A camera gives frames again.
+    pub fn camera_back(&mut self) -> Vec<Action> {
+        if self.record.state == SessionState::Collecting && self.record.reason.take().is_some() {
+            return vec![Action::Announce];
+        }
+        Vec::new()
+    }
+
+    /// `seconds` went by without a frame.
+    pub fn waited(&mut self, seconds: f64) -> Vec<Action> {
+        if self.record.state != SessionState::Collecting {
+            return Vec::new();
+        }
+        self.other_collecting_s += seconds.max(0.0);
+        self.renew(self.is_rig());
+        self.end_if_reached()
+    }
+
+    /// No frame will ever come again from any camera: a session that was to end by itself ends now,
+    /// another one waits to be stopped.
+    pub fn source_ended(&mut self, reason: &str, now_ns: i64) -> Vec<Action> {
+        let enough = self.enough();
+        self.record.source_ended(reason, enough, now_ns)
+    }
+
+    fn is_rig(&self) -> bool {
+        self.cameras.len() > 1 || !self.record.members.is_empty()
+    }
+
+    /// Keeps what is new to a camera, and with it what the others saw in the same frame set.
+    fn keep(
+        &mut self,
+        frame_set: &[Option<CameraFrame>],
+        admissions: &mut [Option<Result<u32, Rejection>>],
+    ) -> Vec<KeptView> {
+        let mut kept: Vec<KeptView> = Vec::new();
+        let is_new: Vec<bool> =
+            admissions.iter().map(|admission| matches!(admission, Some(Ok(_)))).collect();
+        for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {
+            if kept.iter().any(|kept| kept.camera == first) {
+                continue;
+            }
+            let number = self.frame_sets;
+            self.frame_sets += 1;
+            for other in 0..is_new.len() {
+                let is_together = other == first || self.together.are(frame_set, first, other);
+                if !is_together || kept.iter().any(|kept| kept.camera == other) {
+                    continue;
+                }
+                if let Some(Err(Rejection::TooSimilar { .. })) = &admissions[other]
+                    && let Some(CameraFrame { frame, seen: Ok(detection) }) = &frame_set[other]
+                    && let Some(view) = self.cameras[other].keep_shared(frame, detection)
+                {
+                    admissions[other] = Some(Ok(view));
+                }
+                if let Some(Ok(view)) = admissions[other] {
+                    let (camera, frame_set) = (other, number);
+                    kept.push(KeptView { number: self.next_number, camera, frame_set, view });
+                    self.next_number += 1;
+                }
+            }
+        }
+        self.kept.extend(&kept);
+        kept
+    }
+
+    fn request_estimates(&mut self, wanted: impl Fn(usize) -> bool) -> Vec<Action> {
+        let each = self.cameras.iter_mut().enumerate().filter(|(camera, _)| wanted(*camera));
+        each.filter_map(|(camera, part)| {
+            part.request_estimate().then_some(Action::Estimate(camera))
+        })
+        .collect()
+    }
+
+    /// Whether the views can be solved, or what to do.
+    fn enough(&self) -> Result<(), String> {
+        if let ([only], false) = (self.cameras.as_slice(), self.is_rig()) {
+            let kept = only.views().len();
+            return only.has_enough().then_some(()).ok_or_else(|| {
+                format!(
+                    "{kept} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions"
+                )
+            });
+        }
+        if self.cameras.iter().filter(|camera| camera.has_enough()).count() >= 2 {
+            return Ok(());
+        }
+        let kept: Vec<String> = (self.cameras.iter())
+            .map(|camera| format!("{} {}", camera.summary().camera, camera.views().len()))
+            .collect();
+        Err(format!(
+            "views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
+            kept.join(", ")
+        ))
+    }
+
+    fn end_if_reached(&mut self) -> Vec<Action> {
+        let Some(finish) = self.record.request.finish else { return Vec::new() };
+        let shared = |member: &SessionMember| member.views_shared as usize >= LEAST_VIEWS;
+        let placed = self.record.members.iter().all(shared);
+        let reached = || self.cameras.iter().all(|camera| camera.reaches(&finish));
+        if !(self.record.is_time_up() || (placed && reached())) {
+            return Vec::new();
+        }
+        let enough = self.enough().map_err(|why| format!("the time is up: {why}"));
+        self.record.solve_or_fail_by_itself(enough)
+    }
+
+    /// Renews what the record says of the cameras and of all of them together.
+    fn renew(&mut self, is_rig: bool) {
+        let longest_s = self.cameras.iter().map(CameraPart::collecting_s).fold(0.0, f64::max);
+        let record = &mut self.record;
+        record.collecting_s = self.other_collecting_s + longest_s;
+        if let ([only], false) = (self.cameras.as_slice(), is_rig) {
+            record.take_member(only.summary());
+            return;
+        }
+        let member = |(place, part): (usize, &CameraPart)| SessionMember {
+            views_shared: shared_views(&self.kept, place),
+            ..part.summary().clone()
+        };
+        let members: Vec<SessionMember> = self.cameras.iter().enumerate().map(member).collect();
+        record.frames_seen = members.iter().map(|member| member.frames_seen).sum();
+        record.boards_seen = members.iter().map(|member| member.boards_seen).sum();
+        record.views_kept = self.frame_sets;
+        record.rejected.set_sum(members.iter().map(|member| &member.rejected));
+        let worst =
+            members.iter().min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
+        record.coverage = worst.map(|member| member.coverage.clone()).unwrap_or_default();
+        let all_estimated = members.iter().all(|member| member.estimate.is_some());
+        let median = |estimate: &RunningEstimate| estimate.uncertainty_px.median;
+        let estimates =
+            members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate);
+        record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b)));
+        if record.state == SessionState::Collecting {
+            record.guidance = Guidance { message: next_step(&members), outline_px: Vec::new() };
+        }
+        record.members = members;
+    }
+}
+
+/// How many views of a camera are of frame sets that another camera has a view of.
+fn shared_views(kept: &[KeptView], camera: usize) -> u32 {
+    let own = kept.iter().filter(|view| view.camera == camera);
+    let is_shared = |view: &&KeptView| {
+        kept.iter().any(|other| other.frame_set == view.frame_set && other.camera != camera)
+    };
+    own.filter(is_shared).count() as u32
+}
+
+/// Frame sets that a camera should share with another before anything else is asked for.
+const WANTED_SHARED: u32 = 6;
+
+/// What to do next for the camera that lacks most.
+fn next_step(members: &[SessionMember]) -> String {
+    let is_isolated =
+        |member: &&SessionMember| member.views_kept > 2 && member.views_shared < WANTED_SHARED;
+    if let Some(isolated) = members.iter().find(is_isolated) {
+        return format!(
+            "hold the board still where {} and another camera see all of it",
+            isolated.camera
+        );
+    }
+    let open = members.iter().filter(|member| !member.guidance.message.is_empty());
+    let least = open.min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
+    least
+        .map(|member| format!("{}: {}", member.camera, member.guidance.message))
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod rig_tests;
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,66 @@
+//! Whether two cameras of an instrument saw the board in the same place.
+
+use crate::calibration::session::action::CameraFrame;
+use crate::detection::board_detection::Detection;
+
+/// How far the board may have moved between two cameras' images of a frame set, in pixels: what
+/// corners are known to.
+const SHARED_MOTION_PX: f64 = 0.3;
+/// Images nearer in time than this were taken together whatever the board does, in seconds.
+const SAME_TIME_S: f64 = 5e-4;
+
+/// How fast the board moves in each camera's images.
+#[derive(Debug, Clone)]
+pub(super) struct Together {
+    /// Each camera's last frame with a board: its time and the board.
+    before: Vec<Option<(i64, Detection)>>,
+    /// The board's fastest corner in the newest images, in pixels a second; `None` where that
+    /// cannot be measured.
+    motion_px_per_s: Vec<Option<f64>>,
+}
+
+impl Together {
+    pub(super) fn new(cameras: usize) -> Self {
+        Self { before: vec![None; cameras], motion_px_per_s: vec![None; cameras] }
+    }
+
+    /// Takes the newest frame set; of a single camera there is nothing to compare.
+    pub(super) fn take(&mut self, frame_set: &[Option<CameraFrame>]) {
+        if self.before.len() < 2 {
+            return;
+        }
+        let each = self.before.iter_mut().zip(&mut self.motion_px_per_s).zip(frame_set);
+        for ((before, motion), frame) in each {
+            *motion = None;
+            let Some(CameraFrame { frame, seen }) = frame else { continue };
+            let now = seen.as_ref().ok().map(|detection| (frame.time_ns(), detection.clone()));
+            let before = std::mem::replace(before, now);
+            *motion = before.zip(seen.as_ref().ok()).and_then(|(before, detection)| {
+                speed_px_per_s(&before, frame.time_ns(), detection)
+            });
+        }
+    }
+
+    /// Whether two cameras took their images at the same time, or of a board that hardly moved
+    /// meanwhile.
+    pub(super) fn are(&self, frame_set: &[Option<CameraFrame>], one: usize, other: usize) -> bool {
+        let (Some(first), Some(second)) = (&frame_set[one], &frame_set[other]) else {
+            return false;
+        };
+        let apart_s = (first.frame.host_time_ns - second.frame.host_time_ns) as f64 * 1e-9;
+        let speeds = self.motion_px_per_s[one].zip(self.motion_px_per_s[other]);
+        let fastest = speeds.map(|(a, b)| a.max(b));
+        apart_s.abs() <= SAME_TIME_S
+            || fastest.is_some_and(|speed| speed * apart_s.abs() <= SHARED_MOTION_PX)
+    }
+}
+
+fn speed_px_per_s(before: &(i64, Detection), now_ns: i64, now: &Detection) -> Option<f64> {
+    let elapsed_s = (now_ns - before.0) as f64 * 1e-9;
+    let moved = now.corners.iter().filter_map(|corner| {
+        let same = before.1.corners.iter().find(|other| other.index == corner.index)?;
+        Some(corner.pixel.distance_px(same.pixel))
+    });
+    let moved_px = moved.max_by(f64::total_cmp)?;
+    (elapsed_s > 0.0 && elapsed_s < 0.5).then(|| moved_px / elapsed_s)
+}
