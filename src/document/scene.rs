@@ -68,7 +68,7 @@ pub struct SceneSensorDocument {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lens_covariance: Vec<Vec<f64>>,
     /// Parameters that the images say no more of than the prior: centre ± 2 % of the width, square
-    /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0005.
+    /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
     pub held_by_prior: Vec<String>,
     /// Root mean square of the used observations' reprojection errors, in pixels.
     pub rms_px: f64,

@@ -2,8 +2,7 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::estimation::scene::bundle::{CameraMotion, SceneState};
-use crate::estimation::scene::robust_bundle::RobustBundle;
+use crate::estimation::scene::bundle::{Bundle, CameraMotion, SceneState};
 use crate::estimation::two_view::triangulation::parallax;
 
 /// How the camera stood and moved.
@@ -13,12 +12,13 @@ pub struct SceneConditions {
     pub motion: CameraMotion,
     /// The median over the points of the widest angle between two rays, in degrees.
     pub parallax_deg: f64,
-    /// The root mean square angle between the ways from camera to camera and the optical axis,
-    /// weighted by length, in degrees: 0 for forward, 90 for sideways.
+    /// The root mean square angle between the optical axis and the ways to the cameras that see
+    /// the same points, in degrees: 0 for forward, 90 for sideways.
     pub sideways_deg: f64,
-    /// The widest angle between two cameras' axes, in degrees.
+    /// The widest angle between the axes of two cameras, in degrees.
     pub turned_deg: f64,
-    /// The widest rotation about the optical axis between two cameras, in degrees.
+    /// The widest rotation about the optical axis between two cameras that see a point both, in
+    /// degrees.
     pub rolled_deg: f64,
     /// The distance of points from their common plane (root mean square), over their spread in it.
     pub relief: f64,
@@ -26,16 +26,17 @@ pub struct SceneConditions {
 
 impl SceneConditions {
     /// Of a fit.
-    pub fn of(fit: &RobustBundle) -> Self {
-        let state = &fit.state;
-        let mut angles: Vec<f64> =
-            (0..state.points.len()).map(|point| widest_parallax(fit, point).to_degrees()).collect();
+    pub fn of(bundle: &Bundle, state: &SceneState) -> Self {
+        let mut angles: Vec<f64> = (0..state.points.len())
+            .map(|point| widest_parallax(bundle, state, point).to_degrees())
+            .collect();
         angles.sort_by(f64::total_cmp);
-        let (turned, rolled) = widest_turns(state);
+        let shared = shared_points(bundle, state.cameras_from_scene.len());
+        let (turned, rolled) = widest_turns(state, &shared);
         Self {
-            motion: fit.bundle.motion,
+            motion: bundle.motion,
             parallax_deg: angles.get(angles.len() / 2).copied().unwrap_or(0.0),
-            sideways_deg: sideways(state).to_degrees(),
+            sideways_deg: sideways(state, &shared).to_degrees(),
             turned_deg: turned.to_degrees(),
             rolled_deg: rolled.to_degrees(),
             relief: relief(&state.points),
@@ -48,40 +49,55 @@ fn centers(state: &SceneState) -> Vec<Point3<f64>> {
     state.cameras_from_scene.iter().map(center).collect()
 }
 
-fn widest_parallax(fit: &RobustBundle, point: usize) -> f64 {
-    let centers = centers(&fit.state);
-    let seen = &fit.bundle.observations[point];
+fn widest_parallax(bundle: &Bundle, state: &SceneState, point: usize) -> f64 {
+    let centers = centers(state);
+    let seen = &bundle.observations[point];
     let pairs = seen.iter().enumerate().flat_map(|(k, a)| seen[..k].iter().map(move |b| (a, b)));
-    let at = &fit.state.points[point];
+    let at = &state.points[point];
     pairs.map(|(a, b)| parallax(&centers[a.camera], &centers[b.camera], at)).fold(0.0, f64::max)
 }
 
-fn sideways(state: &SceneState) -> f64 {
+/// How many points each two cameras see both.
+fn shared_points(bundle: &Bundle, cameras: usize) -> Vec<Vec<usize>> {
+    let mut shared = vec![vec![0; cameras]; cameras];
+    for seen in &bundle.observations {
+        for a in seen {
+            for b in seen.iter().filter(|b| b.camera != a.camera) {
+                shared[a.camera][b.camera] += 1;
+            }
+        }
+    }
+    shared
+}
+
+fn sideways(state: &SceneState, shared: &[Vec<usize>]) -> f64 {
     let centers = centers(state);
     let (mut sum, mut weight) = (0.0, 0.0);
     for (a, camera_from_scene) in state.cameras_from_scene.iter().enumerate() {
         let axis = camera_from_scene.inverse() * Vector3::z();
-        for b in (0..centers.len()).filter(|b| *b != a) {
-            let way = centers[b] - centers[a];
-            let length = way.norm();
+        for (b, center) in centers.iter().enumerate() {
+            let (way, points) = (center - centers[a], shared[a][b] as f64);
             let angle = (axis.cross(&way).norm()).atan2(axis.dot(&way).abs());
-            sum += length * angle * angle;
-            weight += length;
+            sum += points * angle * angle;
+            weight += points;
         }
     }
     (sum / f64::max(weight, f64::MIN_POSITIVE)).sqrt()
 }
 
-/// The widest angle between axes, and the widest rotation about the axis.
-fn widest_turns(state: &SceneState) -> (f64, f64) {
+/// The widest angle between axes, and the widest rotation about the axis of cameras that share
+/// points.
+fn widest_turns(state: &SceneState, shared: &[Vec<usize>]) -> (f64, f64) {
     let (mut turned, mut rolled) = (0.0_f64, 0.0_f64);
     for (k, a) in state.cameras_from_scene.iter().enumerate() {
-        for b in &state.cameras_from_scene[..k] {
+        for (j, b) in state.cameras_from_scene[..k].iter().enumerate() {
             let between = (*a * b.inverse()).rotation_matrix();
             turned = turned.max((between * Vector3::z()).angle(&Vector3::z()));
-            rolled = rolled.max(
-                (between[(1, 0)] - between[(0, 1)]).atan2(between[(0, 0)] + between[(1, 1)]).abs(),
-            );
+            let about_axis =
+                (between[(1, 0)] - between[(0, 1)]).atan2(between[(0, 0)] + between[(1, 1)]).abs();
+            if shared[k][j] > 0 {
+                rolled = rolled.max(about_axis);
+            }
         }
     }
     (turned, rolled)

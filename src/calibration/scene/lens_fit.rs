@@ -28,6 +28,10 @@ const COMPARED: [LensModel; 4] =
 /// in 500.
 const WORTH: f64 = 6.0;
 
+/// … and by more than this part of it: features err by that much together through what no lens
+/// model says (perspective, shading), and coefficients would follow.
+const WORTH_PART: f64 = 0.05;
+
 /// Fits the lens that is asked for.
 pub(super) fn fit_lens(
     start: &Reconstruction,
@@ -74,7 +78,8 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
         (small + 1..fits.len()).any(|large| {
             let extra =
                 fits[large].fit.bundle.free.len() as f64 - fits[small].fit.bundle.free.len() as f64;
-            costs[small] - costs[large] > WORTH * extra.max(1.0)
+            let gain = costs[small] - costs[large];
+            gain > WORTH * extra.max(1.0) && gain > WORTH_PART * costs[small]
         })
     };
     let chosen = (0..fits.len()).find(|k| !is_beaten(*k)).unwrap_or(0);

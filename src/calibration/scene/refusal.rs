@@ -49,14 +49,11 @@ pub enum SceneRefusal {
         "one plane is all that the images show, which does not determine the lens: include things at different depths"
     )]
     OnePlane,
-    /// No depth to begin with.
+    /// No depth to begin with, and too little rotation to do without.
     #[error(
-        "hardly any parallax ({parallax_deg:.1} degrees in the median): move the camera sideways by at least a tenth of the distance to the scene"
+        "hardly any parallax: the camera moved too little for the depth of the scene; move it sideways by at least a tenth of the distance to the scene"
     )]
-    HardlyAnyParallax {
-        /// The median angle between rays to a point.
-        parallax_deg: f64,
-    },
+    HardlyAnyParallax,
     /// Only a part hangs together.
     #[error(
         "only {used} of {images} images hang together: too few matches between neighbors (a median of {between_neighbors}), too little texture or too large steps"
@@ -71,7 +68,7 @@ pub enum SceneRefusal {
     },
     /// Focal length and depth trade.
     #[error(
-        "the camera only moved forward (within {angle_deg:.0} degrees of where it points): focal length, distortion and depth trade; move it sideways, and rotate it about its axis"
+        "the camera moved forward (within {angle_deg:.0} degrees of where it points): focal length, distortion and depth trade; move it sideways, and rotate it about its axis"
     )]
     ForwardMotion {
         /// The root mean square angle between motion and optical axis.

@@ -39,12 +39,20 @@ impl Default for SceneOptions {
 /// Images with fewer features have nothing to match.
 const LEAST_FEATURES: usize = 60;
 
-/// A motion within this angle of the optical axis, in degrees, is forward: sines of its parallax
-/// are a quarter of those of a sideways motion.
-const FORWARD_DEG: f64 = 15.0;
+/// Ways between cameras within this angle of the optical axis, in degrees, are forward motion:
+/// the parallax is a third of that of a sideways motion, and none in the middle of the image.
+const FORWARD_DEG: f64 = 20.0;
 
-/// A forward motion whose axes point this differently, in degrees, is no longer one.
-const TURNED_DEG: f64 = 30.0;
+/// A camera that also rotated by this about its axis, in degrees, is determined by that.
+const ROLLED_DEG: f64 = 45.0;
+
+/// A camera that only rotated must have rotated by this, in degrees: less is a motion of the image
+/// that any focal length explains.
+const ROTATED_DEG: f64 = 15.0;
+
+/// Of a camera that only rotated no more than this part of the observations may disagree; more is
+/// parallax.
+const ROTATED_OUTLIERS: f64 = 0.12;
 
 /// Less parallax, in degrees, than this leaves focal length and depth to the noise.
 const LEAST_PARALLAX_DEG: f64 = 2.0;
@@ -63,8 +71,9 @@ pub fn calibrate_scene(
     let size = checked_size(images)?;
     let found = correspond(images, size, options.threads);
     let start = reconstruction(&found, options)?;
+    check_rotation(&start)?;
     let fit = fit_lens(&start, options.lens, &options.given)?;
-    let conditions = SceneConditions::of(&fit.fit);
+    let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, &found, &start)?;
     Ok(finished(images, &start, &fit, (&conditions, &found)))
 }
@@ -111,8 +120,17 @@ fn reconstruction(
     if found.general.len() < 2 || found.general.len() * 4 < found.rotated.len() {
         return reconstruct_rotations(&found.problem, &found.rotated).ok_or(SceneRefusal::OnePlane);
     }
-    reconstruct_best(&found.problem, &found.general, focal)
-        .ok_or(SceneRefusal::HardlyAnyParallax { parallax_deg: 0.0 })
+    reconstruct_best(&found.problem, &found.general, focal).ok_or(SceneRefusal::HardlyAnyParallax)
+}
+
+/// Refuses a camera that neither moved nor rotated enough.
+fn check_rotation(start: &Reconstruction) -> Result<(), SceneRefusal> {
+    let conditions = SceneConditions::of(&start.bundle, &start.state);
+    let rotated_deg = conditions.turned_deg.max(conditions.rolled_deg);
+    if conditions.motion == CameraMotion::RotationOnly && rotated_deg < ROTATED_DEG {
+        return Err(SceneRefusal::HardlyAnyParallax);
+    }
+    Ok(())
 }
 
 fn check_determined(
@@ -127,13 +145,16 @@ fn check_determined(
         return Err(SceneRefusal::TooFewConnected { used, images, between_neighbors });
     }
     let moving = conditions.motion == CameraMotion::Moving;
-    let forward = conditions.sideways_deg < FORWARD_DEG && conditions.turned_deg < TURNED_DEG;
+    let forward = conditions.sideways_deg < FORWARD_DEG && conditions.rolled_deg < ROLLED_DEG;
     if moving && forward {
         return Err(SceneRefusal::ForwardMotion { angle_deg: conditions.sideways_deg });
     }
-    if moving && conditions.parallax_deg < LEAST_PARALLAX_DEG {
-        let parallax_deg = conditions.parallax_deg;
-        return Err(SceneRefusal::HardlyAnyParallax { parallax_deg });
+    let kept: usize = fit.fit.bundle.observations.iter().map(Vec::len).sum();
+    let outliers = fit.fit.dropped as f64 / (kept + fit.fit.dropped).max(1) as f64;
+    if (moving && conditions.parallax_deg < LEAST_PARALLAX_DEG)
+        || (!moving && outliers > ROTATED_OUTLIERS)
+    {
+        return Err(SceneRefusal::HardlyAnyParallax);
     }
     let focal_std = verdict::relative_focal_std(fit);
     if !(focal_std < WORTHLESS) {

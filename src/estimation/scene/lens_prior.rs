@@ -14,7 +14,7 @@ const ASPECT_STD: f64 = 0.002;
 /// The standard deviations of coefficients: radial ones of ordinary lenses, and tangential ones as
 /// of cameras with mounted lenses.
 const RADIAL_STD: f64 = 0.2;
-const TANGENTIAL_STD: f64 = 0.0005;
+const TANGENTIAL_STD: f64 = 0.0003;
 
 /// The coefficients of Kannala and Brandt's model half way between an equidistant lens (0) and one
 /// without distortion (the series of the tangent: 1/3, 2/15, 17/315, 62/2835).

@@ -53,6 +53,9 @@ const STILL_PX: f64 = 0.5;
 
 /// The geometry that most of `pairs` agree on; `None` where no more agree than chance explains.
 pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoViewGeometry> {
+    if let Some(still) = still(pairs) {
+        return Some(still);
+    }
     let epipolar = Epipolar { pairs, size };
     let Consensus { model, inliers, limit_px, .. } =
         ransac(&epipolar, &RansacOptions { max_limit_px: 4.0, ..RansacOptions::default() })?;
@@ -71,17 +74,37 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
             |k: &usize| planar.squared_residual_px2(homography, *k) <= limit_px * limit_px;
         (0..agreeing.len()).filter(explained).count()
     });
-    let mut moved: Vec<f64> = agreeing.iter().map(|p| (p.second - p.first).norm()).collect();
-    moved.sort_by(f64::total_cmp);
-    let displacement_px = moved[moved.len() / 2];
-    let kind = if displacement_px < STILL_PX {
-        TwoViewKind::Still
-    } else if on_homography as f64 > HOMOGRAPHY_PART * agreeing.len() as f64 {
+    let displacement_px = median_displacement_px(&agreeing);
+    let kind = if on_homography as f64 > HOMOGRAPHY_PART * agreeing.len() as f64 {
         TwoViewKind::Homography
     } else {
         TwoViewKind::General
     };
     Some(TwoViewGeometry { kind, fundamental, homography, inliers, on_homography, displacement_px })
+}
+
+fn median_displacement_px(pairs: &[PointPair]) -> f64 {
+    let mut moved: Vec<f64> = pairs.iter().map(|p| (p.second - p.first).norm()).collect();
+    moved.sort_by(f64::total_cmp);
+    moved.get(moved.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The geometry of images between which nothing moved: F is any skew-symmetric matrix.
+fn still(pairs: &[PointPair]) -> Option<TwoViewGeometry> {
+    let displacement_px = median_displacement_px(pairs);
+    if pairs.len() < LEAST_INLIERS || displacement_px >= STILL_PX {
+        return None;
+    }
+    let stays = |k: &usize| (pairs[*k].second - pairs[*k].first).norm() < 4.0 * STILL_PX;
+    let inliers: Vec<usize> = (0..pairs.len()).filter(stays).collect();
+    Some(TwoViewGeometry {
+        kind: TwoViewKind::Still,
+        fundamental: Matrix3::zeros(),
+        homography: Homography::from_matrix(&Matrix3::identity()),
+        on_homography: inliers.len(),
+        inliers,
+        displacement_px,
+    })
 }
 
 /// The search for F.

@@ -62,8 +62,11 @@ pub fn sampson_distance_px(f: &Matrix3<f64>, pair: &PointPair) -> f64 {
 
 /// The epipole of the first image: where it sees the second camera, as a homogeneous vector.
 pub fn epipole_in_first(f: &Matrix3<f64>) -> Vector3<f64> {
-    let svd = f.svd(false, true);
-    svd.v_t.map_or_else(Vector3::zeros, |v_t| v_t.row(2).transpose())
+    // Across all rows: the product of the two that are least parallel.
+    let row = |k: usize| f.row(k).transpose();
+    let products = [(0, 1), (0, 2), (1, 2)].map(|(a, b)| row(a).cross(&row(b)));
+    let longest = products.into_iter().max_by(|a, b| a.norm().total_cmp(&b.norm()));
+    longest.map_or_else(Vector3::zeros, |epipole| epipole.normalize())
 }
 
 /// The nearest matrix of rank 2 in the Frobenius norm.

@@ -47,7 +47,9 @@ mod tests {
 
     #[test]
     fn solves_its_equations() {
-        let a = SMatrix::<f64, 3, 5>::from_fn(|r, c| ((r * 7 + c * 3 + 1) as f64).sin());
+        let a = SMatrix::<f64, 3, 5>::from_fn(|r, c| {
+            ((r * r * 7 + c * c * 3 + r * c * 5 + 1) as f64).sin()
+        });
         let basis = null_space(a).unwrap();
         assert_eq!(basis.len(), 2);
         for x in basis {
