@@ -34,7 +34,9 @@ pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
+pub mod target;
 mod target_search;
+mod target_sheet;
 pub mod uncertainty;
 pub mod undistort;
 pub mod verify;
@@ -69,6 +71,7 @@ enum Command {
     Focus(focus::Args),
     Record(record::Args),
     Simulate(simulate::Args),
+    Target(target::Args),
     Uncertainty(uncertainty::Args),
     Undistort(undistort::Args),
     Verify(verify::Args),
@@ -87,6 +90,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Focus(args) => focus::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Target(args) => target::run(&args),
         Command::Uncertainty(args) => uncertainty::run(&args),
         Command::Undistort(args) => undistort::run(&args),
         Command::Verify(args) => verify::run(&args),

@@ -1,27 +1,39 @@
 //! A target from a file: the contract's object as JSON or TOML, or Kalibr's YAML.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::document::error::DocumentError;
-use crate::document::reading::from_json;
+use crate::document::reading::{from_json, to_json_pretty};
 use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target, TargetError, chessboard};
 
 /// All fields that a target of any kind has.
-#[derive(Debug, Clone, Default, Deserialize)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct TargetFields {
+    #[serde(skip_serializing_if = "Option::is_none")]
     kind: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     cols: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     rows: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     square_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     marker_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     dictionary: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     first_id: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     legacy: Option<bool>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     tag_m: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     spacing: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     family: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     border_bits: Option<u32>,
 }
 
@@ -44,6 +56,43 @@ pub fn target_from_text(text: &str) -> Result<Target, DocumentError> {
         Target::AprilGrid(grid) => grid.check(),
     };
     checked.map(|()| target).map_err(|error| in_field(&error))
+}
+
+/// Writes a target so that [`target_from_text`] reads it.
+///
+/// # Errors
+/// As [`to_json_pretty`].
+pub fn target_to_json(target: &Target) -> Result<String, DocumentError> {
+    let kind = Some(target.kind().to_owned());
+    let fields = match target {
+        Target::Chessboard(board) => TargetFields {
+            cols: Some(board.size.cols),
+            rows: Some(board.size.rows),
+            square_m: Some(board.square_m),
+            ..TargetFields::default()
+        },
+        Target::Charuco(board) => TargetFields {
+            cols: Some(board.cols),
+            rows: Some(board.rows),
+            square_m: Some(board.square_m),
+            marker_m: Some(board.marker_m),
+            dictionary: Some(board.dictionary.name().to_owned()),
+            first_id: Some(board.first_id),
+            legacy: board.legacy,
+            ..TargetFields::default()
+        },
+        Target::AprilGrid(grid) => TargetFields {
+            cols: Some(grid.cols),
+            rows: Some(grid.rows),
+            tag_m: Some(grid.tag_m),
+            spacing: Some(grid.spacing),
+            family: Some(grid.family.family().unwrap_or(grid.family.name()).to_owned()),
+            first_id: Some(grid.first_id),
+            border_bits: grid.border_bits,
+            ..TargetFields::default()
+        },
+    };
+    to_json_pretty(&TargetFields { kind, ..fields })
 }
 
 /// The error with the field that it is about.
@@ -162,6 +211,8 @@ mod tests {
         assert_eq!(target.to_string(), "6x5 AprilGrid (tag36h11)");
         assert_eq!(target_from_text(toml), Ok(target));
         assert_eq!(target_from_text(yaml), Ok(target));
+        let written = target_to_json(&target).expect("JSON");
+        assert_eq!(target_from_text(&written), Ok(target));
     }
 
     #[test]

@@ -21,5 +21,6 @@ pub mod lens;
 pub mod pixel;
 pub mod polynomial;
 pub mod pose;
+pub mod printed_board;
 pub mod target;
 pub mod thin_lens;

@@ -5,6 +5,7 @@
 
 mod allocations;
 mod bad_views;
+mod coded_targets;
 mod corner_accuracy;
 mod covers;
 mod detection;

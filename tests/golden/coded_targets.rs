@@ -1,0 +1,175 @@
+//! Boards with markers, as they are printed, seen at seeded slants: all that is answered has its
+//! own id and lies where it truly is, of every dictionary, layout and border; other boards are not
+//! answered.
+
+use nalgebra::{Matrix3, Vector3};
+use plumb::detection::coded::detector::TargetDetector;
+use plumb::geometry::dictionary::Dictionary;
+use plumb::geometry::printed_board::PrintedBoard;
+use plumb::geometry::target::{AprilGrid, CharucoBoard, Target, chessboard};
+use plumb::imaging::gray::GrayImage;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+const WIDTH: usize = 480;
+const HEIGHT: usize = 360;
+/// Pixels of the raster that a meter of the sheet takes.
+const RASTER_PER_M: f64 = 2500.0;
+
+fn charuco(dictionary: &str, rows: u32, legacy: bool) -> CharucoBoard {
+    CharucoBoard {
+        cols: 7,
+        rows,
+        square_m: 0.04,
+        marker_m: 0.03,
+        dictionary: Dictionary::named(dictionary).expect("a dictionary"),
+        first_id: 0,
+        legacy: Some(legacy),
+    }
+}
+
+fn april_grid(family: &str, border: u32, first_id: u32) -> AprilGrid {
+    AprilGrid {
+        cols: 4,
+        rows: 3,
+        tag_m: 0.04,
+        spacing: 0.3,
+        family: Dictionary::named(family).expect("a family"),
+        border_bits: Some(border),
+        first_id,
+    }
+}
+
+/// An image of the print of `target`, and the map from the sheet, in meters, to it.
+fn picture(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let print = PrintedBoard::of(target);
+    let margin_m = 0.02;
+    let [across, down] = [print.width_m, print.height_m]
+        .map(|side| ((side + 2.0 * margin_m) * RASTER_PER_M).ceil() as usize);
+    let mut raster = vec![1.0_f32; across * down];
+    for rect in &print.rects {
+        let edge = |meters: f64| ((meters + margin_m) * RASTER_PER_M).round() as usize;
+        for row in
+            raster.chunks_exact_mut(across).take(edge(rect.y + rect.height)).skip(edge(rect.y))
+        {
+            row[edge(rect.x)..edge(rect.x + rect.width)].fill(f32::from(u8::from(rect.white)));
+        }
+    }
+    let scale = 0.8 * (WIDTH as f64 / print.width_m).min(HEIGHT as f64 / print.height_m);
+    let angle = rng.random_range(-0.4..0.4_f64);
+    let (s, c) = angle.sin_cos();
+    let slant = [0, 1].map(|_| rng.random_range(-0.9..0.9));
+    let centered = Matrix3::new(
+        1.0,
+        0.0,
+        -print.width_m / 2.0,
+        0.0,
+        1.0,
+        -print.height_m / 2.0,
+        0.0,
+        0.0,
+        1.0,
+    );
+    let pixel_from_sheet = Matrix3::new(
+        scale * c,
+        -scale * s,
+        0.0,
+        scale * s,
+        scale * c,
+        0.0,
+        slant[0],
+        slant[1],
+        1.0,
+    ) * centered;
+    let to_middle =
+        Matrix3::new(1.0, 0.0, WIDTH as f64 / 2.0, 0.0, 1.0, HEIGHT as f64 / 2.0, 0.0, 0.0, 1.0);
+    let pixel_from_sheet = to_middle * pixel_from_sheet;
+    let sheet_from_pixel = pixel_from_sheet.try_inverse().expect("a homography");
+    let noise = Normal::new(0.0, 1.5).expect("a deviation");
+    let mut pixels = Vec::with_capacity(WIDTH * HEIGHT);
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let mut white = 0.0;
+            for sub in 0..16 {
+                let at = |v: usize, k: usize| v as f64 - 0.5 + (k as f64 + 0.5) / 4.0;
+                let p = sheet_from_pixel * Vector3::new(at(x, sub % 4), at(y, sub / 4), 1.0);
+                let place = |v: f64| ((v / p.z + margin_m) * RASTER_PER_M).floor();
+                let (col, row) = (place(p.x), place(p.y));
+                let inside = p.z > 0.0
+                    && (0.0..across as f64).contains(&col)
+                    && (0.0..down as f64).contains(&row);
+                white += if inside { raster[row as usize * across + col as usize] } else { 0.6 };
+            }
+            let gray = 30.0 + 180.0 * f64::from(white) / 16.0 + noise.sample(&mut rng);
+            pixels.push(gray.round().clamp(0.0, 255.0) as u8);
+        }
+    }
+    let image = GrayImage::from_pixels(WIDTH, HEIGHT, pixels).expect("so many pixels");
+    (image, pixel_from_sheet)
+}
+
+/// How many corners of `target` the detector of `asked`, the same board with its layout and border
+/// left out, finds; all must be right.
+fn found(target: &Target, asked: &Target, seed: u64) -> usize {
+    let (image, pixel_from_sheet) = picture(target, seed);
+    let mut detector = TargetDetector::new(*asked).expect("a target with markers");
+    let detection = detector.find(image.view()).unwrap_or_else(|none| panic!("{target}: {none}"));
+    let print = PrintedBoard::of(target);
+    for corner in &detection.corners {
+        let truth = print.corner(target, corner.id).expect("an id of the board");
+        let truth = pixel_from_sheet * Vector3::new(truth.x, truth.y, 1.0);
+        let off = (corner.pixel.x - truth.x / truth.z).hypot(corner.pixel.y - truth.y / truth.z);
+        assert!(off < 0.25, "{target}, seed {seed}: corner {} is {off} px off", corner.id);
+    }
+    detection.corners.len()
+}
+
+#[test]
+fn charuco_boards_of_every_dictionary_and_both_layouts() {
+    for (seed, dictionary) in Dictionary::all().enumerate() {
+        let board = charuco(dictionary.name(), 5 + seed as u32 % 2, seed % 4 < 2);
+        if board.check().is_err() {
+            continue;
+        }
+        let asked = CharucoBoard { legacy: None, ..board };
+        let target = Target::Charuco(board);
+        let corners = found(&target, &Target::Charuco(asked), seed as u64);
+        assert!(corners * 100 >= 95 * target.corner_count(), "{target}: {corners} corners");
+    }
+}
+
+#[test]
+fn april_grids_of_every_family_and_both_borders() {
+    let cases = [("tag36h11", 2), ("tag36h11", 1), ("tag25h9", 2), ("tag16h5", 2), ("tag36h10", 2)];
+    for (seed, (family, border)) in cases.into_iter().enumerate() {
+        let grid = april_grid(family, border, 3);
+        let asked = AprilGrid { border_bits: None, ..grid };
+        let target = Target::AprilGrid(grid);
+        let corners = found(&target, &Target::AprilGrid(asked), 100 + seed as u64);
+        assert!(corners * 100 >= 95 * target.corner_count(), "{target}: {corners} corners");
+    }
+}
+
+#[test]
+fn other_boards_are_not_answered() {
+    let asked = charuco("DICT_5X5_100", 6, false);
+    let grid = april_grid("tag36h11", 2, 0);
+    let others = [
+        (Target::Charuco(charuco("DICT_6X6_250", 6, false)), Target::Charuco(asked)),
+        (Target::Charuco(CharucoBoard { first_id: 40, ..asked }), Target::Charuco(asked)),
+        (Target::Charuco(CharucoBoard { cols: 8, rows: 5, ..asked }), Target::Charuco(asked)),
+        (chessboard(6, 5, 0.04).expect("a board"), Target::Charuco(asked)),
+        (Target::AprilGrid(grid), Target::Charuco(asked)),
+        (Target::Charuco(asked), Target::AprilGrid(grid)),
+        (Target::AprilGrid(april_grid("tag36h11", 2, 50)), Target::AprilGrid(grid)),
+        (Target::AprilGrid(AprilGrid { cols: 3, rows: 4, ..grid }), Target::AprilGrid(grid)),
+    ];
+    for (seed, (shown, asked)) in others.into_iter().enumerate() {
+        let (image, _) = picture(&shown, 200 + seed as u64);
+        let mut detector = TargetDetector::new(asked).expect("a target with markers");
+        let answer = detector.find(image.view());
+        assert!(answer.is_err(), "{shown} for {asked}: {answer:?}");
+    }
+}
