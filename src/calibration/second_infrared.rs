@@ -55,8 +55,12 @@ pub fn solve_second_infrared(
         };
         with_board.map(|(moment, capture)| (moment, view(capture))).collect()
     };
-    let camera =
-        |name: &str, image_size, views| RigCameraInput { name: name.to_owned(), image_size, views };
+    let camera = |name: &str, image_size, views| RigCameraInput {
+        name: name.to_owned(),
+        image_size,
+        given: None,
+        views,
+    };
     let cameras = vec![
         camera("color", input.color_size, views(|capture| &capture.color)),
         camera("infrared2", input.infrared2_size, views(|capture| &capture.infrared2)),

@@ -3,6 +3,7 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
+use crate::calibration::list_shift::list_shift;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict,
 };
@@ -15,6 +16,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
 use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;
@@ -35,6 +37,8 @@ pub struct RigCameraInput {
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
+    /// Its lens, where that is known and held.
+    pub given: Option<Lens>,
     /// What it saw, and at which moment: those of the same number were seen together.
     pub views: Vec<(usize, BoardView)>,
 }
@@ -118,6 +122,20 @@ pub enum RigError {
         "no two cameras saw the whole board at the same moment: hold it still where two of them see all of it"
     )]
     NothingShared,
+    /// One camera's list of frames is shifted against another's.
+    #[error(
+        "the frames of `{camera}` fit those of `{reference}` {places} places {when}, and not those they are taken to be together with: name or number them so that frames taken together are alike"
+    )]
+    Shifted {
+        /// The camera.
+        camera: String,
+        /// The camera that it is compared with.
+        reference: String,
+        /// By how many places.
+        places: usize,
+        /// `earlier` or `later`.
+        when: &'static str,
+    },
     /// All together could not be.
     #[error("the cameras together: {0}")]
     Joint(EstimationError),
@@ -138,7 +156,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for camera in &input.cameras {
         let views = camera.views.iter().map(|(_, view)| view.clone()).collect();
-        match solve_views(&CameraProblem { image_size: camera.image_size, views }, options) {
+        let options = camera.given.map_or_else(|| options.clone(), |lens| holding(&lens));
+        match solve_views(&CameraProblem { image_size: camera.image_size, views }, &options) {
             Ok(solved) => alone.push(Alone { input: camera, solved }),
             Err(source) => failed.push((camera.name.clone(), source)),
         }
@@ -152,6 +171,9 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
             camera,
             source,
         });
+    }
+    if let Some(shifted) = shifted_list(&alone) {
+        return Err(shifted);
     }
     let groups = connected(&alone);
     if groups.iter().all(|group| group.len() < 2) {
@@ -186,6 +208,26 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
         extrinsics,
         checks: checks(&alone),
         verdict: verdict(&alone, findings),
+    })
+}
+
+/// Options that hold every parameter of `lens`.
+fn holding(lens: &Lens) -> CameraOptions {
+    let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
+    let given = names.zip(lens.parameters()).collect();
+    CameraOptions { lens: LensChoice::Model(lens.model()), given, ..CameraOptions::default() }
+}
+
+/// A camera whose frames agree with the first one's when they are taken to be of frame sets a few
+/// places earlier or later, and not as they are.
+fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
+    let (first, others) = alone.split_first()?;
+    let reference = first.poses();
+    others.iter().find_map(|other| {
+        let by = list_shift(&reference, &other.poses())?;
+        let (camera, reference) = (other.input.name.clone(), first.input.name.clone());
+        let when = if by > 0 { "earlier" } else { "later" };
+        Some(RigError::Shifted { camera, reference, places: by.unsigned_abs(), when })
     })
 }
 
@@ -263,9 +305,12 @@ impl Joint {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
             views: one.turned(&board_from_labels, chosen),
-            options: CameraOptions {
-                lens: LensChoice::Model(one.solved.sensor.lens.model()),
-                ..CameraOptions::default()
+            options: match &one.input.given {
+                Some(lens) => holding(lens),
+                None => CameraOptions {
+                    lens: LensChoice::Model(one.solved.sensor.lens.model()),
+                    ..CameraOptions::default()
+                },
             },
         };
         let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();

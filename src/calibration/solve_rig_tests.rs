@@ -71,6 +71,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
         RigCameraInput {
             name: ["left", "right", "far"][camera].to_owned(),
             image_size: SIZE,
+            given: None,
             views,
         }
     };

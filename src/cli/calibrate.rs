@@ -1,19 +1,21 @@
 //! `plumb calibrate`: from pictures or a recording to a calibration.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use crate::calibration::result::CalibratedView;
 use crate::calibration::solve::solve_views;
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibrate_target::gather_target;
-use crate::cli::calibration_output::{OutputArgs, finished};
+use crate::cli::calibration_output::{OutputArgs, finished, named};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::Gathered;
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::length::Length;
 use crate::cli::lens_name::LensName;
+use crate::cli::rig::{self, NamedSource, named_source};
 use crate::cli::search::searcher;
-use crate::cli::sources::{FrameSets, TopicArgs};
+use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
 use crate::cli::target_search::read_target;
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::DetectOptions;
@@ -41,6 +43,10 @@ pub struct Args {
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
+    /// A camera of a rig, as left=FOLDER_OR_RECORDING, in place of SOURCE; once for each camera.
+    /// Frames of equal names (in recordings of equal times) were taken together.
+    #[arg(long, value_name = "NAME=SOURCE", value_parser = named_source)]
+    rig: Vec<NamedSource>,
     #[command(flatten)]
     estimated: EstimatedArgs,
     #[command(flatten)]
@@ -59,18 +65,27 @@ pub struct SearchArgs {
     #[command(flatten)]
     pub(super) reading: TopicArgs,
     /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags).
-    #[arg(required = true, value_name = "SOURCE")]
+    #[arg(value_name = "SOURCE")]
     pub(super) sources: Vec<String>,
 }
 
 impl SearchArgs {
-    fn detect_options(&self) -> DetectOptions {
+    pub(super) fn thread_count(&self) -> usize {
+        self.threads.map_or_else(all_cores, usize::from)
+    }
+
+    pub(super) fn detect_options(&self) -> DetectOptions {
         DetectOptions { allow_partial: self.allow_partial }
     }
 
     /// # Errors
     /// When a source is not there.
     pub(super) fn check_sources(&self) -> Result<(), Failure> {
+        if self.sources.is_empty() {
+            return Err(Failure::usage(
+                "a SOURCE is missing: give images, a folder of them, a quoted glob or a recording; see --help",
+            ));
+        }
         self.sources.iter().try_for_each(|source| check_there(source))
     }
 
@@ -101,6 +116,19 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         },
         _ => return Err(Failure::usage("give --board and --square, or --target")),
     };
+    if !args.rig.is_empty() {
+        if !args.search.sources.is_empty() {
+            return Err(Failure::usage("give either SOURCE or --rig NAME=SOURCE, not both"));
+        }
+        let given = args.estimated.lenses();
+        let started = Instant::now();
+        let calibration =
+            rig::calibrate(&args.rig, &args.search, target, (&options, given.as_slice()))?;
+        let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+        return args.output.give(&named(calibration), Some(elapsed_ms));
+    }
+    args.estimated.check_no_lens()?;
+    check_one_camera(&args.search.sources)?;
     if let [source] = args.search.sources.as_slice()
         && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
@@ -160,6 +188,18 @@ pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure
     )?;
     spinner.finish_and_clear();
     Ok(gathered)
+}
+
+/// Several folders or recordings may be one camera's or several cameras': that is not guessed.
+fn check_one_camera(sources: &[String]) -> Result<(), Failure> {
+    let whole: Vec<&String> = sources
+        .iter()
+        .filter(|source| Path::new(source).is_dir() || is_recording(Path::new(source)))
+        .collect();
+    let [first, second, ..] = whole.as_slice() else { return Ok(()) };
+    Err(Failure::usage(format!(
+        "{first} and {second}: of one camera or of two? For two cameras write plumb calibrate --rig left={first} --rig right={second}; for one give its images, as a quoted glob: \"{first}/*\""
+    )))
 }
 
 /// A mistyped source must not be lost among the pictures that could be read.

@@ -1,5 +1,6 @@
 //! `plumb calibrate` of a recording with color and depth.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
@@ -80,6 +81,31 @@ pub fn calibrate(
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
     spinner.finish_and_clear();
     Ok((calibration, elapsed_ms))
+}
+
+/// What the sensors of one recording saw in the frame sets of these paths.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn views_of(
+    (source, reading): (&str, &TopicArgs),
+    target: Chessboard,
+    detect: DetectOptions,
+    paths: &BTreeSet<String>,
+) -> Result<(RgbdInput, Option<StereoInput>), Failure> {
+    let depth = depth_sensor(source)?;
+    let mut gathered = Gathered::new(source, target, detect);
+    for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
+        let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
+        let path = frames.path();
+        if paths.contains(&path) {
+            // As an image that was chosen by hand: it is a view, and its time says nothing.
+            (frames.recording, frames.set.name) = (None, Some(path));
+            gathered.add(&frames)?;
+        }
+    }
+    let stereo = gathered.stereo();
+    Ok((gathered.finish(depth)?, stereo))
 }
 
 /// What is said of a recording's depth. In a recording file 16-bit depth is in millimeters (ROS REP

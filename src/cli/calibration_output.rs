@@ -73,10 +73,15 @@ impl OutputArgs {
 
 /// The calibration that `solved` amounts to, made now.
 pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration {
+    named(solved.into_calibration(target))
+}
+
+/// A calibration with a name and a time of its own: it was made now.
+pub fn named(calibration: Calibration) -> Calibration {
     Calibration {
         id: ulid::Ulid::generate().to_string(),
         created_at_ns: time::utc_ns(jiff::Timestamp::now()),
-        ..solved.into_calibration(target)
+        ..calibration
     }
 }
 

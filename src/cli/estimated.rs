@@ -1,7 +1,11 @@
 //! What a solve estimates beyond the lens model, and what it takes as given: the same for every
 //! command that solves.
 
+use std::path::PathBuf;
+
+use crate::cli::Failure;
 use crate::estimation::camera::CameraOptions;
+use crate::imaging::frame::SensorKind;
 
 /// What is estimated, and what is known.
 #[derive(Debug, clap::Args)]
@@ -12,9 +16,10 @@ pub struct EstimatedArgs {
     /// Let fx be fy.
     #[arg(long)]
     square_pixels: bool,
-    /// A lens parameter that is known, as fx=600; may be given several times.
-    #[arg(long, value_name = "NAME=VALUE", value_parser = parameter)]
-    given: Vec<(String, f64)>,
+    /// A lens parameter that is known, as fx=600, or of a rig a whole lens that is, as
+    /// left.color=calibration.json; may be given several times.
+    #[arg(long, value_name = "NAME=VALUE", value_parser = given)]
+    given: Vec<Given>,
     /// Estimate how far the board is bowed at its middle along its rows and columns, too; else it
     /// is flat.
     #[arg(long)]
@@ -27,8 +32,69 @@ impl EstimatedArgs {
         options.square_pixels |= self.square_pixels;
         options.skew |= self.skew;
         options.warp |= self.warp;
-        options.given.extend(self.given.iter().cloned());
+        let parameters = self.given.iter().filter_map(|given| match given {
+            Given::Parameter(name, value) => Some((name.clone(), *value)),
+            Given::Lens(_) => None,
+        });
+        options.given.extend(parameters);
     }
+
+    /// The lenses of a rig's cameras that are known.
+    pub fn lenses(&self) -> Vec<GivenLens> {
+        let lens = |given: &Given| match given {
+            Given::Parameter(..) => None,
+            Given::Lens(lens) => Some(lens.clone()),
+        };
+        self.given.iter().filter_map(lens).collect()
+    }
+
+    /// Refuses a whole lens where there is no rig.
+    ///
+    /// # Errors
+    /// When one is given.
+    pub fn check_no_lens(&self) -> Result<(), Failure> {
+        match self.lenses().first() {
+            None => Ok(()),
+            Some(lens) => Err(Failure::usage(format!(
+                "--given {}.{}: a whole lens is for a camera of a rig, named with --rig; give single parameters, as fx=600",
+                lens.camera,
+                lens.sensor.name()
+            ))),
+        }
+    }
+}
+
+/// What is known.
+#[derive(Debug, Clone, PartialEq)]
+enum Given {
+    /// One parameter.
+    Parameter(String, f64),
+    /// A lens.
+    Lens(GivenLens),
+}
+
+/// A lens of a rig's camera that is known.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct GivenLens {
+    /// The camera's name.
+    pub camera: String,
+    /// Which of its sensors.
+    pub sensor: SensorKind,
+    /// The calibration document that has it.
+    pub calibration: PathBuf,
+}
+
+/// Reads `PARAMETER=VALUE` or `CAMERA.SENSOR=FILE`.
+fn given(text: &str) -> Result<Given, String> {
+    let Some(((camera, sensor), file)) =
+        text.split_once('=').and_then(|(name, file)| Some((name.rsplit_once('.')?, file)))
+    else {
+        return parameter(text).map(|(name, value)| Given::Parameter(name, value));
+    };
+    let kind = SensorKind::from_name(sensor)
+        .ok_or_else(|| format!("`{sensor}` is no sensor; write CAMERA.SENSOR, as left.color"))?;
+    let calibration = PathBuf::from(file);
+    Ok(Given::Lens(GivenLens { camera: camera.to_owned(), sensor: kind, calibration }))
 }
 
 /// Reads `NAME=VALUE`.

@@ -29,6 +29,7 @@ pub mod output;
 mod plane_errors;
 pub mod progress;
 pub mod record;
+pub mod rig;
 pub mod search;
 pub mod serve;
 pub mod simulate;

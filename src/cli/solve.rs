@@ -45,6 +45,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let problem = CameraProblem::try_from(&document).map_err(|error| in_file(&error))?;
     let mut options = document.options();
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
+    args.estimated.check_no_lens()?;
     args.estimated.add_to(&mut options);
     let started = Instant::now();
     let solved = match document.method {

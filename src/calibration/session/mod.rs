@@ -134,6 +134,7 @@ impl Session {
             Some(RigCameraInput {
                 name: part.summary().camera.clone(),
                 image_size: part.image_size()?,
+                given: None,
                 views: views.filter_map(view).collect(),
             })
         };

@@ -1,0 +1,74 @@
+//! Whether one camera's list of frames is shifted against another's: as when one of two began to
+//! record a frame later. Two cameras that are fixed to each other see each board from the same
+//! relative pose; with a shifted list the pose scatters as the board moves, but for one shift.
+
+use crate::estimation::board_turns::SensorPoses;
+use crate::estimation::robust::median;
+use crate::geometry::pose::Pose;
+
+/// The longest shift that is looked for, in frame sets.
+const LONGEST: isize = 10;
+/// Fewer frame sets together say nothing: three relative poses agree by chance.
+const LEAST_SHARED: usize = 4;
+/// A shift explains a scatter that is this many times its own. Poses of a board are known to a few
+/// parts in a thousand of their scatter over views that differ; any factor from 3 to 30 holds.
+const EXPLAINS: f64 = 10.0;
+
+/// By how many frame sets `other` has to be moved on to fit `reference`; `None` where it fits as it
+/// is, or no shift fits clearly better.
+pub(super) fn list_shift(reference: &SensorPoses, other: &SensorPoses) -> Option<isize> {
+    let as_it_is = scatter(reference, other, 0)?;
+    let shifts = (-LONGEST..=LONGEST).filter(|shift| *shift != 0);
+    let scattered = shifts.filter_map(|shift| Some((shift, scatter(reference, other, shift)?)));
+    let (shift, least) = scattered.min_by(|a, b| a.1.total_cmp(&b.1))?;
+    (least * EXPLAINS < as_it_is).then_some(shift)
+}
+
+/// The median distance of the relative poses to the one in their middle, in radians and meters
+/// together; `None` where too few frame sets are shared.
+fn scatter(reference: &SensorPoses, other: &SensorPoses, shift: isize) -> Option<f64> {
+    let shared = other.iter().filter_map(|(frame_set, other_from_board)| {
+        let at = frame_set.checked_add_signed(-shift)?;
+        let (_, first_from_board) = reference.iter().find(|(frame_set, _)| *frame_set == at)?;
+        Some(*other_from_board * first_from_board.inverse())
+    });
+    let other_from_first: Vec<Pose> = shared.collect();
+    if other_from_first.len() < LEAST_SHARED {
+        return None;
+    }
+    let distance =
+        |one: &Pose, two: &Pose| one.angle_to(two) + (one.translation() - two.translation()).norm();
+    let spread =
+        |one: &Pose| median(other_from_first.iter().map(|two| distance(one, two)).collect());
+    other_from_first.iter().filter_map(spread).min_by(f64::total_cmp)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    fn first_from_board(k: usize) -> Pose {
+        let k = k as f64;
+        let turn = Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), 0.1 * k) * 0.4;
+        Pose::from_axis_angle(turn, Vector3::new(0.1 * k.sin(), 0.1 * k.cos(), 0.6))
+    }
+
+    #[test]
+    fn a_shift_is_found_and_no_shift_is_none() {
+        let other_from_first =
+            Pose::from_axis_angle(Vector3::y() * 0.2, Vector3::new(-0.1, 0.0, 0.0));
+        let reference: SensorPoses = (0..20).map(|k| (k, first_from_board(k))).collect();
+        for shift in [-3_isize, 0, 1, 7] {
+            let moved = |k: usize| Some((k, k.checked_add_signed(-shift)?));
+            let other: SensorPoses = (0..20)
+                .filter_map(moved)
+                .map(|(k, at)| (k, other_from_first * first_from_board(at)))
+                .collect();
+            let found = list_shift(&reference, &other);
+            assert_eq!(found, (shift != 0).then_some(shift), "{shift}");
+        }
+        assert_eq!(list_shift(&reference, &reference[..3].to_vec()), None);
+    }
+}
