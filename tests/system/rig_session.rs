@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use crate::program::plumb;
 use crate::served::{Served, recording};
 
 const CAMERAS: [&str; 3] = ["left", "right", "far"];
@@ -115,6 +116,11 @@ fn a_rig_is_found_to_within_its_prediction() {
             );
         }
     }
+    extrinsics_are_true(&calibration);
+}
+
+/// Holds the poses of the rig's cameras against the truth.
+fn extrinsics_are_true(calibration: &Value) {
     let extrinsics = calibration["extrinsics"].as_array().unwrap();
     assert_eq!(extrinsics.len(), 2);
     for (found, camera) in extrinsics.iter().zip(&CAMERAS[1..]) {
@@ -130,6 +136,35 @@ fn a_rig_is_found_to_within_its_prediction() {
             assert!(turn_std < 1e-3 && shift_std < 1e-3, "{found}");
         }
     }
+}
+
+fn rig_arguments(cameras: &[&str]) -> Vec<String> {
+    let source = |name: &&str| {
+        let path = recording(&format!("rig-{name}.mcap")).display().to_string();
+        ["--rig".to_owned(), format!("{name}={path}")]
+    };
+    let board = ["calibrate", "--json", "--board", "8x6", "--square", "30mm", "--lens", "brown"];
+    board.map(str::to_owned).into_iter().chain(cameras.iter().flat_map(source)).collect()
+}
+
+#[test]
+fn the_command_line_finds_a_rig_too() {
+    let ran = plumb(rig_arguments(&CAMERAS));
+    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+    let calibration: Value = serde_json::from_str(&ran.stdout).unwrap();
+    extrinsics_are_true(&calibration);
+}
+
+#[test]
+fn two_recordings_without_names_are_refused_with_the_command_to_write() {
+    let mut arguments = rig_arguments(&[]);
+    let paths = ["left", "right"].map(|name| recording(&format!("rig-{name}.mcap")));
+    arguments.extend(paths.map(|path| path.display().to_string()));
+    let ran = plumb(arguments);
+    assert_eq!(ran.code, Some(2), "{}", ran.stderr);
+    assert!(ran.stderr.contains("plumb calibrate --rig left="), "{}", ran.stderr);
+    let ran = plumb(rig_arguments(&CAMERAS[..1]));
+    assert_eq!(ran.code, Some(2), "{}", ran.stderr);
 }
 
 #[test]
