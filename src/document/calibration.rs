@@ -7,7 +7,7 @@ use crate::calibration::result::{
     CalibratedView, Calibration, ComparedLens, Extrinsics, ImageCalibration, ProjectionUncertainty,
 };
 use crate::calibration::sensor::SensorId;
-use crate::document::error::DocumentError;
+use crate::document::error::{DocumentError, physical};
 use crate::document::lens::{LensDocument, LensModelName, LensStdDocument};
 use crate::document::pose::{PoseDocument, RotationDocument};
 use crate::document::sensors::SensorsDocument;
@@ -16,6 +16,7 @@ use crate::document::time;
 use crate::document::verdict::{ChecksDocument, VerdictDocument};
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::physical::RMS_PX;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::decode::MAX_PIXELS;
@@ -244,7 +245,7 @@ impl TryFrom<&SensorDocument> for ImageCalibration {
                 .map_err(|e| e.inside("lens_std"))?,
             lens_covariance: lens_covariance(&document.lens_covariance, lens.parameters().len())?,
             lens,
-            rms_px: document.rms_px,
+            rms_px: physical("rms_px", document.rms_px, &RMS_PX)?,
             uncertainty_px: document.uncertainty_px.into(),
             views: document.views.iter().enumerate().map(view).collect::<Result<_, _>>()?,
             compared: document.compared.iter().map(ComparedLens::from).collect(),

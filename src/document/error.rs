@@ -1,5 +1,7 @@
 //! What is wrong with a document, and in which of its fields.
 
+use crate::geometry::physical::PhysicalRange;
+
 /// A document that cannot be used.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum DocumentError {
@@ -21,6 +23,18 @@ pub enum DocumentError {
         /// What is wrong with it and what would be right.
         problem: String,
     },
+}
+
+/// The `value` of `field`, if it can be.
+///
+/// # Errors
+/// [`DocumentError::Field`] with the physical range.
+pub(super) fn physical(
+    field: &str,
+    value: f64,
+    range: &PhysicalRange,
+) -> Result<f64, DocumentError> {
+    range.check(value).map_err(|error| DocumentError::field(field, error.to_string()))
 }
 
 impl DocumentError {

@@ -3,9 +3,10 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::document::error::DocumentError;
+use crate::document::error::{DocumentError, physical};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::physical::{FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX};
 
 /// The name of a lens model in a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -203,13 +204,13 @@ impl From<&Lens> for LensDocument {
 impl TryFrom<&LensDocument> for Lens {
     type Error = DocumentError;
     fn try_from(document: &LensDocument) -> Result<Self, DocumentError> {
-        for (name, value) in [("fx", document.fx), ("fy", document.fy)] {
-            if value.is_nan() || value <= 0.0 {
-                return Err(DocumentError::field(
-                    name,
-                    format!("{value} is not a focal length: it must be positive"),
-                ));
-            }
+        for (name, value, range) in [
+            ("fx", document.fx, &FOCAL_LENGTH_PX),
+            ("fy", document.fy, &FOCAL_LENGTH_PX),
+            ("cx", document.cx, &PRINCIPAL_POINT_PX),
+            ("cy", document.cy, &PRINCIPAL_POINT_PX),
+        ] {
+            physical(name, value, range)?;
         }
         let wrong = || DocumentError::field("model", "has other coefficients than are given");
         Self::from_parameters(document.model.into(), &document.parameters()?).ok_or_else(wrong)
@@ -311,7 +312,7 @@ mod tests {
             ),
             (
                 r#"{"model":"pinhole","fx":-1,"fy":500,"cx":320,"cy":240}"#.into(),
-                "fx: -1 is not a focal length: it must be positive",
+                "fx: -1 px is not a focal length: it is 0.1 to 10000000 px",
             ),
         ];
         for (json, expected) in table {

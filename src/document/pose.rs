@@ -4,7 +4,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::document::error::DocumentError;
+use crate::document::error::{DocumentError, physical};
+use crate::geometry::physical::TRANSLATION_M;
 use crate::geometry::pose::Pose;
 
 /// How far a quaternion's length may be from 1.
@@ -54,6 +55,9 @@ impl TryFrom<&PoseDocument> for Pose {
                 "rotation",
                 format!("has length {length}; a unit quaternion has length 1"),
             ));
+        }
+        for value in a_from_b.translation {
+            physical("translation", value, &TRANSLATION_M)?;
         }
         // Not normalized again: a pose read back is the pose written, to the bit.
         Ok(Self::new(

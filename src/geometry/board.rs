@@ -3,6 +3,8 @@
 
 use nalgebra::Point3;
 
+use crate::geometry::physical::{SQUARE_M, Unphysical};
+
 /// How many inner corners a chessboard has: `cols` along a row, `rows` rows. Each is at least 3.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct BoardSize {
@@ -33,12 +35,9 @@ pub enum BoardError {
         /// Rows of inner corners.
         rows: u32,
     },
-    /// A square that is not a positive length of at most 10 m.
-    #[error("a square of {square_m} m cannot be used: give the side of one square, as in 25mm")]
-    Square {
-        /// The side given, in meters.
-        square_m: f64,
-    },
+    /// A square whose side is outside [`SQUARE_M`].
+    #[error("{0}; give the side of one square with its unit, as in 25mm")]
+    Square(Unphysical),
 }
 
 impl BoardSize {
@@ -99,13 +98,10 @@ impl Chessboard {
     /// A board of `size` with squares of `square_m` meters.
     ///
     /// # Errors
-    /// [`BoardError::Square`] unless 0 < `square_m` ≤ 10.
+    /// [`BoardError::Square`] for a side outside [`SQUARE_M`].
     pub fn new(size: BoardSize, square_m: f64) -> Result<Self, BoardError> {
-        if square_m > 0.0 && square_m <= 10.0 {
-            Ok(Self { size, square_m })
-        } else {
-            Err(BoardError::Square { square_m })
-        }
+        let square_m = SQUARE_M.check(square_m).map_err(BoardError::Square)?;
+        Ok(Self { size, square_m })
     }
 
     /// Where the corner (`col`, `row`) lies in the board frame, in meters. Indices outside the

@@ -5,6 +5,7 @@ use nalgebra::Point3;
 
 use crate::geometry::board::{BoardError, BoardSize, Chessboard};
 use crate::geometry::dictionary::Dictionary;
+use crate::geometry::physical::SQUARE_M;
 
 /// A calibration target.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -91,8 +92,8 @@ pub enum TargetError {
         /// Fewest each way.
         least: u32,
     },
-    /// Not a positive length of at most 10 m.
-    #[error("`{field}` is {value}: give a length of more than 0 and at most 10 m")]
+    /// A length outside [`SQUARE_M`].
+    #[error("`{field}` is {value:e} m: give a length of 0.01 mm to 10 m")]
     Length {
         /// Which.
         field: &'static str,
@@ -142,7 +143,7 @@ pub enum TargetError {
 }
 
 fn check_length(field: &'static str, value: f64) -> Result<(), TargetError> {
-    if value > 0.0 && value <= 10.0 { Ok(()) } else { Err(TargetError::Length { field, value }) }
+    if SQUARE_M.range.contains(&value) { Ok(()) } else { Err(TargetError::Length { field, value }) }
 }
 
 fn check_ids(dictionary: &Dictionary, first: u32, count: u64) -> Result<(), TargetError> {
