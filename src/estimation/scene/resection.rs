@@ -147,9 +147,9 @@ mod tests {
             [Point3::new(-1.0, 0.2, 0.3), Point3::new(0.9, -0.7, 0.1), Point3::new(0.2, 1.1, -0.6)];
         let bearings = points.map(|p| Bearing::new_normalize((camera_from_scene * p).coords));
         let poses = poses_from_three(&points, &bearings);
-        let error = |pose: &Pose| {
-            pose.angle_to(&camera_from_scene)
-                + (pose.translation() - camera_from_scene.translation()).norm()
+        let error = |found_from_scene: &Pose| {
+            found_from_scene.angle_to(&camera_from_scene)
+                + (found_from_scene.translation() - camera_from_scene.translation()).norm()
         };
         assert!(poses.iter().any(|pose| error(pose) < 1e-9), "{poses:?}");
         assert!(poses_from_three(&[points[0]; 3], &bearings).is_empty());

@@ -74,10 +74,10 @@ impl World {
         f / f.norm()
     }
 
-    fn errors_deg(&self, found: &Pose) -> [f64; 2] {
+    fn errors_deg(&self, second_from_first: &Pose) -> [f64; 2] {
         let truth = &self.second_from_first;
-        let direction = found.translation().angle(&truth.translation());
-        [found.angle_to(truth).to_degrees(), direction.to_degrees()]
+        let direction = second_from_first.translation().angle(&truth.translation());
+        [second_from_first.angle_to(truth).to_degrees(), direction.to_degrees()]
     }
 }
 
