@@ -163,8 +163,8 @@ fn is_seen(case: &Case, corner: Pixel) -> bool {
         && !covered
 }
 
-/// Looks into one picture, writes it with what was found; returns its line of the truth.
-fn look(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error>> {
+/// Searches one image, writes it with the detection; returns its line of the truth.
+fn search(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error>> {
     let [cols, rows] = case.board;
     let board = Chessboard::new(BoardSize::new(cols, rows)?, SQUARE_M)?;
     let (picture, corners) = render(case, board)?;
@@ -212,7 +212,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     std::fs::create_dir_all(&folder)?;
     let mut pictures = Vec::new();
     for case in hard_cases().into_iter().chain(ordinary_cases()) {
-        pictures.push(look(&case, &folder)?);
+        pictures.push(search(&case, &folder)?);
     }
     let truth = serde_json::json!({ "pictures": pictures });
     std::fs::write(folder.join("truth.json"), serde_json::to_string(&truth)?)?;

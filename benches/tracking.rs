@@ -17,7 +17,7 @@ use plumb::geometry::pixel::ImageSize;
 use plumb::imaging::gray::GrayImage;
 use plumb::simulation::{World, WorldOptions};
 
-/// Each picture is looked at this often; the fastest counts.
+/// Each image is searched this often; the fastest counts.
 const REPEATS: usize = 15;
 
 fn main() {
@@ -49,7 +49,7 @@ fn main() {
                 let started = Instant::now();
                 was_followed = warm
                     .track_board(now.view(), &DetectOptions::default())
-                    .is_ok_and(|sighting| sighting.followed);
+                    .is_ok_and(|tracked| tracked.followed);
                 started.elapsed().as_secs_f64()
             }));
             followed += u32::from(was_followed);
@@ -64,8 +64,8 @@ fn main() {
     }
 }
 
-fn fastest_ms(mut look: impl FnMut() -> f64) -> f64 {
-    (0..REPEATS).map(|_| look()).fold(f64::MAX, f64::min) * 1e3
+fn fastest_ms(mut search: impl FnMut() -> f64) -> f64 {
+    (0..REPEATS).map(|_| search()).fold(f64::MAX, f64::min) * 1e3
 }
 
 fn median(times: &mut [f64]) -> f64 {

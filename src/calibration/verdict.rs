@@ -70,7 +70,7 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
     let (Some(map), Some(worst_px)) = (map, worst_px) else {
         return Some((
             Grade::Poor,
-            "nothing tells where in the image projections can be trusted".to_owned(),
+            "no uncertainty is known for projections anywhere in the image".to_owned(),
         ));
     };
     let limits_px = KNOWN_TO.map(|part| part * map.grid.size.diagonal_px());
@@ -121,13 +121,13 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
-            "board or camera moved while the rows of a picture were read one after another (rolling shutter), which explains {percent:.0} % of what is left: hold both still for each view"
+            "board or camera moved while the rows of a picture were read one after another (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
         )
     });
     let uneven = check.misfit.unevenness_m.map(|meters| {
         let millimeters = meters * 1000.0;
         format!(
-            "what is left turns with the board, which seems bent or uneven by {millimeters:.2} mm: mount it on something flat and stiff"
+            "residuals follow the board, which seems bent or uneven by {millimeters:.2} mm: mount it on something flat and stiff"
         )
     });
     let known: Vec<String> = shutter.into_iter().chain(uneven).collect();
@@ -137,11 +137,9 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let others =
         "check that the board is flat and held still, and that focus and zoom stay as they are";
     if estimate.compared.is_empty() {
-        return format!(
-            "nothing tells why the model does not fit: let the lens model be chosen (auto); else {others}"
-        );
+        return format!("the cause is unknown: let the lens model be chosen (auto); else {others}");
     }
-    format!("nothing tells why no lens model fits: {others}")
+    format!("the cause is unknown: {others}")
 }
 
 fn halves(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
@@ -178,7 +176,7 @@ fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
     let [x, y] = check.bow_m.filter(|_| check.misfit.unevenness_m.is_none())?.map(|m| m * 1000.0);
     let reason = format!(
-        "what is left turns with the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
+        "residuals follow the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
     );
     Some((Grade::Usable, reason))
 }

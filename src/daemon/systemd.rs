@@ -1,4 +1,4 @@
-//! What systemd is told: that the daemon is ready, that it is alive, that it ends. Without systemd,
+//! Notifications to systemd: that the daemon is ready, that it is alive, that it ends. Without systemd,
 //! nothing happens.
 
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::pipeline::fleet::Fleet;
 /// Says that cameras and HTTP are up, and from then on, on `runtime`, that they still are: a daemon
 /// whose requests or cameras hang falls silent, and is started again.
 pub(super) fn ready_and_alive(runtime: &tokio::runtime::Runtime, fleet: &Arc<Fleet>) {
-    tell(&[NotifyState::Ready]);
+    notify(&[NotifyState::Ready]);
     let Some(limit) = sd_notify::watchdog_enabled() else { return };
     let fleet = Arc::clone(fleet);
     runtime.spawn(async move {
@@ -22,14 +22,14 @@ pub(super) fn ready_and_alive(runtime: &tokio::runtime::Runtime, fleet: &Arc<Fle
             let streaming =
                 cameras.iter().filter(|camera| camera.state.name() == "streaming").count();
             let status = format!("{streaming} of {} cameras streaming", cameras.len());
-            tell(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
+            notify(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
         }
     });
 }
 
 /// Says that the end was asked for.
 pub(super) fn stopping() {
-    tell(&[NotifyState::Stopping]);
+    notify(&[NotifyState::Stopping]);
 }
 
 /// Twice within the limit, so that one late sign is not taken for none.
@@ -37,8 +37,8 @@ fn interval_of(limit: Duration) -> Duration {
     (limit / 2).max(Duration::from_millis(100))
 }
 
-fn tell(state: &[NotifyState<'_>]) {
+fn notify(state: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(state) {
-        tracing::warn!("systemd cannot be told: {error}");
+        tracing::warn!("systemd cannot be notified: {error}");
     }
 }

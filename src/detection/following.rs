@@ -154,7 +154,7 @@ fn may_be_corner(image: GrayView<'_>, place: &Prediction) -> bool {
 
 /// A corner of the last board and its prediction.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Expected {
+pub(super) struct ExpectedCorner {
     /// What was measured of it.
     pub last: Node,
     /// Its predicted position.
@@ -163,7 +163,7 @@ pub(super) struct Expected {
     pub steps: [Vec2; 2],
 }
 
-impl Expected {
+impl ExpectedCorner {
     /// The corner, given its neighbors' offset `off`.
     fn measure(
         &self,

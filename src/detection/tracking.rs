@@ -8,7 +8,7 @@
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
 use super::cross::Vec2;
 use super::detector::Detector;
-use super::following::Expected;
+use super::following::ExpectedCorner;
 use super::grid::{Grid, Node};
 use super::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
@@ -74,7 +74,7 @@ impl LastBoard {
         index: usize,
         board: BoardSize,
         with_motion: bool,
-    ) -> Option<Expected> {
+    ) -> Option<ExpectedCorner> {
         let (cols, rows) = (board.cols as usize, board.rows as usize);
         let step = |at: usize, length: usize, stride: usize| {
             let low = index - stride.min(at * stride);
@@ -85,7 +85,7 @@ impl LastBoard {
         let steps = [step(index % cols, cols, 1)?, step(index / cols, rows, cols)?];
         let moved = if with_motion { *self.motion.get(index)? } else { Vec2::zeros() };
         let last = *self.nodes.get(index)?;
-        Some(Expected { last, expected: last.pixel + moved, steps })
+        Some(ExpectedCorner { last, expected: last.pixel + moved, steps })
     }
 }
 

@@ -119,13 +119,13 @@ fn one_sensor_of_several_is_asked_for_by_name() {
 
     let two = with_infrared(example(), example().color().unwrap());
     let color = export(&two, Format::Ros, &ExportOptions::default()).unwrap();
-    assert!(color.note.unwrap().contains("color, infrared"), "what is left out is told");
+    assert!(color.note.unwrap().contains("color, infrared"), "what is left out is stated");
     let infrared = export(&two, Format::Ros, &of("infrared")).unwrap();
     assert!(String::from_utf8(infrared.bytes).unwrap().contains("camera_name: \"front_infrared\""));
 }
 
 #[test]
-fn places_are_written_from_the_first_sensor_and_what_has_none_is_told() {
+fn places_are_written_from_the_first_sensor_and_what_has_none_is_stated() {
     let urdf = export(&rig(), Format::Urdf, &ExportOptions::default()).unwrap();
     assert!(urdf.note.as_ref().unwrap().contains("isolated"), "{urdf:?}");
     let text = String::from_utf8(urdf.bytes).unwrap();

@@ -25,7 +25,7 @@ const LANES: usize = 16;
 /// Rows of descriptors that are multiplied together.
 const ROWS: usize = 6;
 
-/// Descriptors laid out for products: blocks of [`LANES`] descriptors, number by number.
+/// Descriptors laid out for products: blocks of `LANES` descriptors, number by number.
 #[derive(Debug, Clone)]
 pub struct DescriptorTable {
     len: usize,

@@ -23,7 +23,7 @@ pub fn is_picture(path: &Path) -> bool {
 
 /// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,
 /// BMP, TIFF and WebP are unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot
-/// be read as any of them becomes a frame all the same, of size 0×0, and decoding it tells what is
+/// be read as any of them becomes a frame all the same, of size 0×0, and decoding it says what is
 /// wrong: a damaged picture is one bad frame, not the end of a recording.
 pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
     let as_it_came = |format, size, bytes: Vec<u8>| Frame {

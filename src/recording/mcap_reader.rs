@@ -96,7 +96,7 @@ impl McapReader {
         self.frame_set_count
     }
 
-    /// What the device told of a sensor's lens, as far as the file has been read.
+    /// What the device stated of a sensor's lens, as far as the file has been read.
     pub fn factory_lens(&self, sensor: SensorKind) -> Option<(ImageSize, Lens)> {
         self.lenses.get(&sensor).copied()
     }

@@ -74,7 +74,7 @@ impl McapWriter {
         Ok(())
     }
 
-    /// Notes what the device tells of a sensor's lens.
+    /// Notes what the device states of a sensor's lens.
     ///
     /// # Errors
     /// As [`Self::write`].

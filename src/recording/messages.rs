@@ -89,7 +89,7 @@ pub(super) fn encode_frame(frame: &Frame, frame_id: &str, utc_ns: i64) -> Option
     }
 }
 
-/// The message that says what a device tells of its lens.
+/// The message that says what a device states of its lens.
 pub(super) fn encode_lens(
     lens: &Lens,
     size: ImageSize,

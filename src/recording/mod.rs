@@ -146,7 +146,7 @@ impl RecordingError {
 /// How to read a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReadOptions {
-    /// Frame sets a second of a folder, which tells no times; 10 unless said.
+    /// Frame sets a second of a folder, which has no times; 10 unless said.
     pub fps: f64,
     /// The topics to read, or their beginnings up to a slash; those of the only camera unless
     /// said.

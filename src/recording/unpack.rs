@@ -3,7 +3,7 @@
 
 use std::io::{BufReader, Read};
 
-/// What a small file may unpack to in all: two frames of 4K in colour.
+/// What a small file may unpack to in all: two frames of 4K in color.
 const UNPACKED_AT_LEAST: u64 = 48 << 20;
 /// How much larger than the file its content may be beyond that. Frames of a sensor have noise:
 /// they shrink tenfold, and rendered ones a hundredfold.

@@ -64,19 +64,19 @@ impl Daemon {
         self.get(&format!("/v1/cameras/{name}"))
     }
 
-    /// Looks at `what` answers each time that something happens, until it gives a value.
+    /// Evaluates `what` each time that something happens, until it gives a value.
     pub fn wait_for<T>(&self, what: &str, mut condition: impl FnMut() -> Option<T>) -> T {
         let events = ureq::get(&url("/v1/events")).call().unwrap().into_body().into_reader();
         let began = Instant::now();
-        let mut last_look = None;
+        let mut last_asked = None;
         for line in BufReader::new(events).lines() {
             let line = line.unwrap();
             let due =
-                last_look.is_none_or(|last: Instant| last.elapsed() > Duration::from_millis(200));
+                last_asked.is_none_or(|last: Instant| last.elapsed() > Duration::from_millis(200));
             if !due || line.is_empty() {
                 continue;
             }
-            last_look = Some(Instant::now());
+            last_asked = Some(Instant::now());
             if let Some(value) = condition() {
                 return value;
             }
@@ -85,7 +85,7 @@ impl Daemon {
         panic!("the events ended while waiting: {what}");
     }
 
-    /// What is told of the camera from the daemon's start on.
+    /// What is reported of the camera from the daemon's start on.
     pub fn camera_events(&self, camera: &str) -> CameraEvents {
         let request =
             ureq::get(&url(&format!("/v1/events?camera={camera}"))).header("Last-Event-ID", "0");
@@ -118,7 +118,7 @@ impl Daemon {
     }
 }
 
-/// What is told of a camera, in order.
+/// What is reported of a camera, in order.
 pub struct CameraEvents(Lines<BufReader<Box<dyn Read>>>);
 
 impl CameraEvents {

@@ -8,7 +8,7 @@ use plumb::capture::{CaptureError, SourceOpener};
 
 use crate::guest::{PATIENCE, VIVID, camera, frames_until_error, options, press, processor_time};
 
-pub fn a_camera_in_use_is_told_with_its_holder() -> String {
+pub fn a_camera_in_use_is_reported_with_its_holder() -> String {
     let mut holder = Command::new("v4l2-ctl");
     holder.args(["-d", VIVID, "--stream-mmap", "--stream-count=100000"]);
     let mut holder = holder.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
@@ -27,9 +27,9 @@ pub fn a_camera_in_use_is_told_with_its_holder() -> String {
     error.to_string()
 }
 
-/// Each of vivid's faults: what is told, and that the camera gives frames again afterwards.
-pub fn each_injected_fault_is_told_and_survived() -> String {
-    let mut told = Vec::new();
+/// Each of vivid's faults: what is reported, and that the camera gives frames again afterwards.
+pub fn each_injected_fault_is_reported_and_survived() -> String {
+    let mut reported = Vec::new();
     for at_start in
         ["inject_vidioc_reqbufs_error", "inject_vidioc_qbuf_error", "inject_vidioc_streamon_error"]
     {
@@ -49,7 +49,7 @@ pub fn each_injected_fault_is_told_and_survived() -> String {
     }
     let damaged = source.losses().damaged;
     assert!((1..=3).contains(&damaged), "{damaged} damaged frames");
-    told.push(format!("{damaged} of 3 damaged frames counted"));
+    reported.push(format!("{damaged} of 3 damaged frames counted"));
     press(VIVID, "percentage_of_dropped_buffers=50");
     for _ in 0..20 {
         source.next_frame(PATIENCE).unwrap();
@@ -57,11 +57,11 @@ pub fn each_injected_fault_is_told_and_survived() -> String {
     press(VIVID, "percentage_of_dropped_buffers=0");
     let missed = source.losses().missed;
     assert!(missed >= 5, "{missed} missed frames");
-    told.push(format!("{missed} missed frames counted"));
+    reported.push(format!("{missed} missed frames counted"));
     press(VIVID, "inject_fatal_streaming_error=1");
     let (_, error) = frames_until_error(&mut *source);
     assert!(matches!(error, CaptureError::Lost { .. }), "{error}");
-    told.push(error.to_string());
+    reported.push(error.to_string());
     drop(source);
     let mut source = opener.open().unwrap();
     source.next_frame(PATIENCE).unwrap();
@@ -70,7 +70,7 @@ pub fn each_injected_fault_is_told_and_survived() -> String {
     assert_eq!(error.to_string(), format!("{VIVID} was lost: it was unplugged"));
     drop(source);
     opener.open().unwrap().next_frame(PATIENCE).unwrap();
-    told.join("; ")
+    reported.join("; ")
 }
 
 /// A device that gives nothing: the wait is as long as was asked for, and costs nothing.

@@ -70,7 +70,7 @@ fn still_picture(format: &str, pattern: i64) -> (GrayImage, RgbImage) {
     (luma, decode::rgb(&second.frames[0]).unwrap())
 }
 
-pub fn what_cannot_be_had_is_told() -> String {
+pub fn what_cannot_be_had_is_reported() -> String {
     let refused = |format: &str| {
         camera(options(VIVID, Some(format))).open().map(|_| ()).unwrap_err().to_string()
     };

@@ -192,7 +192,7 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
 }
 
 #[test]
-fn several_devices_are_told_apart_by_their_serial_numbers() {
+fn several_devices_are_distinguished_by_their_serial_numbers() {
     let context = context();
     let sets = walk_pictures(2);
     let serials = ["000000000011", "000000000022"];
@@ -272,7 +272,7 @@ async fn until_views(events: &mut EventStream, count: u64) {
     .await;
 }
 
-/// As the daemon has it by default: told within 2 s, taken up again by its serial number, and the
+/// As the daemon has it by default: reported within 2 s, taken up again by its serial number, and the
 /// session goes on.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
@@ -280,7 +280,7 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let live = LiveDevice::plug_in(&context, &device("000000012345", &SETTABLE));
     let sets = walk_pictures(usize::MAX);
     let count = sets.len();
-    // Slower than the daemon looks, on a busy machine too.
+    // Slower than the daemon searches, on a busy machine too.
     let showing = Showing::start(live, sets, Duration::from_millis(200));
     let (fleet, store) = fleet(&context, &folder, Supervision::default());
     let mut events = fleet.events(Some(0));
@@ -290,15 +290,15 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
         SessionRequest { target, lens: LensChoice::Model(LensModel::Brown), finish: None };
     let id = fleet.start_session("front", request).await.unwrap().id;
     until_views(&mut events, 4).await;
-    assert_eq!(showing.option(Rs2Option::EmitterOnOff), 1.0, "while the board is looked for");
+    assert_eq!(showing.option(Rs2Option::EmitterOnOff), 1.0, "while the board is searched for");
 
     showing.switch(false);
     let stopped = Instant::now();
     let reason = until_state(&mut events, CameraState::Lost).await;
-    let told = stopped.elapsed();
+    let reported = stopped.elapsed();
     assert!(
-        told < Duration::from_secs(2) && reason.starts_with("no frame for 1."),
-        "{reason}, told after {told:?}"
+        reported < Duration::from_secs(2) && reason.starts_with("no frame for 1."),
+        "{reason}, reported after {reported:?}"
     );
     assert_eq!(fleet.live_session(&id).unwrap().state, SessionState::Collecting);
 
@@ -317,7 +317,7 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     is_true(&calibration);
     let views = session.views_kept;
     eprintln!(
-        "live: told {told:?} after the last frame: {reason}; {views} views, {:?}",
+        "live: reported {reported:?} after the last frame: {reason}; {views} views, {:?}",
         calibration.verdict
     );
 }

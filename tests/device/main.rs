@@ -1,5 +1,5 @@
 //! Real devices: this machine boots a small one with a real V4L2 stack, which runs the scenarios
-//! below and tells what it measured. `cargo test --test device [NAME…]`; with names, only the
+//! below and reports what it measured. `cargo test --test device [NAME…]`; with names, only the
 //! scenarios whose names contain one of them.
 
 #![allow(
@@ -34,10 +34,10 @@ type Scenario = fn() -> String;
 const SCENARIOS: &[(&str, Scenario)] = &[
     ("enumeration", enumeration::every_camera_is_listed_with_its_names_and_formats),
     ("formats", formats::every_format_gives_the_same_picture),
-    ("mode", formats::what_cannot_be_had_is_told),
+    ("mode", formats::what_cannot_be_had_is_reported),
     ("controls", formats::controls_are_set_held_and_given_back),
-    ("busy", faults::a_camera_in_use_is_told_with_its_holder),
-    ("injected_faults", faults::each_injected_fault_is_told_and_survived),
+    ("busy", faults::a_camera_in_use_is_reported_with_its_holder),
+    ("injected_faults", faults::each_injected_fault_is_reported_and_survived),
     ("stall", faults::a_stalled_device_never_blocks),
     ("supervision", supervision::every_fault_is_a_state_with_a_reason_and_the_session_goes_on),
     ("usb", usb::a_usb_camera_streams_holds_still_and_comes_back),

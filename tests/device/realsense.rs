@@ -51,7 +51,7 @@ fn refusal(origin: Origin) -> String {
 
 /// A D435's recording: its numbers are as they were read from the file by other software.
 #[test]
-fn a_recording_tells_its_factory_calibration_as_the_file_states_it() {
+fn a_recording_gives_its_factory_calibration_as_the_file_states_it() {
     let Some(folder) = shared_data("realsense-bag") else { return };
     let mut source = open(Origin::Bag(folder.join("single_depth_color_640x480.bag"))).unwrap();
     let description = source.description();
@@ -101,7 +101,7 @@ fn a_recording_tells_its_factory_calibration_as_the_file_states_it() {
     assert!((1400..1550).contains(&readings[readings.len() / 2]), "a wall at 1.47 m");
 }
 
-/// The daemon tells the same of the camera, in the shapes of a calibration.
+/// The daemon reports the same of the camera, in the shapes of a calibration.
 #[test]
 fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
     let Some(folder) = shared_data("realsense-bag") else { return };
@@ -163,7 +163,7 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
 }
 
 #[test]
-fn what_is_wrong_with_a_file_is_told_at_once() {
+fn what_is_wrong_with_a_file_is_reported_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("missing.bag");
     assert!(refusal(Origin::Bag(missing)).contains("give an existing .bag file"));
@@ -188,7 +188,7 @@ fn what_is_wrong_with_a_file_is_told_at_once() {
 }
 
 #[test]
-fn without_a_device_that_is_told_at_once() {
+fn without_a_device_that_is_reported_at_once() {
     assert_eq!(
         refusal(Origin::OnlyDevice),
         "the RealSense camera was lost: no RealSense camera is plugged in"
@@ -200,7 +200,7 @@ fn without_a_device_that_is_told_at_once() {
     assert!(listing.missing.unwrap().contains("the library sees no camera"));
 }
 
-/// Slower than the daemon looks, on a busy machine too: every frame of the walk is to be looked at.
+/// Slower than the daemon searches, on a busy machine too: every frame of the walk is to be searched.
 const PACE: Duration = Duration::from_millis(200);
 
 fn pictures(set: &FrameSet) -> Pictures {
@@ -319,7 +319,7 @@ fn named<'a>(extrinsics: &'a Value, name: &str) -> &'a Value {
 }
 
 /// The product on the library: a session over HTTP on the recorded walk; and a device that stops,
-/// told within 2 s.
+/// reported within 2 s.
 #[test]
 fn a_made_walk_is_calibrated_by_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
@@ -344,7 +344,7 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
             waits_for.retain(|name| *name != event.name);
         }
     }
-    assert!(silence < Duration::from_secs(2), "told {silence:?} after the last frame");
+    assert!(silence < Duration::from_secs(2), "reported {silence:?} after the last frame");
     let camera = served.get("/v1/cameras/front").json();
     assert_eq!(camera["identity"]["serial"], "000000012345", "{camera}");
     assert!(camera["reason"].as_str().unwrap().starts_with("the recording has ended"), "{camera}");

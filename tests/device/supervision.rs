@@ -1,4 +1,4 @@
-//! The daemon beside a camera that goes wrong: which state it tells, with which reason, and that a
+//! The daemon beside a camera that goes wrong: which state it reports, with which reason, and that a
 //! session goes on.
 
 use std::fs;
@@ -16,11 +16,11 @@ name = "vivid"
 source = { kind = "v4l2", device = "/dev/video0", width = 320, height = 180, format = "GREY", fps = 5 }
 "#;
 
-/// What is done to the camera, what is told of it, and what ends it.
+/// What is done to the camera, what is reported of it, and what ends it.
 struct Fault {
     name: &'static str,
     begin: fn(),
-    told: &'static str,
+    reported: &'static str,
     end: fn(),
 }
 
@@ -28,38 +28,38 @@ const FATAL: &str = "inject_fatal_streaming_error=1";
 const REFUSED: &str = "the driver answers: ";
 
 const FAULTS: [Fault; 7] = [
-    Fault { name: "fatal error", begin: || press(VIVID, FATAL), told: REFUSED, end: || {} },
+    Fault { name: "fatal error", begin: || press(VIVID, FATAL), reported: REFUSED, end: || {} },
     Fault {
         name: "disconnect",
         begin: || press(VIVID, "disconnect=1"),
-        told: "it was unplugged",
+        reported: "it was unplugged",
         end: || {},
     },
     Fault {
         name: "reqbufs",
         begin: || refuse_next_start("reqbufs"),
-        told: "Invalid argument",
+        reported: "Invalid argument",
         end: || {},
     },
     Fault {
         name: "qbuf",
         begin: || refuse_next_start("qbuf"),
-        told: "Invalid argument",
+        reported: "Invalid argument",
         end: || {},
     },
     Fault {
         name: "streamon",
         begin: || refuse_next_start("streamon"),
-        told: "Invalid argument",
+        reported: "Invalid argument",
         end: || {},
     },
     Fault {
         name: "silence",
         begin: || drop_frames(100),
-        told: "no frame for ",
+        reported: "no frame for ",
         end: || drop_frames(0),
     },
-    Fault { name: "unbind", begin: unplug, told: "it is not plugged in", end: plug_in },
+    Fault { name: "unbind", begin: unplug, reported: "it is not plugged in", end: plug_in },
 ];
 
 fn refuse_next_start(step: &str) {
@@ -80,7 +80,7 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
     }
     let daemon = Daemon::start(CAMERAS);
     let mut events = daemon.camera_events("vivid");
-    let mut told =
+    let mut reported =
         vec![events.until("lost", &format!("in use by v4l2-ctl (process {})", holder.id()))];
     holder.kill().unwrap();
     holder.wait().unwrap();
@@ -94,7 +94,7 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
     for fault in &FAULTS {
         let seen = frames(&session());
         (fault.begin)();
-        told.push(format!("{}: {}", fault.name, events.until("lost", fault.told)));
+        reported.push(format!("{}: {}", fault.name, events.until("lost", fault.reported)));
         let waiting = session();
         assert!(
             waiting["state"] == "collecting" && frames(&waiting) >= seen,
@@ -106,7 +106,7 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
             "{waiting}"
         );
         if fault.name == "unbind" {
-            told.push(costs_nothing(&daemon));
+            reported.push(costs_nothing(&daemon));
         }
         (fault.end)();
         events.until("streaming", "");
@@ -121,10 +121,10 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
         );
     }
     let (descriptors, threads) = before.unwrap();
-    format!("{}; {descriptors} descriptors and {threads} threads after each", told.join("; "))
+    format!("{}; {descriptors} descriptors and {threads} threads after each", reported.join("; "))
 }
 
-/// While it looks for the camera it does next to nothing.
+/// While it searches for the camera it does next to nothing.
 fn costs_nothing(daemon: &Daemon) -> String {
     let (began, busy) = (Instant::now(), daemon.processor_time());
     // What is measured is a span of time: any request would add to it.

@@ -261,7 +261,7 @@ impl Controls {
             },
             (0x80..=0x82, 0) => Some(vec![0, 0]),
             (0x80, 8) => Some(vec![1]),
-            // A bulk camera is told to stop by clearing its endpoint's halt.
+            // A bulk camera is stopped by clearing its endpoint's halt.
             (0x02, 1) => {
                 self.streams = None;
                 Some(Vec::new())

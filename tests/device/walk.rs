@@ -71,15 +71,15 @@ pub fn a_walk_is_calibrated_over_http() -> String {
     });
     assert!(count(0, "views_kept") > views, "what was gathered before is still there");
 
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for (k, format) in [(0, "YUYV"), (1, "MJPG")] {
         let finished = daemon.post(&format!("/v1/sessions/{}/stop", sessions[k]), &json!({}));
         assert_eq!(finished["state"], "finished", "{finished}");
         let id = finished["calibration"].as_str().unwrap();
-        told.push(compared(format, &daemon.get(&format!("/v1/calibrations/{id}")), &truth));
+        reported.push(compared(format, &daemon.get(&format!("/v1/calibrations/{id}")), &truth));
     }
     drop(mjpg);
-    format!("{}; {}; {}", told.join("; "), lost["reason"], starved["reason"])
+    format!("{}; {}; {}", reported.join("; "), lost["reason"], starved["reason"])
 }
 
 /// Holds a calibration against the truth; says how far off it is.

@@ -62,10 +62,10 @@ fn pictures() -> Vec<GrayImage> {
     pictures
 }
 
-fn look(detector: &mut Detector, picture: &GrayImage, tracking: bool) -> bool {
+fn search(detector: &mut Detector, picture: &GrayImage, tracking: bool) -> bool {
     let options = DetectOptions { allow_partial: true };
     let found = if tracking {
-        detector.track_board(picture.view(), &options).map(|sighting| sighting.detection)
+        detector.track_board(picture.view(), &options).map(|tracked| tracked.detection)
     } else {
         detector.find_board(picture.view(), &options)
     };
@@ -82,7 +82,7 @@ fn a_warm_detector_asks_for_no_memory() {
         let mut detector = Detector::new("9x6".parse().unwrap());
         let round = |detector: &mut Detector| {
             let twice = pictures.iter().flat_map(|picture| [picture, picture]);
-            twice.filter(|picture| look(detector, picture, tracking)).count()
+            twice.filter(|picture| search(detector, picture, tracking)).count()
         };
         assert!(
             asked(|| assert!(round(&mut detector) > 20)) > 0,

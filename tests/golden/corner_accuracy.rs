@@ -219,15 +219,15 @@ fn hold(conditions: &[Condition]) {
         let scatter = figures.scatter();
         let Figures { corners, missing, .. } = figures;
         let name = condition.name;
-        let told = format!(
+        let line = format!(
             "{name}: rms {rms:.5} px, error/std {normalized:.3}, scatter/std {scatter:.3}, bias {bias:.5} px, \
              {corners} corners, {missing} missing"
         );
-        println!("{told}");
+        println!("{line}");
         let exact = rms <= condition.rms_px && bias <= condition.bias_px;
         let honest = (0.85..1.15).contains(&normalized) && (0.8..1.15).contains(&scatter);
         if !exact || !honest || missing > 0 || corners < 300.0 {
-            broken.push(told);
+            broken.push(line);
         }
     }
     assert!(broken.is_empty(), "{broken:#?}");

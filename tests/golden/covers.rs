@@ -3,7 +3,7 @@
 //!
 //! A cover ends beside a corner, crosses its window or hides a part of it. Its edge may be taken
 //! for one of the corner's own, and it darkens or brightens what the window sees: such corners must
-//! be left out or told to be uncertain, and must mislead no other.
+//! be left out or stated to be uncertain, and must mislead no other.
 
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;

@@ -309,12 +309,12 @@ enum Outcome {
     Wrong(String),
 }
 
-/// The answers of `look` for the numbers below `count`, in their order, worked at by as many
+/// The answers of `search` for the numbers below `count`, in their order, worked at by as many
 /// threads as there are processors. Each thread begins with `begin`.
 fn in_parallel<S, T: Send>(
     count: usize,
     begin: impl Fn() -> S + Sync,
-    look: impl Fn(&mut S, usize) -> T + Sync,
+    search: impl Fn(&mut S, usize) -> T + Sync,
 ) -> Vec<T> {
     let next = AtomicUsize::new(0);
     let worker = || {
@@ -324,7 +324,7 @@ fn in_parallel<S, T: Send>(
             if number >= count {
                 return answers;
             }
-            answers.push((number, look(&mut state, number)));
+            answers.push((number, search(&mut state, number)));
         }
     };
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -368,7 +368,7 @@ struct Rates {
     wrong: Vec<String>,
 }
 
-/// Looks for each of the boards in `count` pictures of each.
+/// Searches for each of the boards in `count` pictures of each.
 fn rates(count: usize, nuisance: Nuisance) -> Rates {
     let detectors = || BOARDS.map(|board| Detector::new(board.parse().unwrap()));
     let outcomes = in_parallel(count * BOARDS.len(), detectors, |detectors, number| {
@@ -446,7 +446,7 @@ fn boards_of_three_by_three_up_to_thirty_by_twenty_are_found() {
     }
 }
 
-/// Looks for a 9×6 board, or a part of one, in 60 pictures of each of `others`; none may be
+/// Searches for a 9×6 board, or a part of one, in 60 pictures of each of `others`; none may be
 /// answered.
 fn none_is_taken_for_nine_by_six(
     others: &[&str],
@@ -454,18 +454,18 @@ fn none_is_taken_for_nine_by_six(
     nuisance: Nuisance,
     allow_partial: bool,
 ) {
-    let look = |detector: &mut Detector, number: usize| {
+    let search = |detector: &mut Detector, number: usize| {
         let (other, index) = (others[number % others.len()], number / others.len());
         let seed = first_seed + (1000 * (number % others.len()) + index) as u64;
         let scene = Scene::new(seed, other.parse().unwrap(), nuisance);
         let found = detector.find_board(scene.image.view(), &DetectOptions { allow_partial });
         assert!(found.is_err(), "a {other} board, picture {index}, is answered as 9x6");
     };
-    in_parallel(60 * others.len(), || Detector::new("9x6".parse().unwrap()), look);
+    in_parallel(60 * others.len(), || Detector::new("9x6".parse().unwrap()), search);
 }
 
 #[test]
-fn a_board_of_another_size_is_not_the_one_looked_for() {
+fn a_board_of_another_size_is_not_the_one_searched_for() {
     let others = ["7x5", "5x4", "8x6", "9x7", "10x6"];
     none_is_taken_for_nine_by_six(
         &others,
@@ -475,9 +475,9 @@ fn a_board_of_another_size_is_not_the_one_looked_for() {
     );
 }
 
-/// Cut off by the picture's border, a small board looks as a part of a larger one does.
+/// Cut off by the picture's border, a small board gives the same image as a part of a larger one.
 #[test]
-fn a_small_board_cut_off_is_no_part_of_the_one_looked_for() {
+fn a_small_board_cut_off_is_no_part_of_the_one_searched_for() {
     let others = ["4x4", "5x4", "6x3", "5x3"];
     none_is_taken_for_nine_by_six(
         &others,

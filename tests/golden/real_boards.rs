@@ -14,7 +14,7 @@ use plumb::imaging::picture_file::frame_from_file;
 use crate::shared_data::shared_data;
 
 /// What `detector` answers of the picture at `path`.
-pub fn look(
+pub fn search(
     detector: &mut Detector,
     path: &Path,
     allow_partial: bool,
@@ -77,7 +77,7 @@ fn assert_all_whole(folder: &str, count: usize, board: &str) {
     let board: BoardSize = board.parse().unwrap();
     let mut detector = Detector::new(board);
     for path in &paths {
-        let found = look(&mut detector, path, true)
+        let found = search(&mut detector, path, true)
             .unwrap_or_else(|reason| panic!("{}: {reason}", path.display()));
         assert!(
             !found.partial && found.position_known,

@@ -63,17 +63,17 @@ fn step(t: f64) -> f64 {
     1.0 / (1.0 + (-1.702 * t).exp())
 }
 
-fn look(picture: &GrayImage, allow_partial: bool) -> Result<Detection, NoBoard> {
+fn search(picture: &GrayImage, allow_partial: bool) -> Result<Detection, NoBoard> {
     Detector::new(BOARD).find_board(picture.view(), &DetectOptions { allow_partial })
 }
 
 fn reason(board: &Straight) -> NoBoard {
-    look(&board.picture(), false).expect_err("no board")
+    search(&board.picture(), false).expect_err("no board")
 }
 
 #[test]
 fn the_board_itself_is_found() {
-    let found = look(&Straight::new(24.0).picture(), false).unwrap();
+    let found = search(&Straight::new(24.0).picture(), false).unwrap();
     assert_eq!(found.corners.len(), 54);
 }
 
@@ -114,7 +114,7 @@ fn a_board_beyond_the_border_is_cut_off() {
             matches!(reason, NoBoard::CutOff { seen, .. } if (20..54).contains(&seen)),
             "{middle:?}: {reason}"
         );
-        let part = look(&cut.picture(), true).unwrap();
+        let part = search(&cut.picture(), true).unwrap();
         assert!(part.partial);
     }
 }
@@ -126,7 +126,7 @@ fn a_covered_board_is_incomplete() {
         pixels[y * 320 + 120..y * 320 + 190].fill(128);
     }
     let covered = GrayImage::from_pixels(320, 240, pixels).unwrap();
-    let reason = look(&covered, false).expect_err("covered");
+    let reason = search(&covered, false).expect_err("covered");
     assert!(
         matches!(reason, NoBoard::Incomplete { seen, .. } if (30..54).contains(&seen)),
         "{reason}"
@@ -135,7 +135,7 @@ fn a_covered_board_is_incomplete() {
 
 #[test]
 fn a_picture_too_small_for_the_board_says_so() {
-    let reason = look(&GrayImage::filled(30, 20, 0), false).expect_err("too small");
+    let reason = search(&GrayImage::filled(30, 20, 0), false).expect_err("too small");
     assert!(matches!(reason, NoBoard::ImageTooSmall { .. }), "{reason}");
 }
 
@@ -143,6 +143,6 @@ fn a_picture_too_small_for_the_board_says_so() {
 fn a_picture_without_a_board_has_no_corners_of_one() {
     let stripes = (0..320 * 240).map(|at| if at % 320 / 16 % 2 == 0 { 40 } else { 200 }).collect();
     let reason =
-        look(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");
+        search(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");
     assert!(matches!(reason, NoBoard::NoCorners | NoBoard::NoGrid { .. }), "{reason}");
 }

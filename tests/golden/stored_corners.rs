@@ -13,11 +13,11 @@ use plumb::geometry::board::BoardSize;
 use plumb::geometry::homography::Homography;
 use plumb::geometry::pixel::Pixel;
 
-use crate::real_boards::{look, pictures};
+use crate::real_boards::{pictures, search};
 use crate::shared_data::shared_data;
 
 fn find(path: &Path, board: &str, allow_partial: bool) -> Result<Detection, NoBoard> {
-    look(&mut Detector::new(board.parse().unwrap()), path, allow_partial)
+    search(&mut Detector::new(board.parse().unwrap()), path, allow_partial)
 }
 
 /// The matrix of points in OpenCV's YAML: its columns, its rows, and the points row by row.

@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Rotation2};
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;
-use plumb::detection::tracking::Sighting;
+use plumb::detection::tracking::TrackedBoard;
 use plumb::geometry::board::BoardSize;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -92,11 +92,11 @@ fn inside(pixel_from_board: &Matrix3<f64>, board: BoardSize) -> bool {
     })
 }
 
-fn look(detector: &mut Detector, scene: &Scene) -> Option<Sighting> {
-    let sighting =
+fn search(detector: &mut Detector, scene: &Scene) -> Option<TrackedBoard> {
+    let tracked =
         detector.track_board(scene.image.view(), &DetectOptions { allow_partial: false }).ok()?;
-    assert!(scene.is_right(&sighting.detection), "board {}: {sighting:?}", scene.board);
-    Some(sighting)
+    assert!(scene.is_right(&tracked.detection), "board {}: {tracked:?}", scene.board);
+    Some(tracked)
 }
 
 #[test]
@@ -112,10 +112,10 @@ fn a_board_that_moves_is_followed() {
             }
             let mut detector = Detector::new(stream.board);
             for number in 0..16 {
-                let sighting = look(&mut detector, &stream.picture(None));
+                let tracked = search(&mut detector, &stream.picture(None));
                 if number > 0 {
                     seen += 1;
-                    followed += u32::from(sighting.is_some_and(|sighting| sighting.followed));
+                    followed += u32::from(tracked.is_some_and(|tracked| tracked.followed));
                 }
                 stream.walk(1.5);
             }
@@ -136,10 +136,10 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
                 let scene = stream.picture(cover.as_ref());
                 let whole_board = inside(&stream.pixel_from_board, stream.board)
                     && scene.shortest_step_px() > 8.0;
-                let sighting = look(&mut detector, &scene);
+                let tracked = search(&mut detector, &scene);
                 if number % 7 != 5 && whole_board {
                     seen += 1;
-                    found += u32::from(sighting.is_some());
+                    found += u32::from(tracked.is_some());
                 }
                 stream.jump();
                 if !inside(&stream.pixel_from_board, stream.board) && stream.rng.random_bool(0.5) {
@@ -157,7 +157,7 @@ fn another_board_in_its_place_is_not_taken_for_it() {
     for seed in 0..12 {
         let mut stream = Stream::new(2000 + seed, "7x5".parse().unwrap());
         let mut detector = Detector::new(stream.board);
-        look(&mut detector, &stream.picture(None));
+        search(&mut detector, &stream.picture(None));
         let board = stream.board;
         for other in ["8x5", "7x6", "9x7"] {
             // One more line of squares, the others where they were.
@@ -169,7 +169,7 @@ fn another_board_in_its_place_is_not_taken_for_it() {
             let answer = detector.track_board(scene.image.view(), &DetectOptions::default());
             assert!(answer.is_err(), "a {other} board is answered as {board}: {answer:?}");
             stream.board = board;
-            look(&mut detector, &stream.picture(None));
+            search(&mut detector, &stream.picture(None));
         }
     }
 }
@@ -179,14 +179,14 @@ fn the_same_pictures_give_the_same_bits() {
     let walk = || {
         let mut stream = Stream::new(3000, "9x6".parse().unwrap());
         let mut detector = Detector::new(stream.board);
-        let sightings = (0..12).map(|_| {
+        let answers = (0..12).map(|_| {
             stream.walk(2.0);
             detector.track_board(stream.picture(None).image.view(), &DetectOptions::default())
         });
-        sightings.collect::<Vec<_>>()
+        answers.collect::<Vec<_>>()
     };
     let (once, again) = (walk(), walk());
-    assert!(once.iter().flatten().any(|sighting| sighting.followed));
+    assert!(once.iter().flatten().any(|tracked| tracked.followed));
     assert_eq!(once, again);
 }
 
@@ -198,7 +198,8 @@ fn the_std_of_followed_corners_covers_their_error() {
         let mut detector = Detector::new(stream.board);
         for _ in 0..8 {
             let scene = stream.picture(None);
-            let Some(Sighting { detection, followed: true }) = look(&mut detector, &scene) else {
+            let Some(TrackedBoard { detection, followed: true }) = search(&mut detector, &scene)
+            else {
                 stream.walk(1.0);
                 continue;
             };

@@ -27,11 +27,11 @@ fn equally_weighted(problem: &CameraProblem) -> CameraProblem {
     equal
 }
 
-/// Over seeded views of which each corner errs by `noise_px` and is told to err by `told_px` (both
+/// Over seeded views of which each corner errs by `noise_px` and is stated to err by `stated_px` (both
 /// of the view, the corner and a standard normal number): the mean square of the focal length's
 /// error in its own predicted standard deviations, that error's mean square beside the one with
 /// equal weights, and the median common error in pixels.
-fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f64) -> [f64; 3] {
+fn over_seeds(noise_px: impl Fn(usize) -> f64, stated_px: impl Fn(usize, f64) -> f64) -> [f64; 3] {
     let camera = SeededCamera { noise_px: 1e-9, ..SeededCamera::ordinary() };
     let normal = Normal::new(0.0, 1.0).unwrap();
     let (mut own, mut ours, mut equals, mut noise_floor_px) = (0.0, 0.0, 0.0, Vec::new());
@@ -43,7 +43,7 @@ fn over_seeds(noise_px: impl Fn(usize) -> f64, told_px: impl Fn(usize, f64) -> f
             for corner in &mut view.correspondences {
                 let [x, y] = [0, 1].map(|_| noise_px(index) * normal.sample(&mut rng));
                 corner.pixel = Pixel::new(corner.pixel.x + x, corner.pixel.y + y);
-                corner.std_px = told_px(index, normal.sample(&mut rng));
+                corner.std_px = stated_px(index, normal.sample(&mut rng));
             }
         }
         let error = |estimate: &CameraEstimate| estimate.lens.matrix.fx - camera.lens.matrix.fx;
@@ -62,7 +62,7 @@ fn deviations_that_no_residual_bears_out_change_little() {
     let [own, beside_equal, noise_floor_px] =
         over_seeds(|_| 0.1, |_, chance| 0.1 * (0.4 * chance).exp());
     println!(
-        "told at random: {own:.2} predicted variances, {beside_equal:.3} of equal weights, common {noise_floor_px:.3} px"
+        "stated at random: {own:.2} predicted variances, {beside_equal:.3} of equal weights, common {noise_floor_px:.3} px"
     );
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
     assert!(
@@ -76,7 +76,7 @@ fn deviations_that_residuals_bear_out_are_the_weights() {
     let of_view = |view: usize| if view.is_multiple_of(2) { 0.05 } else { 0.5 };
     let [own, _, noise_floor_px] =
         over_seeds(of_view, |view, chance| of_view(view) * (0.1 * chance).exp());
-    println!("told rightly: {own:.2} predicted variances, common {noise_floor_px:.3} px");
+    println!("stated rightly: {own:.2} predicted variances, common {noise_floor_px:.3} px");
     assert!((0.5..1.6).contains(&own), "{own} predicted variances");
     assert!(
         noise_floor_px < 0.03,

@@ -13,6 +13,7 @@ mod layering;
 mod lens_conformance;
 mod live_session;
 mod program;
+mod properties;
 mod recordings;
 mod rgbd_bent;
 mod rgbd_session;

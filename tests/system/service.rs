@@ -14,9 +14,9 @@ fn packaged(name: &str) -> String {
         .unwrap()
 }
 
-/// Reads what the service manager is told until a message has a line that begins with `wanted`;
+/// Reads what the service manager receives until a message has a line that begins with `wanted`;
 /// that line.
-fn told(socket: &UnixDatagram, wanted: &str) -> String {
+fn notified(socket: &UnixDatagram, wanted: &str) -> String {
     let mut buffer = [0; 4096];
     loop {
         let length = socket.recv(&mut buffer).unwrap();
@@ -28,7 +28,7 @@ fn told(socket: &UnixDatagram, wanted: &str) -> String {
 }
 
 #[test]
-fn the_service_manager_is_told_of_the_start_of_life_and_of_the_end() {
+fn the_service_manager_is_notified_of_the_start_of_life_and_of_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
@@ -36,16 +36,16 @@ fn the_service_manager_is_told_of_the_start_of_life_and_of_the_end() {
     let environment = [("NOTIFY_SOCKET", path.to_str().unwrap()), ("WATCHDOG_USEC", "400000")];
     let mut served =
         Served::start_in(folder.path(), &replaying("front", "walk.mcap"), &environment);
-    told(&socket, "READY=1");
+    notified(&socket, "READY=1");
     assert_eq!(served.get("/healthz").status, 200, "ready means that it answers");
-    (0..3).for_each(|_| drop(told(&socket, "WATCHDOG=1")));
-    while told(&socket, "STATUS=") != "STATUS=1 of 1 cameras streaming" {}
+    (0..3).for_each(|_| drop(notified(&socket, "WATCHDOG=1")));
+    while notified(&socket, "STATUS=") != "STATUS=1 of 1 cameras streaming" {}
     served.signal("TERM");
-    told(&socket, "STOPPING=1");
+    notified(&socket, "STOPPING=1");
     assert!(served.ended().success());
 }
 
-/// The unit names what the package installs, and asks for what the daemon tells.
+/// The unit names what the package installs, and asks for what the daemon reports.
 #[test]
 fn the_unit_runs_the_daemon_that_is_packaged() {
     let unit = packaged("plumb.service");

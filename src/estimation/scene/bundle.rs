@@ -59,7 +59,7 @@ pub enum CameraMotion {
     RotationOnly,
 }
 
-/// A linearised observation, in standard deviations.
+/// A linearized observation, in standard deviations.
 pub(super) struct Row {
     pub camera: usize,
     pub residual: Vector2<f64>,
@@ -106,7 +106,7 @@ impl Bundle {
         Some(self.free.len() + 6 * camera.checked_sub(1)?)
     }
 
-    /// The observations of one point, linearised. An observation behind its camera is left out.
+    /// The observations of one point, linearized. An observation behind its camera is left out.
     pub(super) fn rows(&self, state: &SceneState, point: usize) -> Vec<Row> {
         let row = |seen: &SceneObservation| {
             let camera_from_scene = state.cameras_from_scene[seen.camera];
@@ -154,7 +154,7 @@ impl Bundle {
         if limit.is_finite() { limit * (1.0 + square / limit).ln() } else { square }
     }
 
-    /// What is minimised: losses and the prior's squares. Observations behind a camera cost as much
+    /// What is minimized: losses and the prior's squares. Observations behind a camera cost as much
     /// as one a hundred standard deviations off.
     pub fn cost(&self, state: &SceneState) -> f64 {
         let mut cost = 0.0;

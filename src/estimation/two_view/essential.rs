@@ -1,4 +1,4 @@
-//! The essential matrix: F of normalised coordinates, with two equal singular values.
+//! The essential matrix: F of normalized coordinates, with two equal singular values.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -17,12 +17,12 @@ pub fn essential_from_fundamental(
     e / e.norm()
 }
 
-/// E of a rotation and a translation `second_from_first`: [t]ₓ R (HZ equation 9.11).
+/// E of a rotation and a translation `second_from_first`: `[t]`ₓ R (HZ equation 9.11).
 pub fn essential_from_pose(rotation: &Matrix3<f64>, translation: &Vector3<f64>) -> Matrix3<f64> {
     translation.cross_matrix() * rotation
 }
 
-/// From at least 8 pairs of normalised coordinates (HZ section 9.6): the nearest essential matrix to
+/// From at least 8 pairs of normalized coordinates (HZ section 9.6): the nearest essential matrix to
 /// the eight-point answer.
 pub fn essential_from_many(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
     Some(nearest_essential(&fundamental_from_many(pairs)?))

@@ -67,7 +67,7 @@ fn sum(p: &Cubic, q: &Cubic, factor: f64) -> Cubic {
     std::array::from_fn(|k| p[k] + factor * q[k])
 }
 
-/// The up to ten essential matrices for which five pairs of normalised coordinates hold exactly,
+/// The up to ten essential matrices for which five pairs of normalized coordinates hold exactly,
 /// with unit norm. Empty where the pairs depend on each other.
 pub fn essential_from_five(pairs: &[PointPair; 5]) -> Vec<Matrix3<f64>> {
     let mut equations = SMatrix::<f64, 5, 9>::zeros();

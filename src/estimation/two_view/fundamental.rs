@@ -7,7 +7,7 @@ use crate::estimation::two_view::null_space::null_space;
 use crate::estimation::two_view::roots::real_roots;
 use crate::geometry::homography::smallest_eigenvector;
 
-/// The normalised eight-point algorithm (HZ algorithm 11.1): the least algebraic error over at
+/// The normalized eight-point algorithm (HZ algorithm 11.1): the least algebraic error over at
 /// least 8 `pairs`, rank 2 enforced, unit Frobenius norm. `None` for fewer, or where the pairs do
 /// not determine it.
 pub fn fundamental_from_many(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
@@ -119,7 +119,7 @@ impl Normalizing {
         PointPair { first: point(self.first * first), second: point(self.second * second) }
     }
 
-    /// F for pixels from F for normalised points, with unit norm; `None` if that is not finite.
+    /// F for pixels from F for normalized points, with unit norm; `None` if that is not finite.
     fn undo(&self, f: &Matrix3<f64>) -> Option<Matrix3<f64>> {
         let f = self.second.tr_mul(f) * self.first;
         let norm = f.norm();

@@ -29,7 +29,7 @@ use nalgebra::{Point2, Vector3};
 
 pub(crate) use roots::real_roots;
 
-/// One scene point in two images: pixels, or normalised coordinates where a function says so.
+/// One scene point in two images: pixels, or normalized coordinates where a function says so.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointPair {
     /// In the first image.

@@ -29,7 +29,7 @@ pub fn refine_fundamental(f: &Matrix3<f64>, pairs: &[PointPair]) -> Option<Matri
 }
 
 /// The pose `second_from_first`, unit translation, with the least sum of squared Sampson distances
-/// of `pairs` in normalised coordinates near `second_from_first`.
+/// of `pairs` in normalized coordinates near `second_from_first`.
 pub fn refine_pose(second_from_first: &Pose, pairs: &[PointPair]) -> Pose {
     let start = UnitBaseline {
         rotation: second_from_first.rotation_matrix(),

@@ -38,7 +38,7 @@ pub fn poses_from_essential(e: &Matrix3<f64>) -> Option<[Pose; 4]> {
     })
 }
 
-/// The pose of the four with the most of `pairs` (normalised coordinates) in front of both
+/// The pose of the four with the most of `pairs` (normalized coordinates) in front of both
 /// cameras; `None` if no pair is.
 pub fn pose_from_essential(e: &Matrix3<f64>, pairs: &[PointPair]) -> Option<RelativePose> {
     let poses = poses_from_essential(e)?.map(|second_from_first| {

@@ -26,7 +26,7 @@ pub fn triangulate_rays(
     Some(Point3::from(0.5 * (first * a + center + turned * b)))
 }
 
-/// The point whose projections satisfy all of (pose `camera_from_scene`, normalised coordinates)
+/// The point whose projections satisfy all of (pose `camera_from_scene`, normalized coordinates)
 /// with the least algebraic error (HZ section 12.2), in the scene's frame. `None` for fewer than
 /// two, or a point at infinity.
 pub fn triangulate_linear(seen: &[(Pose, Point2<f64>)]) -> Option<Point3<f64>> {

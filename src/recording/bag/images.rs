@@ -133,7 +133,7 @@ impl<'a> RawImage<'a> {
         self.with(sensor, format, self.step, bytes)
     }
 
-    /// Depth in metres as 16-bit millimetres; what is no distance is 0, no reading.
+    /// Depth in meters as 16-bit millimeters; what is no distance is 0, no reading.
     fn meters(&self) -> Result<Frame, String> {
         let of_pixel = |four: &[u8]| {
             let bytes: [u8; 4] = std::array::from_fn(|k| four[k]);
@@ -180,8 +180,8 @@ fn compressed(image: ImageTopic, format: &str, data: &[u8]) -> Result<Frame, Str
     Ok(Frame { sensor, size, format: pixels, stride: 0, bytes: data.into() })
 }
 
-/// What compressed_depth_image_transport sends: after its header a PNG of millimetres, or for
-/// 32FC1 of inverse depths, metres = a / (value - b) with a and b from the header.
+/// What compressed_depth_image_transport sends: after its header a PNG of millimeters, or for
+/// 32FC1 of inverse depths, meters = a / (value - b) with a and b from the header.
 fn compressed_depth(format: &str, data: &[u8]) -> Result<Frame, String> {
     let not_png = || format!("depth compressed as {format:?} without a PNG inside");
     let png = data.get(DEPTH_HEADER..).ok_or_else(not_png)?;

@@ -29,7 +29,7 @@ use crate::recording::bag::transforms::FrameTree;
 use crate::recording::fields::{Fields, TooShort};
 use crate::recording::records::Broken;
 
-/// Metres per unit of a ROS depth image (REP 118).
+/// Meters per unit of a ROS depth image (REP 118).
 const DEPTH_UNIT_M: f64 = 0.001;
 /// How many messages are searched for what a camera states of itself: drivers send camera_info
 /// with every image and transforms at the start.
