@@ -148,6 +148,8 @@ mod tests {
             views: Vec::new(),
             compared: Vec::new(),
             board_warp_m: None,
+            board_shape: None,
+            rolling_shutter: None,
         };
         DriftWatch::new("c1", &sensor)
     }

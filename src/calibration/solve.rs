@@ -181,7 +181,9 @@ fn with_uncertainty(
         uncertainty_px: summed_up(uncertainty),
         views: estimate.views.iter().map(view).collect(),
         compared: estimate.compared.iter().map(compared).collect(),
-        board_warp_m: estimate.warp_m,
+        board_warp_m: estimate.board_shape.as_ref().map(|shape| shape.bow_m),
+        board_shape: estimate.board_shape.clone(),
+        rolling_shutter: estimate.rolling_shutter,
     }
 }
 

@@ -163,6 +163,8 @@ const MARGIN_SQUARES: f64 = 0.8;
 /// [`RgbdError`]: a sensor that cannot be calibrated by itself, or too few views with depth.
 pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRgbd, RgbdError> {
     let of_sensor = |sensor| move |source| RgbdError::Sensor { sensor, source };
+    // The joint problem takes the board as stated, and weights by what each sensor leaves of it.
+    let options = &options.clone().as_stated();
     let color = solve_views(&problem(input, input.color_size, |c| &c.color), options)
         .map_err(of_sensor("color"))?;
     let depth_size = input.captures.iter().find_map(|c| c.depth.as_ref()).map(DepthImage::size);

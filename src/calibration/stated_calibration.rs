@@ -78,6 +78,8 @@ fn image_sensor(stated: &FactorySensor, lens: Lens) -> ImageCalibration {
         views: Vec::new(),
         compared: Vec::new(),
         board_warp_m: None,
+        board_shape: None,
+        rolling_shutter: None,
     }
 }
 

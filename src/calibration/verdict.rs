@@ -42,6 +42,7 @@ pub(crate) fn judge(
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
     findings.extend(flat_board(estimate));
+    findings.extend(accounted_for(estimate));
     let grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
     findings.sort_by_key(|(grade, _)| *grade);
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
@@ -179,6 +180,22 @@ fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
         "residuals follow the board, which seems bent by {x:.1} mm along its rows and {y:.1} mm along its columns: mount it on something flat and stiff, or have its warp estimated"
     );
     Some((Grade::Usable, reason))
+}
+
+/// What is not as stated but was measured along, which takes nothing from the grade.
+fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
+    let board = estimate.board_shape.as_ref().map(|shape| {
+        let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
+        format!("board uneven by {rms:.2} mm (± {std:.2} mm), measured and taken into account")
+    });
+    let shutter = estimate.rolling_shutter.map(|shutter| {
+        let (millimeters, degrees) =
+            (shutter.translation_m * 1000.0, shutter.rotation_rad.to_degrees());
+        format!(
+            "rolling shutter: the board moved by {millimeters:.2} mm and {degrees:.2} degrees while an image was read, measured and taken into account; hold both still for a better result"
+        )
+    });
+    board.into_iter().chain(shutter).map(|reason| (Grade::Good, reason)).collect()
 }
 
 fn rejected_views(estimate: &CameraEstimate) -> Option<(Grade, String)> {

@@ -114,9 +114,19 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
             lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}"));
         }
     }
-    if let Some([x, y]) = sensor.board_warp_m.map(|warp_m| warp_m.map(|m| m * 1000.0)) {
+    if let Some(shape) = &sensor.board_shape {
+        let [rms, std, x, y] =
+            [shape.unevenness_m, shape.unevenness_std_m, shape.bow_m[0], shape.bow_m[1]]
+                .map(|m| m * 1000.0);
         lines.push(format!(
-            "  the board is bowed by {x:.3} mm along its rows and {y:.3} mm along its columns"
+            "  the board is uneven by {rms:.3} ± {std:.3} mm (rms), bowed by {x:.3} mm along its rows and {y:.3} mm along its columns: measured and taken into account"
+        ));
+    }
+    if let Some(shutter) = &sensor.rolling_shutter {
+        lines.push(format!(
+            "  rolling shutter: the board moved by {:.3} mm and {:.3} degrees (rms) while an image was read: taken into account",
+            shutter.translation_m * 1000.0,
+            shutter.rotation_rad.to_degrees()
         ));
     }
     for compared in &sensor.compared {

@@ -5,7 +5,24 @@ use std::path::PathBuf;
 
 use crate::cli::Failure;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::{BoardShape, Shutter};
 use crate::imaging::frame::SensorKind;
+
+/// The names of [`BoardShape`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum BoardShapeName {
+    Auto,
+    Flat,
+    Free,
+}
+
+/// The names of [`Shutter`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum ShutterName {
+    Auto,
+    Global,
+    Rolling,
+}
 
 /// What is estimated, and what is known.
 #[derive(Debug, clap::Args)]
@@ -20,10 +37,17 @@ pub struct EstimatedArgs {
     /// left.color=calibration.json; may be given several times.
     #[arg(long, value_name = "NAME=VALUE", value_parser = given)]
     given: Vec<Given>,
-    /// Estimate how far the board is bowed at its middle along its rows and columns, too; else it
-    /// is flat.
-    #[arg(long)]
+    /// What shape the board has: as stated unless the views show otherwise (auto), as stated
+    /// (flat), or estimated whatever they show (free).
+    #[arg(long, value_name = "SHAPE", default_value = "auto")]
+    board_shape: BoardShapeName,
+    /// The same as --board-shape free.
+    #[arg(long, hide = true)]
     warp: bool,
+    /// How the sensor reads its rows: all at once unless the views show motion between them (auto),
+    /// all at once (global), or one after another (rolling).
+    #[arg(long, value_name = "KIND", default_value = "auto")]
+    shutter: ShutterName,
 }
 
 impl EstimatedArgs {
@@ -31,7 +55,17 @@ impl EstimatedArgs {
     pub fn add_to(&self, options: &mut CameraOptions) {
         options.square_pixels |= self.square_pixels;
         options.skew |= self.skew;
-        options.warp |= self.warp;
+        match self.board_shape {
+            _ if self.warp => options.board_shape = BoardShape::Free,
+            BoardShapeName::Auto => {}
+            BoardShapeName::Flat => options.board_shape = BoardShape::Flat,
+            BoardShapeName::Free => options.board_shape = BoardShape::Free,
+        }
+        match self.shutter {
+            ShutterName::Auto => {}
+            ShutterName::Global => options.shutter = Shutter::Global,
+            ShutterName::Rolling => options.shutter = Shutter::Rolling,
+        }
         let parameters = self.given.iter().filter_map(|given| match given {
             Given::Parameter(name, value) => Some((name.clone(), *value)),
             Given::Lens(_) => None,

@@ -93,13 +93,14 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
     let model = LensChoice::Model(sensor.lens.model());
     let names = Lens::parameter_names(sensor.lens.model()).into_iter().map(str::to_owned);
     let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();
-    let as_calibrated = CameraOptions { lens: model, given, ..CameraOptions::default() };
+    let as_calibrated =
+        CameraOptions { lens: model, given, ..CameraOptions::default() }.as_stated();
     let fixed = calibrate_camera(problem, &as_calibrated).map_err(Failure::failed)?;
     let start =
         CameraStart { lens: sensor.lens, camera_from_board: Vec::new(), noise_floor_px: 0.0 };
     let best = calibrate_camera(
         problem,
-        &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() },
+        &CameraOptions { lens: model, start: Some(start), ..CameraOptions::default() }.as_stated(),
     );
     let best = best.ok();
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);

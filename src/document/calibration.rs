@@ -7,6 +7,7 @@ use crate::calibration::result::{
     CalibratedView, Calibration, ComparedLens, Extrinsics, ImageCalibration, ProjectionUncertainty,
 };
 use crate::calibration::sensor::SensorId;
+use crate::document::board_shape::{BoardShapeDocument, RollingShutterDocument};
 use crate::document::error::{DocumentError, physical};
 use crate::document::lens::{LensDocument, LensModelName, LensStdDocument};
 use crate::document::pose::{PoseDocument, RotationDocument};
@@ -93,6 +94,12 @@ pub struct SensorDocument {
     /// side that is seen; only where that was to be estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board_warp_m: Option<[f64; 2]>,
+    /// The board's shape, where the views show that it is not as stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board_shape: Option<BoardShapeDocument>,
+    /// How the board moved while the rows of an image were read, where the views show it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rolling_shutter: Option<RollingShutterDocument>,
     /// Each picture or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
@@ -225,6 +232,8 @@ impl From<&ImageCalibration> for SensorDocument {
             uncertainty_px: sensor.uncertainty_px.into(),
             compared: sensor.compared.iter().map(ComparedLensDocument::from).collect(),
             board_warp_m: sensor.board_warp_m,
+            board_shape: sensor.board_shape.as_ref().map(BoardShapeDocument::from),
+            rolling_shutter: sensor.rolling_shutter.map(RollingShutterDocument::from),
             views: sensor.views.iter().map(ViewDocument::from).collect(),
         }
     }
@@ -250,6 +259,8 @@ impl TryFrom<&SensorDocument> for ImageCalibration {
             views: document.views.iter().enumerate().map(view).collect::<Result<_, _>>()?,
             compared: document.compared.iter().map(ComparedLens::from).collect(),
             board_warp_m: document.board_warp_m,
+            board_shape: document.board_shape.as_ref().map(TryInto::try_into).transpose()?,
+            rolling_shutter: document.rolling_shutter.map(Into::into),
         })
     }
 }
@@ -444,6 +455,8 @@ pub(crate) mod tests {
             views: vec![view("left01.jpg", true), view("left02.jpg", false)],
             compared: vec![ComparedLens { model: LensModel::Brown, held_out_rms_px: 0.2 }],
             board_warp_m: Some([0.001, -0.0005]),
+            board_shape: None,
+            rolling_shutter: None,
         };
         Calibration {
             id: "01KAJ0000000000000000000000".into(),

@@ -6,6 +6,7 @@
 //! field where something is wrong; [`reading::to_json`] writes them so that every bit of a double
 //! survives.
 
+pub mod board_shape;
 pub mod calibration;
 pub mod camera;
 pub mod depth;

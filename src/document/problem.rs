@@ -10,7 +10,7 @@ use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
 use crate::document::lens::LensRequest;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use crate::estimation::problem::{BoardShape, BoardView, CameraProblem, Correspondence, Shutter};
 use crate::geometry::pixel::Pixel;
 
 /// Correspondences of one camera and what to do with them.
@@ -37,10 +37,15 @@ pub struct ProblemDocument {
     /// 0}`.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, f64>,
-    /// Whether it is estimated how far the board is bowed at its middle, along its x and its y;
-    /// else it is as its points say.
+    /// Whether the board's shape is estimated whatever the views show: `board_shape` `free`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub warp: bool,
+    /// What shape the board has; `auto` when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board_shape: Option<BoardShapeRequest>,
+    /// How the sensor reads its rows; `auto` when left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shutter: Option<ShutterRequest>,
 }
 
 impl ProblemDocument {
@@ -50,11 +55,45 @@ impl ProblemDocument {
             lens: self.lens.unwrap_or_default().into(),
             skew: self.skew,
             square_pixels: self.square_pixels,
-            warp: self.warp,
+            board_shape: match self.board_shape {
+                _ if self.warp => BoardShape::Free,
+                None | Some(BoardShapeRequest::Auto) => BoardShape::Auto,
+                Some(BoardShapeRequest::Flat) => BoardShape::Flat,
+                Some(BoardShapeRequest::Free) => BoardShape::Free,
+            },
+            shutter: match self.shutter {
+                None | Some(ShutterRequest::Auto) => Shutter::Auto,
+                Some(ShutterRequest::Global) => Shutter::Global,
+                Some(ShutterRequest::Rolling) => Shutter::Rolling,
+            },
             given: self.given.iter().map(|(name, value)| (name.clone(), *value)).collect(),
             ..CameraOptions::default()
         }
     }
+}
+
+/// What shape a flat board may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum BoardShapeRequest {
+    /// As its points say, unless the views show otherwise.
+    Auto,
+    /// As its points say.
+    Flat,
+    /// Estimated, whatever the views show.
+    Free,
+}
+
+/// How the rows of an image are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShutterRequest {
+    /// All at once, unless the views show that the board moved from row to row.
+    Auto,
+    /// All at once.
+    Global,
+    /// One after another.
+    Rolling,
 }
 
 /// How to solve.
@@ -129,6 +168,8 @@ impl From<&CameraProblem> for ProblemDocument {
             square_pixels: false,
             given: BTreeMap::new(),
             warp: false,
+            board_shape: None,
+            shutter: None,
         }
     }
 }
@@ -156,7 +197,8 @@ mod tests {
         let json = r#"{"image_size":[640,480],"views":[],"lens":"brown","square_pixels":true,"warp":true,"given":{"k3":0,"cx":320}}"#;
         let options = from_json::<ProblemDocument>(json.as_bytes()).unwrap().options();
         assert_eq!(options.given, [("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)]);
-        assert!(options.square_pixels && options.warp && !options.skew);
+        assert_eq!(options.board_shape, BoardShape::Free);
+        assert!(options.square_pixels && !options.skew);
     }
 
     #[test]

@@ -3,11 +3,10 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3};
 
-use crate::estimation::camera::check;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, State};
-use crate::estimation::problem::{BoardView, CameraProblem};
+use crate::estimation::problem::{BoardView, CameraProblem, check};
 use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
 use crate::geometry::lens::Lens;

@@ -6,11 +6,12 @@
 
 use nalgebra::{DMatrix, Matrix3, Matrix3x4, Matrix4, Point3, Vector3};
 
-use crate::estimation::camera::{CameraEstimate, CameraFit, CameraOptions, Part, assemble, check};
+use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
+use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, State};
-use crate::estimation::problem::{CameraProblem, Correspondence, LensChoice};
+use crate::estimation::problem::{CameraOptions, CameraProblem, Correspondence, LensChoice, check};
 use crate::estimation::robust::Loss;
 use crate::estimation::robust_fit::RobustFit;
 use crate::estimation::start::Prepared;

@@ -6,12 +6,13 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimation::camera::{CameraFit, CameraOptions, fit_camera};
+use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
+use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::Loss;
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{

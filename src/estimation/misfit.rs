@@ -8,7 +8,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
-use crate::estimation::camera::CameraFit;
+use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::linearize::cross;
 use crate::geometry::pixel::Pixel;
 

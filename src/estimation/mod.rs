@@ -20,8 +20,12 @@
 pub mod board_pose;
 pub mod board_turns;
 pub mod camera;
+pub(crate) mod camera_estimate;
+pub(crate) mod camera_fit;
+mod clustered_covariance;
 pub mod depth_error;
 pub mod dlt;
+pub mod effects;
 pub mod error;
 mod joint;
 pub mod lens_choice;

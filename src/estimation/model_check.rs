@@ -3,7 +3,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimation::camera::{CameraEstimate, CameraFit};
+use crate::estimation::camera_estimate::CameraEstimate;
+use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::Layout;
 use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::minimize::Minimum;

@@ -12,7 +12,7 @@
 
 use std::borrow::Cow;
 
-use crate::estimation::camera::CameraEstimate;
+use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 
 /// Weights that differ by less than this part from better ones cost next to nothing of the

@@ -1,10 +1,12 @@
 //! What is given to an estimate: points of the board and the pixels they were seen at, view by
-//! view.
+//! view; and what is to be estimated.
 
 use nalgebra::Point3;
 
-use crate::geometry::lens::LensModel;
+use crate::estimation::error::EstimationError;
+use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
 
 /// A point of the board and where it was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -43,4 +45,108 @@ pub struct CameraProblem {
     pub image_size: ImageSize,
     /// What was seen.
     pub views: Vec<BoardView>,
+}
+
+/// What shape a flat board may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum BoardShape {
+    /// Exactly as stated, unless the views show that it is not: then its shape is estimated.
+    #[default]
+    Auto,
+    /// Exactly as stated.
+    Flat,
+    /// Estimated, whether or not the views show that it has one.
+    Free,
+}
+
+/// How the rows of an image are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Shutter {
+    /// All at once, unless the views show that the board moved from row to row.
+    #[default]
+    Auto,
+    /// All at once.
+    Global,
+    /// One after another, while the board or the camera moves.
+    Rolling,
+}
+
+/// What to estimate, and from where.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraOptions {
+    /// The lens model. Default: chosen by held-out error.
+    pub lens: LensChoice,
+    /// Whether skew is estimated; else it is 0. Default: no.
+    pub skew: bool,
+    /// Whether fx = fy. Default: no.
+    pub square_pixels: bool,
+    /// What shape the board may have. Default: found out.
+    pub board_shape: BoardShape,
+    /// How the sensor reads its rows. Default: found out.
+    pub shutter: Shutter,
+    /// Lens parameters that are known, by name, with their values. Default: none.
+    pub given: Vec<(String, f64)>,
+    /// An earlier estimate to go on from. Default: none.
+    pub start: Option<CameraStart>,
+}
+
+impl CameraOptions {
+    /// The same with the board as stated and all rows read at once.
+    #[must_use]
+    pub fn as_stated(self) -> Self {
+        Self { board_shape: BoardShape::Flat, shutter: Shutter::Global, ..self }
+    }
+}
+
+impl Default for CameraOptions {
+    fn default() -> Self {
+        Self {
+            lens: LensChoice::Auto,
+            skew: false,
+            square_pixels: false,
+            board_shape: BoardShape::Auto,
+            shutter: Shutter::Auto,
+            given: Vec::new(),
+            start: None,
+        }
+    }
+}
+
+/// An estimate of nearly the same problem.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraStart {
+    /// Its lens; used where it is of the model to fit.
+    pub lens: Lens,
+    /// Its `camera_from_board` of the problem's first views; views beyond it, or without one, are
+    /// found anew.
+    pub camera_from_board: Vec<Option<Pose>>,
+    /// Its [`crate::estimation::camera_estimate::CameraEstimate::noise_floor_px`].
+    pub noise_floor_px: f64,
+}
+
+pub(crate) fn check(problem: &CameraProblem) -> Result<(), EstimationError> {
+    let ImageSize { width, height } = problem.image_size;
+    if width == 0 || height == 0 {
+        return Err(EstimationError::ImageSize { width, height });
+    }
+    for view in &problem.views {
+        for (point, c) in view.correspondences.iter().enumerate() {
+            let not_finite =
+                |what| EstimationError::NotFinite { view: view.name.clone(), point, what };
+            if !c.point_in_board.coords.iter().all(|v| v.is_finite()) {
+                return Err(not_finite("the board point"));
+            }
+            if !c.pixel.is_finite() {
+                return Err(not_finite("the pixel"));
+            }
+            if !(c.std_px > 0.0 && c.std_px.is_finite()) {
+                return Err(EstimationError::Std {
+                    view: view.name.clone(),
+                    point,
+                    std_px: c.std_px,
+                });
+            }
+        }
+    }
+    Ok(())
 }

@@ -4,13 +4,12 @@
 
 use nalgebra::Matrix6;
 
-use crate::estimation::camera::{
-    CameraEstimate, CameraFit, CameraOptions, Part, assemble, check, fit_camera,
-};
+use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
+use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
-use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust::median;
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::start::{Prepared, mean_point};

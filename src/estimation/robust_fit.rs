@@ -9,7 +9,7 @@ use crate::estimation::view_fault::ViewFault;
 
 /// Corners further off than this many standard deviations take no part: of Gaussian ones, four in a
 /// million.
-const LIMIT: f64 = 5.0;
+pub(crate) const LIMIT: f64 = 5.0;
 
 /// Where Huber's loss turns linear, in standard deviations.
 const HUBER: f64 = 2.0;
@@ -25,7 +25,7 @@ const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-
 const MIN_USED: f64 = 0.6;
 
 /// Residuals below this, in units of each corner's standard deviation, are rounding.
-const ROUNDING: f64 = 1e-8;
+pub(crate) const ROUNDING: f64 = 1e-8;
 
 /// A fit that has settled.
 #[derive(Debug, Clone)]
@@ -99,7 +99,7 @@ fn huber(scale: f64) -> Loss {
 }
 
 /// The scale of the residuals of all views without a fault.
-fn scale_of(observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
+pub(crate) fn scale_of(observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
     let taking_part = observations
         .iter()
         .zip(residuals)
@@ -122,7 +122,7 @@ fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[
 
 /// Lets those corners take part that are within `limit` (and can be projected at all); answers
 /// whether that changed.
-fn select(
+pub(crate) fn select(
     observations: &mut [BoardObservation],
     residuals: &[Vec<[f64; 2]>],
     limit: f64,

@@ -3,10 +3,9 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 
-use crate::estimation::camera::CameraStart;
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
-use crate::estimation::problem::CameraProblem;
+use crate::estimation::problem::{CameraProblem, CameraStart};
 use crate::estimation::robust::median;
 use crate::estimation::view_fault::{ViewFault, mislabelling};
 use crate::estimation::zhang::{self, Skew};
@@ -89,12 +88,6 @@ impl Prepared {
             Shape::Flat { plane_from_board, .. } => Some(plane_from_board.inverse() * Vector3::z()),
             Shape::Solid { .. } => None,
         }
-    }
-
-    /// Half the extent of all points along x and y, in meters.
-    pub(crate) fn half_extent(&self) -> [f64; 2] {
-        let points = || self.observations.iter().flat_map(|observation| &observation.points);
-        [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max))
     }
 
     /// The views that nothing is known against, by index.

@@ -14,7 +14,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::estimation::camera::CameraFit;
+use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::apart::together;
 use crate::estimation::joint::minimize::Minimum;
 

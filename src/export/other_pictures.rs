@@ -146,6 +146,8 @@ fn sensor_for(
             .map(|compared| scaled_comparison(compared, across))
             .collect(),
         board_warp_m: sensor.board_warp_m,
+        board_shape: sensor.board_shape.clone(),
+        rolling_shutter: sensor.rolling_shutter,
         lens,
     })
 }

@@ -349,6 +349,8 @@ fn calibrated(folder: &tempfile::TempDir) {
         views: Vec::new(),
         compared: Vec::new(),
         board_warp_m: None,
+        board_shape: None,
+        rolling_shutter: None,
     };
     let calibration = Calibration {
         id: "c1".to_owned(),

@@ -2,7 +2,7 @@
 
 use plumb::calibration::solve::solve_views;
 use plumb::estimation::camera::{CameraOptions, CameraStart, calibrate_camera};
-use plumb::estimation::problem::LensChoice;
+use plumb::estimation::problem::{BoardShape, LensChoice};
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -166,17 +166,22 @@ fn a_bent_board_is_named_and_its_bow_can_be_estimated() {
             corner.pixel.y += bent.y - flat.y;
         }
     }
-    let flat = solve_views(&problem, &with(LensModel::Brown)).unwrap();
+    let flat = CameraOptions { board_shape: BoardShape::Flat, ..with(LensModel::Brown) };
+    let flat = solve_views(&problem, &flat).unwrap();
     assert!(
         flat.verdict.reasons.iter().any(|reason| reason.contains("bent")),
         "{:?}",
         flat.verdict
     );
-    let bowed =
-        solve_views(&problem, &CameraOptions { warp: true, ..with(LensModel::Brown) }).unwrap();
-    let [x, y] = bowed.estimate.warp_m.unwrap();
+    let bowed = solve_views(&problem, &with(LensModel::Brown)).unwrap();
+    let [x, y] = bowed.estimate.board_shape.as_ref().unwrap().bow_m;
     assert!((x - 0.002).abs() < 1e-4 && y.abs() < 1e-4, "bow of {x} {y} m");
     assert!((bowed.estimate.noise - 0.1).abs() < 0.005, "noise {}", bowed.estimate.noise);
+    assert!(
+        bowed.verdict.reasons.iter().any(|reason| reason.contains("taken into account")),
+        "{:?}",
+        bowed.verdict
+    );
     assert!(
         !bowed.verdict.reasons.iter().any(|reason| reason.contains("bent")),
         "{:?}",

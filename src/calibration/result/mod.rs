@@ -3,6 +3,7 @@
 
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
+use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
 use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -201,6 +202,10 @@ pub struct ImageCalibration {
     /// How far the board was bowed at its middle along its x and its y, in meters, where that was
     /// estimated.
     pub board_warp_m: Option<[f64; 2]>,
+    /// The board's shape as this sensor's views show it.
+    pub board_shape: Option<MeasuredBoard>,
+    /// Motion while the rows of its images were read, where the views show it.
+    pub rolling_shutter: Option<RollingShutter>,
 }
 
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.

@@ -2,8 +2,8 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
+use crate::estimation::problem::CameraOptions;
 use crate::geometry::lens::{Lens, LensModel};
 
 /// Which parameters of a lens are estimated.

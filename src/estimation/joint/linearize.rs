@@ -41,6 +41,14 @@ pub(crate) struct Columns {
     values: Vec<f64>,
 }
 
+impl Columns {
+    /// The weighted Jacobian of the observation linearized last: its local columns, each all
+    /// corners' x, then all corners' y, padded with zeros.
+    pub(crate) fn values(&self) -> &[f64] {
+        &self.values
+    }
+}
+
 /// Columns are padded with zeros to a multiple of this: the widest vectors there are.
 const LANES: usize = 8;
 
@@ -89,7 +97,7 @@ impl WithSimd for ObservationRef<'_> {
             return false;
         }
         let count = self.differentiate();
-        multiply(simd, &self.columns.values, count, self.local);
+        multiply_columns(simd, &self.columns.values, count, self.local);
         true
     }
 }
@@ -288,9 +296,29 @@ fn fill_warp_columns(
     }
 }
 
+/// All dot products of `count` columns of equal length, which is a multiple of [`LANES`].
+pub(crate) fn multiply(values: &[f64], count: usize, local: &mut LocalEquations) {
+    Arch::new().dispatch(Products { values, count, local });
+}
+
+struct Products<'a> {
+    values: &'a [f64],
+    count: usize,
+    local: &'a mut LocalEquations,
+}
+
+impl WithSimd for Products<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        multiply_columns(simd, self.values, self.count, self.local);
+    }
+}
+
 /// All dot products of columns, in tiles of 2 × 4 so that each load serves several.
 #[inline(always)]
-fn multiply<S: Simd>(simd: S, values: &[f64], count: usize, local: &mut LocalEquations) {
+fn multiply_columns<S: Simd>(simd: S, values: &[f64], count: usize, local: &mut LocalEquations) {
     let rows = values.len() / count;
     local.columns = count;
     local.products.clear();

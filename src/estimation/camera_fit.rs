@@ -1,0 +1,260 @@
+//! One lens model fitted to the views of one camera, and which views took part.
+
+use nalgebra::DMatrix;
+
+use crate::estimation::effects::fit::EffectsFit;
+use crate::estimation::error::EstimationError;
+use crate::estimation::joint::minimize::{Minimum, Stop};
+use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
+use crate::estimation::problem::CameraOptions;
+use crate::estimation::robust::{Loss, median_scale};
+use crate::estimation::robust_fit::{RobustFit, robust_fit};
+use crate::estimation::start::{self, Prepared};
+use crate::estimation::view_fault::ViewFault;
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pose::Pose;
+
+/// A fitted camera, about the common center of its points.
+#[derive(Debug, Clone)]
+pub(crate) struct CameraFit {
+    pub(crate) layout: Layout,
+    pub(crate) robust: RobustFit,
+    pub(crate) observations: Vec<BoardObservation>,
+    pub(crate) faults: Vec<Option<ViewFault>>,
+    /// What was found beyond lens and poses; `observations` are then where it puts them.
+    pub(crate) effects: Option<EffectsFit>,
+}
+
+/// Views looked at one by one, at most: with this many, views that differ do so visibly.
+const MAX_VIEWS: usize = 60;
+
+impl CameraFit {
+    pub(crate) fn new(
+        layout: Layout,
+        robust: RobustFit,
+        observations: Vec<BoardObservation>,
+        faults: Vec<Option<ViewFault>>,
+    ) -> Self {
+        Self { layout, robust, observations, faults, effects: None }
+    }
+
+    pub(crate) fn lens(&self) -> &Lens {
+        &self.robust.minimum.state.lenses[0]
+    }
+
+    /// The variance that the residuals show, in units of the corners' own.
+    pub(crate) fn noise_square(&self) -> f64 {
+        let used: usize = self
+            .observations
+            .iter()
+            .map(|observation| observation.used.iter().filter(|used| **used).count())
+            .sum();
+        let frame_sets = self.robust.minimum.equations.seen_frame_sets();
+        let freedom = (2 * used) as f64 - (self.layout.len + 6 * frame_sets) as f64;
+        self.robust.minimum.equations.cost / freedom.max(1.0)
+    }
+
+    /// The covariance of its first camera's lens parameters, as if no corner were seen better than
+    /// [`LEAST_NOISE`]; `None` where they are not determined.
+    pub(crate) fn lens_covariance(&self) -> Option<DMatrix<f64>> {
+        let free = &self.layout.sensors[0].lens;
+        let unit = self.robust.minimum.equations.global_covariance()?;
+        let spread = free.spread(self.lens());
+        let unit = unit.view((0, 0), (free.free.len(), free.free.len()));
+        let covariance = &spread
+            * unit
+            * spread.transpose()
+            * self.noise_square().max(LEAST_NOISE * LEAST_NOISE);
+        let known = |axis: usize| {
+            covariance[(axis, axis)].sqrt() < OPEN_FOCAL * self.lens().parameters()[axis]
+        };
+        (known(0) && known(1)).then_some(covariance)
+    }
+
+    /// The views that take part, by index.
+    pub(crate) fn good_views(&self) -> Vec<usize> {
+        (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
+    }
+
+    /// Good views, or enough of them, evenly.
+    pub(crate) fn some_views(&self) -> Vec<usize> {
+        self.some_frame_sets().into_iter().flatten().collect()
+    }
+
+    /// The good observations of each frame set, by index: of all frame sets that have any, or of enough of
+    /// them, evenly. For a camera by itself a frame set is a view.
+    pub(crate) fn some_frame_sets(&self) -> Vec<Vec<usize>> {
+        let mut all: Vec<Vec<usize>> =
+            vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];
+        for observation in self.good_views() {
+            all[self.observations[observation].frame_set].push(observation);
+        }
+        all.retain(|observations| !observations.is_empty());
+        let step = all.len().div_ceil(MAX_VIEWS).max(1);
+        all.into_iter().step_by(step).collect()
+    }
+}
+
+/// Fits one lens model.
+pub(crate) fn fit_camera(
+    prepared: &mut Prepared,
+    model: LensModel,
+    options: &CameraOptions,
+) -> Result<CameraFit, EstimationError> {
+    let (free_lens, given) = FreeLens::from_options(model, options)?;
+    let needs_focal = free_lens.free.contains(&0) || free_lens.free.contains(&1);
+    let needed = if needs_focal && prepared.is_flat() { 3 } else { 1 };
+    enough_views(prepared, &prepared.faults(), needed)?;
+    let warm = options.start.as_ref().filter(|start| start.lens.model() == model);
+    let mut state = match warm {
+        Some(start) => start::resume(prepared, start),
+        None => start::start(prepared, model),
+    }
+    .ok_or(EstimationError::NoFit)?;
+    given.apply(&mut state.lenses[0]).ok_or(EstimationError::NoFit)?;
+    fit_from(prepared, state, free_lens, needed)
+}
+
+/// Fits on from a state; then looks again at every view.
+fn fit_from(
+    prepared: &Prepared,
+    state: State,
+    free_lens: FreeLens,
+    needed: usize,
+) -> Result<CameraFit, EstimationError> {
+    let layout = Layout::new(vec![free_lens], None);
+    let mut observations = prepared.observations.clone();
+    let mut faults = prepared.faults();
+    let fit = |start, observations: &mut _, faults: &mut _| {
+        robust_fit(&layout, start, observations, faults)
+    };
+    let mut robust = fit(state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
+    enough_views(prepared, &faults, needed)?;
+    let readmitted = readmit(prepared, &mut robust, &mut faults);
+    let mirrored = name_mirrored(prepared, &robust.minimum.state, &mut faults);
+    if readmitted || mirrored {
+        robust = fit(robust.minimum.state, &mut observations, &mut faults)
+            .ok_or(EstimationError::NoFit)?;
+        enough_views(prepared, &faults, needed)?;
+    }
+    let mut fit = CameraFit::new(layout, robust, observations, faults);
+    place_rejected_views(prepared, &mut fit);
+    Ok(fit)
+}
+
+fn enough_views(
+    prepared: &Prepared,
+    faults: &[Option<ViewFault>],
+    needed: usize,
+) -> Result<(), EstimationError> {
+    let usable = faults.iter().filter(|fault| fault.is_none()).count();
+    if usable >= needed {
+        return Ok(());
+    }
+    let named =
+        prepared.names.iter().zip(faults).filter_map(|(name, fault)| Some((name, (*fault)?)));
+    let rejected = named.take(5).map(|(name, fault)| format!("; view `{name}`: {fault}")).collect();
+    Err(EstimationError::TooFewViews { usable, needed, rejected })
+}
+
+/// Looks again, with the lens known, at views that were set aside only because no homography
+/// explained them.
+fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<ViewFault>]) -> bool {
+    let mut readmitted = false;
+    for (view, fault) in faults.iter_mut().enumerate() {
+        let Some(ViewFault::NoPose { .. }) = fault else { continue };
+        let Some((pose, residuals)) = locate(prepared, view, &robust.minimum.state) else {
+            continue;
+        };
+        let good = residuals.iter().filter(|[x, y]| x.hypot(*y) <= robust.limit).count();
+        if 10 * good >= 9 * residuals.len() {
+            robust.minimum.state.rig_from_board[view] = pose;
+            (*fault, readmitted) = (None, true);
+        }
+    }
+    readmitted
+}
+
+/// The pose of a view by itself under a known lens, robustly, with its residuals in standard
+/// deviations.
+fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<[f64; 2]>)> {
+    let lens = state.lenses[0];
+    let pose = prepared.pose(view, &lens)?;
+    let start = State { rig_from_board: vec![pose], ..state.clone() };
+    let fixed = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
+    let layout = Layout::new(vec![fixed], None);
+    let mut observation = BoardObservation { frame_set: 0, ..prepared.observations[view].clone() };
+    let at_start = start.residuals(&layout, &observation);
+    observation.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();
+    let loss = Loss::Huber { scale: median_scale(at_start.into_iter()).max(1e-8) };
+    let observations = [observation];
+    let minimum = Minimum::start(&layout, start, &observations, loss)?.descend(
+        &layout,
+        &observations,
+        loss,
+        Stop::default(),
+    );
+    let residuals = minimum.state.residuals(&layout, &observations[0]);
+    Some((minimum.state.rig_from_board[0], residuals))
+}
+
+/// Names the views that see the board's other side than most.
+fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFault>]) -> bool {
+    let Some(normal) = prepared.board_normal() else { return false };
+    let from_behind = |view: usize| {
+        let pose = &state.rig_from_board[view];
+        (*pose * normal).dot(&pose.translation()) < 0.0
+    };
+    let good: Vec<usize> = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
+    let (behind, front): (Vec<usize>, Vec<usize>) =
+        good.into_iter().partition(|view| from_behind(*view));
+    // A board whose points are given in a left-handed order is seen so in every view: only the odd
+    // ones out are wrong.
+    let odd = if behind.len() <= front.len() { behind } else { front };
+    for view in &odd {
+        faults[*view] = Some(ViewFault::Mirrored);
+    }
+    !odd.is_empty()
+}
+
+/// Poses for the views that took no part, for their residuals to be seen.
+fn place_rejected_views(prepared: &Prepared, fit: &mut CameraFit) {
+    for view in 0..fit.faults.len() {
+        let Some(fault) = fit.faults[view] else { continue };
+        let state = &mut fit.robust.minimum.state;
+        match locate(prepared, view, state) {
+            Some((pose, residuals)) => {
+                state.rig_from_board[view] = pose;
+                if let ViewFault::NoPose { .. } = fault {
+                    let rms_px = rms(&residuals, &fit.observations[view].inverse_std, |_| true);
+                    fit.faults[view] = Some(ViewFault::NoPose { rms_px });
+                }
+                fit.robust.minimum.equations.residuals[view] = residuals;
+            }
+            None => fit.robust.minimum.equations.residuals[view].fill([f64::INFINITY; 2]),
+        }
+    }
+}
+
+/// The rms in pixels of residuals in standard deviations.
+pub(crate) fn rms(
+    residuals: &[[f64; 2]],
+    inverse_std: &[f64],
+    used: impl Fn(usize) -> bool,
+) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for (index, ([x, y], inverse_std)) in residuals.iter().zip(inverse_std).enumerate() {
+        if used(index) {
+            sum += (x * x + y * y) / (inverse_std * inverse_std);
+            count += 1;
+        }
+    }
+    (sum / f64::from(count.max(1))).sqrt()
+}
+
+/// The relative standard deviation of the focal length above which views are refused: a lens known
+/// no better than this is not known.
+pub(crate) const OPEN_FOCAL: f64 = 0.2;
+
+/// No corner is seen better than this, in units of its own standard deviation.
+pub(crate) const LEAST_NOISE: f64 = 0.01;

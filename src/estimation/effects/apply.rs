@@ -1,0 +1,44 @@
+//! Effects added to a plain fit.
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::fit::{Wanted, fit_effects};
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
+use crate::estimation::robust::Loss;
+use crate::estimation::robust_fit::ROUNDING;
+use crate::geometry::pixel::ImageSize;
+
+/// A fit of one camera carried on with what the views show of the board's shape and motion; as it
+/// was where they show none.
+pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
+    let wanted = Wanted {
+        shape: options.board_shape != BoardShape::Flat,
+        motion: options.shutter != Shutter::Global,
+        shape_for_certain: options.board_shape == BoardShape::Free,
+        motion_for_certain: options.shutter == Shutter::Rolling,
+    };
+    // Of rounding errors nothing can be told.
+    let exact = fit.noise_square() < ROUNDING * ROUNDING;
+    if exact || fit.layout.sensors.len() > 1 || !(wanted.shape || wanted.motion) {
+        return fit;
+    }
+    carried_on(&fit, [size.width, size.height].map(f64::from), wanted).unwrap_or(fit)
+}
+
+fn carried_on(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> Option<CameraFit> {
+    let (found, corners) = fit_effects(plain, size, wanted)?;
+    let mut observations = found.moved_observations(&plain.layout, &corners.observations, size[1]);
+    for (observation, fault) in observations.iter_mut().zip(&corners.faults) {
+        if fault.is_some() {
+            observation.used.fill(false);
+        }
+    }
+    let state = found.state.fixed.clone();
+    let mut fit = plain.clone();
+    fit.robust.minimum = Minimum::start(&plain.layout, state, &observations, Loss::Squares)?;
+    fit.robust.limit = corners.limit;
+    fit.observations = observations;
+    fit.faults = corners.faults;
+    fit.effects = Some(found);
+    Some(fit)
+}

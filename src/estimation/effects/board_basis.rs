@@ -1,0 +1,164 @@
+//! The board's possible shapes, as functions on its points: out of the plane polynomials of degree
+//! 2 and more, in the plane an aspect and a shear, and each point's own offset. Each function is
+//! scaled to a root mean square of 1 over the points, so that every coefficient is in meters.
+//!
+//! What a rigid motion, or another unit of length, would do is in none of the first two kinds: the
+//! mean scale of the board is the stated one.
+
+use nalgebra::Point3;
+
+use crate::estimation::joint::BoardObservation;
+
+/// The highest degree of the polynomials out of the plane: of a surface that is smooth over a third
+/// of the board, the rest is below a hundredth.
+pub(super) const MAX_DEGREE: usize = 9;
+
+/// Up to this degree where only whether there is a shape is asked.
+const ROUGH_DEGREE: usize = 5;
+
+/// A polynomial that those before it explain but for this part of its square is none on this grid.
+const LEAST_REST: f64 = 1e-4;
+
+/// Points closer than this part of the board's extent are one.
+const SAME_POINT: f64 = 1e-5;
+
+/// The distinct points of a flat board, and the functions on them.
+#[derive(Debug, Clone)]
+pub(crate) struct BoardBasis {
+    /// About the problem's center, in meters.
+    pub(crate) points: Vec<Point3<f64>>,
+    /// For each observation, which point each of its corners is.
+    pub(crate) point_of: Vec<Vec<usize>>,
+    /// Half the extent along x and y, in meters.
+    pub(crate) half_extent: [f64; 2],
+    /// Out of the plane: group, and the value at each point. The bends along x, along both and
+    /// along y are a group each, then those of one degree are.
+    pub(super) heights: Vec<(usize, Vec<f64>)>,
+    /// In the plane: aspect and shear, as (x, y) at each point.
+    pub(super) stretches: Vec<Vec<[f64; 2]>>,
+    /// Whether each point has an offset of its own.
+    pub(super) has_own: bool,
+}
+
+impl BoardBasis {
+    /// `None` where the points do not lie on one plane z = const, or are too few.
+    pub(crate) fn of(observations: &[BoardObservation], has_own: bool) -> Option<Self> {
+        let all = || observations.iter().flat_map(|observation| &observation.points);
+        let z = all().next()?.z;
+        let half_extent =
+            [0, 1].map(|axis| all().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
+        let cell = SAME_POINT * half_extent[0].max(half_extent[1]);
+        if all().any(|p| (p.z - z).abs() > cell) {
+            return None;
+        }
+        let key = |p: &Point3<f64>| [p.x, p.y].map(|v| (v / cell).round() as i64);
+        let mut keys: Vec<([i64; 2], Point3<f64>)> = all().map(|p| (key(p), *p)).collect();
+        keys.sort_by_key(|(key, _)| *key);
+        keys.dedup_by_key(|(key, _)| *key);
+        let place = |p: &Point3<f64>| keys.binary_search_by_key(&key(p), |(key, _)| *key).ok();
+        let point_of = observations
+            .iter()
+            .map(|observation| observation.points.iter().map(place).collect::<Option<Vec<_>>>())
+            .collect::<Option<Vec<_>>>()?;
+        let points: Vec<Point3<f64>> = keys.iter().map(|(_, point)| *point).collect();
+        let normalized: Vec<[f64; 2]> =
+            points.iter().map(|p| [p.x / half_extent[0], p.y / half_extent[1]]).collect();
+        let heights = heights(&normalized, if has_own { MAX_DEGREE } else { ROUGH_DEGREE });
+        let mean_square = |of: &dyn Fn(&Point3<f64>) -> f64| {
+            (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / points.len() as f64).sqrt()
+        };
+        let radius = mean_square(&|p| p.x.hypot(p.y));
+        let stretches = vec![
+            points.iter().map(|p| [p.x / radius, -p.y / radius]).collect(),
+            points.iter().map(|p| [p.y / radius, p.x / radius]).collect(),
+        ];
+        (!heights.is_empty()).then_some(Self {
+            points,
+            point_of,
+            half_extent,
+            heights,
+            stretches,
+            has_own,
+        })
+    }
+
+    /// The groups of heights there are.
+    pub(super) fn height_groups(&self) -> Vec<usize> {
+        let mut groups: Vec<usize> = self.heights.iter().map(|(group, _)| *group).collect();
+        groups.dedup();
+        groups
+    }
+
+    /// How many coefficients a shape has: heights, stretches, then x and y of each point's own.
+    pub(crate) fn len(&self) -> usize {
+        self.smooth_len() + if self.has_own { 2 * self.points.len() } else { 0 }
+    }
+
+    /// How many of them are functions of all points.
+    pub(super) fn smooth_len(&self) -> usize {
+        self.heights.len() + self.stretches.len()
+    }
+
+    /// How far each point is moved, in meters, by the coefficients of a shape.
+    pub(crate) fn offsets(&self, coefficients: &[f64]) -> Vec<nalgebra::Vector3<f64>> {
+        let mut offsets = vec![nalgebra::Vector3::zeros(); self.points.len()];
+        let (smooth, own) = coefficients.split_at(self.smooth_len());
+        let (heights, stretches) = smooth.split_at(self.heights.len());
+        for ((_, height), coefficient) in self.heights.iter().zip(heights) {
+            offsets.iter_mut().zip(height).for_each(|(o, h)| o.z += coefficient * h);
+        }
+        for (stretch, coefficient) in self.stretches.iter().zip(stretches) {
+            for (offset, [x, y]) in offsets.iter_mut().zip(stretch) {
+                offset.x += coefficient * x;
+                offset.y += coefficient * y;
+            }
+        }
+        for (offset, own) in offsets.iter_mut().zip(own.chunks_exact(2)) {
+            offset.x += own[0];
+            offset.y += own[1];
+        }
+        offsets
+    }
+}
+
+/// Products of Legendre polynomials by their total degree, made orthonormal over the points against
+/// the plane and each other.
+fn heights(points: &[[f64; 2]], max_degree: usize) -> Vec<(usize, Vec<f64>)> {
+    let mut kept: Vec<(usize, Vec<f64>)> = Vec::new();
+    for degree in 0..=max_degree {
+        for along_y in 0..=degree {
+            let of = |[x, y]: &[f64; 2]| legendre(degree - along_y, *x) * legendre(along_y, *y);
+            let mut values: Vec<f64> = points.iter().map(of).collect();
+            let before = mean_product(&values, &values);
+            for _ in 0..2 {
+                for (_, other) in &kept {
+                    let part = mean_product(&values, other);
+                    values.iter_mut().zip(other).for_each(|(v, o)| *v -= part * o);
+                }
+            }
+            let rest = mean_product(&values, &values);
+            if rest > LEAST_REST * before {
+                values.iter_mut().for_each(|v| *v /= rest.sqrt());
+                kept.push((degree, values));
+            }
+        }
+    }
+    kept.retain(|(degree, _)| *degree >= 2);
+    for (place, (group, _)) in kept.iter_mut().enumerate() {
+        *group = if *group == 2 { place.min(2) } else { *group };
+    }
+    kept
+}
+
+fn mean_product(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>() / a.len().max(1) as f64
+}
+
+fn legendre(degree: usize, x: f64) -> f64 {
+    let (mut last, mut this) = (0.0, 1.0);
+    for k in 0..degree {
+        let k = k as f64;
+        (last, this) = (this, ((2.0 * k + 1.0) * x * this - k * last) / (k + 1.0));
+    }
+    this
+}

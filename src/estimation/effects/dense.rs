@@ -1,0 +1,137 @@
+//! Cholesky factors and inverses of dense symmetric matrices by blocks, so that nearly all of the
+//! work is matrix products (G. H. Golub, C. F. Van Loan, *Matrix Computations*, 4.2.9).
+
+use nalgebra::DMatrix;
+
+/// Columns of a block: a factor of a block is small beside the products that it saves.
+const BLOCK: usize = 32;
+
+/// A lower-triangular L with L Lᵀ = A, and the inverses of its diagonal blocks.
+pub(super) struct Factor {
+    lower: DMatrix<f64>,
+    diagonal_inverses: Vec<DMatrix<f64>>,
+}
+
+impl Factor {
+    /// Of a symmetric matrix, of which only the lower half is read. `None` unless it is positive
+    /// definite.
+    pub(super) fn of(mut a: DMatrix<f64>) -> Option<Self> {
+        let size = a.nrows();
+        let mut diagonal_inverses = Vec::with_capacity(size.div_ceil(BLOCK));
+        for at in (0..size).step_by(BLOCK) {
+            let width = BLOCK.min(size - at);
+            let lower = cholesky(&a.view((at, at), (width, width)).into_owned())?;
+            let inverse = inverse_of_lower(&lower);
+            a.view_mut((at, at), (width, width)).copy_from(&lower);
+            let (next, below) = (at + width, size - at - width);
+            if below > 0 {
+                let panel = a.view((next, at), (below, width)) * inverse.transpose();
+                for column in (0..below).step_by(BLOCK) {
+                    let wide = BLOCK.min(below - column);
+                    let right = panel.rows(column, wide).transpose();
+                    a.view_mut((next + column, next + column), (below - column, wide)).gemm(
+                        -1.0,
+                        &panel.rows(column, below - column),
+                        &right,
+                        1.0,
+                    );
+                }
+                a.view_mut((next, at), (below, width)).copy_from(&panel);
+            }
+            diagonal_inverses.push(inverse);
+        }
+        Some(Self { lower: a, diagonal_inverses })
+    }
+
+    /// ln |A|.
+    pub(super) fn log_determinant(&self) -> f64 {
+        2.0 * self.lower.diagonal().iter().map(|d| d.ln()).sum::<f64>()
+    }
+
+    /// bᵀ A⁻¹ b.
+    pub(super) fn half_square(&self, b: &nalgebra::DVector<f64>) -> f64 {
+        self.lower.solve_lower_triangular(b).map_or(f64::NAN, |half| half.norm_squared())
+    }
+
+    /// A⁻¹.
+    pub(super) fn inverse(&self) -> DMatrix<f64> {
+        let size = self.lower.nrows();
+        let mut of_lower = DMatrix::zeros(size, size);
+        let mut inverse = DMatrix::zeros(size, size);
+        for (block, at) in (0..size).step_by(BLOCK).enumerate() {
+            let width = BLOCK.min(size - at);
+            let own = &self.diagonal_inverses[block];
+            if at > 0 {
+                let left = self.lower.view((at, 0), (width, at)) * of_lower.view((0, 0), (at, at));
+                of_lower.view_mut((at, 0), (width, at)).gemm(-1.0, own, &left, 0.0);
+            }
+            of_lower.view_mut((at, at), (width, width)).copy_from(own);
+            let rows = of_lower.view((at, 0), (width, at + width)).into_owned();
+            inverse.view_mut((0, 0), (at + width, at + width)).gemm(
+                1.0,
+                &rows.transpose(),
+                &rows,
+                1.0,
+            );
+        }
+        inverse
+    }
+}
+
+/// L of a small matrix.
+fn cholesky(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let size = a.nrows();
+    let mut lower = DMatrix::zeros(size, size);
+    for j in 0..size {
+        for i in j..size {
+            let mut sum = a[(i, j)];
+            for k in 0..j {
+                sum -= lower[(i, k)] * lower[(j, k)];
+            }
+            if i == j {
+                if !(sum > 1e-13 * a[(j, j)]) {
+                    return None;
+                }
+                lower[(j, j)] = sum.sqrt();
+            } else {
+                lower[(i, j)] = sum / lower[(j, j)];
+            }
+        }
+    }
+    Some(lower)
+}
+
+fn inverse_of_lower(lower: &DMatrix<f64>) -> DMatrix<f64> {
+    let size = lower.nrows();
+    let mut inverse = DMatrix::zeros(size, size);
+    for column in 0..size {
+        inverse[(column, column)] = 1.0 / lower[(column, column)];
+        for row in column + 1..size {
+            let sum: f64 = (column..row).map(|k| lower[(row, k)] * inverse[(k, column)]).sum();
+            inverse[(row, column)] = -sum / lower[(row, row)];
+        }
+    }
+    inverse
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn inverse_and_determinant_agree_with_the_plain_ones() {
+        for size in [1, 7, 32, 33, 100] {
+            let root = DMatrix::from_fn(size, size + 3, |i, j| {
+                ((i * 7 + j * 13 + i * j) % 17) as f64 - 8.0
+            });
+            let a = &root * root.transpose() + DMatrix::identity(size, size) * 5.0;
+            let factor = Factor::of(a.clone()).unwrap();
+            let off = factor.inverse() * &a - DMatrix::identity(size, size);
+            assert!(off.amax() < 1e-9, "{size}: {}", off.amax());
+            let plain: f64 =
+                a.cholesky().unwrap().l().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
+            assert!((factor.log_determinant() - plain).abs() < 1e-9 * plain.abs().max(1.0));
+        }
+        assert!(Factor::of(DMatrix::from_diagonal_element(3, 3, -1.0)).is_none());
+    }
+}

@@ -1,0 +1,416 @@
+//! The posterior of lens, shape and motion for given variances, and the variances themselves by
+//! their evidence: restricted maximum likelihood, by D. MacKay's updates (*Bayesian interpolation*,
+//! 1992, equations 4.9 and 4.10: a variance is what its effects show, over how many of them the data
+//! determine).
+//!
+//! Variances are kept as ratios λ = noise variance / variance of the effect, so that the noise's own
+//! follows in closed form.
+
+use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
+
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::dense::Factor;
+use crate::estimation::effects::state::EffectsState;
+use crate::estimation::effects::system::{System, ViewPart};
+
+/// A kind of effect, with one variance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Effect {
+    /// The board out of its plane, by this group of polynomials.
+    Height(usize),
+    /// The board's aspect and shear.
+    Stretch,
+    /// Each corner's own offset in the plane.
+    Own,
+    /// The board's rotation while a view was read.
+    Rotation,
+    /// Its translation.
+    Translation,
+}
+
+impl Effect {
+    pub(crate) fn is_motion(self) -> bool {
+        matches!(self, Self::Rotation | Self::Translation)
+    }
+
+    /// Where its coefficients lie in a shape; of a motion, in the six numbers of a view.
+    pub(super) fn range(self, basis: &BoardBasis) -> std::ops::Range<usize> {
+        let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
+        match self {
+            Self::Height(group) => {
+                let start = basis.heights.partition_point(|(other, _)| *other < group);
+                start..basis.heights.partition_point(|(other, _)| *other <= group)
+            }
+            Self::Stretch => heights..smooth,
+            Self::Own => smooth..basis.len(),
+            Self::Rotation => 0..3,
+            Self::Translation => 3..6,
+        }
+    }
+}
+
+/// The effects that are in the model, each with its λ.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Variances(pub(crate) Vec<(Effect, f64)>);
+
+/// A component whose λ exceeds its information by this factor does nothing.
+const NOTHING: f64 = 1e9;
+
+impl Variances {
+    /// Where to start: each kind by itself could make residuals twice as large as they are.
+    pub(super) fn start(
+        effects: &[Effect],
+        system: &System,
+        lens: usize,
+        basis: &BoardBasis,
+    ) -> Self {
+        let count = system.residual_count as f64;
+        let information = |effect: &Effect| -> f64 {
+            let range = effect.range(basis);
+            if effect.is_motion() {
+                let of_view = |m: &Matrix6<f64>| range.clone().map(|k| m[(k, k)]).sum::<f64>();
+                system.views.iter().map(|view| of_view(&view.motion)).sum()
+            } else {
+                range.map(|k| system.global[(lens + k, lens + k)]).sum()
+            }
+        };
+        let start = |effect: &Effect| {
+            (*effect, (information(effect) / (4.0 * count)).max(f64::MIN_POSITIVE))
+        };
+        Self(effects.iter().map(start).collect())
+    }
+
+    fn moves(&self) -> bool {
+        self.0.iter().any(|(effect, _)| effect.is_motion())
+    }
+
+    /// λ of the six numbers of a motion.
+    pub(super) fn of_motion(&self, system: &System) -> Vector6<f64> {
+        let largest = system.views.iter().map(|v| v.motion.diagonal().max()).fold(1e-300, f64::max);
+        let of = |effect: Effect| self.of(effect).unwrap_or(NOTHING * largest);
+        let (rotation, translation) = (of(Effect::Rotation), of(Effect::Translation));
+        Vector6::new(rotation, rotation, rotation, translation, translation, translation)
+    }
+
+    pub(super) fn of(&self, effect: Effect) -> Option<f64> {
+        self.0.iter().find(|(other, _)| *other == effect).map(|(_, lambda)| *lambda)
+    }
+
+    /// The same with some effects held at nothing.
+    pub(super) fn held(&self, effects: &[Effect]) -> Self {
+        let of = |(effect, lambda): &(Effect, f64)| {
+            (*effect, if effects.contains(effect) { lambda * 1e8 } else { *lambda })
+        };
+        Self(self.0.iter().map(of).collect())
+    }
+
+    pub(super) fn without(&self, effect: Effect) -> Self {
+        Self(self.0.iter().filter(|(other, _)| *other != effect).copied().collect())
+    }
+
+    /// The penalty of a state: what its effects cost under these variances.
+    pub(super) fn penalty(&self, state: &EffectsState, basis: &BoardBasis, good: &[usize]) -> f64 {
+        let squares = |(effect, lambda): &(Effect, f64)| {
+            let range = effect.range(basis);
+            let sum: f64 = if effect.is_motion() {
+                let of_view = |view: &usize| -> f64 {
+                    range.clone().map(|k| state.motions[*view][k].powi(2)).sum()
+                };
+                good.iter().map(of_view).sum()
+            } else {
+                state.shape[range].iter().map(|u| u * u).sum()
+            };
+            lambda * sum
+        };
+        self.0.iter().map(squares).sum()
+    }
+}
+
+/// Globals that are in the model, with what each effect's variance adds to their information.
+struct Active {
+    index: Vec<usize>,
+    lambda: Vec<f64>,
+}
+
+impl Active {
+    fn of(variances: &Variances, lens: usize, basis: &BoardBasis) -> Self {
+        let mut active = Self { index: (0..lens).collect(), lambda: vec![0.0; lens] };
+        for (effect, lambda) in variances.0.iter().filter(|(effect, _)| !effect.is_motion()) {
+            let range = effect.range(basis);
+            active.lambda.extend(range.clone().map(|_| *lambda));
+            active.index.extend(range.map(|k| lens + k));
+        }
+        active
+    }
+}
+
+/// The motion of one view, eliminated: rows of L⁻¹ F, and L⁻¹ of its gradient.
+struct Eliminated {
+    factor: Matrix6<f64>,
+    half_gradient: Vector6<f64>,
+}
+
+/// The reduced problem at one choice of variances.
+pub(super) struct Reduced<'a> {
+    system: &'a System,
+    basis: &'a BoardBasis,
+    variances: &'a Variances,
+    lens: usize,
+    active: Active,
+    scale: DVector<f64>,
+    factor: Factor,
+    gradient: DVector<f64>,
+    /// 6 rows a view: L⁻¹ times the coupling of its motion with the active globals.
+    halves: DMatrix<f64>,
+    eliminated: Vec<Eliminated>,
+    /// ln |motion's block + Λ| − ln |Λ|, summed.
+    motion_determinants: f64,
+}
+
+impl<'a> Reduced<'a> {
+    pub(super) fn of(
+        system: &'a System,
+        state: &EffectsState,
+        (basis, lens): (&'a BoardBasis, usize),
+        variances: &'a Variances,
+    ) -> Option<Self> {
+        let active = Active::of(variances, lens, basis);
+        let size = active.index.len();
+        let mut schur =
+            DMatrix::from_fn(size, size, |i, j| system.global[(active.index[i], active.index[j])]);
+        let mut gradient = DVector::from_fn(size, |i, _| {
+            let index = active.index[i];
+            let value = if index < lens { 0.0 } else { state.shape[index - lens] };
+            system.gradient[index] + active.lambda[i] * value
+        });
+        for (k, lambda) in active.lambda.iter().enumerate() {
+            schur[(k, k)] += lambda;
+        }
+        let of_motion = variances.of_motion(system);
+        let views = if variances.moves() { system.views.len() } else { 0 };
+        let mut halves = DMatrix::zeros(6 * views, size);
+        let mut eliminated = Vec::with_capacity(views);
+        let mut motion_determinants = 0.0;
+        for (k, view) in system.views.iter().take(views).enumerate() {
+            let factor = (view.motion + Matrix6::from_diagonal(&of_motion)).cholesky()?.unpack();
+            motion_determinants +=
+                (0..6).map(|k| 2.0 * factor[(k, k)].ln() - of_motion[k].ln()).sum::<f64>();
+            let now = state.motions[view.observation].component_mul(&of_motion);
+            let half_gradient = factor.solve_lower_triangular(&(view.motion_gradient + now))?;
+            let coupling = view.motion_coupling.select_columns(&active.index);
+            let half = factor.solve_lower_triangular(&coupling)?;
+            gradient -= half.transpose() * half_gradient;
+            halves.rows_mut(6 * k, 6).copy_from(&half);
+            eliminated.push(Eliminated { factor, half_gradient });
+        }
+        if views > 0 {
+            schur.gemm(-1.0, &halves.transpose(), &halves, 1.0);
+        }
+        let scale = schur.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+        for j in 0..size {
+            for i in 0..size {
+                schur[(i, j)] *= scale[i] * scale[j];
+            }
+        }
+        Some(Self {
+            system,
+            basis,
+            variances,
+            lens,
+            active,
+            scale,
+            factor: Factor::of(schur)?,
+            gradient,
+            halves,
+            eliminated,
+            motion_determinants,
+        })
+    }
+
+    /// The posterior with its covariance.
+    pub(super) fn posterior(self, state: &EffectsState) -> Posterior {
+        let mut covariance = self.factor.inverse();
+        let size = self.active.index.len();
+        for j in 0..size {
+            for i in 0..size {
+                covariance[(i, j)] *= self.scale[i] * self.scale[j];
+            }
+        }
+        let step = -(&covariance * &self.gradient);
+        let cost = self.system.cost
+            + self.variances.penalty(state, self.basis, &self.observations())
+            - self.system.views.iter().map(ViewPart::pose_decrease).sum::<f64>()
+            - self.eliminated.iter().map(|view| view.half_gradient.norm_squared()).sum::<f64>()
+            + step.dot(&self.gradient);
+        let views = self.system.views.len();
+        let freedom = (self.system.residual_count as f64 - (self.lens + 6 * views) as f64).max(1.0);
+        let noise_square = (cost / freedom).max(f64::MIN_POSITIVE);
+        let mut global = DVector::zeros(self.system.gradient.len());
+        for (index, step) in self.active.index.iter().zip(step.iter()) {
+            global[*index] = *step;
+        }
+        let (mut motions, mut motion_covariances, mut ups) = (Vec::new(), Vec::new(), Vec::new());
+        let carried = &self.halves * &covariance;
+        for (k, view) in self.eliminated.iter().enumerate() {
+            let rows = self.halves.rows(6 * k, 6);
+            let right = view.half_gradient + rows * &step;
+            let up = view.factor.try_inverse().unwrap_or_default().transpose();
+            motions.push(-(up * right));
+            ups.push(up);
+            let inner = carried.rows(6 * k, 6) * rows.transpose();
+            let inner = Matrix6::from_fn(|i, j| inner[(i, j)]) + Matrix6::identity();
+            motion_covariances.push(up * inner * up.transpose());
+        }
+        Posterior {
+            index: self.active.index,
+            covariance,
+            global,
+            motions,
+            motion_covariances,
+            halves: self.halves,
+            ups,
+            noise_square,
+        }
+    }
+
+    /// The logarithm of the evidence, without the posterior.
+    pub(super) fn log_evidence(&self, state: &EffectsState) -> f64 {
+        // Through the factor alone: gᵀ S⁻¹ g = |L⁻¹ g|².
+        let scaled = self.gradient.component_mul(&self.scale);
+        let decrease = self.factor.half_square(&scaled);
+        let cost = self.system.cost
+            + self.variances.penalty(state, self.basis, &self.observations())
+            - self.system.views.iter().map(ViewPart::pose_decrease).sum::<f64>()
+            - self.eliminated.iter().map(|view| view.half_gradient.norm_squared()).sum::<f64>()
+            - decrease;
+        let views = self.system.views.len();
+        let freedom = (self.system.residual_count as f64 - (self.lens + 6 * views) as f64).max(1.0);
+        let noise_square = (cost / freedom).max(f64::MIN_POSITIVE);
+        let log_determinants = self.factor.log_determinant()
+            - 2.0 * self.scale.iter().map(|s| s.ln()).sum::<f64>()
+            - self.active.lambda[self.lens..].iter().map(|l| l.ln()).sum::<f64>()
+            + self.motion_determinants;
+        -0.5 * (freedom * (noise_square.ln() + 1.0) + log_determinants)
+    }
+
+    fn observations(&self) -> Vec<usize> {
+        self.system.views.iter().map(|view| view.observation).collect()
+    }
+}
+
+/// What data and variances say.
+pub(super) struct Posterior {
+    /// Globals that are in the model; `covariance` is of these, for noise of unit variance.
+    pub(super) index: Vec<usize>,
+    pub(super) covariance: DMatrix<f64>,
+    /// The step of all globals.
+    pub(super) global: DVector<f64>,
+    /// Per view, in the system's order: the step of its motion, and its covariance for noise of
+    /// unit variance; empty where nothing moves.
+    pub(super) motions: Vec<Vector6<f64>>,
+    pub(super) motion_covariances: Vec<Matrix6<f64>>,
+    pub(super) halves: DMatrix<f64>,
+    ups: Vec<Matrix6<f64>>,
+    pub(super) noise_square: f64,
+}
+
+/// λ is at least this part of an effect's information: of exact corners too, what no corner shows
+/// (a board that moves as a whole) must stay determined by its prior.
+const LEAST_LAMBDA: f64 = 1e-10;
+
+/// λ stays within this factor of itself in one update.
+const LARGEST_CHANGE: f64 = 1e4;
+
+impl Posterior {
+    /// L⁻ᵀ of the `k`-th view's motion; `None` where nothing moves.
+    pub(super) fn motion_up(&self, k: usize) -> Option<Matrix6<f64>> {
+        self.ups.get(k).copied()
+    }
+
+    /// MacKay's update of each variance; with how many coefficients of each effect the data
+    /// determine.
+    pub(super) fn updated(
+        &self,
+        system: &System,
+        state: &EffectsState,
+        (basis, lens): (&BoardBasis, usize),
+        variances: &Variances,
+    ) -> (Variances, Vec<f64>) {
+        let diagonal = self.covariance.diagonal();
+        let mut place = vec![usize::MAX; system.gradient.len()];
+        self.index.iter().enumerate().for_each(|(k, index)| place[*index] = k);
+        let mut determined = Vec::new();
+        let update = |(effect, lambda): &(Effect, f64)| {
+            let range = effect.range(basis);
+            let (mut trace, mut squares, mut count) = (0.0, 0.0, 0.0);
+            let mut information = 0.0;
+            if effect.is_motion() {
+                for ((view, step), covariance) in
+                    system.views.iter().zip(&self.motions).zip(&self.motion_covariances)
+                {
+                    let motion = state.motions[view.observation] + step;
+                    trace += range.clone().map(|k| covariance[(k, k)]).sum::<f64>();
+                    information += range.clone().map(|k| view.motion[(k, k)]).sum::<f64>();
+                    squares += range.clone().map(|k| motion[k] * motion[k]).sum::<f64>();
+                    count += range.len() as f64;
+                }
+            } else {
+                for k in range {
+                    trace += diagonal[place[lens + k]];
+                    information += system.global[(lens + k, lens + k)];
+                    squares += (state.shape[k] + self.global[lens + k]).powi(2);
+                    count += 1.0;
+                }
+            }
+            let known = (count - lambda * trace).max(1e-6 * count);
+            determined.push(known);
+            let next = self.noise_square * known / squares.max(f64::MIN_POSITIVE);
+            let next = next.clamp(lambda / LARGEST_CHANGE, lambda * LARGEST_CHANGE);
+            (*effect, next.max(LEAST_LAMBDA * information / count))
+        };
+        let next = Variances(variances.0.iter().map(update).collect());
+        (next, determined)
+    }
+
+    /// How far each effect raises the logarithm of the evidence, the other variances as they are:
+    /// by the density of none of it before and after the data (J. Dickey, 1971). Motions of
+    /// different views count as independent.
+    pub(super) fn gains(
+        &self,
+        system: &System,
+        state: &EffectsState,
+        (basis, lens): (&BoardBasis, usize),
+        variances: &Variances,
+    ) -> Vec<f64> {
+        let mut place = vec![usize::MAX; system.gradient.len()];
+        self.index.iter().enumerate().for_each(|(k, index)| place[*index] = k);
+        let gain = |(effect, lambda): &(Effect, f64)| {
+            let range = effect.range(basis);
+            if !effect.is_motion() {
+                let size = range.len();
+                let at = |k: usize| place[lens + range.start + k];
+                let block =
+                    DMatrix::from_fn(size, size, |i, j| self.covariance[(at(i), at(j))] * lambda);
+                let value = DVector::from_fn(size, |k, _| {
+                    state.shape[range.start + k] + self.global[lens + range.start + k]
+                });
+                return self.gain(block, &value, *lambda);
+            }
+            let of_view =
+                |((view, step), covariance): ((&ViewPart, &Vector6<f64>), &Matrix6<f64>)| {
+                    let motion = state.motions[view.observation] + step;
+                    let block = covariance.view((range.start, range.start), (3, 3)) * *lambda;
+                    self.gain(block, &motion.rows(range.start, 3).into_owned(), *lambda)
+                };
+            system.views.iter().zip(&self.motions).zip(&self.motion_covariances).map(of_view).sum()
+        };
+        variances.0.iter().map(gain).collect()
+    }
+
+    /// ½ (uᵀ C⁻¹ u / noise² + ln |λ C|), `block` being λ C.
+    fn gain(&self, block: DMatrix<f64>, value: &DVector<f64>, lambda: f64) -> f64 {
+        let Some(factor) = Factor::of(block) else { return 0.0 };
+        let square = factor.half_square(value) * lambda / self.noise_square;
+        0.5 * (square + factor.log_determinant())
+    }
+}

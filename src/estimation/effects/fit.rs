@@ -1,0 +1,391 @@
+//! The walk to the posterior's mode, with variances updated on the way, and the choice of effects.
+
+use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::clustered_covariance::clustered;
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::evidence::{Effect, Posterior, Reduced, Variances};
+use crate::estimation::effects::hints;
+use crate::estimation::effects::state::EffectsState;
+use crate::estimation::effects::system::{Scene, System};
+use crate::estimation::joint::{BoardObservation, Layout, State};
+use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
+use crate::estimation::view_fault::ViewFault;
+
+/// What was found beyond lens and poses.
+#[derive(Debug, Clone)]
+pub(crate) struct EffectsFit {
+    pub(crate) basis: BoardBasis,
+    pub(crate) state: EffectsState,
+    /// What is in the model, with noise variance / its variance.
+    pub(crate) variances: Variances,
+    /// The noise's variance in units of the corners' own.
+    pub(crate) noise_square: f64,
+    /// Covariance of the lens's free parameters, everything else marginalized.
+    pub(crate) lens_covariance: DMatrix<f64>,
+    /// How many times larger variances are than if each corner erred by itself.
+    pub(crate) inflation: f64,
+    /// Per observation: covariance of its pose step (rotation, translation).
+    pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
+    /// Covariance of the shape's coefficients (zero for those not in the model).
+    pub(crate) shape_covariance: DMatrix<f64>,
+}
+
+/// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
+/// model: chance alone does once in a hundred times (χ² of the few variances that each has).
+const LEAST_GROUP_GAIN: f64 = 4.0;
+
+/// Likewise for one kind of shape or of motion where others of its group are in the model.
+const LEAST_GAIN: f64 = 1.5;
+
+/// Steps before effects that nothing shows are taken out; the rest is quicker without them.
+const FIRST_STEPS: usize = 3;
+
+/// A rolling shutter must raise the logarithm of the evidence by this per residual, as it does
+/// where it leaves three quarters of the residuals' variance: twelve unknowns a view always explain
+/// something of whatever else is wrong, and views that differ widen the covariance instead.
+const LEAST_SHUTTER_GAIN: f64 = 0.14;
+
+/// Reading by rows must beat reading by columns by this part of what it explains.
+const ROWS_AGAINST_COLUMNS: f64 = 0.02;
+
+const MAX_STEPS: usize = 5;
+
+/// Which effects are looked for, and which are in the model whatever the evidence.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Wanted {
+    pub(crate) shape: bool,
+    pub(crate) motion: bool,
+    pub(crate) shape_for_certain: bool,
+    pub(crate) motion_for_certain: bool,
+}
+
+/// The corners as they were chosen at the end.
+pub(crate) struct Corners {
+    pub(crate) observations: Vec<BoardObservation>,
+    pub(crate) faults: Vec<Option<ViewFault>>,
+    /// The distance, in units of each corner's own deviation, up to which corners were believed.
+    pub(crate) limit: f64,
+}
+
+/// Fewer views than this tell nothing beyond lens and poses.
+const MIN_VIEWS: usize = 3;
+
+/// Rounds of choosing corners anew.
+const MAX_ROUNDS: usize = 4;
+
+/// Looks for effects from a plain fit of one camera. `None` where there are none, or nothing could
+/// tell.
+pub(crate) fn fit_effects(
+    plain: &CameraFit,
+    size: [f64; 2],
+    wanted: Wanted,
+) -> Option<(EffectsFit, Corners)> {
+    let [width, rows] = size;
+    let wanted = hints::worth_looking(plain, size, wanted)?;
+    let basis = BoardBasis::of(&plain.observations, true)?;
+    let layout = &plain.layout;
+    let mut corners = Corners {
+        observations: plain.observations.clone(),
+        faults: plain.faults.clone(),
+        limit: plain.robust.limit,
+    };
+    let mut good = plain.good_views();
+    let mut walk: Option<Walk> = None;
+    for _ in 0..MAX_ROUNDS {
+        if good.len() < MIN_VIEWS {
+            return None;
+        }
+        let observations = &corners.observations;
+        let scene =
+            Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+        let mut next = match walk.take() {
+            Some(walk) => walk.again(scene)?,
+            None => Walk::start(scene, plain.robust.minimum.state.clone(), wanted)?,
+        };
+        next.settle(scene, FIRST_STEPS)?;
+        while next.drop_idle(scene, wanted)? {
+            if next.variances.0.is_empty() {
+                return None;
+            }
+            next.settle(scene, MAX_STEPS)?;
+        }
+        if !wanted.motion_for_certain && next.moves() && next.is_no_shutter(scene, width)? {
+            let wanted = Wanted { motion: false, ..wanted };
+            next = Walk::start(scene, plain.robust.minimum.state.clone(), wanted)?;
+            if next.variances.0.is_empty() {
+                return None;
+            }
+            next.settle(scene, FIRST_STEPS)?;
+            while next.drop_idle(scene, wanted)? {
+                if next.variances.0.is_empty() {
+                    return None;
+                }
+                next.settle(scene, MAX_STEPS)?;
+            }
+        }
+        let residuals = std::mem::take(&mut next.system.residuals);
+        walk = Some(next);
+        corners.limit = LIMIT * scale_of(&corners.observations, &residuals).max(ROUNDING);
+        let Corners { observations, faults, limit } = &mut corners;
+        if !select(observations, &residuals, *limit, faults) {
+            break;
+        }
+        good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
+    }
+    let walk = walk?;
+    let observations = &corners.observations;
+    let scene = Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+    let found = walk.finished(scene)?;
+    Some((found, corners))
+}
+
+fn pose_covariances(
+    system: &System,
+    posterior: &Posterior,
+    observations: usize,
+) -> Vec<Option<Matrix6<f64>>> {
+    let mut all = vec![None; observations];
+    for (k, view) in system.views.iter().enumerate() {
+        let Some((by_global, by_motion, alone)) = view.pose_response() else { continue };
+        let mut through = by_global.select_columns(&posterior.index);
+        let mut covariance = alone;
+        if let Some(up) = posterior.motion_up(k) {
+            let through_motion = by_motion * up;
+            through -= through_motion * posterior.halves.rows(6 * k, 6);
+            covariance += through_motion * through_motion.transpose();
+        }
+        let carried = &through * &posterior.covariance * through.transpose();
+        covariance += Matrix6::from_fn(|i, j| carried[(i, j)]);
+        all[view.observation] = Some(covariance * posterior.noise_square);
+    }
+    all
+}
+
+struct Walk {
+    state: EffectsState,
+    system: System,
+    variances: Variances,
+    /// Of each effect, how far it raises the logarithm of the evidence.
+    gains: Vec<f64>,
+}
+
+impl Walk {
+    fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
+        let mut effects: Vec<Effect> = Vec::new();
+        if wanted.shape {
+            effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
+            effects.extend([Effect::Stretch, Effect::Own]);
+        }
+        if wanted.motion {
+            effects.extend([Effect::Rotation, Effect::Translation]);
+        }
+        let state = EffectsState::flat_and_still(plain, scene.basis, scene.observations.len());
+        let system = System::at(scene, &state)?;
+        let variances = Variances::start(&effects, &system, scene.layout.len, scene.basis);
+        Some(Self { state, system, variances, gains: Vec::new() })
+    }
+
+    /// The same with corners chosen anew.
+    fn again(self, scene: Scene<'_>) -> Option<Self> {
+        Some(Self { system: System::at(scene, &self.state)?, ..self })
+    }
+
+    fn moves(&self) -> bool {
+        self.variances.0.iter().any(|(effect, _)| effect.is_motion())
+    }
+
+    /// Whether reading by columns explains nearly as much as reading by rows, as it does of
+    /// everything that is no shutter.
+    fn is_no_shutter(&self, scene: Scene<'_>, width: f64) -> Option<bool> {
+        let motions: Vec<Effect> =
+            self.variances.0.iter().map(|(e, _)| *e).filter(|e| e.is_motion()).collect();
+        let rows = self.log_evidence(scene, &self.variances)?;
+        let none = self.log_evidence(scene, &self.variances.held(&motions))?;
+        let scene = Scene { by_columns: Some(width), ..scene };
+        let mut control =
+            Self { variances: self.variances.clone(), gains: Vec::new(), ..self.copy(scene)? };
+        motions.iter().for_each(|effect| control.state.clear(*effect, scene.basis));
+        control.system = System::at(scene, &control.state)?;
+        control.settle(scene, MAX_STEPS)?;
+        let columns = control.log_evidence(scene, &control.variances)?;
+        let explained = rows - none;
+        let visible = LEAST_SHUTTER_GAIN * self.system.residual_count as f64;
+        Some(
+            explained < visible
+                || rows - columns < LEAST_GROUP_GAIN + ROWS_AGAINST_COLUMNS * explained,
+        )
+    }
+
+    fn copy(&self, scene: Scene<'_>) -> Option<Self> {
+        let state = self.state.clone();
+        let system = System::at(scene, &state)?;
+        Some(Self { state, system, variances: self.variances.clone(), gains: Vec::new() })
+    }
+
+    fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
+        let (basis, lens) = (scene.basis, scene.layout.len);
+        let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
+        let posterior = Reduced::of(&self.system, &self.state, (basis, lens), &self.variances)?
+            .posterior(&self.state);
+        let noise_square = posterior.noise_square;
+        let mut shape_covariance = DMatrix::zeros(basis.len(), basis.len());
+        let mut with_lens = DMatrix::zeros(scene.global_len(), lens);
+        for (i, a) in posterior.index.iter().enumerate() {
+            with_lens.row_mut(*a).copy_from(&posterior.covariance.view((i, 0), (1, lens)));
+            for (j, b) in posterior.index.iter().enumerate().skip(lens) {
+                if *a >= lens {
+                    shape_covariance[(a - lens, b - lens)] =
+                        posterior.covariance[(i, j)] * noise_square;
+                }
+            }
+        }
+        let influences = System::influences(scene, &self.state, &with_lens, of_motion);
+        let unit = posterior.covariance.view((0, 0), (lens, lens)).into_owned();
+        let clustered = clustered(&unit, noise_square, &influences, scene.good.len());
+        Some(EffectsFit {
+            noise_square,
+            lens_covariance: clustered.covariance,
+            inflation: clustered.factor,
+            pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),
+            shape_covariance,
+            state: self.state,
+            variances: self.variances,
+            basis: basis.clone(),
+        })
+    }
+
+    fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
+        let of = (scene.basis, scene.layout.len);
+        Some(Reduced::of(&self.system, &self.state, of, &self.variances)?.posterior(&self.state))
+    }
+
+    /// Steps until neither state nor variances move.
+    fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+        let of = (scene.basis, scene.layout.len);
+        for _ in 0..max_steps {
+            let posterior = self.posterior(scene)?;
+            let (next, determined) =
+                posterior.updated(&self.system, &self.state, of, &self.variances);
+            let cost =
+                self.system.cost + self.variances.penalty(&self.state, scene.basis, scene.good);
+            let decrease = self.step(scene, &posterior, cost)?;
+            let changes = next.0.iter().zip(&self.variances.0).zip(&determined);
+            let changed = changes
+                .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
+                .fold(0.0, f64::max);
+            self.variances = next;
+            self.gains = posterior.gains(&self.system, &self.state, of, &self.variances);
+            if changed < 0.1 && decrease < 0.01 * posterior.noise_square {
+                break;
+            }
+        }
+        Some(())
+    }
+
+    /// A step that lowers the penalized cost; answers by how much.
+    fn step(&mut self, scene: Scene<'_>, posterior: &Posterior, cost: f64) -> Option<f64> {
+        let mut part = 1.0;
+        for _ in 0..8 {
+            let next = self.stepped(scene, posterior, part);
+            let system = next.as_ref().and_then(|next| System::at(scene, next));
+            if let (Some(next), Some(system)) = (next, system) {
+                let at_next = system.cost + self.variances.penalty(&next, scene.basis, scene.good);
+                if at_next <= cost * (1.0 + 1e-9) {
+                    (self.state, self.system) = (next, system);
+                    return Some(cost - at_next);
+                }
+            }
+            part *= 0.5;
+        }
+        Some(0.0)
+    }
+
+    fn stepped(&self, scene: Scene<'_>, posterior: &Posterior, part: f64) -> Option<EffectsState> {
+        let mut next = self.state.clone();
+        let mut poses = vec![[0.0; 6]; next.fixed.rig_from_board.len()];
+        for (k, view) in self.system.views.iter().enumerate() {
+            let motion = posterior.motions.get(k).copied().unwrap_or_else(Vector6::zeros);
+            let step = view.pose_step(&posterior.global, &motion) * part;
+            poses[scene.observations[view.observation].frame_set] = step.into();
+            // The motion is carried with the pose, as its derivatives are.
+            let rotation =
+                nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+            let own = &mut next.motions[view.observation];
+            *own += motion * part;
+            let turned = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
+                rotation * own.fixed_rows::<3>(at).into_owned()
+            };
+            let (spin, shift) = (turned(0, own), turned(3, own));
+            *own = Vector6::new(spin.x, spin.y, spin.z, shift.x, shift.y, shift.z);
+        }
+        let lens = scene.layout.len;
+        let global: Vec<f64> = posterior.global.iter().map(|step| step * part).collect();
+        next.fixed = self.state.fixed.stepped(scene.layout, &global[..lens], &poses)?;
+        next.shape.iter_mut().zip(&global[lens..]).for_each(|(u, step)| *u += step);
+        Some(next)
+    }
+
+    /// Takes out what is not missed; answers whether anything was.
+    fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
+        let with = self.log_evidence(scene, &self.variances)?;
+        let mut idle: Vec<Effect> = Vec::new();
+        for motion in [true, false] {
+            let group: Vec<Effect> = self
+                .variances
+                .0
+                .iter()
+                .map(|(effect, _)| *effect)
+                .filter(|effect| effect.is_motion() == motion)
+                .collect();
+            if group.is_empty() {
+                continue;
+            }
+            let gain = |held: &[Effect]| -> Option<f64> {
+                Some(with - self.log_evidence(scene, &self.variances.held(held))?)
+            };
+            let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
+            let whole = if certain { f64::INFINITY } else { gain(&group)? };
+            if whole < LEAST_GROUP_GAIN {
+                idle.extend(group);
+                continue;
+            }
+            for ((effect, _), gain) in self.variances.0.iter().zip(&self.gains) {
+                if group.contains(effect) && *gain < LEAST_GAIN && !certain {
+                    idle.push(*effect);
+                }
+            }
+        }
+        for effect in &idle {
+            self.variances = self.variances.without(*effect);
+            self.state.clear(*effect, scene.basis);
+        }
+        if !idle.is_empty() {
+            self.system = System::at(scene, &self.state)?;
+        }
+        Some(!idle.is_empty())
+    }
+
+    fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
+        let of = (scene.basis, scene.layout.len);
+        Some(Reduced::of(&self.system, &self.state, of, variances)?.log_evidence(&self.state))
+    }
+}
+
+impl EffectsFit {
+    /// The observations with their points where shape and motion put them.
+    pub(crate) fn moved_observations(
+        &self,
+        layout: &Layout,
+        observations: &[BoardObservation],
+        rows: f64,
+    ) -> Vec<BoardObservation> {
+        let scene =
+            Scene { layout, basis: &self.basis, observations, good: &[], rows, by_columns: None };
+        let offsets = self.basis.offsets(&self.state.shape);
+        (0..observations.len())
+            .map(|index| self.state.moved_observation(scene, &offsets, index))
+            .collect()
+    }
+}

@@ -1,0 +1,74 @@
+//! Whether there is anything to look for: score tests (C. R. Rao, 1948) of a smooth board shape, of
+//! each corner's own offset and of motion, at the plain minimum. They cost a part of one step, which
+//! is all that a flat board before a global shutter has to pay.
+
+use nalgebra::DMatrix;
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::fit::Wanted;
+use crate::estimation::effects::state::EffectsState;
+use crate::estimation::effects::system::{Scene, System, ViewPart};
+
+/// A sum of squares beyond its expectation by this many standard deviations is worth a closer look.
+const HINT: f64 = 2.0;
+
+/// What of `wanted` is worth looking for; `None` for nothing.
+pub(super) fn worth_looking(
+    fit: &CameraFit,
+    [_, rows]: [f64; 2],
+    wanted: Wanted,
+) -> Option<Wanted> {
+    let good = fit.some_views();
+    let basis = BoardBasis::of(&fit.observations, false)?;
+    let (layout, observations) = (&fit.layout, &fit.observations);
+    let scene = Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+    let plain = fit.robust.minimum.state.clone();
+    let state = EffectsState::flat_and_still(plain, &basis, observations.len());
+    let system = System::at(scene, &state)?;
+    let noise_square = fit.noise_square();
+    let stands_out =
+        |square: f64, count: f64| square / noise_square > count + HINT * (2.0 * count).sqrt();
+    let smooth = smooth_shape(&system, layout.len)
+        .is_none_or(|square| stands_out(square, basis.len() as f64));
+    let (own, count) = own_offsets(&system);
+    let shape = smooth || stands_out(own, count);
+    let motion = stands_out(motion(&system), 6.0 * good.len() as f64);
+    let wanted = Wanted {
+        shape: wanted.shape && (shape || wanted.shape_for_certain),
+        motion: wanted.motion && (motion || wanted.motion_for_certain),
+        ..wanted
+    };
+    (wanted.shape || wanted.motion).then_some(wanted)
+}
+
+/// gᵀ H⁻¹ g of the smooth shapes, lens and poses eliminated.
+fn smooth_shape(system: &System, lens: usize) -> Option<f64> {
+    let size = system.gradient.len();
+    let scale = system.global.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
+    let scaled = DMatrix::from_fn(size, size, |i, j| system.global[(i, j)] * scale[i] * scale[j]);
+    let gradient = system.gradient.component_mul(&scale);
+    let decrease = |size: usize| -> Option<f64> {
+        let gradient = gradient.rows(0, size).into_owned();
+        let block = scaled.view((0, 0), (size, size)).into_owned();
+        Some(gradient.dot(&block.cholesky()?.solve(&gradient)))
+    };
+    Some(decrease(size)? - decrease(lens)?)
+}
+
+/// Σ |L⁻¹ e|² of every view's motion, its pose eliminated.
+fn motion(system: &System) -> f64 {
+    let of_view = |view: &ViewPart| {
+        let factor = view.motion.cholesky()?;
+        Some(view.motion_gradient.dot(&factor.solve(&view.motion_gradient)))
+    };
+    system.views.iter().filter_map(of_view).sum()
+}
+
+/// What the same offset in every view would explain, point by point, with how many such offsets
+/// there are.
+fn own_offsets(system: &System) -> (f64, f64) {
+    let seen = || system.own_scores.iter().filter(|score| score[2] > 0.0 && score[3] > 0.0);
+    let square = seen().map(|[x, y, xx, yy]| x * x / xx + y * y / yy).sum();
+    (square, 2.0 * seen().count() as f64)
+}

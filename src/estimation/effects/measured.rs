@@ -1,0 +1,147 @@
+//! What a solve found out of the board and of the shutter, in meters, for people and for the next
+//! solve.
+
+use nalgebra::{DMatrix, Point3, Vector3};
+
+use crate::estimation::effects::fit::EffectsFit;
+
+/// A board's shape as a solve measured it, relative to the one that was stated. A rigid motion is
+/// no shape, and the mean scale is the stated one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MeasuredBoard {
+    /// The stated points, in the board frame, in meters.
+    pub points: Vec<Point3<f64>>,
+    /// How far each is from where it was stated, in meters.
+    pub offsets_m: Vec<Vector3<f64>>,
+    /// Standard deviation of each offset per axis, in meters.
+    pub std_m: Vec<Vector3<f64>>,
+    /// Root mean square length of the offsets, in meters.
+    pub unevenness_m: f64,
+    /// Its standard deviation, in meters.
+    pub unevenness_std_m: f64,
+    /// How far the board is bowed at its middle along x and y, in meters: the parabolas that fit
+    /// its heights best.
+    pub bow_m: [f64; 2],
+}
+
+/// Motion while the rows of an image were read, over the views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RollingShutter {
+    /// Root mean square translation of the board from the first row to the last, in meters.
+    pub translation_m: f64,
+    /// Root mean square rotation likewise, in radians.
+    pub rotation_rad: f64,
+}
+
+impl MeasuredBoard {
+    /// `None` where the board's shape is not in the model; `center` is that of the problem's points.
+    pub(crate) fn of(effects: &EffectsFit, center: Vector3<f64>) -> Option<Self> {
+        if effects.variances.0.iter().all(|(effect, _)| effect.is_motion()) {
+            return None;
+        }
+        let basis = &effects.basis;
+        let coefficients = &effects.state.shape;
+        let mut offsets = basis.offsets(coefficients);
+        let rigid = rigid_and_scale(&basis.points);
+        let stacked = DMatrix::from_fn(2 * offsets.len(), 1, |k, _| offsets[k / 2][k % 2]);
+        let rest = &stacked - &rigid * (rigid.transpose() * &stacked);
+        for (k, offset) in offsets.iter_mut().enumerate() {
+            (offset.x, offset.y) = (rest[2 * k], rest[2 * k + 1]);
+        }
+        let std_m = standard_deviations(effects, &rigid);
+        let count = offsets.len() as f64;
+        let mean_square = offsets.iter().map(Vector3::norm_squared).sum::<f64>() / count;
+        let unevenness_m = mean_square.sqrt();
+        let spread: f64 =
+            offsets.iter().zip(&std_m).map(|(o, s)| o.component_mul(s).norm_squared()).sum();
+        let bow_m = bow_m(&basis.points, basis.half_extent, &offsets);
+        Some(Self {
+            points: basis.points.iter().map(|point| point + center).collect(),
+            unevenness_std_m: spread.sqrt() / (count * unevenness_m).max(f64::MIN_POSITIVE),
+            offsets_m: offsets,
+            std_m,
+            unevenness_m,
+            bow_m,
+        })
+    }
+}
+
+impl RollingShutter {
+    /// `None` where motion is not in the model.
+    pub(crate) fn of(effects: &EffectsFit, good: &[usize]) -> Option<Self> {
+        if !effects.variances.0.iter().any(|(effect, _)| effect.is_motion()) || good.is_empty() {
+            return None;
+        }
+        let lever = effects.basis.half_extent[0].hypot(effects.basis.half_extent[1]);
+        let rms = |from: usize| {
+            let square =
+                |view: &usize| effects.state.motions[*view].fixed_rows::<3>(from).norm_squared();
+            (good.iter().map(square).sum::<f64>() / good.len() as f64).sqrt()
+        };
+        Some(Self { translation_m: rms(3), rotation_rad: rms(0) / lever })
+    }
+}
+
+/// Orthonormal columns over (x, y) of all points: two translations, a rotation, a scale.
+fn rigid_and_scale(points: &[Point3<f64>]) -> DMatrix<f64> {
+    let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64;
+    let mut columns = DMatrix::zeros(2 * points.len(), 4);
+    for (k, point) in points.iter().enumerate() {
+        let p = point.coords - mean;
+        let rows = [[1.0, 0.0, -p.y, p.x], [0.0, 1.0, p.x, p.y]];
+        for (axis, row) in rows.iter().enumerate() {
+            (0..4).for_each(|c| columns[(2 * k + axis, c)] = row[c]);
+        }
+    }
+    for mut column in columns.column_iter_mut() {
+        let norm = column.norm();
+        column /= norm.max(f64::MIN_POSITIVE);
+    }
+    columns
+}
+
+/// Per point and axis; in the plane without what a rigid motion and a scale do.
+fn standard_deviations(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<Vector3<f64>> {
+    let (basis, covariance) = (&effects.basis, &effects.shape_covariance);
+    let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
+    let count = basis.points.len();
+    let mut in_plane = covariance.view((smooth, smooth), (2 * count, 2 * count)).into_owned();
+    let stretches = DMatrix::from_fn(2 * count, smooth - heights, |row, column| {
+        basis.stretches[column][row / 2][row % 2]
+    });
+    let own = covariance.view((heights, heights), (smooth - heights, smooth - heights));
+    let cross = covariance.view((smooth, heights), (2 * count, smooth - heights));
+    let crossed = &cross * stretches.transpose();
+    in_plane += &stretches * own * stretches.transpose() + &crossed + crossed.transpose();
+    let carried = rigid.transpose() * &in_plane;
+    let inner = &carried * rigid;
+    let out_of_plane = covariance.view((0, 0), (heights, heights));
+    let values = DMatrix::from_fn(count, heights, |point, k| basis.heights[k].1[point]);
+    let height = &values * out_of_plane;
+    (0..count)
+        .map(|point| {
+            let planar = |axis: usize| {
+                let k = 2 * point + axis;
+                let row = rigid.row(k);
+                let removed = 2.0 * (row * carried.column(k))[0];
+                let kept = (row * &inner * row.transpose())[0];
+                (in_plane[(k, k)] - removed + kept).max(0.0).sqrt()
+            };
+            let z = height.row(point).dot(&values.row(point)).max(0.0).sqrt();
+            Vector3::new(planar(0), planar(1), z)
+        })
+        .collect()
+}
+
+/// The parabolas 1 − (x / half extent)² and 1 − (y / half extent)² that fit the heights best beside
+/// a plane.
+fn bow_m(points: &[Point3<f64>], half: [f64; 2], offsets: &[Vector3<f64>]) -> [f64; 2] {
+    let columns = DMatrix::from_fn(points.len(), 5, |row, k| {
+        let (x, y) = (points[row].x / half[0], points[row].y / half[1]);
+        [1.0, x, y, 1.0 - x * x, 1.0 - y * y][k]
+    });
+    let heights = DMatrix::from_fn(points.len(), 1, |row, _| offsets[row].z);
+    let normal = columns.transpose() * &columns;
+    let solved = normal.cholesky().map(|factor| factor.solve(&(columns.transpose() * heights)));
+    solved.map_or([0.0; 2], |solved| [solved[3], solved[4]])
+}

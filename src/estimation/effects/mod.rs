@@ -1,0 +1,24 @@
+//! What the plain problem leaves out: the board as it was printed and mounted, and its motion while
+//! the rows of an image were read one after another. Both are random effects of the joint problem:
+//! Gaussian, with variances that the data decide ([`evidence`]), and exactly none where the data
+//! show none.
+//!
+//! | question | where |
+//! | --- | --- |
+//! | which shapes a board can have | `board_basis` |
+//! | values of everything | `state` |
+//! | normal equations, poses eliminated | `system` |
+//! | posterior and variances | `evidence` |
+//! | the walk to the minimum, and which effects stay | `fit` |
+//! | whether it is worth looking at all | `hints` |
+//! | dense factors | `dense` |
+
+pub(crate) mod apply;
+pub(crate) mod board_basis;
+mod dense;
+pub(crate) mod evidence;
+pub(crate) mod fit;
+mod hints;
+pub mod measured;
+pub(crate) mod state;
+mod system;

@@ -1,0 +1,75 @@
+//! Values of all parameters with the board's shape and each view's motion.
+
+use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
+
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::evidence::Effect;
+use crate::estimation::effects::system::Scene;
+use crate::estimation::joint::{BoardObservation, State};
+use crate::geometry::pixel::Pixel;
+
+/// The lens and the poses, with what is random.
+#[derive(Debug, Clone)]
+pub(crate) struct EffectsState {
+    pub(crate) fixed: State,
+    /// Coefficients of [`BoardBasis`], in meters.
+    pub(crate) shape: Vec<f64>,
+    /// Per observation: how the board moves in the camera's frame from the image's first row to its
+    /// last, as a rotation about the board's center times half the board's diagonal, then a
+    /// translation; in meters. The pose is that at the middle row.
+    pub(crate) motions: Vec<Vector6<f64>>,
+}
+
+/// When each corner was read, in read-outs of an image from its middle.
+pub(super) fn read_out_times(observation: &BoardObservation, scene: Scene<'_>) -> Vec<f64> {
+    let time = |pixel: &Pixel| match scene.by_columns {
+        None => (pixel.y + 0.5) / scene.rows - 0.5,
+        Some(columns) => (pixel.x + 0.5) / columns - 0.5,
+    };
+    observation.pixels.iter().map(time).collect()
+}
+
+impl EffectsState {
+    pub(super) fn flat_and_still(fixed: State, basis: &BoardBasis, observations: usize) -> Self {
+        Self { fixed, shape: vec![0.0; basis.len()], motions: vec![Vector6::zeros(); observations] }
+    }
+
+    /// An observation with its points where shape and motion put them, in the board frame of the
+    /// middle row's pose: the plain projection of these is the projection of the moved board.
+    pub(super) fn moved_observation(
+        &self,
+        scene: Scene<'_>,
+        offsets: &[Vector3<f64>],
+        index: usize,
+    ) -> BoardObservation {
+        let mut seen = scene.observations[index].clone();
+        for (point, place) in seen.points.iter_mut().zip(&scene.basis.point_of[index]) {
+            *point += offsets[*place];
+        }
+        let motion = &self.motions[index];
+        if motion.iter().any(|v| *v != 0.0) {
+            let board_from_camera = self.fixed.rig_from_board[seen.frame_set].rotation().inverse();
+            let lever = scene.basis.half_extent[0].hypot(scene.basis.half_extent[1]);
+            let spin = board_from_camera * (motion.fixed_rows::<3>(0).into_owned() / lever);
+            let shift = board_from_camera * motion.fixed_rows::<3>(3).into_owned();
+            let times = read_out_times(&seen, scene);
+            for (point, time) in seen.points.iter_mut().zip(times) {
+                let rotation = UnitQuaternion::from_scaled_axis(spin * time);
+                *point = Point3::from(rotation * point.coords + shift * time);
+            }
+        }
+        seen
+    }
+
+    /// Takes an effect out.
+    pub(super) fn clear(&mut self, effect: Effect, basis: &BoardBasis) {
+        let range = effect.range(basis);
+        if effect.is_motion() {
+            for motion in &mut self.motions {
+                range.clone().for_each(|k| motion[k] = 0.0);
+            }
+        } else {
+            self.shape[range].fill(0.0);
+        }
+    }
+}

@@ -1,0 +1,405 @@
+//! The normal equations of lens, board shape, poses and motions at one state, with the poses
+//! eliminated: what every choice of variances starts from, without looking at a corner again.
+//!
+//! Global columns: the lens's free parameters, the board's shape ([`BoardBasis`]). A view's own: six
+//! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
+//! apart because their variance is still to be found.
+
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
+
+use crate::estimation::clustered_covariance::Influence;
+use crate::estimation::effects::board_basis::BoardBasis;
+use crate::estimation::effects::state::{EffectsState, read_out_times};
+use crate::estimation::joint::linearize::{
+    Columns, LocalEquations, linearize_observation, multiply,
+};
+use crate::estimation::joint::{BoardObservation, Layout};
+use crate::estimation::robust::Loss;
+
+/// What is looked at.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub(super) layout: &'a Layout,
+    pub(super) basis: &'a BoardBasis,
+    pub(super) observations: &'a [BoardObservation],
+    /// The observations that take part, by index.
+    pub(super) good: &'a [usize],
+    /// The height of the images, in rows.
+    pub(super) rows: f64,
+    /// Whether columns are read one after another in place of rows: a control.
+    pub(super) by_columns: Option<f64>,
+}
+
+impl Scene<'_> {
+    pub(super) fn global_len(&self) -> usize {
+        self.layout.len + self.basis.len()
+    }
+}
+
+/// One view's part that variances change.
+pub(super) struct ViewPart {
+    pub(super) observation: usize,
+    /// L of L Lᵀ = the pose's block.
+    pose_factor: Matrix6<f64>,
+    /// L⁻¹ of what couples the pose with: the globals, the motion, the residual.
+    half: Matrix6xX<f64>,
+    half_motion: Matrix6<f64>,
+    half_gradient: Vector6<f64>,
+    /// The motion's block, its coupling with the globals (6 × globals), its gradient; the pose
+    /// eliminated.
+    pub(super) motion: Matrix6<f64>,
+    pub(super) motion_coupling: Matrix6xX<f64>,
+    pub(super) motion_gradient: Vector6<f64>,
+}
+
+/// The equations of all views.
+pub(super) struct System {
+    /// Sum of the squared residuals, in the corners' own standard deviations.
+    pub(super) cost: f64,
+    /// How many residuals.
+    pub(super) residual_count: usize,
+    pub(super) global: DMatrix<f64>,
+    pub(super) gradient: DVector<f64>,
+    pub(super) views: Vec<ViewPart>,
+    /// Per point: the gradient by its own x and y, and the diagonal of their information.
+    pub(super) own_scores: Vec<[f64; 4]>,
+    /// Per observation: (projected − observed) / std.
+    pub(super) residuals: Vec<Vec<[f64; 2]>>,
+}
+
+/// Views whose influence is looked at, at most.
+const MAX_INFLUENCES: usize = 60;
+
+/// Room that is used again from view to view.
+#[derive(Default)]
+struct Room {
+    columns: Columns,
+    local: LocalEquations,
+    values: Vec<f64>,
+}
+
+impl System {
+    /// `None` where a corner that takes part cannot be projected.
+    pub(super) fn at(scene: Scene<'_>, state: &EffectsState) -> Option<Self> {
+        let globals = scene.global_len();
+        let mut system = Self {
+            cost: 0.0,
+            residual_count: 0,
+            global: DMatrix::zeros(globals, globals),
+            gradient: DVector::zeros(globals),
+            views: Vec::with_capacity(scene.good.len()),
+            own_scores: vec![[0.0; 4]; scene.basis.points.len()],
+            residuals: scene.observations.iter().map(|o| vec![[0.0; 2]; o.points.len()]).collect(),
+        };
+        let offsets = scene.basis.offsets(&state.shape);
+        let mut room = Room::default();
+        for observation in scene.good {
+            system.add_view(scene, (state, &offsets), *observation, &mut room)?;
+        }
+        system.eliminate_poses();
+        Some(system)
+    }
+
+    fn add_view(
+        &mut self,
+        scene: Scene<'_>,
+        (state, offsets): (&EffectsState, &[Vector3<f64>]),
+        index: usize,
+        room: &mut Room,
+    ) -> Option<()> {
+        let seen = state.moved_observation(scene, offsets, index);
+        let results = (self.residuals[index].as_mut_slice(), &mut room.local);
+        let at = (scene.layout, &state.fixed);
+        if !linearize_observation(at, &seen, Loss::Squares, &mut room.columns, results) {
+            return None;
+        }
+        self.cost += room.local.cost;
+        self.residual_count += 2 * seen.used.iter().filter(|used| **used).count();
+        let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
+        let columns = ViewColumns::of(scene, &seen, index);
+        let in_plane = columns.fill(&rotation, &seen, room.columns.values(), &mut room.values);
+        multiply(&room.values, columns.count(), &mut room.local);
+        columns.add_scores(&room.values, &in_plane, &mut self.own_scores);
+        self.views.push(columns.add_to(
+            (&mut self.global, &mut self.gradient),
+            (&room.local, &room.values, &in_plane),
+            index,
+        )?);
+        Some(())
+    }
+
+    /// What each view does to the lens, given the covariance of all globals with those of the lens
+    /// (globals × lens) and the λ of a motion where there is one.
+    pub(super) fn influences(
+        scene: Scene<'_>,
+        state: &EffectsState,
+        with_lens: &DMatrix<f64>,
+        of_motion: Option<Vector6<f64>>,
+    ) -> Vec<Influence> {
+        let offsets = scene.basis.offsets(&state.shape);
+        let mut room = Room::default();
+        let some = scene.good.iter().step_by(scene.good.len().div_ceil(MAX_INFLUENCES).max(1));
+        let of_view = |index: &usize| {
+            let seen = state.moved_observation(scene, &offsets, *index);
+            let mut residuals = vec![[0.0; 2]; seen.points.len()];
+            let results = (residuals.as_mut_slice(), &mut room.local);
+            let at = (scene.layout, &state.fixed);
+            if !linearize_observation(at, &seen, Loss::Squares, &mut room.columns, results) {
+                return None;
+            }
+            let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
+            let columns = ViewColumns::of(scene, &seen, *index);
+            let in_plane = columns.fill(&rotation, &seen, room.columns.values(), &mut room.values);
+            let pull = of_motion.unwrap_or_default().component_mul(&state.motions[*index]);
+            columns.influence(&room.values, &in_plane, with_lens, (of_motion, pull))
+        };
+        some.filter_map(of_view).collect()
+    }
+
+    /// Takes from the global block what the poses explain, all views in one product.
+    fn eliminate_poses(&mut self) {
+        let globals = self.gradient.len();
+        self.global.fill_lower_triangle_with_upper_triangle();
+        let mut halves = DMatrix::zeros(6 * self.views.len(), globals);
+        for (k, view) in self.views.iter().enumerate() {
+            halves.rows_mut(6 * k, 6).copy_from(&view.half);
+            self.gradient -= view.half.transpose() * view.half_gradient;
+        }
+        self.global.gemm(-1.0, &halves.transpose(), &halves, 1.0);
+    }
+}
+
+impl ViewPart {
+    /// By how much its pose alone can lower the cost.
+    pub(super) fn pose_decrease(&self) -> f64 {
+        self.half_gradient.norm_squared()
+    }
+
+    /// The step of the pose that belongs to steps of the globals and of the motion.
+    pub(super) fn pose_step(&self, global: &DVector<f64>, motion: &Vector6<f64>) -> Vector6<f64> {
+        let right = self.half_gradient + &self.half * global + self.half_motion * motion;
+        self.pose_factor.tr_solve_lower_triangular(&-right).unwrap_or_else(Vector6::zeros)
+    }
+
+    /// How the pose follows the globals, and the motion: (6 × globals, 6 × 6), and the covariance
+    /// of the pose when both are known.
+    pub(super) fn pose_response(&self) -> Option<(Matrix6xX<f64>, Matrix6<f64>, Matrix6<f64>)> {
+        let inverse = self.pose_factor.try_inverse()?;
+        let up = inverse.transpose();
+        Some((-(up * &self.half), -(up * self.half_motion), up * inverse))
+    }
+}
+
+/// Where the columns of one view's Jacobian lie: lens, smooth shapes, motion, pose, residual; each
+/// all corners' x, then all corners' y.
+struct ViewColumns<'a> {
+    scene: Scene<'a>,
+    lens: usize,
+    smooth: usize,
+    rows: usize,
+    point_of: &'a [usize],
+}
+
+impl<'a> ViewColumns<'a> {
+    fn of(scene: Scene<'a>, seen: &BoardObservation, index: usize) -> Self {
+        Self {
+            scene,
+            lens: scene.layout.len,
+            smooth: scene.basis.smooth_len(),
+            rows: 2 * seen.points.len().max(1).next_multiple_of(8),
+            point_of: &scene.basis.point_of[index],
+        }
+    }
+
+    /// See [`System::influences`].
+    fn influence(
+        &self,
+        values: &[f64],
+        in_plane: &[Vec<f64>; 2],
+        with_lens: &DMatrix<f64>,
+        (of_motion, prior_pull): (Option<Vector6<f64>>, Vector6<f64>),
+    ) -> Option<Influence> {
+        let (rows, dense) = (self.rows, self.motion());
+        let columns = DMatrixView::from_slice(values, rows, self.count());
+        // Each residual's part in the step of the lens.
+        let mut parts = columns.columns(0, dense) * with_lens.rows(0, dense);
+        let own = if self.scene.basis.has_own { self.point_of } else { &[] };
+        for (corner, point) in own.iter().enumerate() {
+            for row in [corner, corner + rows / 2] {
+                for (axis, by) in in_plane.iter().enumerate() {
+                    let part = with_lens.row(dense + 2 * point + axis) * by[row];
+                    let mut target = parts.row_mut(row);
+                    target += part;
+                }
+            }
+        }
+        let first = if of_motion.is_some() { self.motion() } else { self.pose() };
+        let locals = columns.columns(first, self.residual() - first);
+        let mut square = locals.transpose() * locals;
+        for (k, lambda) in of_motion.iter().flat_map(|lambda| lambda.iter()).enumerate() {
+            square[(k, k)] += lambda;
+        }
+        let coupling = locals.transpose() * &parts;
+        let eliminated = square.cholesky()?.solve(&coupling);
+        let residual = columns.column(self.residual());
+        let mut own_gradient = locals.transpose() * residual;
+        for (k, pull) in prior_pull.iter().enumerate().take(own_gradient.len() - 6) {
+            own_gradient[k] += pull;
+        }
+        Some(Influence {
+            step: eliminated.transpose() * own_gradient - parts.transpose() * residual,
+            expected: parts.transpose() * &parts - coupling.transpose() * eliminated,
+        })
+    }
+
+    fn motion(&self) -> usize {
+        self.lens + self.smooth
+    }
+
+    fn pose(&self) -> usize {
+        self.motion() + 6
+    }
+
+    fn residual(&self) -> usize {
+        self.pose() + 6
+    }
+
+    fn count(&self) -> usize {
+        self.residual() + 1
+    }
+
+    /// Fills `values` from the columns (lens, pose, residual) of the plain problem; answers the
+    /// derivatives by a shift along the board's x and y.
+    fn fill(
+        &self,
+        camera_from_board: &nalgebra::Matrix3<f64>,
+        seen: &BoardObservation,
+        plain: &[f64],
+        values: &mut Vec<f64>,
+    ) -> [Vec<f64>; 2] {
+        let (rows, half) = (self.rows, self.rows / 2);
+        let basis = self.scene.basis;
+        values.clear();
+        values.resize(self.count() * rows, 0.0);
+        values[..self.lens * rows].copy_from_slice(&plain[..self.lens * rows]);
+        values[self.pose() * rows..].copy_from_slice(&plain[self.lens * rows..]);
+        let pose = &plain[self.lens * rows..];
+        let [by_x, by_y, by_z] = [0, 1, 2].map(|axis| -> Vec<f64> {
+            let by = |row: usize| {
+                (0..3).map(|k| camera_from_board[(k, axis)] * pose[(3 + k) * rows + row]).sum()
+            };
+            (0..rows).map(by).collect()
+        });
+        let (heights, stretches) = values[self.lens * rows..][..self.smooth * rows]
+            .split_at_mut(basis.heights.len() * rows);
+        for (column, (_, height)) in heights.chunks_exact_mut(rows).zip(&basis.heights) {
+            for (corner, point) in self.point_of.iter().enumerate() {
+                for row in [corner, corner + half] {
+                    column[row] = by_z[row] * height[*point];
+                }
+            }
+        }
+        for (column, stretch) in stretches.chunks_exact_mut(rows).zip(&basis.stretches) {
+            for (corner, point) in self.point_of.iter().enumerate() {
+                let [x, y] = stretch[*point];
+                for row in [corner, corner + half] {
+                    column[row] = by_x[row] * x + by_y[row] * y;
+                }
+            }
+        }
+        let times = read_out_times(seen, self.scene);
+        let lever = 1.0 / basis.half_extent[0].hypot(basis.half_extent[1]);
+        for column in 0..6 {
+            let unit = if column < 3 { lever } else { 1.0 };
+            for (corner, time) in times.iter().enumerate() {
+                for row in [corner, corner + half] {
+                    values[(self.motion() + column) * rows + row] =
+                        pose[column * rows + row] * time * unit;
+                }
+            }
+        }
+        [by_x, by_y]
+    }
+
+    /// Adds what the view says of each point's own offset.
+    fn add_scores(&self, values: &[f64], in_plane: &[Vec<f64>; 2], scores: &mut [[f64; 4]]) {
+        let residual = &values[self.residual() * self.rows..];
+        for (corner, point) in self.point_of.iter().enumerate() {
+            for row in [corner, corner + self.rows / 2] {
+                for (axis, by) in in_plane.iter().enumerate() {
+                    scores[*point][axis] += by[row] * residual[row];
+                    scores[*point][2 + axis] += by[row] * by[row];
+                }
+            }
+        }
+    }
+
+    /// Adds the view to the global equations, its pose not yet eliminated.
+    fn add_to(
+        &self,
+        (global, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
+        (local, values, in_plane): (&LocalEquations, &[f64], &[Vec<f64>; 2]),
+        observation: usize,
+    ) -> Option<ViewPart> {
+        let (dense, residual) = (self.motion(), self.residual());
+        let globals = gradient.len();
+        let block = |a: usize, b: usize| Matrix6::from_fn(|i, j| local.product(a + i, b + j));
+        let mut coupling = Matrix6xX::zeros(globals);
+        let mut motion_coupling = Matrix6xX::zeros(globals);
+        for i in 0..dense {
+            gradient[i] += local.product(i, residual);
+            for j in i..dense {
+                global[(i, j)] += local.product(i, j);
+            }
+            for k in 0..6 {
+                coupling[(k, i)] = local.product(i, self.pose() + k);
+                motion_coupling[(k, i)] = local.product(i, self.motion() + k);
+            }
+        }
+        let (rows, half) = (self.rows, self.rows / 2);
+        let own = if self.scene.basis.has_own { self.point_of } else { &[] };
+        for (corner, point) in own.iter().enumerate() {
+            let with = |axis: usize, column: usize| {
+                let by = &in_plane[axis];
+                let column = &values[column * rows..][..rows];
+                by[corner] * column[corner] + by[corner + half] * column[corner + half]
+            };
+            for axis in 0..2 {
+                let at = dense + 2 * point + axis;
+                for i in 0..dense {
+                    global[(i, at)] += with(axis, i);
+                }
+                for k in 0..6 {
+                    coupling[(k, at)] = with(axis, self.pose() + k);
+                    motion_coupling[(k, at)] = with(axis, self.motion() + k);
+                }
+                gradient[at] += with(axis, residual);
+                for other in axis..2 {
+                    let (a, b) = (&in_plane[axis], &in_plane[other]);
+                    global[(at, dense + 2 * point + other)] +=
+                        a[corner] * b[corner] + a[corner + half] * b[corner + half];
+                }
+            }
+        }
+        let pose_factor = block(self.pose(), self.pose()).cholesky()?.unpack();
+        let solve = |right: &Matrix6<f64>| pose_factor.solve_lower_triangular(right);
+        let half_motion = solve(&block(self.pose(), self.motion()))?;
+        let half_gradient = pose_factor.solve_lower_triangular(&Vector6::from_fn(|k, _| {
+            local.product(self.pose() + k, residual)
+        }))?;
+        let half = pose_factor.solve_lower_triangular(&coupling)?;
+        motion_coupling.gemm(-1.0, &half_motion.transpose(), &half, 1.0);
+        let motion_gradient = Vector6::from_fn(|k, _| local.product(self.motion() + k, residual))
+            - half_motion.transpose() * half_gradient;
+        Some(ViewPart {
+            observation,
+            pose_factor,
+            motion: block(self.motion(), self.motion()) - half_motion.transpose() * half_motion,
+            half,
+            half_motion,
+            half_gradient,
+            motion_coupling,
+            motion_gradient,
+        })
+    }
+}
