@@ -13,6 +13,7 @@ pub mod plane_error;
 pub mod result;
 pub mod rgbd_calibration;
 mod rgbd_check;
+pub mod rounded;
 pub mod running_estimate;
 pub mod scene;
 pub mod second_infrared;

@@ -2,6 +2,7 @@
 
 use crate::calibration::coverage::Coverage;
 use crate::calibration::result::{Grade, Verdict};
+use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::CameraEstimate;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
@@ -186,7 +187,8 @@ fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {
 fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
     let board = estimate.board_shape.as_ref().map(|shape| {
         let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
-        format!("board uneven by {rms:.2} mm (± {std:.2} mm), measured and taken into account")
+        let rms = value_with_std(rms, std);
+        format!("board uneven by {rms} mm, measured and taken into account")
     });
     let shutter = estimate.rolling_shutter.map(|shutter| {
         let (millimeters, degrees) =

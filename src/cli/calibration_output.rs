@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::calibration::result::{Calibration, ImageCalibration};
+use crate::calibration::rounded::value_with_std;
 use crate::calibration::solve::SolvedCamera;
 use crate::cli::export::FormatName;
 use crate::cli::files::write_file;
@@ -118,8 +119,9 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
         let [rms, std, x, y] =
             [shape.unevenness_m, shape.unevenness_std_m, shape.bow_m[0], shape.bow_m[1]]
                 .map(|m| m * 1000.0);
+        let rms = value_with_std(rms, std);
         lines.push(format!(
-            "  the board is uneven by {rms:.3} ± {std:.3} mm (rms), bowed by {x:.3} mm along its rows and {y:.3} mm along its columns: measured and taken into account"
+            "  the board is uneven by {rms} mm (rms), bowed by {x:.3} mm along its rows and {y:.3} mm along its columns: measured and taken into account"
         ));
     }
     if let Some(shutter) = &sensor.rolling_shutter {

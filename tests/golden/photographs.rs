@@ -44,9 +44,11 @@ fn near(sensor: &Value, parameter: &str, value: f64, by: f64) {
 #[test]
 fn the_left_camera_of_opencv_s_samples() {
     let Some(sensor) = calibrate("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm") else { return };
-    expect(&sensor, 13, 0.195);
-    near(&sensor, "fx", 532.8, 1.0);
-    near(&sensor, "fy", 532.8, 1.0);
+    // OpenCV's calibrateCameraRO on the same corners: 0.073 px, fx 534.59 ± 0.21, fy 534.80 ± 0.22.
+    // Its plain fit leaves 0.159 px and takes the board's unevenness for the lens's: fx 533.66.
+    expect(&sensor, 13, 0.075);
+    near(&sensor, "fx", 534.59, 1.0);
+    near(&sensor, "fy", 534.80, 1.0);
 }
 
 #[test]
@@ -54,7 +56,10 @@ fn the_right_camera_of_opencv_s_samples() {
     let Some(sensor) = calibrate("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm") else {
         return;
     };
-    expect(&sensor, 13, 0.207);
+    // OpenCV's calibrateCameraRO on the same corners: 0.055 px, fx 537.22 ± 0.18, fy 536.98 ± 0.17.
+    expect(&sensor, 13, 0.06);
+    near(&sensor, "fx", 537.22, 1.0);
+    near(&sensor, "fy", 536.98, 1.0);
 }
 
 #[test]

@@ -76,7 +76,9 @@ fn check_all(solve: impl Fn(&Value, &Value) -> Value) {
     near(&bowed, "/board_warp_m/1", 0.0, 1e-8);
     near(&bowed, "/rms_px", 0.0, 1e-6);
     near(&bowed, "/lens/fx", 600.0, 1e-4);
-    let flat = solve(&problem(0.002), &json!({}));
+    let measured = solve(&problem(0.002), &json!({}));
+    near(&measured, "/board_warp_m/0", 0.002, 1e-9);
+    let flat = solve(&problem(0.002), &json!({"board_shape": "flat"}));
     assert!(
         flat.get("board_warp_m").is_none() && flat["rms_px"].as_f64().unwrap() > 0.01,
         "{flat}"
@@ -118,6 +120,8 @@ fn and_so_may_the_command_line() {
         for flag in ["warp", "square_pixels", "skew"] {
             arguments.extend(fields.get(flag).map(|_| format!("--{}", flag.replace('_', "-"))));
         }
+        let shape = fields.get("board_shape").and_then(Value::as_str);
+        arguments.extend(shape.map(|shape| format!("--board-shape={shape}")));
         for (name, value) in fields.get("given").and_then(Value::as_object).into_iter().flatten() {
             arguments.extend(["--given".to_owned(), format!("{name}={value}")]);
         }
