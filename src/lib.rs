@@ -18,7 +18,7 @@
 //! | [`recording`] | frames on disk | geometry, imaging |
 //! | [`capture`] | where frames come from | geometry, imaging, recording, simulation |
 //! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, detection, estimation, calibration |
-//! | [`export`] | other programs' formats | geometry, calibration, document |
+//! | [`export`] | other programs' formats | geometry, imaging, calibration, document |
 //! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | all of the above |
 //! | [`http`] | axum | geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |

@@ -1,4 +1,4 @@
-// Reads a depth correction exported by Plumb (format `depth`) and turns raw depth readings into metres.
+// Reads a depth correction exported by Plumb (format `depth`) and turns raw depth readings into meters.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -38,8 +38,8 @@ struct DepthCorrection {
     return w[2] = (-3 * t * t * t + 3 * t * t + 3 * t + 1) / 6, w[3] = t * t * t / 6, start;
   }
 
-  // Depth in metres of the reading `raw` at column u, row v; 0 where nothing was measured.
-  double metres(int u, int v, int raw) const {
+  // Depth in meters of the reading `raw` at column u, row v; 0 where nothing was measured.
+  double meters(int u, int v, int raw) const {
     double inverse = disparity ? first + second * raw : 1 / (first * raw);
     if (raw == invalid || !std::isfinite(inverse) || inverse <= 0) return 0;
     if (nodes.empty()) return 1 / inverse;

@@ -36,7 +36,7 @@ pub struct EstimatedArgs {
     /// A lens parameter that is known, as fx=600, or of a rig a whole lens that is, as
     /// left.color=calibration.json; may be given several times.
     #[arg(long, value_name = "NAME=VALUE", value_parser = given)]
-    given: Vec<Given>,
+    given: Vec<GivenArgument>,
     /// What shape the board has: as stated unless the views show otherwise (auto), as stated
     /// (flat), or estimated whatever they show (free).
     #[arg(long, value_name = "SHAPE", default_value = "auto")]
@@ -67,17 +67,17 @@ impl EstimatedArgs {
             ShutterName::Rolling => options.shutter = Shutter::Rolling,
         }
         let parameters = self.given.iter().filter_map(|given| match given {
-            Given::Parameter(name, value) => Some((name.clone(), *value)),
-            Given::Lens(_) => None,
+            GivenArgument::Parameter(name, value) => Some((name.clone(), *value)),
+            GivenArgument::Lens(_) => None,
         });
         options.given.extend(parameters);
     }
 
     /// The lenses of a rig's cameras that are known.
     pub fn lenses(&self) -> Vec<GivenLens> {
-        let lens = |given: &Given| match given {
-            Given::Parameter(..) => None,
-            Given::Lens(lens) => Some(lens.clone()),
+        let lens = |given: &GivenArgument| match given {
+            GivenArgument::Parameter(..) => None,
+            GivenArgument::Lens(lens) => Some(lens.clone()),
         };
         self.given.iter().filter_map(lens).collect()
     }
@@ -100,7 +100,7 @@ impl EstimatedArgs {
 
 /// What is known.
 #[derive(Debug, Clone, PartialEq)]
-enum Given {
+enum GivenArgument {
     /// One parameter.
     Parameter(String, f64),
     /// A lens.
@@ -119,16 +119,16 @@ pub struct GivenLens {
 }
 
 /// Reads `PARAMETER=VALUE` or `CAMERA.SENSOR=FILE`.
-fn given(text: &str) -> Result<Given, String> {
+fn given(text: &str) -> Result<GivenArgument, String> {
     let Some(((camera, sensor), file)) =
         text.split_once('=').and_then(|(name, file)| Some((name.rsplit_once('.')?, file)))
     else {
-        return parameter(text).map(|(name, value)| Given::Parameter(name, value));
+        return parameter(text).map(|(name, value)| GivenArgument::Parameter(name, value));
     };
     let kind = SensorKind::from_name(sensor)
         .ok_or_else(|| format!("`{sensor}` is no sensor; write CAMERA.SENSOR, as left.color"))?;
     let calibration = PathBuf::from(file);
-    Ok(Given::Lens(GivenLens { camera: camera.to_owned(), sensor: kind, calibration }))
+    Ok(GivenArgument::Lens(GivenLens { camera: camera.to_owned(), sensor: kind, calibration }))
 }
 
 /// Reads `NAME=VALUE`.

@@ -22,7 +22,7 @@ use crate::imaging::timestamp::{DeviceTime, HostTime};
 use crate::recording::McapWriter;
 use crate::simulation::{FrameTruth, RgbdFrame, RgbdOptions, RgbdWorld, SimulatedFrame, World};
 
-use scene::Scene;
+use scene::SceneFile;
 
 /// When the first frame of every simulated recording was taken: 2026-01-01T00:00:00Z.
 const START_UTC_NS: i64 = 1_767_225_600_000_000_000;
@@ -51,7 +51,7 @@ pub struct Args {
 /// # Errors
 /// A usage failure for a scene that cannot be; a failure when a file cannot be written.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let scene = Scene::load(args.config.as_deref(), args.seed)?;
+    let scene = SceneFile::load(args.config.as_deref(), args.seed)?;
     let truth = render(&scene, &args.out)?;
     let beside = args.out.with_extension("truth.json");
     let pretty = to_json_pretty(&truth).map_err(Failure::failed)?;
@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     output::print_line(&format!("{out}: {frames} frames, their truth in {}", beside.display()))
 }
 
-fn render(scene: &Scene, out: &Path) -> Result<TruthDocument, Failure> {
+fn render(scene: &SceneFile, out: &Path) -> Result<TruthDocument, Failure> {
     let mut writer = McapWriter::create(out, CAMERA).map_err(Failure::failed)?;
     let mut rendering = Rendering::new(scene);
     let mut frames = Vec::new();
@@ -99,7 +99,7 @@ enum Kind {
 }
 
 impl Rendering {
-    fn new(scene: &Scene) -> Self {
+    fn new(scene: &SceneFile) -> Self {
         let kind = match &scene.rgbd {
             Some(rgbd) => Kind::Rgbd(Box::new(RgbdWorld::new(rgbd))),
             None => Kind::Color(Box::new(World::new(&scene.world))),
@@ -153,7 +153,7 @@ fn frame_set(truth: &FrameTruth, frames: Vec<Frame>) -> FrameSet {
     }
 }
 
-fn truth_of(scene: &Scene, frames: Vec<TrueFrameDocument>) -> TruthDocument {
+fn truth_of(scene: &SceneFile, frames: Vec<TrueFrameDocument>) -> TruthDocument {
     let sensor = |kind: SensorKind, size: ImageSize, lens: &Lens| {
         let image_size = [size.width, size.height];
         (kind.name().to_owned(), TrueSensorDocument { image_size, lens: lens.into() })

@@ -15,7 +15,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("recording", &["geometry", "imaging"]),
     ("capture", &["geometry", "imaging", "recording", "simulation"]),
     ("document", &["geometry", "imaging", "detection", "estimation", "calibration"]),
-    ("export", &["geometry", "calibration", "document"]),
+    ("export", &["geometry", "imaging", "calibration", "document"]),
     ("store", &["geometry", "imaging", "detection", "calibration", "document"]),
     (
         "pipeline",
@@ -146,7 +146,10 @@ fn every_pose_is_named_target_from_source() {
         for (file, line, text) in lines_of(layer) {
             let code = text.split("//").next().unwrap();
             for typed in [": Pose", ": &Pose", ": Option<Pose", ": Vec<Pose", ": &[Pose"] {
-                let Some((name, _)) = code.split_once(typed) else { continue };
+                let Some((name, rest)) = code.split_once(typed) else { continue };
+                if rest.starts_with(|c: char| c.is_alphanumeric() || c == '_') {
+                    continue; // another type, whose name only begins so
+                }
                 let name = name.rsplit(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap();
                 let named = name.contains("_from_") || name == "other";
                 assert!(named, "{}:{line}: name `{name}` as target_from_source", file.display());

@@ -53,7 +53,7 @@ const SIZE: ImageSize = ImageSize::new(640, 480);
 
 /// What is rendered.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Scene {
+pub(super) struct SceneFile {
     pub world: WorldOptions,
     pub frames: u64,
     pub jpeg_quality: u8,
@@ -119,7 +119,7 @@ struct WrittenWalk {
     leaving: Option<f64>,
 }
 
-impl Scene {
+impl SceneFile {
     /// Reads the scene at `path`, or takes the default one; `seed` is louder than the file.
     pub(super) fn load(path: Option<&Path>, seed: Option<u64>) -> Result<Self, Failure> {
         let Some(path) = path else {
@@ -140,7 +140,7 @@ impl Scene {
 }
 
 impl WrittenScene {
-    fn check(&self, seed: Option<u64>) -> Result<Scene, String> {
+    fn check(&self, seed: Option<u64>) -> Result<SceneFile, String> {
         let seed = seed.or(self.seed).unwrap_or(1);
         let camera = &self.camera;
         let side = |key, given: Option<u32>, default| {
@@ -176,7 +176,7 @@ impl WrittenScene {
             .as_ref()
             .map(|depth| depth.apply(RgbdOptions::new(world.clone())))
             .transpose()?;
-        Ok(Scene { world, frames, jpeg_quality, rgbd })
+        Ok(SceneFile { world, frames, jpeg_quality, rgbd })
     }
 }
 
@@ -256,14 +256,14 @@ fn ranged(
 mod tests {
     use super::*;
 
-    fn load(text: &str) -> Result<Scene, String> {
+    fn load(text: &str) -> Result<SceneFile, String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.toml");
         std::fs::write(&path, text).unwrap();
         let line = |failure: Failure| {
             failure.line().unwrap().split_once("scene.toml").unwrap().1.to_owned()
         };
-        Scene::load(Some(&path), None).map_err(line)
+        SceneFile::load(Some(&path), None).map_err(line)
     }
 
     #[test]
@@ -275,7 +275,7 @@ mod tests {
         let text =
             toml.iter().map(|line| line.trim_start_matches("//!")).collect::<Vec<_>>().join("\n");
         let scene = load(&text).unwrap();
-        let defaults = Scene::load(None, None).unwrap();
+        let defaults = SceneFile::load(None, None).unwrap();
         assert_eq!(scene.world.walk, defaults.world.walk);
         let sensor = crate::simulation::PictureSensor {
             lens: defaults.world.sensor.lens,

@@ -9,7 +9,7 @@ const ROOM: usize = 12;
 const LANES: usize = 4;
 
 /// Sums of products of columns with each other; the upper triangle is used.
-pub(super) type Products = [[f64; ROOM]; COLUMNS];
+pub(super) type RowProducts = [[f64; ROOM]; COLUMNS];
 
 /// The solution of the normal equations.
 #[derive(Debug, Clone, Copy)]
@@ -25,13 +25,13 @@ pub(super) struct Solved {
 /// Solves the equations that make `products`' last column as small as the others can, their
 /// diagonal first made larger by the fraction `damping`; `None` unless they determine every
 /// unknown.
-pub(super) fn solve(products: &Products, damping: f64) -> Option<Solved> {
+pub(super) fn solve(products: &RowProducts, damping: f64) -> Option<Solved> {
     pulp::Arch::new().dispatch(Elimination { products, damping })
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
 struct Elimination<'a> {
-    products: &'a Products,
+    products: &'a RowProducts,
     damping: f64,
 }
 
@@ -78,7 +78,7 @@ impl pulp::NullaryFnOnce for Elimination<'_> {
 /// diagonal remains. `K` is a constant, so that rows stay in registers from one to the next.
 #[inline(always)]
 fn eliminate<const K: usize>(
-    rows: &mut Products,
+    rows: &mut RowProducts,
     inverse: &mut [f64; UNKNOWNS],
     least: &[f64; UNKNOWNS],
 ) -> Option<()> {
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     /// Columns of a hundred samples, in no order that repeats.
-    fn products() -> Products {
+    fn products() -> RowProducts {
         let mut products = [[0.0; ROOM]; COLUMNS];
         for i in 0..100 {
             let at = |k: usize| (f64::from(i) * (0.7 + 0.31 * k as f64) + (k * k) as f64).sin();
@@ -117,7 +117,7 @@ mod tests {
         products
     }
 
-    fn of(products: &Products, row: usize, col: usize) -> f64 {
+    fn of(products: &RowProducts, row: usize, col: usize) -> f64 {
         products[row.min(col)][row.max(col)]
     }
 

@@ -4,7 +4,7 @@
 use pulp::{Simd, WithSimd};
 
 use crate::detection::refine::corner_model::{CornerModel, UNKNOWNS};
-use crate::detection::refine::elimination::{COLUMNS, Products};
+use crate::detection::refine::elimination::{COLUMNS, RowProducts};
 use crate::detection::refine::gaussian::edge_profile;
 use crate::detection::refine::samples::Samples;
 
@@ -52,7 +52,7 @@ impl Noise {
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct CornerEquations {
     /// Sums of products of the derivatives and the residual (measured minus modeled).
-    pub products: Products,
+    pub products: RowProducts,
     /// The residuals.
     pub residuals: Residuals,
 }
@@ -313,7 +313,7 @@ fn block<S: Simd, const R: usize, const C: usize>(
     columns: &[f32],
     length: usize,
     first: [usize; 2],
-    products: &mut Products,
+    products: &mut RowProducts,
 ) {
     let (a, b) =
         (vectors::<S, R>(columns, length, first[0]), vectors::<S, C>(columns, length, first[1]));
@@ -339,7 +339,7 @@ fn triangle<S: Simd, const N: usize>(
     columns: &[f32],
     length: usize,
     first: usize,
-    products: &mut Products,
+    products: &mut RowProducts,
 ) {
     let a = vectors::<S, N>(columns, length, first);
     let mut sums = [[simd.splat_f32s(0.0); N]; N];

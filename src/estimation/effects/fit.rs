@@ -92,7 +92,7 @@ pub(crate) fn fit_effects(
         limit: plain.robust.limit,
     };
     let mut good = plain.good_views();
-    let mut walk: Option<Walk> = None;
+    let mut walk: Option<EffectSearch> = None;
     for _ in 0..MAX_ROUNDS {
         if good.len() < MIN_VIEWS {
             return None;
@@ -102,7 +102,7 @@ pub(crate) fn fit_effects(
             Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
         let mut next = match walk.take() {
             Some(walk) => walk.again(scene)?,
-            None => Walk::start(scene, plain.robust.minimum.state.clone(), wanted)?,
+            None => EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted)?,
         };
         next.settle(scene, FIRST_STEPS)?;
         while next.drop_idle(scene, wanted)? {
@@ -113,7 +113,7 @@ pub(crate) fn fit_effects(
         }
         if !wanted.motion_for_certain && next.moves() && next.is_no_shutter(scene, width)? {
             let wanted = Wanted { motion: false, ..wanted };
-            next = Walk::start(scene, plain.robust.minimum.state.clone(), wanted)?;
+            next = EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted)?;
             if next.variances.0.is_empty() {
                 return None;
             }
@@ -163,7 +163,7 @@ fn pose_covariances(
     all
 }
 
-struct Walk {
+struct EffectSearch {
     state: EffectsState,
     system: System,
     variances: Variances,
@@ -171,7 +171,7 @@ struct Walk {
     gains: Vec<f64>,
 }
 
-impl Walk {
+impl EffectSearch {
     fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
         if wanted.shape {

@@ -15,7 +15,7 @@ pub(crate) struct NormalEquations {
     pub(crate) cost: f64,
     pub(crate) global: DMatrix<f64>,
     pub(crate) global_gradient: DVector<f64>,
-    pub(crate) frame_sets: Vec<PoseBlock>,
+    pub(crate) frame_sets: Vec<LocalBlock>,
     /// Global × frame sets: row `frame_set * global parameters + k` couples global parameter k with
     /// that frame set's pose.
     pub(crate) coupling: Vec<[f64; 6]>,
@@ -27,7 +27,7 @@ pub(crate) struct NormalEquations {
 
 /// The part of one frame set.
 #[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct PoseBlock {
+pub(crate) struct LocalBlock {
     pub(crate) hessian: [[f64; 6]; 6],
     pub(crate) gradient: [f64; 6],
 }
@@ -85,7 +85,7 @@ impl NormalEquations {
             cost: 0.0,
             global: DMatrix::zeros(global, global),
             global_gradient: DVector::zeros(global),
-            frame_sets: vec![PoseBlock::default(); frame_sets],
+            frame_sets: vec![LocalBlock::default(); frame_sets],
             coupling: vec![[0.0; 6]; frame_sets * global],
             residuals: Vec::new(),
             apart: Vec::new(),

@@ -14,7 +14,7 @@ use crate::estimation::robust::{Loss, median};
 use crate::geometry::pose::Pose;
 
 /// The answer of the corners: sensor 0 is color and the rig, sensor 1 infrared and depth.
-pub(super) struct Corners {
+pub(super) struct CornerBlocks {
     pub(super) layout: Layout,
     pub(super) state: State,
     /// The same with each board where it was when infrared and depth were taken.
@@ -29,7 +29,7 @@ pub(super) struct Corners {
     pub(super) apart: Vec<usize>,
 }
 
-/// Corners further off than this many standard deviations take no part.
+/// CornerBlocks further off than this many standard deviations take no part.
 const CORNER_LIMIT: f64 = 5.0;
 
 /// Infrared pictures whose board is further from color's than this, as a χ² of six, are of another
@@ -60,7 +60,7 @@ struct Problem {
     noise: f64,
 }
 
-impl Corners {
+impl CornerBlocks {
     /// Two ways where the board's motion is known: each board moved on to when infrared was taken,
     /// or taken as it was for views in which it stood still, the others left out. The one that
     /// knows the sensors' pose better is right: velocities can be wrong where frames are far apart,

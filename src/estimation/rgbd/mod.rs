@@ -21,7 +21,7 @@ use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection, ch
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::FreeLens;
 use crate::estimation::problem::Correspondence;
-use crate::estimation::rgbd::corners::Corners;
+use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::planes::Planes;
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
@@ -133,7 +133,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
             rejected: String::new(),
         });
     }
-    let corners = Corners::fit(problem).ok_or(EstimationError::NoFit)?;
+    let corners = CornerBlocks::fit(problem).ok_or(EstimationError::NoFit)?;
     let mut planes = Planes::of(problem, &corners);
     let size = problem.depth.image_size;
     let quantity = problem.corrected.first().copied().unwrap_or(CorrectedQuantity::InverseDepth);

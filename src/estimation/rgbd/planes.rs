@@ -9,9 +9,9 @@ use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrect
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes, ray};
 use crate::estimation::joint::minimize::{Stop, walk};
-use crate::estimation::joint::normal::{NormalEquations, PoseBlock, Step};
+use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
-use crate::estimation::rgbd::corners::Corners;
+use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
 use crate::estimation::robust::median;
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
@@ -72,7 +72,7 @@ impl Fit {
 const FORM_LIMIT: f64 = 3.0;
 
 impl<'a> Planes<'a> {
-    pub(super) fn of(problem: &'a RgbdProblem, corners: &Corners) -> Self {
+    pub(super) fn of(problem: &'a RgbdProblem, corners: &CornerBlocks) -> Self {
         let known = |lens: &Lens| free(lens, 0);
         let depth_lens = &corners.state.lenses[1];
         let color = SensorLayout { lens: known(&problem.color), lens_at: 0, pose_at: None };
@@ -105,7 +105,7 @@ impl<'a> Planes<'a> {
                 tiles,
             }
         });
-        let anchor = |(pose, block): (&Pose, &PoseBlock)| Anchor {
+        let anchor = |(pose, block): (&Pose, &LocalBlock)| Anchor {
             rig_from_board: *pose,
             square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
         };
@@ -269,7 +269,7 @@ impl<'a> Planes<'a> {
     /// The covariance of lens and pose by planes: by the tiles' scatter, and by that of the
     /// corners' answer, which moves all planes of a view together and, through color's lens, those
     /// of all views.
-    fn covariance(&self, corners: &Corners, fit: &Fit) -> Option<DMatrix<f64>> {
+    fn covariance(&self, corners: &CornerBlocks, fit: &Fit) -> Option<DMatrix<f64>> {
         let own = fit.equations.global_covariance()? * (fit.together * fit.together);
         let size = own.nrows();
         let mut by_lens = DMatrix::zeros(size, corners.covariance.nrows());
@@ -320,7 +320,7 @@ impl<'a> Planes<'a> {
 
     pub(super) fn assemble(
         &self,
-        corners: &Corners,
+        corners: &CornerBlocks,
         (fit, other): (&Fit, Option<&Fit>),
         (smoothness, tried): (Smoothness, Vec<TriedCorrection>),
     ) -> Result<RgbdEstimate, EstimationError> {
@@ -406,7 +406,7 @@ fn linearized(
 
 impl Anchor {
     /// Adds the corners' equations about their own answer.
-    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut PoseBlock) {
+    fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
         let turn =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
         let shift = rig_from_board.translation() - self.rig_from_board.translation();

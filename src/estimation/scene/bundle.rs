@@ -69,7 +69,7 @@ pub(super) struct Row {
 }
 
 /// The normal equations of lens and poses, points eliminated.
-pub(super) struct Reduced {
+pub(super) struct ReducedCameraSystem {
     pub matrix: DMatrix<f64>,
     pub gradient: DVector<f64>,
     /// Per point, what gives its step back.
@@ -174,7 +174,7 @@ impl Bundle {
     }
 
     /// The reduced normal equations at `state`, diagonals raised by the part `damping`.
-    pub(super) fn reduced(&self, state: &SceneState, damping: f64) -> Reduced {
+    pub(super) fn reduced(&self, state: &SceneState, damping: f64) -> ReducedCameraSystem {
         let size = self.size(state.cameras_from_scene.len());
         let lens = self.free.len();
         let (mut matrix, mut gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
@@ -218,7 +218,7 @@ impl Bundle {
             matrix[(k, k)] *= 1.0 + damping;
         }
         matrix.fill_upper_triangle_with_lower_triangle();
-        Reduced { matrix, gradient, points }
+        ReducedCameraSystem { matrix, gradient, points }
     }
 
     fn add_prior(&self, lens: &Lens, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
@@ -261,7 +261,7 @@ impl Bundle {
         state
     }
 
-    fn step(&self, state: &SceneState, reduced: &Reduced) -> Option<SceneState> {
+    fn step(&self, state: &SceneState, reduced: &ReducedCameraSystem) -> Option<SceneState> {
         let step = -reduced.matrix.clone().cholesky()?.solve(&reduced.gradient);
         let mut parameters = state.lens.parameters();
         for (k, parameter) in self.free.iter().enumerate() {
