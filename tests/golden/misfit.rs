@@ -112,10 +112,14 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
             }
         }
         let solved = solve_views(&problem, &brown()).unwrap();
+        assert!(says(&solved, "board uneven by 0.2"), "seed {seed}: {:?}", solved.verdict);
+        let shape = solved.estimate.board_shape.as_ref().unwrap();
+        let off = (shape.unevenness_m - 0.2205e-3) / shape.unevenness_std_m;
         assert!(
-            says(&solved, "uneven by 0.21") || says(&solved, "uneven by 0.22"),
-            "seed {seed}: {:?}",
-            solved.verdict
+            off.abs() < 4.0 && shape.unevenness_std_m < 0.02e-3,
+            "seed {seed}: {} ± {} m",
+            shape.unevenness_m,
+            shape.unevenness_std_m
         );
         assert!(!says(&solved, "rolling shutter"), "seed {seed}: {:?}", solved.verdict);
     }

@@ -16,6 +16,11 @@ pub(super) const MAX_DEGREE: usize = 9;
 /// Up to this degree where only whether there is a shape is asked.
 const ROUGH_DEGREE: usize = 5;
 
+/// Up to this many points each has an offset of its own. Two unknowns a point make the equations
+/// dense, and the time grows with the cube: at 15 views 140 points double the time of the solve,
+/// 300 take six times as long. Of more points the smooth shape alone is estimated.
+const MAX_OWN: usize = 150;
+
 /// A polynomial that those before it explain but for this part of its square is none on this grid.
 const LEAST_REST: f64 = 1e-4;
 
@@ -42,7 +47,8 @@ pub(crate) struct BoardBasis {
 
 impl BoardBasis {
     /// `None` where the points do not lie on one plane z = const, or are too few.
-    pub(crate) fn of(observations: &[BoardObservation], has_own: bool) -> Option<Self> {
+    /// `in_detail` in place of whether there is a shape at all.
+    pub(crate) fn of(observations: &[BoardObservation], in_detail: bool) -> Option<Self> {
         let all = || observations.iter().flat_map(|observation| &observation.points);
         let z = all().next()?.z;
         let half_extent =
@@ -63,7 +69,8 @@ impl BoardBasis {
         let points: Vec<Point3<f64>> = keys.iter().map(|(_, point)| *point).collect();
         let normalized: Vec<[f64; 2]> =
             points.iter().map(|p| [p.x / half_extent[0], p.y / half_extent[1]]).collect();
-        let heights = heights(&normalized, if has_own { MAX_DEGREE } else { ROUGH_DEGREE });
+        let heights = heights(&normalized, if in_detail { MAX_DEGREE } else { ROUGH_DEGREE });
+        let has_own = in_detail && points.len() <= MAX_OWN;
         let mean_square = |of: &dyn Fn(&Point3<f64>) -> f64| {
             (points.iter().map(|p| of(p).powi(2)).sum::<f64>() / points.len() as f64).sqrt()
         };
@@ -118,6 +125,19 @@ impl BoardBasis {
             offset.y += own[1];
         }
         offsets
+    }
+
+    /// What [`Self::offsets`] of each coefficient have in common with `offsets`: Bᵀ o.
+    pub(super) fn projections(&self, offsets: &[nalgebra::Vector3<f64>]) -> Vec<f64> {
+        let heights = self
+            .heights
+            .iter()
+            .map(|(_, height)| height.iter().zip(offsets).map(|(h, o)| h * o.z).sum());
+        let stretches = self.stretches.iter().map(|stretch| {
+            stretch.iter().zip(offsets).map(|([x, y], o)| x * o.x + y * o.y).sum::<f64>()
+        });
+        let own = offsets.iter().filter(|_| self.has_own).flat_map(|o| [o.x, o.y]);
+        heights.chain(stretches).chain(own).collect()
     }
 }
 

@@ -176,7 +176,8 @@ impl EffectSearch {
         let mut effects: Vec<Effect> = Vec::new();
         if wanted.shape {
             effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
-            effects.extend([Effect::Stretch, Effect::Own]);
+            effects.push(Effect::Stretch);
+            effects.extend(scene.basis.has_own.then_some(Effect::Own));
         }
         if wanted.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);

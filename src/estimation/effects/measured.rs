@@ -1,7 +1,7 @@
 //! What a solve found out of the board and of the shutter, in meters, for people and for the next
 //! solve.
 
-use nalgebra::{DMatrix, Point3, Vector3};
+use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::estimation::effects::fit::EffectsFit;
 
@@ -52,12 +52,14 @@ impl MeasuredBoard {
         let count = offsets.len() as f64;
         let mean_square = offsets.iter().map(Vector3::norm_squared).sum::<f64>() / count;
         let unevenness_m = mean_square.sqrt();
-        let spread: f64 =
-            offsets.iter().zip(&std_m).map(|(o, s)| o.component_mul(s).norm_squared()).sum();
+        // Neighboring points err together: by the covariance of the coefficients, d rms = oᵀ B dc /
+        // (n rms). The offsets have no rigid part already.
+        let pull = DVector::from_vec(basis.projections(&offsets));
+        let variance = pull.dot(&(&effects.shape_covariance * &pull)).max(0.0);
         let bow_m = bow_m(&basis.points, basis.half_extent, &offsets);
         Some(Self {
             points: basis.points.iter().map(|point| point + center).collect(),
-            unevenness_std_m: spread.sqrt() / (count * unevenness_m).max(f64::MIN_POSITIVE),
+            unevenness_std_m: variance.sqrt() / (count * unevenness_m).max(f64::MIN_POSITIVE),
             offsets_m: offsets,
             std_m,
             unevenness_m,
@@ -103,34 +105,47 @@ fn rigid_and_scale(points: &[Point3<f64>]) -> DMatrix<f64> {
 /// Per point and axis; in the plane without what a rigid motion and a scale do.
 fn standard_deviations(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<Vector3<f64>> {
     let (basis, covariance) = (&effects.basis, &effects.shape_covariance);
-    let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
-    let count = basis.points.len();
-    let mut in_plane = covariance.view((smooth, smooth), (2 * count, 2 * count)).into_owned();
-    let stretches = DMatrix::from_fn(2 * count, smooth - heights, |row, column| {
-        basis.stretches[column][row / 2][row % 2]
-    });
-    let own = covariance.view((heights, heights), (smooth - heights, smooth - heights));
-    let cross = covariance.view((smooth, heights), (2 * count, smooth - heights));
-    let crossed = &cross * stretches.transpose();
-    in_plane += &stretches * own * stretches.transpose() + &crossed + crossed.transpose();
-    let carried = rigid.transpose() * &in_plane;
-    let inner = &carried * rigid;
+    let (heights, count) = (basis.heights.len(), basis.points.len());
+    let planar = planar_variances(effects, rigid);
     let out_of_plane = covariance.view((0, 0), (heights, heights));
     let values = DMatrix::from_fn(count, heights, |point, k| basis.heights[k].1[point]);
     let height = &values * out_of_plane;
     (0..count)
         .map(|point| {
-            let planar = |axis: usize| {
-                let k = 2 * point + axis;
-                let row = rigid.row(k);
-                let removed = 2.0 * (row * carried.column(k))[0];
-                let kept = (row * &inner * row.transpose())[0];
-                (in_plane[(k, k)] - removed + kept).max(0.0).sqrt()
-            };
-            let z = height.row(point).dot(&values.row(point)).max(0.0).sqrt();
-            Vector3::new(planar(0), planar(1), z)
+            let z = height.row(point).dot(&values.row(point));
+            let variances = Vector3::new(planar[2 * point], planar[2 * point + 1], z);
+            variances.map(|variance| variance.max(0.0).sqrt())
         })
         .collect()
+}
+
+/// Of x and y of each point. The dense covariance of all of them is only made where each has an
+/// offset of its own, which is where they are few.
+fn planar_variances(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<f64> {
+    let (basis, covariance) = (&effects.basis, &effects.shape_covariance);
+    let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
+    let size = 2 * basis.points.len();
+    let stretches = DMatrix::from_fn(size, smooth - heights, |row, column| {
+        basis.stretches[column][row / 2][row % 2]
+    });
+    let common = covariance.view((heights, heights), (smooth - heights, smooth - heights));
+    if !basis.has_own {
+        let rest = &stretches - rigid * (rigid.transpose() * &stretches);
+        let carried = &rest * common;
+        return (0..size).map(|k| carried.row(k).dot(&rest.row(k))).collect();
+    }
+    let cross = covariance.view((smooth, heights), (size, smooth - heights));
+    let crossed = &cross * stretches.transpose();
+    let mut in_plane = covariance.view((smooth, smooth), (size, size)).into_owned();
+    in_plane += &stretches * common * stretches.transpose() + &crossed + crossed.transpose();
+    let carried = rigid.transpose() * &in_plane;
+    let inner = &carried * rigid;
+    let variance = |k: usize| {
+        let row = rigid.row(k);
+        let removed = 2.0 * (row * carried.column(k))[0];
+        in_plane[(k, k)] - removed + (row * &inner * row.transpose())[0]
+    };
+    (0..size).map(variance).collect()
 }
 
 /// The parabolas 1 − (x / half extent)² and 1 − (y / half extent)² that fit the heights best beside
