@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on ends by panicking")]
 
+mod autocalibrate;
 mod bad_input;
 mod cli;
 mod config_examples;

@@ -1,5 +1,7 @@
 //! The fit of one lens model to a reconstruction, and which model the images call for.
 
+use nalgebra::{DMatrix, DVector};
+
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::bundle::{Bundle, BundleStop};
@@ -64,10 +66,13 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
         return Err(refusal);
     };
     let bundle = &closest.fit.bundle;
-    let factor = closest.covariance.shared_by_image.max(closest.covariance.shared_by_point);
+    let factor = closest.covariance.shared;
     let costs: Vec<f64> = fits
         .iter()
         .map(|fit| {
+            if std::ptr::eq(fit, closest) {
+                return bundle.cost(&closest.fit.state) / factor;
+            }
             let mut state = closest.fit.state.clone();
             state.lens = fit.fit.state.lens;
             let own = Bundle { free: fit.fit.bundle.free.clone(), ..bundle.clone() };
@@ -83,7 +88,32 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
         })
     };
     let chosen = (0..fits.len()).find(|k| !is_beaten(*k)).unwrap_or(0);
-    Ok(fits.swap_remove(chosen))
+    let spread = between_models(&fits, &costs, chosen);
+    let mut fit = fits.swap_remove(chosen);
+    fit.covariance.matrix += spread;
+    Ok(fit)
+}
+
+/// What the choice between models adds to the covariance of the chosen one's camera matrix: the
+/// squared differences to the other models by their Akaike weights (K. Burnham and D. Anderson,
+/// *Multimodel inference*, 2004, equation 4). Coefficients of different models are not compared.
+fn between_models(fits: &[LensFit], costs: &[f64], chosen: usize) -> DMatrix<f64> {
+    let criterion = |k: usize| costs[k] + 2.0 * fits[k].fit.bundle.free.len() as f64;
+    let least = (0..fits.len()).map(criterion).fold(f64::INFINITY, f64::min);
+    let likelihood = |k: usize| (-0.5 * (criterion(k) - least)).exp();
+    let sum: f64 = (0..fits.len()).map(likelihood).sum();
+    let free = &fits[chosen].fit.bundle.free;
+    let own = fits[chosen].fit.state.lens.parameters();
+    let mut spread = DMatrix::zeros(free.len(), free.len());
+    for (k, fit) in fits.iter().enumerate() {
+        let other = fit.fit.state.lens.parameters();
+        let difference = DVector::from_iterator(
+            free.len(),
+            free.iter().map(|p| if *p < COEFFICIENTS { other[*p] - own[*p] } else { 0.0 }),
+        );
+        spread += &difference * difference.transpose() * (likelihood(k) / sum);
+    }
+    spread
 }
 
 /// Fits `model`, all parameters but skew and the `given` ones free.

@@ -319,9 +319,8 @@ const HELD: f64 = 0.67;
 fn held_by_prior(lens: &Lens, fit: &LensFit) -> Vec<&'static str> {
     let (model, bundle) = (lens.model(), &fit.fit.bundle);
     let (names, before) = (Lens::parameter_names(model), bundle.prior.std(model));
-    let shared = fit.covariance.shared_by_image.max(fit.covariance.shared_by_point);
     let held = bundle.free.iter().enumerate().filter(|(k, parameter)| {
-        let after = (fit.covariance.matrix[(*k, *k)] / shared).sqrt();
+        let after = fit.covariance.independent[(*k, *k)].sqrt();
         after > HELD * before[**parameter]
     });
     held.map(|(_, parameter)| names[*parameter]).collect()

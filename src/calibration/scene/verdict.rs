@@ -124,8 +124,7 @@ fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
 }
 
 fn shared_error(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
-    let covariance = &evidence.fit.covariance;
-    let factor = covariance.shared_by_image.max(covariance.shared_by_point).sqrt();
+    let factor = evidence.fit.covariance.shared.sqrt();
     worse_than_good(
         graded(factor, SHARED),
         format!(

@@ -62,6 +62,7 @@ pub enum CameraMotion {
 /// A linearized observation, in standard deviations.
 pub(super) struct Row {
     pub camera: usize,
+    pub pixel: Pixel,
     pub residual: Vector2<f64>,
     pub by_lens: SMatrix<f64, 2, MAX_PARAMETERS>,
     pub by_pose: Matrix2x6<f64>,
@@ -131,6 +132,7 @@ impl Bundle {
             }
             Some(Row {
                 camera: seen.camera,
+                pixel: seen.pixel,
                 residual: residual * weight,
                 by_lens,
                 by_pose,
@@ -197,11 +199,7 @@ impl Bundle {
             for k in 0..3 {
                 block[(k, k)] *= 1.0 + damping;
             }
-            if self.motion == CameraMotion::RotationOnly {
-                // A direction's length means nothing: hold it.
-                let along = state.points[point].coords;
-                block += along * along.transpose() * block.trace();
-            }
+            block += self.held_length(&block, &state.points[point]);
             let inverse = block.try_inverse().unwrap_or_else(Matrix3::zeros);
             let eliminated =
                 EliminatedPoint { inverse, gradient: point_gradient, by_lens, by_pose };
@@ -219,6 +217,14 @@ impl Bundle {
         }
         matrix.fill_upper_triangle_with_lower_triangle();
         ReducedCameraSystem { matrix, gradient, points }
+    }
+
+    /// What holds the length of a direction, which means nothing, in its normal equations.
+    pub(super) fn held_length(&self, block: &Matrix3<f64>, point: &Point3<f64>) -> Matrix3<f64> {
+        if self.motion == CameraMotion::Moving {
+            return Matrix3::zeros();
+        }
+        point.coords * point.coords.transpose() * block.trace()
     }
 
     fn add_prior(&self, lens: &Lens, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {

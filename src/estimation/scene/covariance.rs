@@ -1,43 +1,56 @@
 //! How well the images determine the lens: the covariance of the lens from that of everything, and
-//! whether observations of one image, or of one region of an image, err together.
+//! whether observations of one image, of one scene point, or of one region of all images, err
+//! together.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, SMatrix};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, SymmetricEigen};
 
 use crate::estimation::scene::bundle::{Bundle, CameraMotion, Row, SceneState};
-use crate::geometry::lens::MAX_PARAMETERS;
+use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// What is known of the lens.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LensCovariance {
     /// Of the free parameters, in their order, in squared pixels and so on; with everything below.
     pub matrix: DMatrix<f64>,
-    /// The factor on the variances because observations of one image err together, 1 or more.
-    pub shared_by_image: f64,
-    /// The factor because the observations of one scene point err together, 1 or more.
-    pub shared_by_point: f64,
+    /// What it is if each observation errs by itself.
+    pub independent: DMatrix<f64>,
+    /// The factor on the variances because observations err together, the mean over all directions,
+    /// 1 or more.
+    pub shared: f64,
 }
 
 /// The covariance of the lens at the minimum `state` of `bundle`, whose observations have their true
 /// standard deviations; `None` where something is not determined at all.
+///
+/// Observations err together by image (motion blur, rolling shutter), by scene point (a wrong match)
+/// and by region of the image (what the lens model does not follow): the clustered covariance of
+/// K.-Y. Liang and S. L. Zeger, 1986, each way, the excesses added (A. C. Cameron, J. Gelbach and
+/// D. Miller, *Robust inference with multiway clustering*, 2011).
 pub fn lens_covariance(bundle: &Bundle, state: &SceneState) -> Option<LensCovariance> {
     let reduced = bundle.reduced(state, 0.0);
     let kept = kept_parameters(bundle, state);
     let matrix = reduced.matrix.select_rows(&kept).select_columns(&kept);
     let covariance = matrix.cholesky()?.inverse();
     let lens = bundle.free.len();
-    let own = covariance.view((0, 0), (lens, lens)).into_owned();
-    if own.iter().any(|v| !v.is_finite()) || (0..lens).any(|k| own[(k, k)] <= 0.0) {
+    let independent = covariance.view((0, 0), (lens, lens)).into_owned();
+    let positive = (0..lens).all(|k| independent[(k, k)] > 0.0);
+    if !positive || independent.iter().any(|v| !v.is_finite()) {
         return None;
     }
-    let pulls = Pulls {
-        covariance: covariance.rows(0, lens).into_owned(),
-        own: own.clone().cholesky()?.inverse(),
-    };
-    let scores = Scores::of(bundle, state, &kept);
-    let shared_by_image = pulls.factor(&scores.by_image);
-    let shared_by_point = pulls.factor(&scores.by_group);
-    let matrix = own * shared_by_image.max(shared_by_point);
-    Some(LensCovariance { matrix, shared_by_image, shared_by_point })
+    if lens == 0 {
+        return Some(LensCovariance { matrix: independent.clone(), independent, shared: 1.0 });
+    }
+    let root = independent.clone().cholesky()?.l();
+    let whitening = root.clone().try_inverse()?;
+    let mut steps = DMatrix::zeros(bundle.size(state.cameras_from_scene.len()), lens);
+    let whitened = covariance.columns(0, lens) * whitening.transpose();
+    for (row, place) in kept.iter().enumerate() {
+        steps.row_mut(*place).copy_from(&whitened.row(row));
+    }
+    let inflation = Clusters::of(bundle, state, &steps).inflation();
+    let shared = inflation.trace() / lens as f64;
+    let matrix = &root * inflation * root.transpose();
+    Some(LensCovariance { matrix, independent, shared })
 }
 
 /// All parameters but one that fixes the scene's scale: the longest coordinate of the translation
@@ -59,116 +72,153 @@ fn kept_parameters(bundle: &Bundle, state: &SceneState) -> Vec<usize> {
     (0..size).filter(|k| Some(*k) != fixed).collect()
 }
 
-/// The pull of a group of observations on all parameters, points eliminated, and the covariance it
-/// has if they err by themselves.
-struct Score {
+/// What a cluster of observations does to the lens, in standard deviations of the lens: its pull,
+/// and the covariance that the pull has if observations err by themselves.
+#[derive(Clone)]
+struct Cluster {
     pull: DVector<f64>,
-    information: DMatrix<f64>,
+    expected: DMatrix<f64>,
 }
 
-struct Scores {
-    by_image: Vec<Score>,
-    by_group: Vec<Score>,
+/// Three ways to cluster the same observations.
+struct Clusters {
+    by_image: Vec<Cluster>,
+    by_point: Vec<Cluster>,
+    by_region: Vec<Cluster>,
 }
 
-/// Points are dealt into this many groups: few enough that a group's information is worth its
-/// memory, many enough to tell what they differ by.
-const GROUPS: usize = 24;
+/// Points are dealt into this many clusters: many enough to estimate what they differ by.
+const POINT_CLUSTERS: usize = 24;
 
-impl Scores {
-    fn of(bundle: &Bundle, state: &SceneState, kept: &[usize]) -> Self {
-        let size = bundle.size(state.cameras_from_scene.len());
-        let cameras = state.cameras_from_scene.len();
-        let empty = || (DVector::zeros(size), DMatrix::zeros(size, size));
-        let mut by_image: Vec<_> = (0..cameras).map(|_| empty()).collect();
-        let mut by_group: Vec<_> = (0..GROUPS).map(|_| empty()).collect();
+/// Regions along each side of the image: a lens model's misfit changes over lengths like these.
+const REGIONS: usize = 4;
+
+impl Clusters {
+    /// `steps`: whitened lens parameters by pull on all parameters.
+    fn of(bundle: &Bundle, state: &SceneState, steps: &DMatrix<f64>) -> Self {
+        let lens = steps.ncols();
+        let empty = Cluster { pull: DVector::zeros(lens), expected: DMatrix::zeros(lens, lens) };
+        let mut clusters = Self {
+            by_image: vec![empty.clone(); state.cameras_from_scene.len()],
+            by_point: vec![empty.clone(); POINT_CLUSTERS],
+            by_region: vec![empty; REGIONS * REGIONS],
+        };
         for point in 0..state.points.len() {
             let rows = bundle.rows(state, point);
-            let Some(projected) = Projected::of(bundle, &rows, size) else { continue };
-            for (row, (jacobian, leverage)) in rows.iter().zip(&projected.rows) {
-                let information = jacobian.tr_mul(&(leverage * jacobian));
-                let pull = jacobian.tr_mul(&row.residual);
-                let image = &mut by_image[row.camera];
-                image.0 += &pull;
-                image.1 += &information;
-                let group = &mut by_group[point % GROUPS];
-                group.0 += pull;
-                group.1 += information;
+            let Some(influences) = influences(bundle, state, (point, &rows), steps) else {
+                continue;
+            };
+            for (row, Influence { by_residual, kept }) in rows.iter().zip(&influences) {
+                let pull = by_residual.tr_mul(&row.residual);
+                let expected = by_residual.tr_mul(&(kept * by_residual));
+                clusters.by_image[row.camera].add(&pull, &expected);
+                let region = region(row.pixel, bundle.prior.image_size);
+                clusters.by_region[region].add(&pull, &expected);
+                // All rows of a point together: their residuals' covariance is a projection.
+                let whole = by_residual.tr_mul(by_residual);
+                clusters.by_point[point % POINT_CLUSTERS].add(&pull, &whole);
             }
         }
-        let score = |(pull, information): (DVector<f64>, DMatrix<f64>)| Score {
-            pull: pull.select_rows(kept),
-            information: information.select_rows(kept).select_columns(kept),
-        };
-        Self {
-            by_image: by_image.into_iter().map(score).collect(),
-            by_group: by_group.into_iter().map(score).collect(),
+        clusters
+    }
+
+    /// The covariance of the whitened lens parameters: the identity where all observations err by
+    /// themselves.
+    fn inflation(&self) -> DMatrix<f64> {
+        let lens = self.by_point[0].pull.len();
+        let identity = DMatrix::<f64>::identity(lens, lens);
+        let mut total = identity.clone();
+        for clusters in [&self.by_image, &self.by_point, &self.by_region] {
+            total += clustered(clusters) - &identity;
         }
+        let mut eigen = SymmetricEigen::new(total);
+        eigen.eigenvalues.iter_mut().for_each(|value| *value = value.max(1.0));
+        eigen.recompose()
     }
 }
 
-/// The rows of one point with the point eliminated.
-struct Projected {
-    /// By all parameters, and I − Jp V⁻¹ Jpᵀ: the part of a residual that the point leaves.
-    rows: Vec<(DMatrix<f64>, Matrix2<f64>)>,
-}
-
-impl Projected {
-    fn of(bundle: &Bundle, rows: &[Row], size: usize) -> Option<Self> {
-        let mut block = Matrix3::zeros();
-        for row in rows {
-            block += row.by_point.tr_mul(&row.by_point);
-        }
-        let inverse = block.try_inverse()?;
-        let lens = bundle.free.len();
-        let mut by_lens = SMatrix::<f64, 3, MAX_PARAMETERS>::zeros();
-        for row in rows {
-            by_lens += row.by_point.tr_mul(&row.by_lens);
-        }
-        let projected = |row: &Row| {
-            let mut jacobian = DMatrix::zeros(2, size);
-            let own = row.by_lens - row.by_point * inverse * by_lens;
-            jacobian.view_mut((0, 0), (2, lens)).copy_from(&own.columns(0, lens));
-            for other in rows {
-                let Some(start) = bundle.pose_start(other.camera) else { continue };
-                let carried = row.by_point * inverse * other.by_point.tr_mul(&other.by_pose);
-                let mut view = jacobian.fixed_view_mut::<2, 6>(0, start);
-                view -= carried;
-                if other.camera == row.camera {
-                    view += row.by_pose;
-                }
-            }
-            let taken = row.by_point * inverse * row.by_point.transpose();
-            (jacobian, Matrix2::identity() - taken)
-        };
-        Some(Self { rows: rows.iter().map(projected).collect() })
+impl Cluster {
+    fn add(&mut self, pull: &DVector<f64>, expected: &DMatrix<f64>) {
+        self.pull += pull;
+        self.expected += expected;
     }
 }
 
-/// What scores do to the lens, in units of its own covariance.
-struct Pulls {
-    /// The lens's rows of the covariance of everything.
-    covariance: DMatrix<f64>,
-    /// The inverse of the lens's own covariance.
-    own: DMatrix<f64>,
+/// The clustered covariance over the expected one, in the frame of whitened parameters. Few
+/// clusters say little of single directions: the matrix is drawn towards its mean by the part that
+/// the number of parameters has of parameters and clusters.
+fn clustered(clusters: &[Cluster]) -> DMatrix<f64> {
+    let lens = clusters[0].pull.len();
+    let used = clusters.iter().filter(|cluster| cluster.expected.trace() > 0.0).count() as f64;
+    let identity = DMatrix::<f64>::identity(lens, lens);
+    if used < 2.0 {
+        return identity;
+    }
+    let (mut seen, mut expected) = (DMatrix::<f64>::zeros(lens, lens), 0.0);
+    for cluster in clusters {
+        seen += &cluster.pull * cluster.pull.transpose();
+        expected += cluster.expected.trace();
+    }
+    // The fit itself has taken one sum up: pulls add up to 0.
+    let expected = expected * (1.0 - 1.0 / used);
+    let ratio = seen * (lens as f64 / expected.max(f64::MIN_POSITIVE));
+    let mean = (ratio.trace() / lens as f64).max(1.0);
+    let own = (used - 1.0) / (used - 1.0 + lens as f64);
+    let drawn = ratio * own + &identity * (mean * (1.0 - own));
+    // One estimated from few clusters varies: the variance of Student's t for as many.
+    let freedom = (used - 1.0) * lens as f64;
+    let wider = freedom / (freedom - 2.0).max(1.0);
+    let finite = drawn.iter().all(|value| value.is_finite());
+    if finite { drawn * wider } else { identity }
 }
 
-impl Pulls {
-    /// How much greater the pulls of groups are than if observations erred by themselves, as a
-    /// factor on variances, 1 or more: a scalar form of the clustered covariance of K.-Y. Liang and
-    /// S. L. Zeger, 1986.
-    fn factor(&self, scores: &[Score]) -> f64 {
-        let (mut seen, mut expected) = (0.0, 0.0);
-        for score in scores {
-            let pull = &self.covariance * &score.pull;
-            seen += pull.dot(&(&self.own * &pull));
-            let carried = &self.covariance * &score.information;
-            expected += (&self.own * (&carried * self.covariance.transpose())).trace();
-        }
-        // Of each parameter the fit itself has taken one sum up: pulls add up to 0.
-        let groups = scores.iter().filter(|score| score.information.trace() > 0.0).count() as f64;
-        let expected = expected * (1.0 - 1.0 / groups.max(2.0));
-        let factor = seen / expected;
-        if factor.is_finite() { factor.max(1.0) } else { 1.0 }
+/// The region of the image that `pixel` lies in.
+fn region(pixel: Pixel, size: ImageSize) -> usize {
+    let cell = |at: f64, length: u32| {
+        let part = at / f64::from(length.max(1));
+        ((part * REGIONS as f64).max(0.0) as usize).min(REGIONS - 1)
+    };
+    cell(pixel.y, size.height) * REGIONS + cell(pixel.x, size.width)
+}
+
+/// What one observation does to the lens, its point eliminated.
+struct Influence {
+    /// Whitened lens parameters by the residual.
+    by_residual: Matrix2xX<f64>,
+    /// I − Jp V⁻¹ Jpᵀ: the part of a residual that the point leaves.
+    kept: Matrix2<f64>,
+}
+
+/// The influence of each of the rows of a point.
+fn influences(
+    bundle: &Bundle,
+    state: &SceneState,
+    (point, rows): (usize, &[Row]),
+    steps: &DMatrix<f64>,
+) -> Option<Vec<Influence>> {
+    let mut block = Matrix3::zeros();
+    for row in rows {
+        block += row.by_point.tr_mul(&row.by_point);
     }
+    let held = bundle.held_length(&block, &state.points[point]);
+    let inverse = (block + held).try_inverse()?;
+    let lens = bundle.free.len();
+    let carried = |row: &Row| {
+        let mut all: Matrix2xX<f64> = row.by_lens.columns(0, lens) * steps.rows(0, lens);
+        if let Some(start) = bundle.pose_start(row.camera) {
+            all += row.by_pose * steps.fixed_rows::<6>(start);
+        }
+        all
+    };
+    let carried: Vec<Matrix2xX<f64>> = rows.iter().map(carried).collect();
+    let mut by_point = Matrix3xX::zeros(steps.ncols());
+    for (row, carried) in rows.iter().zip(&carried) {
+        by_point += row.by_point.tr_mul(carried);
+    }
+    let by_point = inverse * by_point;
+    let influence = |(row, carried): (&Row, Matrix2xX<f64>)| Influence {
+        by_residual: carried - row.by_point * &by_point,
+        kept: Matrix2::identity() - row.by_point * inverse * row.by_point.transpose(),
+    };
+    Some(rows.iter().zip(carried).map(influence).collect())
 }

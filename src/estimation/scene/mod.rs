@@ -12,6 +12,8 @@
 //! ([`lens_prior`]).
 
 pub mod bundle;
+#[cfg(test)]
+mod bundle_tests;
 pub mod covariance;
 pub mod hypotheses;
 pub mod lens_prior;
