@@ -36,10 +36,12 @@ fn scatter(reference: &SensorPoses, other: &SensorPoses, shift: isize) -> Option
     if other_from_first.len() < LEAST_SHARED {
         return None;
     }
-    let distance =
-        |one: &Pose, two: &Pose| one.angle_to(two) + (one.translation() - two.translation()).norm();
-    let spread =
-        |one: &Pose| median(other_from_first.iter().map(|two| distance(one, two)).collect());
+    let spread = |a_from_b: &Pose| {
+        let distance = |c_from_d: &Pose| {
+            a_from_b.angle_to(c_from_d) + (a_from_b.translation() - c_from_d.translation()).norm()
+        };
+        median(other_from_first.iter().map(distance).collect())
+    };
     other_from_first.iter().filter_map(spread).min_by(f64::total_cmp)
 }
 

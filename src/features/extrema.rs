@@ -43,8 +43,8 @@ pub(super) fn extrema(octave: &Octave) -> Vec<Extremum> {
     for level in 1..=SCALES {
         for y in BORDER..height.saturating_sub(BORDER) {
             let row = planes[level].row(y);
-            for x in BORDER..width.saturating_sub(BORDER) {
-                let value = row[x];
+            let inner = row.iter().enumerate().take(width.saturating_sub(BORDER)).skip(BORDER);
+            for (x, value) in inner {
                 if value.abs() < 0.8 * LEAST_CONTRAST || !is_extremum(planes, [x, y, level]) {
                     continue;
                 }

@@ -99,7 +99,7 @@ impl Capture {
                     self.wait_out(CameraState::Lost, &reason, retry);
                 }
                 End::Failed(reason) => {
-                    self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry)
+                    self.wait_out(CameraState::Failed, &reason, self.supervision.failed_retry);
                 }
             }
         }
@@ -128,7 +128,7 @@ impl Capture {
         }
         let bus = bus.or_else(|| (!identity.is_empty()).then_some(identity));
         self.camera.status.send_modify(|status| {
-            (status.identity, status.factory) = (CameraIdentity { model, serial, bus }, factory)
+            (status.identity, status.factory) = (CameraIdentity { model, serial, bus }, factory);
         });
     }
 

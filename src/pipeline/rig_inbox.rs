@@ -308,7 +308,7 @@ mod tests {
         let inbox = Arc::new(inbox(2, &[]));
         let filler = Arc::clone(&inbox);
         let filling = std::thread::spawn(move || {
-            (0..40).for_each(|k| filler.put("s", 0, looked(33 * k, true)))
+            (0..40).for_each(|k| filler.put("s", 0, looked(33 * k, true)));
         });
         for k in 0..40 {
             inbox.put("s", 1, looked(33 * k, true));

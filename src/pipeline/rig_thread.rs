@@ -55,7 +55,7 @@ impl RigThread {
                 Next::Message(message) => self.take(message),
                 Next::Moment(moment) => self.observe(moment),
                 Next::Ended(reason) => {
-                    self.tell(|session| session.source_ended(&reason, utc_now_ns()))
+                    self.tell(|session| session.source_ended(&reason, utc_now_ns()));
                 }
             }
         }

@@ -47,9 +47,9 @@ fn texture(u: f64, v: f64, salt: u64) -> f64 {
         / 1.4
 }
 
-/// The inside of a box from -2 to 2, -1.5 to 1.5 and -4 to 4, seen from `center` along `ray`.
+/// The inside of a box from -1.6 to 1.6, -1.2 to 1.2 and -3 to 3, seen from `center` along `ray`.
 fn room(center: Vector3<f64>, ray: Vector3<f64>) -> f64 {
-    let reach = [2.0, 1.5, 4.0];
+    let reach = [1.6, 1.2, 3.0];
     let hit = |k: usize| (reach[k] * ray[k].signum() - center[k]) / ray[k];
     let wall = (0..3).min_by(|a, b| hit(*a).total_cmp(&hit(*b))).unwrap();
     let at = center + ray * hit(wall);

@@ -94,7 +94,7 @@ pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize)
             found.between_neighbors[first] = geometry.inliers.len();
         }
         verified.push((first, second, geometry.inliers.iter().map(|k| matches[*k]).collect()));
-        found.add_pair((first, second), &points, geometry);
+        found.add_pair((first, second), &points, &geometry);
     }
     let tracks = join_tracks(&verified);
     found.problem.tracks = tracks
@@ -109,7 +109,7 @@ impl Correspondence {
         &mut self,
         (first, second): (usize, usize),
         points: &[PointPair],
-        geometry: TwoViewGeometry,
+        geometry: &TwoViewGeometry,
     ) {
         let matches: Vec<PointPair> = geometry.inliers.iter().map(|k| points[*k]).collect();
         if geometry.kind == TwoViewKind::Still {
@@ -118,7 +118,7 @@ impl Correspondence {
         if let Some(homography) =
             geometry.homography.filter(|_| geometry.kind != TwoViewKind::General)
         {
-            let matches = geometry.on_homography;
+            let matches = geometry.on_homography.clone();
             self.rotated.push(RotatedPair { first, second, homography, matches });
         } else if geometry.kind == TwoViewKind::General {
             let fundamental = geometry.fundamental;

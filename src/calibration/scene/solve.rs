@@ -14,7 +14,7 @@ use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::scene::hypotheses::reconstruct_best;
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::rotation_only::reconstruct_rotations;
-use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
+use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -184,9 +184,9 @@ fn finished(
     let map = projection_uncertainty(&lens, &covariance, grid, Distance::Infinity);
     let (median, worst) = map
         .as_ref()
-        .and_then(|map| map.median_and_worst())
+        .and_then(UncertaintyMap::median_and_worst)
         .unwrap_or((f64::INFINITY, f64::INFINITY));
-    let center = map.as_ref().and_then(|map| map.center()).unwrap_or(f64::INFINITY);
+    let center = map.as_ref().and_then(UncertaintyMap::center).unwrap_or(f64::INFINITY);
     let (count, sum) = points.iter().fold((0, 0.0), |(count, sum), point| {
         (count + point.seen.len(), sum + point.rms_px.powi(2) * point.seen.len() as f64)
     });

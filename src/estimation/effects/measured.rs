@@ -135,7 +135,7 @@ fn planar_variances(effects: &EffectsFit, rigid: &DMatrix<f64>) -> Vec<f64> {
         return (0..size).map(|k| carried.row(k).dot(&rest.row(k))).collect();
     }
     let cross = covariance.view((smooth, heights), (size, smooth - heights));
-    let crossed = &cross * stretches.transpose();
+    let crossed = cross * stretches.transpose();
     let mut in_plane = covariance.view((smooth, smooth), (size, size)).into_owned();
     in_plane += &stretches * common * stretches.transpose() + &crossed + crossed.transpose();
     let carried = rigid.transpose() * &in_plane;

@@ -10,7 +10,7 @@ use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
-const PARAMETERS: [f64; 9] = [700.0, 702.0, 322.0, 236.0, 0.0, -0.1, 0.05, 0.0004, -0.0003];
+const PARAMETERS: [f64; 10] = [700.0, 702.0, 322.0, 236.0, 0.0, -0.1, 0.05, 0.0004, -0.0003, 0.0];
 
 fn exact() -> (Bundle, SceneState) {
     let lens = Lens::from_parameters(LensModel::Brown, &PARAMETERS).unwrap();

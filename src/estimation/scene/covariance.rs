@@ -108,7 +108,7 @@ impl Clusters {
             let Some(influences) = influences(bundle, state, (point, &rows), steps) else {
                 continue;
             };
-            for (row, Influence { by_residual, kept }) in rows.iter().zip(&influences) {
+            for (row, ImageInfluence { by_residual, kept }) in rows.iter().zip(&influences) {
                 let pull = by_residual.tr_mul(&row.residual);
                 let expected = by_residual.tr_mul(&(kept * by_residual));
                 clusters.by_image[row.camera].add(&pull, &expected);
@@ -182,7 +182,7 @@ fn region(pixel: Pixel, size: ImageSize) -> usize {
 }
 
 /// What one observation does to the lens, its point eliminated.
-struct Influence {
+struct ImageInfluence {
     /// Whitened lens parameters by the residual.
     by_residual: Matrix2xX<f64>,
     /// I − Jp V⁻¹ Jpᵀ: the part of a residual that the point leaves.
@@ -195,7 +195,7 @@ fn influences(
     state: &SceneState,
     (point, rows): (usize, &[Row]),
     steps: &DMatrix<f64>,
-) -> Option<Vec<Influence>> {
+) -> Option<Vec<ImageInfluence>> {
     let mut block = Matrix3::zeros();
     for row in rows {
         block += row.by_point.tr_mul(&row.by_point);
@@ -216,7 +216,7 @@ fn influences(
         by_point += row.by_point.tr_mul(carried);
     }
     let by_point = inverse * by_point;
-    let influence = |(row, carried): (&Row, Matrix2xX<f64>)| Influence {
+    let influence = |(row, carried): (&Row, Matrix2xX<f64>)| ImageInfluence {
         by_residual: carried - row.by_point * &by_point,
         kept: Matrix2::identity() - row.by_point * inverse * row.by_point.transpose(),
     };

@@ -244,7 +244,7 @@ impl<'a> Growing<'a> {
     fn finish(mut self) -> Option<Reconstruction> {
         self.triangulate();
         let (bundle, state, _) = self.bundle(&[FX, FY]);
-        (!state.points.is_empty()).then(|| Reconstruction { images: self.order, bundle, state })
+        (!state.points.is_empty()).then_some(Reconstruction { images: self.order, bundle, state })
     }
 }
 

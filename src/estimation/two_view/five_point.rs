@@ -123,10 +123,10 @@ fn constraints(basis: &[Matrix3<f64>]) -> SMatrix<f64, 10, 20> {
     let mut rows = SMatrix::<f64, 10, 20>::zeros();
     let mut set = |k: usize, p: &Cubic| (0..20).for_each(|c| rows[(k, c)] = p[c]);
     for (r, gram_row) in gram.iter().enumerate() {
-        for c in 0..3 {
+        for (c, entry) in e[r].iter().enumerate() {
             let column = [&e[0][c], &e[1][c], &e[2][c]];
             let cubed = dot([&gram_row[0], &gram_row[1], &gram_row[2]], column);
-            set(3 * r + c, &sum(&cubed, &product(&trace, &e[r][c]), -0.5));
+            set(3 * r + c, &sum(&cubed, &product(&trace, entry), -0.5));
         }
     }
     let minor =
