@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use plumb::capture::mode::ModeRequest;
-use plumb::capture::v4l2::{Camera, CameraOptions};
+use plumb::capture::v4l2::{V4l2Camera, V4l2Options};
 use plumb::capture::{CaptureError, FrameSource};
 use plumb::geometry::pixel::ImageSize;
 use plumb::imaging::decode;
@@ -19,13 +19,13 @@ pub const VIVID: &str = "/dev/video0";
 /// Longer than any frame takes to come, in software emulation too.
 pub const PATIENCE: Duration = Duration::from_secs(5);
 
-pub fn options(device: &str, format: Option<&str>) -> CameraOptions {
+pub fn options(device: &str, format: Option<&str>) -> V4l2Options {
     let mode = ModeRequest {
         size: Some(ImageSize::new(640, 360)),
         format: format.map(str::to_owned),
         fps: Some(30.0),
     };
-    CameraOptions { device: device.into(), mode, ..CameraOptions::default() }
+    V4l2Options { device: device.into(), mode, ..V4l2Options::default() }
 }
 
 /// A still picture without counters in it.
@@ -33,8 +33,8 @@ pub fn still_controls() -> BTreeMap<String, i64> {
     BTreeMap::from([("osd_text_mode".to_owned(), 2), ("gain_automatic".to_owned(), 0)])
 }
 
-pub fn camera(options: CameraOptions) -> Camera {
-    Camera::new(options)
+pub fn camera(options: V4l2Options) -> V4l2Camera {
+    V4l2Camera::new(options)
 }
 
 pub fn luma_of(set: &FrameSet) -> GrayImage {

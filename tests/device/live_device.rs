@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use plumb::calibration::result::Calibration;
 use plumb::calibration::sensor::SensorId;
 use plumb::calibration::session_record::{SessionRequest, SessionState};
-use plumb::capture::realsense::{Camera, CameraOptions, Origin, Preset, Settings};
+use plumb::capture::realsense::{Origin, Preset, RealsenseCamera, RealsenseOptions, Settings};
 use plumb::capture::{CaptureError, FrameSource, SourceOpener};
 use plumb::estimation::problem::LensChoice;
 use plumb::geometry::board::{BoardSize, Chessboard};
@@ -116,8 +116,9 @@ fn every_sensor_of_a_live_device_comes_in_one_frame_set() {
     let context = context();
     let fed = walk_pictures(4);
     let live = LiveDevice::plug_in(&context, &device("000000054321", &[]));
-    let mut source =
-        Camera::in_context(CameraOptions::default(), Arc::clone(&context)).open().unwrap();
+    let mut source = RealsenseCamera::in_context(RealsenseOptions::default(), Arc::clone(&context))
+        .open()
+        .unwrap();
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("000000054321"));
     let right =
@@ -159,11 +160,11 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
         [Rs2Option::EmitterEnabled, Rs2Option::EmitterOnOff].map(|o| showing.option(o))
     };
     let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(true) };
-    let options = CameraOptions { settings, ..CameraOptions::default() };
+    let options = RealsenseOptions { settings, ..RealsenseOptions::default() };
 
     let alternates = context();
     let live = LiveDevice::plug_in(&alternates, &device("000000000001", &SETTABLE));
-    let mut source = Camera::in_context(options.clone(), alternates).open().unwrap();
+    let mut source = RealsenseCamera::in_context(options.clone(), alternates).open().unwrap();
     assert_eq!((live.option(Rs2Option::VisualPreset), emitter(&live)), (3.0, [1.0, 0.0]));
     source.calibrating(true).unwrap();
     assert_eq!(
@@ -179,7 +180,7 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
 
     let only_off = context();
     let live = LiveDevice::plug_in(&only_off, &device("000000000002", &SETTABLE[..2]));
-    let mut source = Camera::in_context(options.clone(), only_off).open().unwrap();
+    let mut source = RealsenseCamera::in_context(options.clone(), only_off).open().unwrap();
     source.calibrating(true).unwrap();
     assert_eq!(live.option(Rs2Option::EmitterEnabled), 0.0, "off where it cannot alternate");
     source.calibrating(false).unwrap();
@@ -187,7 +188,7 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
 
     let without = context();
     let _live = LiveDevice::plug_in(&without, &device("000000000003", &[]));
-    let error = Camera::in_context(options, without).open().map(|_| ()).unwrap_err();
+    let error = RealsenseCamera::in_context(options, without).open().map(|_| ()).unwrap_err();
     assert_eq!(error.to_string(), "000000000003: this device has no preset: remove `preset`");
 }
 
@@ -205,8 +206,8 @@ fn several_devices_are_distinguished_by_their_serial_numbers() {
         })
         .collect();
     let open = |origin: Origin| {
-        Camera::in_context(
-            CameraOptions { origin, ..CameraOptions::default() },
+        RealsenseCamera::in_context(
+            RealsenseOptions { origin, ..RealsenseOptions::default() },
             Arc::clone(&context),
         )
         .open()
@@ -236,7 +237,7 @@ fn fleet(
     supervision: Supervision,
 ) -> (Fleet, Arc<Store>) {
     let store = Arc::new(Store::open(folder.path()).unwrap());
-    let camera = Camera::in_context(CameraOptions::default(), Arc::clone(context));
+    let camera = RealsenseCamera::in_context(RealsenseOptions::default(), Arc::clone(context));
     let (name, kind) = ("front".to_owned(), "realsense".to_owned());
     let plan = CameraPlan { name, kind, open: Box::new(camera), may_stall: true };
     let options = FleetOptions { supervision, ..FleetOptions::default() };

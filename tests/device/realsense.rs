@@ -22,7 +22,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use plumb::capture::realsense::{Camera, CameraOptions, Origin, list_devices};
+use plumb::capture::realsense::{Origin, RealsenseCamera, RealsenseOptions, list_devices};
 use plumb::capture::{CaptureError, FrameSource, SourceOpener};
 use plumb::geometry::lens::LensModel;
 use plumb::imaging::decode;
@@ -38,7 +38,7 @@ use software_device::{Device, Pictures, StatedCamera, Stream, record};
 const POLL: Duration = Duration::from_millis(200);
 
 fn open(origin: Origin) -> Result<Box<dyn FrameSource>, CaptureError> {
-    Camera::new(CameraOptions { origin, ..CameraOptions::default() }).open()
+    RealsenseCamera::new(RealsenseOptions { origin, ..RealsenseOptions::default() }).open()
 }
 
 fn refusal(origin: Origin) -> String {

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use plumb::capture::device_list::ListedDevice;
 use plumb::capture::mode::ModeRequest;
-use plumb::capture::v4l2::CameraOptions;
+use plumb::capture::v4l2::V4l2Options;
 use plumb::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, SourceOpener};
 use plumb::imaging::decode;
 use plumb::imaging::gray::GrayImage;
@@ -48,9 +48,9 @@ fn listed() -> ListedDevice {
     }
 }
 
-fn options(format: &str) -> CameraOptions {
+fn options(format: &str) -> V4l2Options {
     let mode = ModeRequest { format: Some(format.to_owned()), ..ModeRequest::default() };
-    CameraOptions { device: SERIAL.into(), mode, lock: true, ..CameraOptions::default() }
+    V4l2Options { device: SERIAL.into(), mode, lock: true, ..V4l2Options::default() }
 }
 
 /// Listed with its serial number and formats; streams; holds focus and exposure; comes and goes.

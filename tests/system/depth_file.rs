@@ -65,7 +65,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
         (
             calibration(
                 |camera| {
-                    camera.correction = Some(correction(CorrectedQuantity::InverseDepth, grid, 2))
+                    camera.correction = Some(correction(CorrectedQuantity::InverseDepth, grid, 2));
                 },
                 None,
             ),
@@ -75,7 +75,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
             calibration(
                 |camera| {
                     camera.correction =
-                        Some(correction(CorrectedQuantity::Depth, SplineGrid::constant(SIZE), 3))
+                        Some(correction(CorrectedQuantity::Depth, SplineGrid::constant(SIZE), 3));
                 },
                 Some(306),
             ),

@@ -118,7 +118,7 @@ impl Correspondence {
         if let Some(homography) =
             geometry.homography.filter(|_| geometry.kind != TwoViewKind::General)
         {
-            let matches = geometry.on_homography.clone();
+            let matches = geometry.on_homography;
             self.rotated.push(RotatedPair { first, second, homography, matches });
         } else if geometry.kind == TwoViewKind::General {
             let fundamental = geometry.fundamental;
