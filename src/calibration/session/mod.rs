@@ -1,6 +1,6 @@
 //! What the product decides: a calibration session of an instrument as a state machine. Frame sets
 //! go in (what each camera gave at about the same time), [`Action`]s come out; whoever owns the
-//! session performs them. How it ends is in [`ending`], what one camera gathers in [`camera`].
+//! session performs them. How it ends is in `ending`, what one camera gathers in `camera`.
 //!
 //! A single camera is an instrument of one. Each camera keeps the views that teach something of its
 //! own lens; with each of them, the other cameras that see the board in that frame set keep theirs

@@ -145,7 +145,7 @@ impl EpipolarGeometry for Orthonormal {
     }
 }
 
-/// E = [t]ₓ R with |t| = 1.
+/// E = `[t]ₓ` R with |t| = 1.
 struct UnitBaseline {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
