@@ -7,6 +7,7 @@ pub mod depth_calibration;
 pub mod drift;
 pub mod factory_check;
 pub mod guidance;
+pub mod information;
 mod list_shift;
 pub mod placement;
 pub mod plane_error;

@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use crate::calibration::result::CalibratedView;
 use crate::calibration::solve::solve_views;
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibrate_target::gather_target;
 use crate::cli::calibration_output::{OutputArgs, finished, named};
+use crate::cli::choose::{ChooseArgs, Pictures};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::Gathered;
 use crate::cli::in_order::{all_cores, in_order};
@@ -20,7 +20,6 @@ use crate::cli::target_search::read_target;
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::DetectOptions;
 use crate::estimation::camera::CameraOptions;
-use crate::estimation::problem::CameraProblem;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::target::Target;
 
@@ -49,6 +48,8 @@ pub struct Args {
     rig: Vec<NamedSource>,
     #[command(flatten)]
     estimated: EstimatedArgs,
+    #[command(flatten)]
+    choose: ChooseArgs,
     #[command(flatten)]
     output: OutputArgs,
 }
@@ -117,6 +118,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         _ => return Err(Failure::usage("give --board and --square, or --target")),
     };
     if !args.rig.is_empty() {
+        args.choose.refuse("those of a rig")?;
         if !args.search.sources.is_empty() {
             return Err(Failure::usage("give either SOURCE or --rig NAME=SOURCE, not both"));
         }
@@ -132,6 +134,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     if let [source] = args.search.sources.as_slice()
         && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
+        args.choose.refuse("color with depth")?;
         let detect = args.search.detect_options();
         let (calibration, elapsed_ms) =
             calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;
@@ -153,11 +156,13 @@ fn calibrate_with_markers(
 fn solve(
     args: &Args,
     target: Option<Chessboard>,
-    (problem, others): (CameraProblem, Vec<(usize, CalibratedView)>),
+    pictures: Pictures,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
+    let picked = args.choose.pick(pictures, options, args.output.is_json())?;
+    let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");
-    let solved = solve_views(&problem, options);
+    let solved = solve_views(&problem, &options);
     spinner.finish_and_clear();
     let mut solved =
         solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;

@@ -43,6 +43,11 @@ impl OutputArgs {
         Ok(())
     }
 
+    /// Whether stdout is to be one JSON document.
+    pub fn is_json(&self) -> bool {
+        self.json
+    }
+
     /// Writes and prints `calibration`; `elapsed_ms` is what the solve took, where the command
     /// tells it.
     ///

@@ -12,6 +12,7 @@ pub mod calibrate;
 mod calibrate_rgbd;
 mod calibrate_target;
 pub mod calibration_output;
+mod choose;
 pub mod correct;
 pub mod detect;
 mod detect_target;

@@ -99,6 +99,7 @@ const FAR_WORSE: f64 = 4.0;
 const MAX_ROUNDS: usize = 8;
 
 /// The derivative of one projection by the lens's parameters and by the compensating motion.
+#[derive(Debug, Clone)]
 struct Sample {
     by_parameters: SMatrix<f64, 2, MAX_PARAMETERS>,
     by_motion: Matrix2x6<f64>,
@@ -138,6 +139,58 @@ fn invert_motion(normal: &Matrix6<f64>, distance: Distance) -> Option<Matrix6<f6
     }
 }
 
+/// The derivatives of projections over a grid of pixels: what the uncertainty of one lens takes
+/// from any covariance of its parameters.
+#[derive(Debug, Clone)]
+pub struct ProjectionSamples {
+    grid: PixelGrid,
+    distance: Distance,
+    samples: Vec<Option<Sample>>,
+}
+
+impl ProjectionSamples {
+    /// Those of `lens` at the pixels of `grid`, for things at `distance`.
+    pub fn of(lens: &Lens, grid: PixelGrid, distance: Distance) -> Self {
+        let sample = |pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance);
+        Self { grid, distance, samples: grid.pixels().map(sample).collect() }
+    }
+
+    /// The 1-σ uncertainty of the projections for this covariance of the lens's parameters (in the
+    /// order of [`Lens::parameter_names`]), after the best compensating motion. `None` where the
+    /// lens sees nothing of the image.
+    pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> Option<UncertaintyMap> {
+        let Self { grid, distance, samples } = self;
+        let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
+        let count = covariance.nrows().min(MAX_PARAMETERS);
+        padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
+        let mut weights: Vec<f64> =
+            samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
+        let mut spreads = spreads(samples, &weights, (&padded, *distance))?;
+        for _ in 0..MAX_ROUNDS {
+            let next = weights_of(&spreads);
+            let settled = next
+                .iter()
+                .zip(&weights)
+                .all(|(next, weight)| (next - weight).abs() < 0.1 * weight + 1e-3);
+            if settled {
+                break;
+            }
+            weights = next;
+            spreads = self::spreads(samples, &weights, (&padded, *distance))?;
+        }
+        let worst_direction = |spread: &Matrix2<f64>| {
+            let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
+            (0.5 * spread.trace() + apart).max(0.0).sqrt()
+        };
+        Some(UncertaintyMap {
+            grid: *grid,
+            std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
+            square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
+            weights,
+        })
+    }
+}
+
 /// The 1-σ uncertainty of projections over a grid of pixels, from the covariance of the lens's
 /// parameters (in the order of [`Lens::parameter_names`]), after the best compensating motion.
 /// `None` where the lens sees nothing of the image.
@@ -147,38 +200,7 @@ pub fn projection_uncertainty(
     grid: PixelGrid,
     distance: Distance,
 ) -> Option<UncertaintyMap> {
-    let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
-    let count = covariance.nrows().min(MAX_PARAMETERS);
-    padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
-    let samples: Vec<Option<Sample>> = grid
-        .pixels()
-        .map(|pixel| Sample::of(lens, lens.bearing_from_pixel(pixel)?, distance))
-        .collect();
-    let mut weights: Vec<f64> =
-        samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
-    let mut spreads = spreads(&samples, &weights, (&padded, distance))?;
-    for _ in 0..MAX_ROUNDS {
-        let next = weights_of(&spreads);
-        let settled = next
-            .iter()
-            .zip(&weights)
-            .all(|(next, weight)| (next - weight).abs() < 0.1 * weight + 1e-3);
-        if settled {
-            break;
-        }
-        weights = next;
-        spreads = self::spreads(&samples, &weights, (&padded, distance))?;
-    }
-    let worst_direction = |spread: &Matrix2<f64>| {
-        let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
-        (0.5 * spread.trace() + apart).max(0.0).sqrt()
-    };
-    Some(UncertaintyMap {
-        grid,
-        std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
-        square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
-        weights,
-    })
+    ProjectionSamples::of(lens, grid, distance).uncertainty(covariance)
 }
 
 /// The covariance of each sample's projection after the compensating motion that suits `weights`.

@@ -15,6 +15,7 @@ pub(super) enum Purpose {
     Rig = 5,
     Depth = 6,
     Seat = 7,
+    Operator = 8,
 }
 
 /// The stream of `seed` for `purpose`, the `index`-th of its kind.

@@ -1,0 +1,38 @@
+//! What views teach: the information matrix of a lens, what one more view would add to it, and how
+//! far that lowers the uncertainty of projections. The next view to ask for, the worth of a picture
+//! of a pool and of a frame of a session are all this one number.
+//!
+//! ```text
+//! Λ = Σ over views of (A − B H⁻¹ Bᵀ) / σ²      goal(Λ) = median or worst σ of a projection
+//! gain of a view v = 1 − goal(Λ + Λ_v) / goal(Λ)
+//! ```
+//!
+//! A, B and H are the blocks (lens, lens × pose, pose) of the view's normal matrix: its pose is
+//! unknown too, and eliminated (Schur complement). To first order Λ⁻¹ is the covariance that a
+//! solve of the same views gives. Choosing views by it is optimal experimental design (V. V.
+//! Fedorov, *Theory of Optimal Experiments*, 1972), here with the projection as the criterion.
+//!
+//! | question | where |
+//! | --- | --- |
+//! | what one view says of a lens | [`view_information`] |
+//! | what is known of a lens, from views, an estimate or nothing | [`lens_information`] |
+//! | how uncertain projections are then | [`projection_goal`] |
+//! | how exact the corners of a view will be that nobody took yet | [`corner_noise`] |
+//! | which views a detector could see | [`candidate_views`] |
+//! | which of them to ask for, and how many more it takes | [`next_view`] |
+//! | how to get there, in words | [`movement`] |
+//! | what a session's views have taught so far, frame by frame | [`teaching`] |
+//! | which pictures of a pool to take | [`pool`] |
+
+pub mod candidate_views;
+pub mod corner_noise;
+pub mod lens_information;
+pub mod movement;
+pub mod next_view;
+pub mod pool;
+pub mod projection_goal;
+pub mod teaching;
+pub mod view_information;
+
+#[cfg(test)]
+mod information_tests;

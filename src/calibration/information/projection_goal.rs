@@ -1,0 +1,67 @@
+//! How uncertain a lens leaves projections over the image, as one number to lower.
+
+use nalgebra::DMatrix;
+
+use crate::estimation::uncertainty::{Distance, PixelGrid, ProjectionSamples, UncertaintyMap};
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+
+/// Which figure of the uncertainty over the image is to fall.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum GoalFigure {
+    /// The median over the image: what a session's goal is stated in.
+    #[default]
+    Median,
+    /// The worst anywhere in it.
+    Worst,
+}
+
+/// The uncertainty of projections of one lens, prepared for many covariances.
+#[derive(Debug, Clone)]
+pub struct ProjectionGoal {
+    samples: ProjectionSamples,
+    figure: GoalFigure,
+}
+
+/// Columns of the grid that views are compared over: half as fine as the one that results are
+/// summed up over, at a quarter of the time.
+const COLUMNS: u32 = 7;
+
+impl ProjectionGoal {
+    /// The `figure` of projections of `lens` over images of `size`.
+    pub fn new(lens: &Lens, size: ImageSize, figure: GoalFigure) -> Self {
+        let grid = PixelGrid::over(size, COLUMNS);
+        Self { samples: ProjectionSamples::of(lens, grid, Distance::Infinity), figure }
+    }
+
+    /// Which figure it is.
+    pub fn figure(&self) -> GoalFigure {
+        self.figure
+    }
+
+    /// The figure for this covariance of the lens's parameters, in pixels; `None` where the lens
+    /// sees nothing of the image.
+    pub fn uncertainty_px(&self, covariance: &DMatrix<f64>) -> Option<f64> {
+        let (median, worst) = self.map(covariance)?.median_and_worst()?;
+        Some(match self.figure {
+            GoalFigure::Median => median,
+            GoalFigure::Worst => worst,
+        })
+    }
+
+    /// By how much projections become surer from `before` to `after`: the mean over the image of
+    /// the relative drop of each pixel's standard deviation, 0 to 1. It counts what is learned
+    /// anywhere, whatever the figure is.
+    pub fn gain(&self, before: &UncertaintyMap, after: &UncertaintyMap) -> f64 {
+        let pairs = before.std_px.iter().zip(&after.std_px);
+        let drops: Vec<f64> = pairs
+            .filter_map(|(before, after)| Some(1.0 - (*after)? / (*before)?.max(f64::MIN_POSITIVE)))
+            .collect();
+        drops.iter().sum::<f64>() / drops.len().max(1) as f64
+    }
+
+    /// The uncertainty at each pixel of the grid.
+    pub fn map(&self, covariance: &DMatrix<f64>) -> Option<UncertaintyMap> {
+        self.samples.uncertainty(covariance)
+    }
+}

@@ -1,0 +1,277 @@
+//! What a session's views have taught so far, and what one more would: follows from the frames
+//! alone, in their order, whatever was estimated meanwhile elsewhere. A replay therefore keeps the
+//! same views and asks for the same ones.
+//!
+//! The lens is a nominal one until three views give one; it is estimated anew whenever the views
+//! have grown by a third, which costs a few milliseconds a dozen times in a session.
+
+use nalgebra::{DMatrix, UnitQuaternion};
+
+use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, base_turn};
+use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
+use crate::calibration::information::lens_information::LensInformation;
+use crate::calibration::information::next_view::{SuggestedView, suggest_view};
+use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
+use crate::calibration::information::view_information::{WeightedCorner, view_information};
+use crate::calibration::placement::NOMINAL_FOCAL;
+use crate::estimation::board_pose::board_poses;
+use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
+use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
+use crate::estimation::uncertainty::UncertaintyMap;
+use crate::geometry::board::Chessboard;
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+
+/// What the views of one camera teach.
+#[derive(Debug, Clone)]
+pub struct Teaching {
+    size: ImageSize,
+    choice: LensChoice,
+    board: BoardPoints,
+    views: Vec<TaughtView>,
+    /// Of the newest estimate; `None` while the lens is nominal.
+    start: Option<CameraStart>,
+    estimated_among: usize,
+    noise: SessionNoise,
+    known: LensInformation,
+    goal: ProjectionGoal,
+    now: Option<UncertaintyMap>,
+}
+
+/// One view, and what it teaches under the present lens.
+#[derive(Debug, Clone)]
+pub struct TaughtView {
+    seen: BoardView,
+    blur_px: f64,
+    /// Where the board is, under the present lens.
+    pub camera_from_board: Pose,
+    information: DMatrix<f64>,
+}
+
+/// How much wider corners scatter than their detector predicts.
+#[derive(Debug, Clone, Copy)]
+struct SessionNoise {
+    factor: f64,
+    floor_px: f64,
+}
+
+/// Fewer views leave the lens open.
+const LEAST_VIEWS: usize = 3;
+/// The lens is estimated anew when views have grown by this factor.
+const GROWTH: f64 = 1.3;
+/// Another model than the ordinary one is taken where it leaves less than this part of the
+/// residuals.
+const CLEARLY_BETTER: f64 = 0.8;
+
+impl Teaching {
+    /// Nothing taught yet of a camera with images of `size` before `board`, whose lens is to be of
+    /// the chosen model.
+    pub fn new(board: &Chessboard, size: ImageSize, choice: LensChoice) -> Self {
+        let lens = nominal_lens(size, choice);
+        let mut teaching = Self {
+            size,
+            choice,
+            board: BoardPoints::of_chessboard(board),
+            views: Vec::new(),
+            start: None,
+            estimated_among: 0,
+            noise: SessionNoise { factor: 1.0, floor_px: 0.0 },
+            known: LensInformation::prior(lens, size),
+            goal: ProjectionGoal::new(&lens, size, GoalFigure::Median),
+            now: None,
+        };
+        teaching.sum_up();
+        teaching
+    }
+
+    /// The lens, as far as it is known.
+    pub fn lens(&self) -> &Lens {
+        &self.known.lens
+    }
+
+    /// Whether the lens was estimated, and is not the nominal one.
+    pub fn is_estimated(&self) -> bool {
+        self.start.is_some()
+    }
+
+    /// The views, in order.
+    pub fn views(&self) -> &[TaughtView] {
+        &self.views
+    }
+
+    /// What a view would teach, under the present lens; `None` where no pose explains it.
+    pub fn view(&self, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
+        let camera_from_board = board_poses(self.lens(), &seen).ok()?.first()?.camera_from_board;
+        self.placed(seen, blur_px, camera_from_board)
+    }
+
+    /// How much surer projections would be with one more view: the mean over the image of the
+    /// relative drop of their standard deviation, 0 to 1.
+    pub fn gain(&self, view: &TaughtView) -> f64 {
+        let after = self.known.covariance_with(&view.information);
+        let after = after.and_then(|covariance| self.goal.map(&covariance));
+        match (&self.now, after) {
+            (Some(now), Some(after)) => self.goal.gain(now, &after),
+            _ => 0.0,
+        }
+    }
+
+    /// Takes a view in.
+    pub fn add(&mut self, view: TaughtView) {
+        self.views.push(view);
+        let count = self.views.len();
+        if count >= LEAST_VIEWS && count as f64 >= GROWTH * self.estimated_among as f64 {
+            self.estimated_among = count;
+            self.estimate();
+        }
+        self.sum_up();
+    }
+
+    /// The view that teaches least beside the others, with how much less sure projections would be
+    /// without it (as [`Self::gain`]).
+    pub fn least_informative(&self) -> Option<(usize, f64)> {
+        let losses = self.views.iter().enumerate().filter_map(|(at, view)| {
+            let matrix = &self.known.matrix - &view.information;
+            let without = LensInformation { matrix, ..self.known.clone() };
+            let before = self.goal.map(&without.covariance()?)?;
+            Some((at, self.goal.gain(&before, self.now.as_ref()?)))
+        });
+        losses.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Takes a view out.
+    pub fn remove(&mut self, at: usize) {
+        if at < self.views.len() {
+            self.views.remove(at);
+            if let Some(start) = &mut self.start
+                && at < start.camera_from_board.len()
+            {
+                start.camera_from_board.remove(at);
+            }
+            self.sum_up();
+        }
+    }
+
+    /// The view to ask for next, from where the last one was, with the figure to reach.
+    pub fn suggest(&self, goal_px: Option<f64>) -> Option<SuggestedView> {
+        let noise = self.corner_noise();
+        let from = self.views.last().map(|view| &view.camera_from_board);
+        suggest_view(&self.known, &self.goal, &self.space(&noise), (from, goal_px))
+    }
+
+    /// How exact corners are, as far as the views show.
+    pub fn corner_noise(&self) -> CornerNoise {
+        let samples: Vec<NoiseSample> =
+            self.views.iter().filter_map(|view| self.noise_sample(view)).collect();
+        CornerNoise::learn(&samples)
+    }
+
+    /// Where the board can be asked for.
+    pub fn space<'a>(&'a self, noise: &'a CornerNoise) -> CandidateSpace<'a> {
+        let base = (self.views.last())
+            .map_or_else(UnitQuaternion::identity, |view| base_turn(&view.camera_from_board));
+        CandidateSpace { lens: self.lens(), size: self.size, board: &self.board, noise, base }
+    }
+
+    fn placed(&self, seen: BoardView, blur_px: f64, camera_from_board: Pose) -> Option<TaughtView> {
+        let corners: Vec<WeightedCorner> = (seen.correspondences.iter())
+            .map(|corner| WeightedCorner {
+                point_in_board: corner.point_in_board,
+                std_px: self.noise.of(corner.std_px),
+            })
+            .collect();
+        let information =
+            view_information(self.lens(), &self.known.free, &camera_from_board, &corners)?;
+        Some(TaughtView { seen, blur_px, camera_from_board, information })
+    }
+
+    fn noise_sample(&self, view: &TaughtView) -> Option<NoiseSample> {
+        let mut stds: Vec<f64> =
+            view.seen.correspondences.iter().map(|corner| self.noise.of(corner.std_px)).collect();
+        stds.sort_unstable_by(f64::total_cmp);
+        let middle = self.board.middle();
+        Some(NoiseSample {
+            std_px: *stds.get(stds.len() / 2)?,
+            side_px: side_px(self.lens(), &view.camera_from_board, &middle, self.board.side_m)?,
+            blur_px: view.blur_px,
+            distance_m: (view.camera_from_board * middle).coords.norm(),
+        })
+    }
+
+    /// Estimates the lens from the views; where they leave it open it stays as it was.
+    fn estimate(&mut self) {
+        let views = self.views.iter().map(|view| view.seen.clone()).collect();
+        let problem = CameraProblem { image_size: self.size, views };
+        let of = |model: LensModel| {
+            let start = self.start.clone().filter(|start| start.lens.model() == model);
+            let lens = LensChoice::Model(model);
+            let options = CameraOptions { lens, start, ..CameraOptions::default() }.as_stated();
+            calibrate_camera(&problem, &options).ok()
+        };
+        let estimate = match self.choice {
+            LensChoice::Model(model) => of(model),
+            LensChoice::Auto => better(of(LensModel::Brown), of(LensModel::KannalaBrandt)),
+        };
+        let Some(estimate) = estimate else { return };
+        self.noise = SessionNoise {
+            factor: estimate.noise * estimate.variance_inflation.sqrt(),
+            floor_px: estimate.noise_floor_px,
+        };
+        self.known = LensInformation::prior(estimate.lens, self.size);
+        self.goal = ProjectionGoal::new(&estimate.lens, self.size, self.goal.figure());
+        let views = std::mem::take(&mut self.views);
+        self.views = views
+            .into_iter()
+            .zip(&estimate.views)
+            .filter_map(|(view, placed)| {
+                let camera_from_board = placed.camera_from_board.unwrap_or(view.camera_from_board);
+                self.placed(view.seen, view.blur_px, camera_from_board)
+            })
+            .collect();
+        self.start = Some(estimate.to_start());
+    }
+
+    fn sum_up(&mut self) {
+        let nothing = LensInformation::prior(self.known.lens, self.size);
+        self.known = self.views.iter().fold(nothing, |known, view| known.with(&view.information));
+        self.now = self.known.covariance().and_then(|covariance| self.goal.map(&covariance));
+    }
+}
+
+impl SessionNoise {
+    fn of(&self, std_px: f64) -> f64 {
+        self.factor * std_px.hypot(self.floor_px)
+    }
+}
+
+/// The one that leaves less, the first unless the second is clearly better.
+fn better(first: Option<CameraEstimate>, second: Option<CameraEstimate>) -> Option<CameraEstimate> {
+    match (first, second) {
+        (Some(first), Some(second)) if second.rms_px < CLEARLY_BETTER * first.rms_px => {
+            Some(second)
+        }
+        (Some(first), _) => Some(first),
+        (None, second) => second,
+    }
+}
+
+/// A lens of the chosen model without distortion, as wide as many are.
+fn nominal_lens(size: ImageSize, choice: LensChoice) -> Lens {
+    let model = match choice {
+        LensChoice::Model(model) => model,
+        LensChoice::Auto => LensModel::Brown,
+    };
+    let focal_px = NOMINAL_FOCAL * f64::from(size.width.max(size.height));
+    let center = size.center();
+    let mut parameters = vec![0.0; Lens::parameter_names(model).len()];
+    parameters[..4].copy_from_slice(&[focal_px, focal_px, center.x, center.y]);
+    let matrix = crate::geometry::camera_matrix::CameraMatrix {
+        fx: focal_px,
+        fy: focal_px,
+        cx: center.x,
+        cy: center.y,
+        skew: 0.0,
+    };
+    Lens::from_parameters(model, &parameters).unwrap_or_else(|| Lens::pinhole(matrix))
+}

@@ -1,0 +1,174 @@
+//! `plumb calibrate --choose N` and `--order`: which pictures of a pool teach most.
+
+use serde::Serialize;
+
+use crate::calibration::information::pool::{Pool, PoolStep, SuggestedNext};
+use crate::calibration::information::projection_goal::GoalFigure;
+use crate::calibration::result::CalibratedView;
+use crate::cli::gather::unused;
+use crate::cli::{Failure, output};
+use crate::document::pose::PoseDocument;
+use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use crate::estimation::problem::{CameraProblem, LensChoice};
+
+/// Which pictures of many to take.
+#[derive(Debug, clap::Args)]
+pub struct ChooseArgs {
+    /// Calibrate from the N pictures that together teach most.
+    #[arg(long, value_name = "N", conflicts_with = "order",
+        value_parser = clap::value_parser!(u32).range(3..))]
+    choose: Option<u32>,
+    /// Print, in place of the calibration, the pictures in the order in which each teaches most
+    /// beside those before it, and the view that would teach most next.
+    #[arg(long)]
+    order: bool,
+}
+
+/// A problem's pictures: its views, and the others with their places.
+pub type Pictures = (CameraProblem, Vec<(usize, CalibratedView)>);
+
+/// The order of a pool's pictures, as printed.
+#[derive(Debug, Serialize)]
+struct OrderDocument {
+    /// First the one that teaches most.
+    order: Vec<TaughtDocument>,
+    /// The view that would teach most beside all of them.
+    next: Option<NextDocument>,
+}
+
+/// What one picture taught.
+#[derive(Debug, Serialize)]
+struct TaughtDocument {
+    name: String,
+    /// The worst projection uncertainty over the image with it and those before it, in pixels.
+    uncertainty_px: f64,
+    /// The part of the uncertainty that it took away, 0 to 1.
+    gain: f64,
+}
+
+/// A view that would teach more.
+#[derive(Debug, Serialize)]
+struct NextDocument {
+    message: String,
+    target_pose: PoseDocument,
+    uncertainty_px: f64,
+    expected_uncertainty_px: f64,
+}
+
+impl ChooseArgs {
+    /// Whether anything of it was asked for.
+    pub fn is_asked(&self) -> bool {
+        self.choose.is_some() || self.order
+    }
+
+    /// # Errors
+    /// When it was asked for, with `what` it cannot be done for.
+    pub fn refuse(&self, what: &str) -> Result<(), Failure> {
+        if self.is_asked() {
+            return Err(Failure::usage(format!(
+                "--choose and --order take the pictures of one camera, not {what}: leave them out"
+            )));
+        }
+        Ok(())
+    }
+
+    /// The pictures to calibrate from, and with which lens; `None` when the order was printed
+    /// instead.
+    ///
+    /// # Errors
+    /// When the pictures leave the lens open, or stdout is closed.
+    pub fn pick(
+        &self,
+        (problem, others): Pictures,
+        options: &CameraOptions,
+        json: bool,
+    ) -> Result<Option<(Pictures, CameraOptions)>, Failure> {
+        if !self.is_asked() {
+            return Ok(Some(((problem, others), options.clone())));
+        }
+        let estimate = calibrate_camera(&problem, options).map_err(Failure::failed)?;
+        let pool = Pool::of(&problem, &estimate, GoalFigure::Worst);
+        let Some(count) = self.choose else {
+            return print_order(&problem, &estimate, &pool, json).map(|()| None);
+        };
+        let chosen = pool.choose(count as usize);
+        // A few pictures cannot separate lens models as well as all of them.
+        let lens = LensChoice::Model(estimate.lens.model());
+        let options = CameraOptions { lens, ..options.clone() };
+        Ok(Some((chosen_pictures((problem, others), &estimate, &pool, &chosen), options)))
+    }
+}
+
+/// The chosen views as the problem, the others named with what they would have taught.
+fn chosen_pictures(
+    (problem, others): Pictures,
+    estimate: &CameraEstimate,
+    pool: &Pool,
+    chosen: &[usize],
+) -> Pictures {
+    let together_px = pool.uncertainty_px(chosen);
+    let mut pictures: Vec<Result<_, CalibratedView>> = Vec::new();
+    for (at, view) in problem.views.into_iter().enumerate() {
+        if chosen.contains(&at) {
+            pictures.push(Ok(view));
+            continue;
+        }
+        let reason = estimate.views[at].fault.map_or_else(
+            || {
+                let gain = 1.0 - pool.uncertainty_px(&[chosen, &[at]].concat()) / together_px;
+                format!("not chosen: it would lower the uncertainty by {:.0} %", 100.0 * gain)
+            },
+            |fault| fault.to_string(),
+        );
+        pictures.push(Err(unused(view.name, reason)));
+    }
+    for (place, other) in others {
+        pictures.insert(place.min(pictures.len()), Err(other));
+    }
+    let (mut views, mut left) = (Vec::new(), Vec::new());
+    for (place, picture) in pictures.into_iter().enumerate() {
+        match picture {
+            Ok(view) => views.push(view),
+            Err(other) => left.push((place, other)),
+        }
+    }
+    (CameraProblem { views, ..problem }, left)
+}
+
+fn print_order(
+    problem: &CameraProblem,
+    estimate: &CameraEstimate,
+    pool: &Pool,
+    json: bool,
+) -> Result<(), Failure> {
+    let taught = |step: &PoolStep| TaughtDocument {
+        name: problem.views[step.view].name.clone(),
+        uncertainty_px: step.after_px,
+        gain: 1.0 - step.after_px / step.before_px,
+    };
+    let next = SuggestedNext::of(problem, estimate).map(|next| NextDocument {
+        message: next.message,
+        target_pose: (&next.view.camera_from_board).into(),
+        uncertainty_px: next.view.uncertainty_px,
+        expected_uncertainty_px: next.view.expected_uncertainty_px,
+    });
+    let document = OrderDocument { order: pool.order().iter().map(taught).collect(), next };
+    if json {
+        return output::print_json(&document);
+    }
+    let mut lines: Vec<String> = (document.order.iter().enumerate())
+        .map(|(place, taught)| {
+            let TaughtDocument { name, uncertainty_px, gain } = taught;
+            let percent = 100.0 * gain;
+            format!(
+                "{:>4} {uncertainty_px:>10.3} px at worst {percent:>5.1} % less  {name}",
+                place + 1
+            )
+        })
+        .collect();
+    lines.extend(document.next.map(|next| {
+        let NextDocument { message, uncertainty_px, expected_uncertainty_px, .. } = next;
+        format!("next: {message}: {expected_uncertainty_px:.3} px at worst in place of {uncertainty_px:.3}")
+    }));
+    output::print_line(&lines.join("\n"))
+}

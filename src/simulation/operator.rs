@@ -1,0 +1,370 @@
+//! A person with a board before a camera: one who follows what is asked for, one who waves the
+//! board about, one who fills the bars of ROS's calibrator. Reaction takes time, hands have a limited
+//! speed and tremble, and one request in ten is misunderstood.
+
+use std::f64::consts::TAU;
+
+use nalgebra::{Point3, UnitQuaternion, Vector3};
+use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+
+use crate::geometry::board::Chessboard;
+use crate::geometry::pose::Pose;
+use crate::simulation::noise::{Purpose, stream};
+
+/// What the person does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum OperatorKind {
+    /// Holds the board where it is asked for.
+    Follows,
+    /// Waves it about at will.
+    Wanders,
+    /// Fills the bars of ROS's `cameracalibrator`: from side to side, up and down, near and far,
+    /// then tilted; and again.
+    Bars,
+}
+
+impl OperatorKind {
+    /// Every kind.
+    pub const ALL: [Self; 3] = [Self::Follows, Self::Wanders, Self::Bars];
+
+    /// Its name in configurations and on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Follows => "follows",
+            Self::Wanders => "wanders",
+            Self::Bars => "bars",
+        }
+    }
+
+    /// The kind with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
+/// What a person can do. The figures are those of unhurried adults: choice reactions take 0.5 to 1
+/// s with a picture to understand first, and hands at rest tremble by a few tenths of a millimeter
+/// at 8 to 12 Hz, slower drifts included here.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Skill {
+    /// From a request to the beginning of the movement, in seconds; and its standard deviation.
+    pub reaction_s: [f64; 2],
+    /// How fast the board is carried, in its own distances a second.
+    pub speed_per_s: f64,
+    /// How fast it is turned, in radians a second.
+    pub turn_rad_per_s: f64,
+    /// How far the end of a movement is off: relative to the distance, and in radians.
+    pub aim: [f64; 2],
+    /// How far a hand trembles, in meters and in radians.
+    pub tremor: [f64; 2],
+    /// The part of the requests that are misunderstood.
+    pub misunderstood: f64,
+    /// How long the board is held at a place before something else is tried, in seconds.
+    pub patience_s: f64,
+}
+
+impl Default for Skill {
+    fn default() -> Self {
+        Self {
+            reaction_s: [0.7, 0.2],
+            speed_per_s: 0.5,
+            turn_rad_per_s: 1.0,
+            aim: [0.03, 0.06],
+            tremor: [2e-4, 0.03_f64.to_radians()],
+            misunderstood: 0.1,
+            patience_s: 1.5,
+        }
+    }
+}
+
+/// A person with a board, in the camera's frame.
+#[derive(Debug, Clone)]
+pub struct Operator {
+    kind: OperatorKind,
+    skill: Skill,
+    rng: ChaCha8Rng,
+    /// The board's middle in its own frame.
+    middle: Vector3<f64>,
+    /// The distance at which the board fills about half of the image, in meters; and the tangents
+    /// of half the field of view.
+    distance_m: f64,
+    half_view: [f64; 2],
+    time_s: f64,
+    at: Middle,
+    aim: Middle,
+    /// When the present aim was arrived at.
+    arrived_s: Option<f64>,
+    /// The next aim, and when the movement to it begins.
+    next: Option<(f64, Middle)>,
+    asked: Option<Pose>,
+    places: u32,
+}
+
+/// Where the middle of the board is, and how it is turned.
+#[derive(Debug, Clone, Copy)]
+struct Middle {
+    rotation: UnitQuaternion<f64>,
+    place: Vector3<f64>,
+}
+
+/// No hand holds a board flatter than this to the line of sight, in radians, without being asked.
+const OWN_TILT: f64 = 0.6;
+
+impl Operator {
+    /// The person of `seed` with `board`, before a camera whose image spans `half_view` (the
+    /// tangents of half its angles, across and down; 1.2 at most).
+    pub fn new(seed: u64, kind: OperatorKind, board: &Chessboard, half_view: [f64; 2]) -> Self {
+        let extent = [board.size.cols, board.size.rows]
+            .map(|count| (f64::from(count) - 1.0) * board.square_m);
+        let half_view = half_view.map(|tangent| tangent.clamp(0.05, 1.2));
+        let distance_m = (0..2).map(|k| extent[k] / half_view[k]).fold(0.0, f64::max);
+        let here = Middle {
+            rotation: UnitQuaternion::identity(),
+            place: Vector3::new(0.0, 0.0, distance_m),
+        };
+        Self {
+            kind,
+            skill: Skill::default(),
+            rng: stream(seed, Purpose::Operator, kind as u64),
+            middle: Vector3::new(extent[0], extent[1], 0.0) / 2.0,
+            distance_m,
+            half_view,
+            time_s: 0.0,
+            at: here,
+            aim: here,
+            arrived_s: Some(0.0),
+            next: None,
+            asked: None,
+            places: 0,
+        }
+    }
+
+    /// Shows the person where the board is asked for now.
+    pub fn ask(&mut self, camera_from_board: Option<&Pose>) {
+        if self.kind != OperatorKind::Follows || camera_from_board.copied() == self.asked {
+            return;
+        }
+        self.asked = camera_from_board.copied();
+        let misunderstood = self.rng.random_bool(self.skill.misunderstood);
+        self.plan(misunderstood);
+    }
+
+    /// Lets `seconds` pass; where the board is then.
+    pub fn step(&mut self, seconds: f64) -> Pose {
+        self.time_s += seconds;
+        match self.next {
+            Some((begins_s, aim)) if self.time_s >= begins_s => {
+                (self.aim, self.arrived_s, self.next) = (aim, None, None);
+            }
+            _ => {}
+        }
+        self.carry(seconds);
+        if let Some(arrived_s) = self.arrived_s
+            && self.next.is_none()
+            && self.time_s - arrived_s > self.held_s()
+        {
+            self.plan(false);
+        }
+        self.trembling()
+    }
+
+    fn held_s(&self) -> f64 {
+        match self.kind {
+            OperatorKind::Follows => self.skill.patience_s,
+            OperatorKind::Wanders => 0.2,
+            OperatorKind::Bars => 0.5,
+        }
+    }
+
+    /// Decides where to go next.
+    fn plan(&mut self, misunderstood: bool) {
+        let aim = match self.kind {
+            OperatorKind::Follows => match self.asked {
+                Some(asked) => self.understood(&asked, misunderstood),
+                None => self.anywhere(),
+            },
+            OperatorKind::Wanders => self.anywhere(),
+            OperatorKind::Bars => self.next_bar(),
+        };
+        let [mean_s, std_s] = self.skill.reaction_s;
+        let reaction_s = match self.kind {
+            OperatorKind::Follows => (mean_s + std_s * self.normal()).max(0.2),
+            _ => 0.0,
+        };
+        self.places += 1;
+        self.next = Some((self.time_s + reaction_s, self.aimed(aim)));
+    }
+
+    /// What a request is taken for: as it is, or with its tilt or its place the wrong way round.
+    fn understood(&mut self, asked: &Pose, misunderstood: bool) -> Middle {
+        let place = (*asked * Point3::from(self.middle)).coords;
+        let rotation = asked.rotation();
+        if !misunderstood {
+            return Middle { rotation, place };
+        }
+        if self.rng.random_bool(0.5) {
+            return Middle { rotation, place: Vector3::new(-place.x, place.y, place.z) };
+        }
+        // The tilt the other way: the turn in the image stays.
+        let normal = rotation * Vector3::z();
+        let upright = UnitQuaternion::rotation_between(&normal, &Vector3::z())
+            .unwrap_or_else(UnitQuaternion::identity);
+        Middle { rotation: upright * upright * rotation, place }
+    }
+
+    fn anywhere(&mut self) -> Middle {
+        let mut uniform = |low: f64, high: f64| self.rng.random_range(low..high);
+        let distance = self.distance_m * uniform(0.9, 2.2);
+        let (across, down) = (uniform(-0.8, 0.8), uniform(-0.8, 0.8));
+        let (tilt, azimuth, roll) =
+            (uniform(0.0, OWN_TILT), uniform(0.0, TAU), uniform(-0.35, 0.35));
+        self.middle_at([across, down], distance, [tilt * azimuth.cos(), tilt * azimuth.sin(), roll])
+    }
+
+    /// The bars X, Y, size and skew, each from end to end.
+    fn next_bar(&mut self) -> Middle {
+        let step = self.places % 16;
+        let end = [-0.75, -0.25, 0.25, 0.75][(step % 4) as usize];
+        let (at, distance, turn) = match step / 4 {
+            0 => ([end, 0.0], 1.5, [0.0; 3]),
+            1 => ([0.0, end], 1.5, [0.0; 3]),
+            2 => ([0.0, 0.0], 1.6 + 0.8 * end, [0.0; 3]),
+            _ => {
+                let turns = [[0.55, 0.0], [-0.55, 0.0], [0.0, 0.55], [0.0, -0.55]];
+                let [x, y] = turns[(step % 4) as usize];
+                ([0.0, 0.0], 1.3, [x, y, 0.0])
+            }
+        };
+        self.middle_at(at, self.distance_m * distance, turn)
+    }
+
+    /// `at` is the part of the way from the middle of the image to its edge that the board's middle
+    /// may go without leaving it.
+    fn middle_at(&self, at: [f64; 2], distance: f64, turn: [f64; 3]) -> Middle {
+        let room = [0, 1].map(|k| {
+            let half_board = self.middle[k] / distance;
+            (self.half_view[k] - half_board).max(0.0) * at[k]
+        });
+        let place = Vector3::new(room[0], room[1], 1.0) * distance;
+        let facing = UnitQuaternion::rotation_between(&Vector3::z(), &place)
+            .unwrap_or_else(UnitQuaternion::identity);
+        let rotation = facing
+            * UnitQuaternion::from_scaled_axis(Vector3::new(turn[0], turn[1], 0.0))
+            * UnitQuaternion::from_scaled_axis(Vector3::z() * turn[2]);
+        Middle { rotation, place }
+    }
+
+    /// A movement ends near where it was aimed at.
+    fn aimed(&mut self, aim: Middle) -> Middle {
+        let [place, turn] = self.skill.aim;
+        let off = Vector3::from_fn(|_, _| self.normal()) * (place * aim.place.norm());
+        let turned = Vector3::from_fn(|_, _| self.normal()) * turn;
+        Middle {
+            rotation: UnitQuaternion::from_scaled_axis(turned) * aim.rotation,
+            place: aim.place + off,
+        }
+    }
+
+    fn carry(&mut self, seconds: f64) {
+        let (rest, angle) =
+            (self.aim.place - self.at.place, self.at.rotation.angle_to(&self.aim.rotation));
+        let needed_s = (rest.norm() / (self.skill.speed_per_s * self.at.place.norm()))
+            .max(angle / self.skill.turn_rad_per_s);
+        if needed_s <= seconds {
+            self.at = self.aim;
+            self.arrived_s.get_or_insert(self.time_s);
+            return;
+        }
+        let part = seconds / needed_s;
+        self.at.place += rest * part;
+        self.at.rotation =
+            self.at.rotation.try_slerp(&self.aim.rotation, part, 1e-9).unwrap_or(self.aim.rotation);
+    }
+
+    fn trembling(&self) -> Pose {
+        let wave = |hertz: f64, phase: f64| (TAU * hertz * self.time_s + phase).sin();
+        let [shift, turn] = self.skill.tremor;
+        let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * shift;
+        let wobble = Vector3::new(wave(1.3, 3.0), wave(1.9, 4.0), wave(2.9, 5.0)) * turn;
+        let rotation = UnitQuaternion::from_scaled_axis(wobble) * self.at.rotation;
+        Pose::new(rotation, self.at.place + shake - rotation * self.middle)
+    }
+
+    fn normal(&mut self) -> f64 {
+        self.rng.sample(StandardNormal)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::board::BoardSize;
+
+    fn operator(seed: u64, kind: OperatorKind) -> Operator {
+        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+        Operator::new(seed, kind, &board, [0.57, 0.43])
+    }
+
+    fn middle(operator: &Operator, pose: &Pose) -> Vector3<f64> {
+        (*pose * Point3::from(operator.middle)).coords
+    }
+
+    #[test]
+    fn who_follows_arrives_after_a_reaction_and_at_a_limited_speed() {
+        let mut arrived = 0;
+        for seed in 0..40 {
+            let mut operator = operator(seed, OperatorKind::Follows);
+            let start = operator.step(0.1);
+            let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -0.4, 0.1));
+            let place = Vector3::new(0.1, -0.05, 0.5);
+            let asked = Pose::new(rotation, place - rotation * operator.middle);
+            operator.ask(Some(&asked));
+            let soon = operator.step(0.1);
+            assert!((middle(&operator, &soon) - middle(&operator, &start)).norm() < 2e-3);
+            let mut before = middle(&operator, &soon);
+            let mut now = soon;
+            for _ in 0..30 {
+                now = operator.step(0.1);
+                let here = middle(&operator, &now);
+                assert!((here - before).norm() <= 0.1 * 0.5 * before.norm() * 1.02 + 2e-3);
+                before = here;
+            }
+            let close = (before - place).norm() < 0.1 && now.rotation().angle_to(&rotation) < 0.35;
+            arrived += u32::from(close);
+        }
+        // One in ten misunderstands.
+        assert!((30..40).contains(&arrived), "{arrived} of 40");
+    }
+
+    #[test]
+    fn the_same_seed_moves_the_same_and_another_one_does_not() {
+        for kind in OperatorKind::ALL {
+            let walk = |seed: u64| {
+                let mut operator = operator(seed, kind);
+                (0..200).map(|_| operator.step(0.1)).collect::<Vec<_>>()
+            };
+            assert_eq!(walk(3), walk(3));
+            assert_ne!(walk(3), walk(4));
+        }
+    }
+
+    #[test]
+    fn bars_reach_every_side_and_tilt() {
+        let mut operator = operator(1, OperatorKind::Bars);
+        let poses: Vec<Pose> = (0..900).map(|_| operator.step(0.1)).collect();
+        let slope = |axis: usize| {
+            let along = poses.iter().map(|pose| {
+                let place = middle(&operator, pose);
+                place[axis] / place.z
+            });
+            along.fold([f64::MAX, f64::MIN], |[least, most], v| [least.min(v), most.max(v)])
+        };
+        for [least, most] in [slope(0), slope(1)] {
+            assert!(least < -0.05 && most > 0.05, "{least} {most}");
+        }
+        let tilted = poses.iter().filter(|pose| (**pose * Vector3::z()).z < 0.92);
+        assert!(tilted.count() > 10);
+    }
+}
