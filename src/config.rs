@@ -24,15 +24,18 @@
 //! cameras = ["front", "side"]    # two or more
 //! ```
 
+mod error;
+mod place;
 pub mod source;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use toml::Spanned;
 
+pub use crate::config::error::ConfigError;
+use crate::config::place::Place;
 pub use crate::config::source::SourceConfig;
 use crate::config::source::WrittenSource;
 
@@ -89,39 +92,6 @@ impl std::fmt::Debug for Token {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Token(…)")
     }
-}
-
-/// Why a configuration is refused: one line that names the file, the line and the key.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum ConfigError {
-    /// The file cannot be read.
-    #[error("{}: {detail}; give an existing TOML file with --config", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// What the system said.
-        detail: String,
-    },
-    /// The file says something that cannot be.
-    #[error("{}:{line}: {key}: {problem}", file.display())]
-    Refused {
-        /// The file.
-        file: PathBuf,
-        /// The line, counted from 1.
-        line: usize,
-        /// The key, as `table.key`.
-        key: String,
-        /// What is wrong with it, and what to write instead.
-        problem: String,
-    },
-    /// The address given on the command line cannot be.
-    #[error("--listen {listen}: {problem}")]
-    Listen {
-        /// What was given.
-        listen: String,
-        /// What is wrong with it.
-        problem: String,
-    },
 }
 
 /// What the command line says louder than the file.
@@ -201,41 +171,6 @@ struct CameraTable {
 struct RigTable {
     name: Spanned<String>,
     cameras: Spanned<Vec<String>>,
-}
-
-/// The file, for saying where in it something stands.
-#[derive(Debug)]
-pub(crate) struct Place {
-    file: PathBuf,
-    text: String,
-}
-
-impl Place {
-    /// A refusal of what stands at `span` under `key`.
-    pub(crate) fn refuse(
-        &self,
-        span: &Range<usize>,
-        key: &str,
-        problem: impl Into<String>,
-    ) -> ConfigError {
-        let before = &self.text.as_bytes()[..span.start.min(self.text.len())];
-        let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
-        ConfigError::Refused {
-            file: self.file.clone(),
-            line,
-            key: key.to_owned(),
-            problem: problem.into(),
-        }
-    }
-
-    /// The key that the value at `span` is given to: what stands before the `=` before it.
-    fn key_before(&self, span: &Range<usize>) -> Option<String> {
-        let before = self.text.get(..span.start)?.trim_end().strip_suffix('=')?.trim_end();
-        let key = before
-            .rsplit(|c: char| !(c.is_alphanumeric() || c == '_' || c == '-' || c == '.'))
-            .next()?;
-        (!key.is_empty()).then(|| key.to_owned())
-    }
 }
 
 impl Written {

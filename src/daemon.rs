@@ -3,12 +3,12 @@
 //! Nothing is begun that a later step may refuse for a reason that could be known before: the
 //! address is taken first, so that a second daemon neither opens the store nor a camera.
 
+mod error;
 mod reload;
 pub mod sources;
 #[cfg(target_os = "linux")]
 mod systemd;
 
-use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,42 +16,15 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 
+pub use crate::daemon::error::DaemonError;
+
 use crate::config::Config;
 use crate::daemon::reload::Reload;
 use crate::daemon::sources::{plan_of, rig_of};
 use crate::http::{self, Service};
 use crate::pipeline::FleetOptions;
-use crate::pipeline::fleet::{Fleet, FleetError};
-use crate::store::{Store, StoreError};
-
-/// Why the daemon did not run.
-#[derive(Debug, thiserror::Error)]
-pub enum DaemonError {
-    /// The address is not to be had.
-    #[error(
-        "cannot listen on {address}: {source}; stop whoever has it (another plumb?), or give another --listen"
-    )]
-    Listen {
-        /// What was asked for.
-        address: SocketAddr,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// The store cannot be used.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The cameras cannot be set going.
-    #[error(transparent)]
-    Fleet(#[from] FleetError),
-    /// The system refused what every program needs.
-    #[error("{what}: {source}")]
-    System {
-        /// What was attempted.
-        what: &'static str,
-        /// What the system said.
-        source: std::io::Error,
-    },
-}
+use crate::pipeline::fleet::Fleet;
+use crate::store::Store;
 
 /// Threads that answer requests; frames and solves have their own.
 const HTTP_THREADS: usize = 2;

@@ -14,6 +14,7 @@ pub mod plane_error;
 pub mod result;
 pub mod rgbd_calibration;
 mod rgbd_check;
+mod rgbd_error;
 pub mod rounded;
 pub mod running_estimate;
 pub mod scene;

@@ -5,10 +5,10 @@ use nalgebra::DMatrix;
 use crate::calibration::depth_calibration::{DepthCalibration, judge_depth};
 use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
+    CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, pose_std};
+use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::lens::Lens;
 use crate::imaging::frame::SensorKind;

@@ -1,7 +1,7 @@
 //! Answers of the joint solve of color and depth that fit, but cannot be: another unit, another
 //! device, a mirrored picture.
 
-use crate::calibration::solve_rgbd::RgbdError;
+use crate::calibration::rgbd_error::RgbdError;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::estimation::robust::median;

@@ -1,12 +1,12 @@
 //! The solve of a camera with color and depth: from corners and depth pictures to lenses, the
 //! sensors' pose, the depth camera's correction, and how far to trust them.
 
-use nalgebra::{Matrix6, Point3, Vector3};
+use nalgebra::Point3;
 
 use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::rgbd_check::check_joint;
+pub use crate::calibration::rgbd_error::RgbdError;
 use crate::calibration::solve::{SolvedCamera, solve_views};
-use crate::calibration::solve_rig::turns;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
@@ -92,67 +92,6 @@ pub struct SolvedRgbd {
     pub without_depth: Vec<(String, NoPlane)>,
 }
 
-/// Why color and depth could not be calibrated.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum RgbdError {
-    /// One sensor by itself could not be.
-    #[error("{sensor}: {source}")]
-    Sensor {
-        /// Which.
-        sensor: &'static str,
-        /// Why not.
-        source: EstimationError,
-    },
-    /// Too few captures have the board's surface in depth.
-    #[error(
-        "only {usable} of {all} views have the board in the depth picture, 3 are needed{first}: check that depth and color are of the same device and moment"
-    )]
-    TooLittleDepth {
-        /// How many.
-        usable: usize,
-        /// Of how many with the board in color.
-        all: usize,
-        /// Why the first one has not, as `; view: reason`, or nothing.
-        first: String,
-    },
-    /// Depth is a multiple of what the board says.
-    #[error(
-        "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"
-    )]
-    Unit {
-        /// How many times.
-        factor: f64,
-        /// The other way round.
-        factor_inverse: f64,
-    },
-    /// Depth is not the board's.
-    #[error(
-        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that color sees: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
-    )]
-    Disagree {
-        /// Part of the patches.
-        percent: f64,
-    },
-    /// The sensors would be too far apart for one device.
-    #[error(
-        "depth and color only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
-    )]
-    Apart {
-        /// How far, in meters.
-        apart_m: f64,
-        /// How much they are turned against each other.
-        degrees: f64,
-    },
-    /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.
-    #[error(
-        "no pose of the sensors lets depth and color agree: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
-    )]
-    NotOneDevice,
-    /// All together could not be.
-    #[error("color and depth together: {0}")]
-    Joint(EstimationError),
-}
-
 /// The board's surface reaches this many squares past its outer inner corners, and is measured this
 /// far.
 const MARGIN_SQUARES: f64 = 0.8;
@@ -218,7 +157,7 @@ fn labelled_as_in_color(
     color: &SolvedCamera,
     infrared: &SolvedCamera,
 ) -> Option<RgbdInput> {
-    let turns = turns(&input.board);
+    let turns = input.board.symmetries();
     if turns.len() == 1 {
         return None;
     }
@@ -574,10 +513,4 @@ fn same_view(lens: &Lens, lens_size: ImageSize, size: ImageSize) -> Lens {
     let focal = lens.matrix.fx * scale;
     let center = size.center();
     Lens::pinhole(CameraMatrix { fx: focal, fy: focal, cx: center.x, cy: center.y, skew: 0.0 })
-}
-
-/// Standard deviations of a pose's turn (radians) and translation (meters), axis by axis.
-pub fn pose_std(covariance: &Matrix6<f64>) -> (Vector3<f64>, Vector3<f64>) {
-    let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
-    (Vector3::from_fn(|k, _| std(k)), Vector3::from_fn(|k, _| std(k + 3)))
 }

@@ -5,11 +5,10 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 
 use crate::calibration::list_shift::list_shift;
 use crate::calibration::result::{
-    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict,
+    CalibratedSensor, Calibration, Checks, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
-use crate::calibration::solve_rgbd::pose_std;
 use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
@@ -297,7 +296,7 @@ struct Joint {
 
 impl Joint {
     fn solve(input: &RigInput, group: &[&Alone<'_>]) -> Result<Self, RigError> {
-        let turns = turns(&input.board);
+        let turns = input.board.symmetries();
         let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
         let chosen =
             consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);
@@ -400,26 +399,6 @@ fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> RigPose {
 
 fn cross(v: &Vector3<f64>) -> Matrix3<f64> {
     v.cross_matrix()
-}
-
-/// What a board looks the same after, as `board_from_board`; the identity first.
-pub(super) fn turns(board: &Chessboard) -> Vec<Pose> {
-    if !board.size.orientation_ambiguous() {
-        return vec![Pose::identity()];
-    }
-    let far = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1);
-    let quarter = |quarters: i32, shift: Vector3<f64>| {
-        Pose::from_axis_angle(
-            Vector3::z() * (f64::from(quarters) * std::f64::consts::FRAC_PI_2),
-            shift,
-        )
-    };
-    let mut turns = vec![Pose::identity(), quarter(2, far.coords)];
-    if board.size.cols == board.size.rows {
-        turns.push(quarter(1, Vector3::new(far.x, 0.0, 0.0)));
-        turns.push(quarter(3, Vector3::new(0.0, far.y, 0.0)));
-    }
-    turns
 }
 
 fn checks(alone: &[Alone<'_>]) -> Checks {

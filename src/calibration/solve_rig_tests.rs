@@ -41,7 +41,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
             Pose::new(turned.rotation(), place - turned.rotation() * middle)
         })
         .collect();
-    let turns = turns(&board);
+    let turns = board.symmetries();
     let camera = |(camera, from_first): (usize, Pose)| {
         let mut views = Vec::new();
         for (moment, first_from_board) in first_from_board.iter().enumerate() {

@@ -9,16 +9,14 @@ use crate::cli::calibrate_target::gather_target;
 use crate::cli::calibration_output::{OutputArgs, finished, named};
 use crate::cli::choose::{ChooseArgs, Pictures};
 use crate::cli::estimated::EstimatedArgs;
-use crate::cli::gather::Gathered;
-use crate::cli::in_order::{all_cores, in_order};
+use crate::cli::gather::gather;
 use crate::cli::length::Length;
 use crate::cli::lens_name::LensName;
 use crate::cli::rig::{self, NamedSource, named_source};
-use crate::cli::search::searcher;
-use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
+use crate::cli::search_args::SearchArgs;
+use crate::cli::sources::is_recording;
 use crate::cli::target_search::read_target;
 use crate::cli::{Failure, progress};
-use crate::detection::board_detection::DetectOptions;
 use crate::estimation::camera::CameraOptions;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::target::Target;
@@ -52,51 +50,6 @@ pub struct Args {
     choose: ChooseArgs,
     #[command(flatten)]
     output: OutputArgs,
-}
-
-/// Which pictures to search, and for what.
-#[derive(Debug, clap::Args)]
-pub struct SearchArgs {
-    /// Also use pictures in which only part of the board is seen.
-    #[arg(long)]
-    pub(super) allow_partial: bool,
-    /// How many pictures to search at once; all cores unless given.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    pub(super) threads: Option<u16>,
-    #[command(flatten)]
-    pub(super) reading: TopicArgs,
-    /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags).
-    #[arg(value_name = "SOURCE")]
-    pub(super) sources: Vec<String>,
-}
-
-impl SearchArgs {
-    pub(super) fn thread_count(&self) -> usize {
-        self.threads.map_or_else(all_cores, usize::from)
-    }
-
-    pub(super) fn detect_options(&self) -> DetectOptions {
-        DetectOptions { allow_partial: self.allow_partial }
-    }
-
-    /// # Errors
-    /// When a source is not there.
-    pub(super) fn check_sources(&self) -> Result<(), Failure> {
-        if self.sources.is_empty() {
-            return Err(Failure::usage(
-                "a SOURCE is missing: give images, a folder of them, a quoted glob or a recording; see --help",
-            ));
-        }
-        self.sources.iter().try_for_each(|source| check_there(source))
-    }
-
-    /// The sources, in as many words as a line holds.
-    fn title(&self) -> String {
-        match self.sources.as_slice() {
-            [first, _, .., last] => format!("{first} … {last}"),
-            few => few.join(" "),
-        }
-    }
 }
 
 /// Runs the command.
@@ -173,28 +126,6 @@ fn solve(
     args.output.give(&calibration, None)
 }
 
-/// The views of `target` in the pictures.
-///
-/// # Errors
-/// When a source is not there, or pictures differ in size.
-pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure> {
-    args.check_sources()?;
-    let options = args.detect_options();
-    let mut gathered = Gathered::new(target);
-    let spinner = progress::spinner("searching pictures");
-    in_order(
-        FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
-        args.threads.map_or_else(all_cores, usize::from),
-        || searcher(target.size, options, 1),
-        |looked| {
-            spinner.inc(1);
-            gathered.add(looked)
-        },
-    )?;
-    spinner.finish_and_clear();
-    Ok(gathered)
-}
-
 /// Several folders or recordings may be one camera's or several cameras': that is not guessed.
 fn check_one_camera(sources: &[String]) -> Result<(), Failure> {
     let whole: Vec<&String> = sources
@@ -205,13 +136,4 @@ fn check_one_camera(sources: &[String]) -> Result<(), Failure> {
     Err(Failure::usage(format!(
         "{first} and {second}: of one camera or of two? For two cameras write plumb calibrate --rig left={first} --rig right={second}; for one give its images, as a quoted glob: \"{first}/*\""
     )))
-}
-
-/// A mistyped source must not be lost among the pictures that could be read.
-fn check_there(source: &str) -> Result<(), Failure> {
-    let is_glob = source.contains(['*', '?', '[']);
-    if Path::new(source).exists() || is_glob {
-        return Ok(());
-    }
-    Err(Failure::failed(format!("{source}: there is no such file or folder; check the path")))
 }

@@ -1,9 +1,9 @@
 //! From pictures of a board with markers to the views of a calibration.
 
 use crate::calibration::result::CalibratedView;
-use crate::cli::calibrate::SearchArgs;
 use crate::cli::gather::unused;
 use crate::cli::in_order::{all_cores, in_order};
+use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::target_search::{TargetSearched, target_searcher};
 use crate::cli::{Failure, progress};

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::cli::detect::{Args, Unread, paths};
+use crate::cli::detect_args::{Args, Unread, paths};
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::sources::FrameSets;
 use crate::cli::target_search::{TargetSearched, target_searcher};

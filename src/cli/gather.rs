@@ -6,9 +6,11 @@ use crate::calibration::session::Session;
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
-use crate::cli::Failure;
-use crate::cli::search::Looked;
-use crate::cli::sources::Unreadable;
+use crate::cli::in_order::in_order;
+use crate::cli::search::{Looked, searcher};
+use crate::cli::search_args::SearchArgs;
+use crate::cli::sources::{FrameSets, Unreadable};
+use crate::cli::{Failure, progress};
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
@@ -148,6 +150,28 @@ impl Gathered {
         tracing::info!("{path}: {} of {} frames kept as views", kept.len(), record.frames_seen);
         self.pictures.extend(kept.iter().map(|view| Ok(view.to_board_view(&self.target))));
     }
+}
+
+/// The views of `target` in the pictures.
+///
+/// # Errors
+/// When a source is not there, or pictures differ in size.
+pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure> {
+    args.check_sources()?;
+    let options = args.detect_options();
+    let mut gathered = Gathered::new(target);
+    let spinner = progress::spinner("searching pictures");
+    in_order(
+        FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
+        args.thread_count(),
+        || searcher(target.size, options, 1),
+        |looked| {
+            spinner.inc(1);
+            gathered.add(looked)
+        },
+    )?;
+    spinner.finish_and_clear();
+    Ok(gathered)
 }
 
 pub(super) fn unused(name: String, reason: String) -> CalibratedView {

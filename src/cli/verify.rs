@@ -9,8 +9,9 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 use crate::calibration::result::ImageCalibration;
-use crate::cli::calibrate::{SearchArgs, gather};
 use crate::cli::files::read_calibration;
+use crate::cli::gather::gather;
+use crate::cli::search_args::SearchArgs;
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};

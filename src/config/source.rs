@@ -17,7 +17,8 @@ use toml::Spanned;
 
 use crate::capture::mode::ModeRequest;
 use crate::capture::realsense::{Preset, Settings};
-use crate::config::{ConfigError, Place};
+use crate::config::error::ConfigError;
+use crate::config::place::Place;
 use crate::geometry::pixel::ImageSize;
 
 /// Where a camera's frames come from.
@@ -151,7 +152,7 @@ const SIMULATOR_SIZE: ImageSize = ImageSize::new(640, 480);
 
 impl WrittenSource {
     /// What it means; `span` is where the table stands.
-    pub(crate) fn check(
+    pub(super) fn check(
         &self,
         span: &Range<usize>,
         place: &Place,

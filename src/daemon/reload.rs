@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::config::{CameraConfig, Config, Overrides, RigConfig};
-use crate::daemon::DaemonError;
+use crate::daemon::error::DaemonError;
 use crate::daemon::sources::{plan_of, rig_of};
 use crate::pipeline::fleet::Fleet;
 

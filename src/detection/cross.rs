@@ -300,6 +300,18 @@ pub(super) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
     upper + fy * (lower - upper)
 }
 
+/// `vector` in units of the steps `u` and `v`.
+pub(super) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
+    let area = u.x * v.y - u.y * v.x;
+    let least = 0.1 * u.norm() * v.norm();
+    (area.abs() > least && area.abs() > 1.0).then(|| {
+        Vec2::new(
+            (vector.x * v.y - vector.y * v.x) / area,
+            (u.x * vector.y - u.y * vector.x) / area,
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,18 +1,18 @@
 //! The whole search: from the coarsest level of the image to the finest, until a board is found.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
+use super::board_edges::Followed;
 use super::candidates::CandidateSearch;
 use super::cross::Vec2;
 use super::ends::seen_ends;
-use super::following::Followed;
 use super::grid::{Bounds, Grid};
 use super::growth::{Growth, WINDOWS, sharpen_all};
+use super::last_board::LastBoard;
 use super::placement::{BoardPlacement, place};
 use super::pyramid::{Pyramid, coarsest_level};
 use super::refine::{GridCorner, RefinedCorner, Refiner};
 use super::response::Response;
 use super::seeds::{Neighborhood, Seed};
-use super::tracking::LastBoard;
 use super::verification::verify;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;

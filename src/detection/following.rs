@@ -4,13 +4,13 @@
 //! small window is enough, as narrow as the blur allows. The whole board confirms itself: every
 //! square between the corners alternates, and none beyond them does.
 
+use super::board_edges::LEAST_CONTRAST;
 use super::cross::{CrossWindow, Vec2};
 use super::detector::Detector;
-use super::edges::sample;
-use super::grid::{Grid, Node};
+use super::grid::Node;
 use super::growth::{FOLLOWED, Prediction, WINDOWS};
+use super::last_board::ExpectedCorner;
 use super::verification::{MOST_OFF, off_neighbors};
-use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
 /// A board with a larger share of corners off their prediction is not tracked.
@@ -33,44 +33,14 @@ const EXACT_BLURS: f32 = 2.0;
 const MOST_REACH: f32 = 0.4;
 /// Minimum correlation with a chessboard corner in the far window and in the near one.
 const LEAST_SCORES: [f32; 2] = [0.6, 0.7];
-/// Minimum contrast, as a share of the last image's: windows of other sizes, and light, change it
-/// by less.
-const LEAST_CONTRAST: f32 = 0.3;
 /// A window is recentered, a few times, while the corner is farther from its center than this share
 /// of its reach.
 const MOST_ASIDE: [f32; 2] = [0.4, 0.2];
 const MAX_ITERATIONS: usize = 3;
-/// Where each edge is sampled between its two corners, and how far to its sides, in steps.
-const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
-const ASIDE: f32 = 0.25;
-/// Steps longer than this make large squares, in pixels.
-const LARGE: f32 = 16.0;
-/// Minimum difference of an edge's two sides, as a share of that of the edges around it; and the
-/// minimum share of edges that hold.
-const LEAST_DIFFERENCE: f32 = 0.25;
-const LEAST_HELD: f32 = 0.75;
 /// How far from a position beyond the board its four quadrants are sampled, in steps, and the
 /// minimum alternation, as a share of the contrast, for a closer measurement.
 const BEYOND: f32 = 0.3;
 const MAY_ALTERNATE: f32 = 0.1;
-
-/// An edge between two corners, by their index in the board's order.
-#[derive(Debug, Clone, Copy)]
-struct Edge {
-    ends: [usize; 2],
-    /// How much brighter the side is that should be, at three positions.
-    differences: [f32; 3],
-}
-
-/// Buffers of tracking, reused from image to image.
-#[derive(Debug, Default)]
-pub(super) struct Followed {
-    /// Each corner's offset from its prediction.
-    off: Vec<Option<Vec2>>,
-    edges: Vec<Edge>,
-    /// Sum of differences, edges, and edges that hold, corner by corner.
-    around: Vec<(f32, u32, u32)>,
-}
 
 impl Detector {
     /// Starts a grid, in the board's own order, from the corners that are found at their
@@ -152,17 +122,6 @@ fn may_be_corner(image: GrayView<'_>, place: &Prediction) -> bool {
     depth.is_some_and(|depth| depth * place.polarity > MAY_ALTERNATE * place.contrast[0])
 }
 
-/// A corner of the last board and its prediction.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct ExpectedCorner {
-    /// What was measured of it.
-    pub last: Node,
-    /// Its predicted position.
-    pub expected: Vec2,
-    /// From there to the next corner along i and along j.
-    pub steps: [Vec2; 2],
-}
-
 impl ExpectedCorner {
     /// The corner, given its neighbors' offset `off`.
     fn measure(
@@ -239,78 +198,5 @@ impl ExpectedCorner {
             score: settled.score,
             tight: false,
         })
-    }
-}
-
-/// Brightness of the pixel at `p`; `None` outside the image.
-fn nearest(image: GrayView<'_>, p: Vec2) -> Option<f32> {
-    let (x, y) = (p.x.round(), p.y.round());
-    let inside = x >= 0.0 && y >= 0.0 && x < image.width() as f32 && y < image.height() as f32;
-    inside.then(|| f32::from(image.row(y as usize)[x as usize]))
-}
-
-impl Followed {
-    /// Measures the edges of the whole board in `grid`; whether enough of them hold, and at each
-    /// corner half of them.
-    fn edges_hold(&mut self, image: GrayView<'_>, grid: &mut Grid, board: BoardSize) -> bool {
-        self.measure_edges(image, grid, board);
-        let Self { edges, around, .. } = self;
-        around.clear();
-        around.resize(board.corner_count(), (0.0, 0, 0));
-        for edge in edges.iter() {
-            for end in edge.ends {
-                around[end].0 += edge.differences.iter().sum::<f32>() / 3.0;
-                around[end].1 += 1;
-            }
-        }
-        let mut held = 0;
-        for edge in edges.iter() {
-            let reference = edge.ends.map(|end| around[end].0 / around[end].1 as f32);
-            let least = LEAST_DIFFERENCE * 0.5 * (reference[0] + reference[1]);
-            if least > 0.0 && edge.differences.iter().all(|&difference| difference >= least) {
-                held += 1;
-                edge.ends.iter().for_each(|&end| around[end].2 += 1);
-            }
-        }
-        let cols = board.cols as usize;
-        let mut all_hold = held as f32 >= LEAST_HELD * edges.len() as f32 && !edges.is_empty();
-        for (index, &(differences, seen, held)) in around.iter().enumerate() {
-            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
-            let Some(node) = grid.get(i, j) else { return false };
-            let contrast = differences / seen.max(1) as f32;
-            all_hold &=
-                2 * held >= seen && (seen == 0 || contrast >= LEAST_CONTRAST * node.contrast.abs());
-            if seen > 0 {
-                grid.set(i, j, Node { contrast: contrast * grid.polarity(i, j), ..node });
-            }
-        }
-        all_hold
-    }
-
-    fn measure_edges(&mut self, image: GrayView<'_>, grid: &Grid, board: BoardSize) {
-        self.edges.clear();
-        let cols = board.cols as usize;
-        for index in 0..board.corner_count() {
-            let (i, j) = ((index % cols) as i32, (index / cols) as i32);
-            let (Some(node), Some([u, v])) = (grid.get(i, j), grid.steps(i, j)) else { continue };
-            for (other, at, aside) in [((i + 1, j), index + 1, v), ((i, j + 1), index + cols, u)] {
-                let Some(end) = grid.pixel(other.0, other.1) else { continue };
-                let along = end - node.pixel;
-                // In large squares a single pixel is as good.
-                let large = u.norm_squared().min(v.norm_squared()) > LARGE * LARGE;
-                let brightness = if large { nearest } else { sample };
-                let difference = |part: f32| {
-                    let on = node.pixel + along * part;
-                    Some(
-                        brightness(image, on + aside * ASIDE)?
-                            - brightness(image, on - aside * ASIDE)?,
-                    )
-                };
-                if let [Some(a), Some(b), Some(c)] = ALONG.map(difference) {
-                    let differences = [a, b, c].map(|difference| difference * grid.polarity(i, j));
-                    self.edges.push(Edge { ends: [index, at], differences });
-                }
-            }
-        }
     }
 }

@@ -7,7 +7,7 @@
 use std::collections::VecDeque;
 
 use super::candidates::Candidate;
-use super::cross::{CrossWindow, Vec2};
+use super::cross::{CrossWindow, Vec2, in_steps};
 use super::curved_board::predict_on_curve;
 use super::edges::is_edge;
 use super::grid::{Bounds, Grid, Node};
@@ -454,16 +454,4 @@ fn contrast_near(grid: &Grid, i: i32, j: i32, reach: i32) -> [f32; 2] {
         }
     }
     [wide, near].map(|sum| sum / f32::max(count, 1.0))
-}
-
-/// `vector` in units of the steps `u` and `v`.
-pub(super) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
-    let area = u.x * v.y - u.y * v.x;
-    let least = 0.1 * u.norm() * v.norm();
-    (area.abs() > least && area.abs() > 1.0).then(|| {
-        Vec2::new(
-            (vector.x * v.y - vector.y * v.x) / area,
-            (u.x * vector.y - u.y * vector.x) / area,
-        )
-    })
 }

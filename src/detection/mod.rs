@@ -6,6 +6,7 @@
 //! [`Detector`] keeps its buffers from image to image, and tracks ([`tracking`]).
 
 pub mod board_detection;
+mod board_edges;
 mod candidates;
 pub mod coded;
 mod cross;
@@ -17,6 +18,7 @@ mod ends;
 mod following;
 mod grid;
 mod growth;
+mod last_board;
 mod perspective;
 mod placement;
 mod pyramid;

@@ -3,9 +3,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::cross::Vec2;
+use super::cross::{Vec2, in_steps};
 use super::grid::Grid;
-use super::growth::in_steps;
 
 type Normal = SMatrix<f64, 8, 8>;
 type Right = SVector<f64, 8>;

@@ -6,12 +6,8 @@
 //! searched.
 
 use super::board_detection::{DetectOptions, DetectedCorner, Detection, NoBoard};
-use super::cross::Vec2;
 use super::detector::Detector;
-use super::following::ExpectedCorner;
-use super::grid::{Grid, Node};
 use super::placement::{BoardPlacement, place};
-use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
 /// Corners of a tracked board that are refined, to estimate the blur and the error of the others.
@@ -30,64 +26,6 @@ pub struct TrackedBoard {
 }
 
 pub use TrackedBoard as Sighting;
-
-/// The last positions of a board's corners, in the board's order.
-#[derive(Debug, Default)]
-pub(super) struct LastBoard {
-    nodes: Vec<Node>,
-    /// Each corner's motion since the board before.
-    motion: Vec<Vec2>,
-    before: Vec<Vec2>,
-    /// Whether the square beyond the first corner, towards the board's middle, is bright.
-    pub(super) bright: bool,
-    /// Width of the blur across its edges, in pixels.
-    pub(super) blur_px: f32,
-}
-
-impl LastBoard {
-    pub(super) fn forget(&mut self) {
-        self.nodes.clear();
-        self.before.clear();
-    }
-
-    /// Remembers a whole board.
-    fn remember(&mut self, grid: &Grid, placement: BoardPlacement, board: BoardSize) {
-        self.before.clear();
-        self.before.extend(self.nodes.iter().map(|node| node.pixel));
-        self.nodes.clear();
-        let corners = (0..board.rows as i32)
-            .flat_map(|row| (0..board.cols as i32).map(move |col| (col, row)));
-        self.nodes.extend(corners.filter_map(|(col, row)| {
-            let (i, j) = placement.in_grid(col, row);
-            grid.get(i, j)
-        }));
-        self.motion.clear();
-        self.motion
-            .extend(self.nodes.iter().zip(&self.before).map(|(node, before)| node.pixel - before));
-        let ((i, j), (k, l)) = (placement.in_grid(0, 0), placement.in_grid(1, 1));
-        self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
-    }
-
-    /// Predicted position of corner `index`.
-    pub(super) fn expect(
-        &self,
-        index: usize,
-        board: BoardSize,
-        with_motion: bool,
-    ) -> Option<ExpectedCorner> {
-        let (cols, rows) = (board.cols as usize, board.rows as usize);
-        let step = |at: usize, length: usize, stride: usize| {
-            let low = index - stride.min(at * stride);
-            let high = if at + 1 < length { index + stride } else { index };
-            let (p, q) = (self.nodes.get(low)?.pixel, self.nodes.get(high)?.pixel);
-            Some((q - p) * (stride as f32 / (high - low) as f32))
-        };
-        let steps = [step(index % cols, cols, 1)?, step(index / cols, rows, cols)?];
-        let moved = if with_motion { *self.motion.get(index)? } else { Vec2::zeros() };
-        let last = *self.nodes.get(index)?;
-        Some(ExpectedCorner { last, expected: last.pixel + moved, steps })
-    }
-}
 
 impl Detector {
     /// Finds the board in the next image of a stream: first near its last position, else by

@@ -1,9 +1,9 @@
 //! Verification, which can only drop: every corner's edges, and its position among its neighbors.
 
+use super::cross::in_steps;
 use super::curved_board::predict_on_curve;
 use super::edges::{EdgeCount, count_edges};
 use super::grid::Grid;
-use super::growth::in_steps;
 use crate::imaging::gray::GrayView;
 
 /// Minimum share of edges that hold.

@@ -6,8 +6,8 @@ use utoipa::ToSchema;
 use crate::calibration::depth_calibration::{
     DepthBias, DepthCalibration, DepthNoise, PictureDelay,
 };
-use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
+use crate::document::image_sensor::image_size;
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::depth_correction::{

@@ -6,8 +6,8 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::document::calibration::image_size;
 use crate::document::error::DocumentError;
+use crate::document::image_sensor::image_size;
 use crate::document::lens::LensRequest;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardShape, BoardView, CameraProblem, Correspondence, Shutter};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::scene::{SceneCalibration, SceneView};
-use crate::document::calibration::UncertaintyDocument;
+use crate::document::image_sensor::UncertaintyDocument;
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::document::pose::PoseDocument;
 use crate::document::verdict::{ChecksDocument, VerdictDocument};

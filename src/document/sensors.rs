@@ -12,9 +12,9 @@ use utoipa::{PartialSchema, ToSchema};
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::result::{CalibratedSensor, ImageCalibration, SensorResult};
 use crate::calibration::sensor::SensorId;
-use crate::document::calibration::SensorDocument;
 use crate::document::depth::DepthDocument;
 use crate::document::error::DocumentError;
+use crate::document::image_sensor::SensorDocument;
 use crate::imaging::frame::SensorKind;
 
 /// The calibrated sensors of a camera, by kind.

@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::calibration::session_record::{RunningEstimate, SessionMember};
 use crate::document::error::DocumentError;
-use crate::document::session::{
+use crate::document::session_progress::{
     CoverageDocument, EstimateDocument, GuidanceDocument, is_finite, rejected_counts, rejections,
 };
 

@@ -99,8 +99,8 @@ pub fn target_to_json(target: &Target) -> Result<String, DocumentError> {
 fn in_field(error: &TargetError) -> DocumentError {
     let field = match error {
         TargetError::Chessboard(_) | TargetError::Size { .. } => "cols",
-        TargetError::Dictionary { name } if name.starts_with("tag") => "family",
-        TargetError::Dictionary { .. } => "dictionary",
+        TargetError::Dictionary(unknown) if unknown.name.starts_with("tag") => "family",
+        TargetError::Dictionary(_) => "dictionary",
         TargetError::Length { field, .. } => field,
         TargetError::Marker { .. } => "marker_m",
         TargetError::Spacing { .. } => "spacing",
@@ -163,7 +163,8 @@ impl TargetFields {
         let kind = needed("kind", self.kind.as_deref())?;
         let (cols, rows) = (needed("cols", self.cols), needed("rows", self.rows));
         let first_id = self.first_id.unwrap_or(0);
-        let dictionary = |name: &str| Dictionary::named(name).map_err(|error| in_field(&error));
+        let dictionary =
+            |name: &str| Dictionary::named(name).map_err(|error| in_field(&error.into()));
         match kind {
             "chessboard" => chessboard(cols?, rows?, needed("square_m", self.square_m)?)
                 .map_err(|error| in_field(&error)),

@@ -2,7 +2,7 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimation::effects::fit::EffectsFit;
+use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};

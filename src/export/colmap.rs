@@ -1,8 +1,8 @@
 //! COLMAP's `cameras.txt`, a camera for each picture sensor.
 
 use crate::export::number::decimal;
-use crate::export::sensors::Sensor;
-use crate::export::{ExportError, Format, without_skew};
+use crate::export::sensors::{Sensor, without_skew};
+use crate::export::{ExportError, Format};
 use crate::geometry::lens::{Lens, LensModel};
 
 /// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's center:

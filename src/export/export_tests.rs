@@ -8,7 +8,7 @@ use super::*;
 use crate::calibration::result::{CalibratedSensor, Extrinsics};
 use crate::calibration::sensor::SensorId;
 use crate::document::calibration::tests::{example, with_infrared};
-use crate::geometry::lens::Lens;
+use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;
 

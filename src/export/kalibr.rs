@@ -3,8 +3,8 @@
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
 use crate::export::number::list;
-use crate::export::sensors::{self, Sensor};
-use crate::export::{ExportError, Format, refit, without_skew};
+use crate::export::sensors::{self, Sensor, without_skew};
+use crate::export::{ExportError, Format, refit};
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;

@@ -1,8 +1,8 @@
 //! mrcal's `.cameramodel`: a Python literal with comments.
 
 use crate::export::number::list;
-use crate::export::sensors::Sensor;
-use crate::export::{ExportError, Format, without_skew};
+use crate::export::sensors::{Sensor, without_skew};
+use crate::export::{ExportError, Format};
 use crate::geometry::lens::LensModel;
 
 /// The model at the reference's origin. mrcal's OPENCV4, 5 and 8 take OpenCV's coefficients in

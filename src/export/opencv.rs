@@ -2,8 +2,8 @@
 
 use crate::calibration::result::Calibration;
 use crate::export::number::{decimal, list};
-use crate::export::sensors::Sensor;
-use crate::export::{ExportError, Format, without_skew};
+use crate::export::sensors::{Sensor, without_skew};
+use crate::export::{ExportError, Format};
 use crate::geometry::lens::LensModel;
 
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:

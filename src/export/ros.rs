@@ -1,8 +1,8 @@
 //! ROS `camera_info` YAML, as `camera_info_manager` and `camera_calibration_parsers` read it.
 
 use crate::export::number::list;
-use crate::export::sensors::Sensor;
-use crate::export::{ExportError, Format, without_skew};
+use crate::export::sensors::{Sensor, without_skew};
+use crate::export::{ExportError, Format};
 use crate::geometry::lens::{Lens, LensModel};
 
 /// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the

@@ -172,3 +172,12 @@ pub(super) fn placed_sensors(
         format!("left out, because where it is against {} is not known: {names}", placed[0].name);
     Ok((placed, (!open.is_empty()).then_some(note)))
 }
+
+/// # Errors
+/// [`ExportError::Skew`] of a lens with skew: the format takes the axes as square.
+pub(super) fn without_skew(sensor: &Sensor<'_>, format: Format) -> Result<(), ExportError> {
+    match sensor.lens.matrix.skew {
+        0.0 => Ok(()),
+        skew_px => Err(ExportError::Skew { format, skew_px }),
+    }
+}

@@ -1,9 +1,10 @@
 //! The chessboard: how many inner corners, how large a square, where each corner lies in the board
 //! frame.
 
-use nalgebra::Point3;
+use nalgebra::{Point3, Vector3};
 
 use crate::geometry::physical::{SQUARE_M, Unphysical};
+use crate::geometry::pose::Pose;
 
 /// How many inner corners a chessboard has: `cols` along a row, `rows` rows. Each is at least 3.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -108,6 +109,28 @@ impl Chessboard {
     /// board are allowed: the outer border of the squares is at −1 and `cols`.
     pub fn corner_in_board(&self, col: i32, row: i32) -> Point3<f64> {
         Point3::new(f64::from(col) * self.square_m, f64::from(row) * self.square_m, 0.0)
+    }
+
+    /// The motions after which its pattern is the same, as `board_from_board`: the identity first,
+    /// then the half turn of a board whose first corner no image determines, and the quarter turns
+    /// of a square one.
+    pub fn symmetries(&self) -> Vec<Pose> {
+        if !self.size.orientation_ambiguous() {
+            return vec![Pose::identity()];
+        }
+        let far = self.corner_in_board(self.size.cols as i32 - 1, self.size.rows as i32 - 1);
+        let quarter = |quarters: i32, translation: Vector3<f64>| {
+            Pose::from_axis_angle(
+                Vector3::z() * (f64::from(quarters) * std::f64::consts::FRAC_PI_2),
+                translation,
+            )
+        };
+        let mut symmetries = vec![Pose::identity(), quarter(2, far.coords)];
+        if self.size.cols == self.size.rows {
+            symmetries.push(quarter(1, Vector3::new(far.x, 0.0, 0.0)));
+            symmetries.push(quarter(3, Vector3::new(0.0, far.y, 0.0)));
+        }
+        symmetries
     }
 
     /// All corners in row-major order, in meters in the board frame.

@@ -4,8 +4,6 @@
 
 use std::sync::OnceLock;
 
-use crate::geometry::target::TargetError;
-
 /// A dictionary of square markers, all of one size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Dictionary {
@@ -55,14 +53,24 @@ const FAMILIES: [(&str, &str); 4] = [
     ("tag36h11", "DICT_APRILTAG_36h11"),
 ];
 
+/// A name that is none of the dictionaries'.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "there is no dictionary `{name}`: give one of OpenCV's, as in DICT_4X4_50, or a family of AprilTags, as in tag36h11"
+)]
+pub struct UnknownDictionary {
+    /// What was asked for.
+    pub name: String,
+}
+
 impl Dictionary {
     /// The dictionary of this name: OpenCV's (`DICT_4X4_50`) or AprilTag's (`tag36h11`).
     ///
     /// # Errors
-    /// [`TargetError::Dictionary`] if there is none.
-    pub fn named(name: &str) -> Result<Self, TargetError> {
+    /// [`UnknownDictionary`] if there is none.
+    pub fn named(name: &str) -> Result<Self, UnknownDictionary> {
         let opencv = FAMILIES.iter().find(|family| family.0 == name).map_or(name, |found| found.1);
-        let unknown = || TargetError::Dictionary { name: name.to_owned() };
+        let unknown = || UnknownDictionary { name: name.to_owned() };
         let &(known, table, count) =
             NAMES.iter().find(|known| known.0 == opencv).ok_or_else(unknown)?;
         let table = tables().iter().find(|other| other.name == table).ok_or_else(unknown)?;

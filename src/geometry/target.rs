@@ -4,7 +4,7 @@
 use nalgebra::Point3;
 
 use crate::geometry::board::{BoardError, BoardSize, Chessboard};
-use crate::geometry::dictionary::Dictionary;
+use crate::geometry::dictionary::{Dictionary, UnknownDictionary};
 use crate::geometry::physical::SQUARE_M;
 
 /// A calibration target.
@@ -73,13 +73,8 @@ pub enum TargetError {
     #[error(transparent)]
     Chessboard(#[from] BoardError),
     /// Not one of the dictionaries.
-    #[error(
-        "there is no dictionary `{name}`: give one of OpenCV's, as in DICT_4X4_50, or a family of AprilTags, as in tag36h11"
-    )]
-    Dictionary {
-        /// What was asked for.
-        name: String,
-    },
+    #[error(transparent)]
+    Dictionary(#[from] UnknownDictionary),
     /// Too few or too many squares or tags.
     #[error("a board of {cols}x{rows} {of} cannot be used: give {least} to 50 each way")]
     Size {

@@ -12,7 +12,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::calibration::drift::Drift;
-use crate::document::calibration::UncertaintyDocument;
+use crate::document::image_sensor::UncertaintyDocument;
 use crate::document::session::SessionDocument;
 use crate::document::time;
 use crate::document::verdict::GradeName;

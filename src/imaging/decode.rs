@@ -5,6 +5,8 @@
 
 use image::{DynamicImage, RgbImage};
 
+pub use crate::imaging::decode_error::{DecodeError, MAX_PIXELS};
+
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::gray::{GrayImage, GrayView};
@@ -14,81 +16,6 @@ use crate::imaging::pixel_format::{
     luma_row_from_yuyv, rgb_row_from_nv12, rgb_row_from_uyvy, rgb_row_from_yuyv,
 };
 use crate::imaging::{plausible, png};
-
-/// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown
-/// to.
-pub const MAX_PIXELS: u64 = 120_000_000;
-
-/// A frame that cannot be decoded.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum DecodeError {
-    /// No bytes at all.
-    #[error("the picture has 0 bytes: it was never written; leave it out or record it again")]
-    Empty,
-    /// Neither a JPEG nor a PNG, nor whatever its format says.
-    #[error("not a picture that Plumb reads: convert it to PNG")]
-    NotAPicture,
-    /// More pixels than [`MAX_PIXELS`].
-    #[error(
-        "a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header"
-    )]
-    TooLarge {
-        /// What its header says.
-        size: ImageSize,
-    },
-    /// More pixels than its bytes can stand for.
-    #[error(
-        "a picture of {size} pixels in a file of {bytes} bytes cannot be: its header is wrong; leave it out or convert it again"
-    )]
-    Implausible {
-        /// What its header says.
-        size: ImageSize,
-        /// How many bytes there are.
-        bytes: usize,
-    },
-    /// Its bytes end before its pixels do.
-    #[error(
-        "the {format} ends too early, after {bytes} bytes: it was cut off; leave it out or copy it again"
-    )]
-    Truncated {
-        /// The file format.
-        format: &'static str,
-        /// How many bytes there are.
-        bytes: usize,
-    },
-    /// Its bytes contradict the format.
-    #[error("the {format} is damaged ({reason}): leave it out or record it again")]
-    Malformed {
-        /// The file format.
-        format: &'static str,
-        /// What the decoder met.
-        reason: String,
-    },
-    /// An uncompressed buffer too short for its size.
-    #[error(
-        "a {size} {format} frame with rows every {stride} bytes needs {needed} bytes, not {bytes}"
-    )]
-    Buffer {
-        /// The frame's size.
-        size: ImageSize,
-        /// Its pixel format.
-        format: &'static str,
-        /// Its bytes from row to row.
-        stride: usize,
-        /// What it needs.
-        needed: usize,
-        /// What it has.
-        bytes: usize,
-    },
-    /// Colors asked for as depth, or depth as a picture.
-    #[error("a {format} frame cannot be read as {wanted}")]
-    WrongKind {
-        /// The frame's pixel format.
-        format: &'static str,
-        /// What was asked for.
-        wanted: &'static str,
-    },
-}
 
 /// The size that a JPEG's or PNG's header states, without decoding it.
 ///

@@ -8,7 +8,7 @@ use zune_jpeg::zune_core::colorspace::ColorSpace;
 use zune_jpeg::zune_core::options::DecoderOptions;
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::DecodeError;
+use crate::imaging::decode_error::DecodeError;
 use crate::imaging::pixel_format::luma_row_from_rgb;
 
 const SOI: u8 = 0xd8;

@@ -3,6 +3,7 @@
 pub mod bayer;
 mod color_view;
 pub mod decode;
+mod decode_error;
 mod depth_conversion;
 pub mod depth_image;
 pub mod depth_picture;

@@ -4,7 +4,7 @@
 //! none: theirs may be of [`PIXELS_AT_LEAST`] pixels however small the file is.
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::{DecodeError, MAX_PIXELS};
+use crate::imaging::decode_error::{DecodeError, MAX_PIXELS};
 
 /// Pixels that a file of any length may hold.
 const PIXELS_AT_LEAST: u64 = 16_000_000;

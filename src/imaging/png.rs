@@ -9,7 +9,7 @@ use std::io::Cursor;
 use image::{ColorType, DynamicImage, ImageDecoder};
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::DecodeError;
+use crate::imaging::decode_error::DecodeError;
 use crate::imaging::frame::PixelFormat;
 use crate::imaging::plausible;
 

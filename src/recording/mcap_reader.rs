@@ -7,9 +7,10 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::timestamp::{DeviceTime, HostTime};
+use crate::recording::RecordingError;
 use crate::recording::messages::{Topic, decode_frame, decode_lens};
 use crate::recording::records::{McapRecord, MessageHeader, RecordReader};
-use crate::recording::{RecordingError, names_topic};
+use crate::recording::topic_names::names_topic;
 
 /// Frames of different sensors that come within this time are taken together.
 const TOGETHER_NS: u64 = 15_000_000;

@@ -5,6 +5,7 @@
 //! was cut off gives all that can be read before its error.
 
 mod bag;
+mod error;
 mod fields;
 mod folder;
 mod mcap_reader;
@@ -14,11 +15,13 @@ mod natural_order;
 mod records;
 mod ros2_messages;
 mod ros2_writer;
+mod topic_names;
 mod unpack;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub use bag::BagReader;
+pub use error::RecordingError;
 pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};
 pub use mcap_writer::McapWriter;
@@ -27,121 +30,6 @@ pub use ros2_writer::Ros2Writer;
 
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
-
-/// A recording that cannot be read or written.
-#[derive(Debug, thiserror::Error)]
-pub enum RecordingError {
-    /// Nothing is there.
-    #[error("{}: there is no such file or folder: check the path", path.display())]
-    Missing {
-        /// What was asked for.
-        path: PathBuf,
-    },
-    /// A folder with nothing that is named like a picture.
-    #[error(
-        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders color/, infrared/, infrared2/, depth/ with such files",
-        path.display()
-    )]
-    NoPictures {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// The system refused.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Which file or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// An MCAP file that ends too early.
-    #[error(
-        "{}: the recording was cut off: {frame_sets} whole frames could be read, what follows is lost; copy it again, or go on with these",
-        path.display()
-    )]
-    Cut {
-        /// The file.
-        path: PathBuf,
-        /// How many frame sets were read.
-        frame_sets: usize,
-    },
-    /// An MCAP file whose bytes contradict themselves, or that holds images in a form that Plumb
-    /// does not read.
-    #[error("{}: cannot be read after {frame_sets} frames ({reason}): copy or record it again", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// How many frame sets were read.
-        frame_sets: usize,
-        /// What was met.
-        reason: String,
-    },
-    /// A file without images of a camera.
-    #[error(
-        "{}: no frames in this recording: it needs images of ROS (sensor_msgs Image or CompressedImage), or of Foxglove on topics like /front/color",
-        path.display()
-    )]
-    NoFrames {
-        /// The file.
-        path: PathBuf,
-    },
-    /// A file of more than one camera.
-    #[error(
-        "{}: holds several cameras ({} and {}): pick one with --topic, or topic = in a configuration",
-        path.display(), cameras[0], cameras[1]
-    )]
-    SeveralCameras {
-        /// The file.
-        path: PathBuf,
-        /// Topics of two of them.
-        cameras: [String; 2],
-    },
-    /// A topic was asked for that carries no images here.
-    #[error("{}: no images on the topic `{topic}`: there are {known}", path.display())]
-    NoSuchTopic {
-        /// The file.
-        path: PathBuf,
-        /// What was asked for.
-        topic: String,
-        /// The topics that carry images.
-        known: String,
-    },
-    /// Images in a form that Plumb does not read.
-    #[error("{}: {topic}: {reason}; convert them, or pick another topic", path.display())]
-    UnknownImage {
-        /// The file.
-        path: PathBuf,
-        /// The topic.
-        topic: String,
-        /// What was met.
-        reason: String,
-    },
-    /// A file that is no recording.
-    #[error("{}: not a recording: give an .mcap file, a ROS bag (.db3, .bag) or a folder of images", path.display())]
-    NotARecording {
-        /// The file.
-        path: PathBuf,
-    },
-}
-
-impl RecordingError {
-    /// The same of the file at `path`: of one that was unpacked to another place.
-    fn of(mut self, at: &Path) -> Self {
-        match &mut self {
-            Self::Missing { path }
-            | Self::NoPictures { path }
-            | Self::Io { path, .. }
-            | Self::Cut { path, .. }
-            | Self::Damaged { path, .. }
-            | Self::NoFrames { path }
-            | Self::SeveralCameras { path, .. }
-            | Self::NoSuchTopic { path, .. }
-            | Self::UnknownImage { path, .. }
-            | Self::NotARecording { path } => at.clone_into(path),
-        }
-        self
-    }
-}
 
 /// How to read a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -250,15 +138,4 @@ fn is_bag(path: &Path) -> Result<bool, RecordingError> {
         return bag::mcap_has_ros_images(path);
     }
     Ok(is_bag_folder(path) || path.is_file() && bag::is_bag_file(path))
-}
-
-/// Whether the topic `name` is one of those `asked` for; with none, each is.
-fn names_topic(asked: &[String], name: &str) -> bool {
-    asked.is_empty() || asked.iter().any(|asked| topic_begins(asked, name))
-}
-
-/// Whether `asked` is the topic `name` or begins it up to a slash.
-fn topic_begins(asked: &str, name: &str) -> bool {
-    let (asked, name) = (asked.trim_matches('/'), name.trim_matches('/'));
-    name.strip_prefix(asked).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }

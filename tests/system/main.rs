@@ -10,6 +10,7 @@ mod decoding;
 mod depth_file;
 mod detect_reasons;
 mod http_api;
+mod import_circles;
 mod layering;
 mod lens_conformance;
 mod live_session;

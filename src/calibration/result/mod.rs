@@ -1,6 +1,12 @@
 //! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list of
 //! sensors, whatever the instrument: one camera, a depth camera, a rig.
 
+mod verdict;
+
+use nalgebra::{Matrix6, Vector3};
+
+pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
+
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
 use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
@@ -249,6 +255,12 @@ pub struct Extrinsics {
     pub translation_std_m: [f64; 3],
 }
 
+/// Standard deviations of a pose's turn (radians) and translation (meters), axis by axis.
+pub fn pose_std(covariance: &Matrix6<f64>) -> (Vector3<f64>, Vector3<f64>) {
+    let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
+    (Vector3::from_fn(|k, _| std(k)), Vector3::from_fn(|k, _| std(k + 3)))
+}
+
 /// One lens model of a comparison.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComparedLens {
@@ -256,50 +268,4 @@ pub struct ComparedLens {
     pub model: crate::geometry::lens::LensModel,
     /// Error on views that were not fitted to.
     pub held_out_rms_px: f64,
-}
-
-/// How a calibration does beyond the views it was fitted to. A figure that could not be computed is
-/// `None`.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Checks {
-    /// Projection difference between two disjoint halves, over what their uncertainties predict:
-    /// about 1 when the model is right.
-    pub split_half_ratio: Option<f64>,
-    /// Error on views that were not fitted to.
-    pub held_out_rms_px: Option<f64>,
-    /// Part of the corners that was not used.
-    pub outlier_fraction: f64,
-    /// Part of the image in which corners were seen, 0 to 1.
-    pub coverage: f64,
-}
-
-/// How far to trust a calibration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Grade {
-    /// Not to be used.
-    Poor,
-    /// With the reasons in mind.
-    Usable,
-    /// As it is.
-    Good,
-}
-
-impl Grade {
-    /// Its name in documents.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Poor => "poor",
-            Self::Usable => "usable",
-            Self::Good => "good",
-        }
-    }
-}
-
-/// A grade with its reasons, each one that a person can act on.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Verdict {
-    /// The grade.
-    pub grade: Grade,
-    /// Why it is no better; empty for a spotless one.
-    pub reasons: Vec<String>,
 }

@@ -16,8 +16,10 @@ use realsense_rust::stream_profile::StreamProfile;
 
 use crate::capture::realsense::bag_file::check_bag;
 use crate::capture::realsense::factory::sensor_of;
+use crate::capture::realsense::options::{Origin, RealsenseOptions};
+use crate::capture::realsense::settings::Settings;
 use crate::capture::realsense::source::{OpenedPipeline, RealsenseSource};
-use crate::capture::realsense::{Origin, RealsenseOptions, Settings};
+use crate::capture::realsense::stated::stated;
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 use crate::imaging::frame::SensorKind;
 
@@ -215,11 +217,6 @@ fn set(device: &Device, settings: Settings) -> Result<(), String> {
             .map_err(|error| format!("`{key}` cannot be set: {error}"))?;
     }
     Ok(())
-}
-
-/// What a device states about itself.
-pub(super) fn stated(device: &Device, what: Rs2CameraInfo) -> Option<String> {
-    device.info(what).map(|text| text.to_string_lossy().into_owned())
 }
 
 fn failed(reason: &str) -> CaptureError {

@@ -7,8 +7,8 @@ use realsense_rust::device::Device;
 use realsense_rust::kind::Rs2CameraInfo;
 
 use crate::capture::device_list::{DeviceListing, ListedDevice, ListedFormat, ListedSize};
-use crate::capture::realsense::camera::stated;
 use crate::capture::realsense::factory::sensor_of;
+use crate::capture::realsense::stated::stated;
 use crate::geometry::pixel::ImageSize;
 
 /// Every RealSense camera that the library sees.

@@ -10,15 +10,16 @@ mod camera;
 mod factory;
 #[cfg(feature = "realsense")]
 mod listing;
+mod options;
 #[cfg(feature = "realsense")]
 mod pixels;
 mod settings;
 #[cfg(feature = "realsense")]
 mod source;
+#[cfg(feature = "realsense")]
+mod stated;
 #[cfg(not(feature = "realsense"))]
 mod without;
-
-use std::path::PathBuf;
 
 #[cfg(feature = "realsense")]
 pub use camera::RealsenseCamera;
@@ -27,29 +28,5 @@ pub use listing::list_devices;
 #[cfg(not(feature = "realsense"))]
 pub use without::{RealsenseCamera, list_devices};
 
+pub use options::{Origin, RealsenseOptions};
 pub use settings::{Preset, Settings};
-
-use crate::capture::mode::ModeRequest;
-
-/// Which device, and how it is to be set.
-#[derive(Debug, Clone, PartialEq, Default)]
-pub struct RealsenseOptions {
-    /// Where its frames come from; default: the only device there is.
-    pub origin: Origin,
-    /// Size and rate of every stream; default: the device's own.
-    pub mode: ModeRequest,
-    /// Extra device settings; ignored for .bag playback.
-    pub settings: Settings,
-}
-
-/// A device or a recording of one.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub enum Origin {
-    /// The only device there is.
-    #[default]
-    OnlyDevice,
-    /// The device with this serial number.
-    Serial(String),
-    /// A .bag file that the library recorded.
-    Bag(PathBuf),
-}

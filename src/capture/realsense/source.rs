@@ -14,9 +14,9 @@ use realsense_rust::sensor::Sensor;
 
 use crate::capture::frame_counter::FrameCounter;
 use crate::capture::host_clock::now;
-use crate::capture::realsense::camera::stated;
 use crate::capture::realsense::factory::{factory_calibration, sensor_of};
 use crate::capture::realsense::pixels::pixels_of;
+use crate::capture::realsense::stated::stated;
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::FactoryCalibration;

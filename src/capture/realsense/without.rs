@@ -2,7 +2,7 @@
 
 use crate::capture::device_list::DeviceListing;
 use crate::capture::realsense::bag_file::check_bag;
-use crate::capture::realsense::{Origin, RealsenseOptions};
+use crate::capture::realsense::options::{Origin, RealsenseOptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
 
 /// A RealSense camera that cannot be opened.

@@ -1,7 +1,7 @@
 //! On Linux a USB camera is a V4L2 device.
 
 use crate::capture::device_list::DeviceListing;
-use crate::capture::uvc::{Selector, UvcOptions};
+use crate::capture::uvc::options::{Selector, UvcOptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener, v4l2};
 
 /// A USB camera that may come and go.

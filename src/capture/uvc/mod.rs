@@ -7,30 +7,12 @@
 
 #[cfg(all(target_os = "linux", not(feature = "nokhwa")))]
 mod linux;
+mod options;
 #[cfg(any(not(target_os = "linux"), feature = "nokhwa"))]
 mod portable;
 
 #[cfg(all(target_os = "linux", not(feature = "nokhwa")))]
 pub use linux::{UvcCamera, list_devices};
+pub use options::{Selector, UvcOptions};
 #[cfg(any(not(target_os = "linux"), feature = "nokhwa"))]
 pub use portable::{UvcCamera, list_devices};
-
-use crate::capture::mode::ModeRequest;
-
-/// Which camera, and how it is to be set.
-#[derive(Debug, Clone, PartialEq)]
-pub struct UvcOptions {
-    /// Which one.
-    pub selector: Selector,
-    /// Size, format and rate; default: as the device has them.
-    pub mode: ModeRequest,
-}
-
-/// Which of the system's cameras.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Selector {
-    /// The n-th, from 0.
-    Index(u32),
-    /// The one with this name.
-    Name(String),
-}

@@ -16,7 +16,7 @@ use nokhwa::{Buffer, NokhwaError};
 use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::host_clock::now;
 use crate::capture::mode::ModeRequest;
-use crate::capture::uvc::{Selector, UvcOptions};
+use crate::capture::uvc::options::{Selector, UvcOptions};
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};

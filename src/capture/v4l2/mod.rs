@@ -7,12 +7,14 @@
 //! | `mode` | pixel format, size and rate: what is offered, what is chosen, what was got |
 //! | `controls` | focus, exposure, gain …: set, held still while calibrating, given back |
 //! | `source` | the stream of frames |
+//! | `failure` | what the system's errors mean, and what to do |
 //! | `holder` | which process has a device open |
 //! | `kernel` | the system calls that the `v4l` crate lacks or answers with a panic |
 
 mod camera;
 mod controls;
 mod device_node;
+mod failure;
 mod holder;
 mod identity;
 mod kernel;

@@ -14,9 +14,9 @@ use v4l::prelude::MmapStream;
 
 use crate::capture::frame_counter::FrameCounter;
 use crate::capture::host_clock::now;
-use crate::capture::v4l2::camera::lost;
 use crate::capture::v4l2::controls::Controls;
 use crate::capture::v4l2::device_node::DeviceNode;
+use crate::capture::v4l2::failure::lost;
 use crate::capture::v4l2::mode::{Mode, PixelLayout};
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};

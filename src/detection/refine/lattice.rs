@@ -2,9 +2,9 @@
 //! of the light.
 
 use crate::detection::board_detection::GridIndex;
-use crate::detection::refine::GridCorner;
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::field::{BoardField, FieldSample};
+use crate::detection::refine::grid_corner::GridCorner;
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]

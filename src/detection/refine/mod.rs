@@ -18,6 +18,7 @@ mod elimination;
 mod field;
 mod fit;
 mod gaussian;
+mod grid_corner;
 mod halves;
 mod lattice;
 mod misfit;
@@ -28,7 +29,8 @@ mod scatter;
 mod straightness;
 mod window;
 
-use crate::detection::board_detection::GridIndex;
+pub use crate::detection::refine::grid_corner::GridCorner;
+
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::fit::{CornerFit, FitOptions, fit};
 use crate::detection::refine::halves::disagreements;
@@ -42,17 +44,6 @@ use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
-
-/// A corner as the grid knows it.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GridCorner {
-    /// Its place in the grid. Each index may occur once.
-    pub index: GridIndex,
-    /// Its initial position, to about 1.5 px (less where cells are small: a fifth of a cell).
-    pub pixel: Pixel,
-    /// Its neighbors in the directions +col, +row, −col, −row, where they are known.
-    pub neighbors: [Option<Pixel>; 4],
-}
 
 /// A refined corner.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,7 +1,8 @@
 //! Effects added to a plain fit.
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::effects::fit::{Wanted, fit_effects};
+use crate::estimation::effects::effect::Wanted;
+use crate::estimation::effects::fit::fit_effects;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;

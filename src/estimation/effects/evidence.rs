@@ -10,44 +10,9 @@ use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::dense::Factor;
+use crate::estimation::effects::effect::Effect;
 use crate::estimation::effects::state::EffectsState;
 use crate::estimation::effects::system::{System, ViewPart};
-
-/// A kind of effect, with one variance.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Effect {
-    /// The board out of its plane, by this group of polynomials.
-    Height(usize),
-    /// The board's aspect and shear.
-    Stretch,
-    /// Each corner's own offset in the plane.
-    Own,
-    /// The board's rotation while a view was read.
-    Rotation,
-    /// Its translation.
-    Translation,
-}
-
-impl Effect {
-    pub(crate) fn is_motion(self) -> bool {
-        matches!(self, Self::Rotation | Self::Translation)
-    }
-
-    /// Where its coefficients lie in a shape; of a motion, in the six numbers of a view.
-    pub(super) fn range(self, basis: &BoardBasis) -> std::ops::Range<usize> {
-        let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
-        match self {
-            Self::Height(group) => {
-                let start = basis.heights.partition_point(|(other, _)| *other < group);
-                start..basis.heights.partition_point(|(other, _)| *other <= group)
-            }
-            Self::Stretch => heights..smooth,
-            Self::Own => smooth..basis.len(),
-            Self::Rotation => 0..3,
-            Self::Translation => 3..6,
-        }
-    }
-}
 
 /// The effects that are in the model, each with its λ.
 #[derive(Debug, Clone, PartialEq)]

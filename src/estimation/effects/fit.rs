@@ -5,32 +5,15 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::clustered_covariance::clustered;
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::evidence::{Effect, Posterior, Reduced, Variances};
+use crate::estimation::effects::effect::{Effect, Wanted};
+use crate::estimation::effects::effects_fit::EffectsFit;
+use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
 use crate::estimation::effects::hints;
-use crate::estimation::effects::state::EffectsState;
-use crate::estimation::effects::system::{Scene, System};
+use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
-
-/// What was found beyond lens and poses.
-#[derive(Debug, Clone)]
-pub(crate) struct EffectsFit {
-    pub(crate) basis: BoardBasis,
-    pub(crate) state: EffectsState,
-    /// What is in the model, with noise variance / its variance.
-    pub(crate) variances: Variances,
-    /// The noise's variance in units of the corners' own.
-    pub(crate) noise_square: f64,
-    /// Covariance of the lens's free parameters, everything else marginalized.
-    pub(crate) lens_covariance: DMatrix<f64>,
-    /// How many times larger variances are than if each corner erred by itself.
-    pub(crate) inflation: f64,
-    /// Per observation: covariance of its pose step (rotation, translation).
-    pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
-    /// Covariance of the shape's coefficients (zero for those not in the model).
-    pub(crate) shape_covariance: DMatrix<f64>,
-}
 
 /// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
 /// model: chance alone does once in a hundred times (χ² of the few variances that each has).
@@ -51,15 +34,6 @@ const LEAST_SHUTTER_GAIN: f64 = 0.14;
 const ROWS_AGAINST_COLUMNS: f64 = 0.02;
 
 const MAX_STEPS: usize = 5;
-
-/// Which effects are looked for, and which are in the model whatever the evidence.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
-    pub(crate) shape: bool,
-    pub(crate) motion: bool,
-    pub(crate) shape_for_certain: bool,
-    pub(crate) motion_for_certain: bool,
-}
 
 /// The corners as they were chosen at the end.
 pub(crate) struct Corners {

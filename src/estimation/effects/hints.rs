@@ -6,9 +6,9 @@ use nalgebra::DMatrix;
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::fit::Wanted;
-use crate::estimation::effects::state::EffectsState;
-use crate::estimation::effects::system::{Scene, System, ViewPart};
+use crate::estimation::effects::effect::Wanted;
+use crate::estimation::effects::state::{EffectsState, Scene};
+use crate::estimation::effects::system::{System, ViewPart};
 
 /// A sum of squares beyond its expectation by this many standard deviations is worth a closer look.
 const HINT: f64 = 2.0;

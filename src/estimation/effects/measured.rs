@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
-use crate::estimation::effects::fit::EffectsFit;
+use crate::estimation::effects::effects_fit::EffectsFit;
 
 /// A board's shape as a solve measured it, relative to the one that was stated. A rigid motion is
 /// no shape, and the mean scale is the stated one.

@@ -5,17 +5,21 @@
 //!
 //! | question | where |
 //! | --- | --- |
+//! | which kinds of effect there are | `effect` |
 //! | which shapes a board can have | `board_basis` |
 //! | values of everything | `state` |
 //! | normal equations, poses eliminated | `system` |
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `fit` |
+//! | what was found | `effects_fit` |
 //! | whether it is worth looking at all | `hints` |
 //! | dense factors | `dense` |
 
 pub(crate) mod apply;
 pub(crate) mod board_basis;
 mod dense;
+pub(crate) mod effect;
+pub(crate) mod effects_fit;
 pub(crate) mod evidence;
 pub(crate) mod fit;
 mod hints;

@@ -3,10 +3,29 @@
 use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::evidence::Effect;
-use crate::estimation::effects::system::Scene;
-use crate::estimation::joint::{BoardObservation, State};
+use crate::estimation::effects::effect::Effect;
+use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::geometry::pixel::Pixel;
+
+/// What is looked at.
+#[derive(Clone, Copy)]
+pub(super) struct Scene<'a> {
+    pub(super) layout: &'a Layout,
+    pub(super) basis: &'a BoardBasis,
+    pub(super) observations: &'a [BoardObservation],
+    /// The observations that take part, by index.
+    pub(super) good: &'a [usize],
+    /// The height of the images, in rows.
+    pub(super) rows: f64,
+    /// Whether columns are read one after another in place of rows: a control.
+    pub(super) by_columns: Option<f64>,
+}
+
+impl Scene<'_> {
+    pub(super) fn global_len(&self) -> usize {
+        self.layout.len + self.basis.len()
+    }
+}
 
 /// The lens and the poses, with what is random.
 #[derive(Debug, Clone)]

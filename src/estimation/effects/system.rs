@@ -8,33 +8,12 @@
 use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 
 use crate::estimation::clustered_covariance::Influence;
-use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::state::{EffectsState, read_out_times};
+use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
+use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::linearize::{
     Columns, LocalEquations, linearize_observation, multiply,
 };
-use crate::estimation::joint::{BoardObservation, Layout};
 use crate::estimation::robust::Loss;
-
-/// What is looked at.
-#[derive(Clone, Copy)]
-pub(super) struct Scene<'a> {
-    pub(super) layout: &'a Layout,
-    pub(super) basis: &'a BoardBasis,
-    pub(super) observations: &'a [BoardObservation],
-    /// The observations that take part, by index.
-    pub(super) good: &'a [usize],
-    /// The height of the images, in rows.
-    pub(super) rows: f64,
-    /// Whether columns are read one after another in place of rows: a control.
-    pub(super) by_columns: Option<f64>,
-}
-
-impl Scene<'_> {
-    pub(super) fn global_len(&self) -> usize {
-        self.layout.len + self.basis.len()
-    }
-}
 
 /// One view's part that variances change.
 pub(super) struct ViewPart {

@@ -9,7 +9,7 @@ use crate::estimation::joint::normal::{NormalEquations, Step, chain};
 use crate::estimation::joint::{BoardObservation, Layout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{Apart, PoseJitter, eliminate, pose_part};
-use crate::estimation::rgbd::{DepthLens, RgbdProblem, free, shifted};
+use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, shifted};
 use crate::estimation::robust::{Loss, median};
 use crate::geometry::pose::Pose;
 

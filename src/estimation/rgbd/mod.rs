@@ -14,109 +14,15 @@ mod corners;
 pub mod motion;
 mod planes;
 mod pose_jitter;
+pub mod problem;
 
-use nalgebra::{DMatrix, Matrix6, Vector3};
+pub use problem::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView};
 
-use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection, choose_correction};
+use crate::estimation::depth_error::{Smoothness, choose_correction};
 use crate::estimation::error::EstimationError;
-use crate::estimation::joint::FreeLens;
-use crate::estimation::problem::Correspondence;
 use crate::estimation::rgbd::corners::CornerBlocks;
-use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::planes::Planes;
-use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
-use crate::geometry::lens::Lens;
-use crate::geometry::pose::Pose;
-
-/// What was seen at one frame set.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RgbdView {
-    /// Its path or sequence number.
-    pub name: String,
-    /// The board's corners in the color picture; empty where it wasn't found.
-    pub color: Vec<Correspondence>,
-    /// The board's corners in the infrared picture; empty where it wasn't found.
-    pub infrared: Vec<Correspondence>,
-    /// The board's surface in the depth picture; empty where it wasn't measured.
-    pub tiles: Vec<DepthTile>,
-    /// The flat surface around the board, which it lies on, in the depth picture.
-    pub surround: Vec<DepthTile>,
-    /// About where the board was.
-    pub color_from_board: Pose,
-    /// How fast it moved, where neighboring pictures tell.
-    pub motion: Option<BoardMotion>,
-}
-
-/// How the depth camera's lens is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DepthLens {
-    /// It is the infrared camera's too, whose corners are seen.
-    Infrared,
-    /// By planes alone: focal lengths and principal point.
-    FromPlanes,
-    /// Beforehand.
-    Known,
-}
-
-/// A camera with color and depth.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RgbdProblem {
-    /// About the color camera's lens; all of it is estimated, but for a skew of 0.
-    pub color: Lens,
-    /// Standard deviation of a color corner relative to its own `std_px`.
-    pub color_noise: f64,
-    /// About the depth camera; its correction is ignored.
-    pub depth: DepthCamera,
-    /// How its lens is known.
-    pub depth_lens: DepthLens,
-    /// Standard deviation of an infrared corner relative to its own `std_px`.
-    pub infrared_noise: f64,
-    /// About where the sensors are.
-    pub depth_from_color: Pose,
-    /// About by how much infrared and depth are taken later than color, where that is known at
-    /// all.
-    pub time_offset: Option<TimeOffset>,
-    /// In what a correction makes sense for this device; empty for none.
-    pub corrected: Vec<CorrectedQuantity>,
-    /// What was seen.
-    pub views: Vec<RgbdView>,
-}
-
-/// A calibrated camera with color and depth.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RgbdEstimate {
-    /// The color camera's lens.
-    pub color: Lens,
-    /// Covariance of its parameters.
-    pub color_covariance: DMatrix<f64>,
-    /// The depth camera: its lens, and its correction where one is better on views that were not
-    /// fitted to.
-    pub depth: DepthCamera,
-    /// Covariance of its lens's parameters; zero where they were known.
-    pub depth_covariance: DMatrix<f64>,
-    /// Where the depth (and infrared) camera is.
-    pub color_from_depth: Pose,
-    /// Covariance of its turn about color's axes and of its translation, in rad² and m².
-    pub color_from_depth_covariance: Matrix6<f64>,
-    /// By how much infrared and depth are taken later than color, where the board's motion tells.
-    pub time_offset: Option<TimeOffset>,
-    /// Views whose infrared and depth pictures are of another moment than their color picture.
-    pub not_together: Vec<usize>,
-    /// Where the board was, view by view.
-    pub color_from_board: Vec<Pose>,
-    /// Part of the tiles on the board itself that lie on its plane, as the answer has it.
-    pub following: f64,
-    /// By how much tiles scatter more than their own readings do.
-    pub tile_noise: f64,
-    /// View by view, what each tile was and should have been, with its noise; without tiles that
-    /// lie off the plane.
-    pub judged: Vec<Vec<JudgedTile>>,
-    /// How smooth the correction was taken to be.
-    pub smoothness: Smoothness,
-    /// Corrections that were tried.
-    pub tried: Vec<TriedCorrection>,
-}
 
 const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, bend: 0.01 };
 
@@ -161,18 +67,4 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
             .and_then(|form| Planes::of(problem, &corners).fit(&fit.state, form, smoothness)),
     };
     planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
-}
-
-/// All parameters of a lens but the skew, up to number `end`.
-fn free(lens: &Lens, end: usize) -> FreeLens {
-    let free = (0..lens.parameters().len().min(end)).filter(|k| *k != 4).collect();
-    FreeLens { model: lens.model(), free, square_pixels: false }
-}
-
-/// The pose of a board whose points are counted from `center`.
-fn shifted(camera_from_board: &Pose, center: &Vector3<f64>) -> Pose {
-    Pose::new(
-        camera_from_board.rotation(),
-        camera_from_board.translation() + *camera_from_board * *center,
-    )
 }

@@ -12,7 +12,7 @@ use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::CornerBlocks;
-use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
+use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
 use crate::estimation::robust::median;
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;

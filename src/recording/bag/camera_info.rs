@@ -3,7 +3,7 @@
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::StatedLens;
-use crate::recording::bag::{Header, Layout};
+use crate::recording::bag::storage::{Header, Layout};
 use crate::recording::fields::TooShort;
 use crate::recording::messages::lens_from_ros;
 

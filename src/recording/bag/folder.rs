@@ -13,7 +13,7 @@ use tempfile::NamedTempFile;
 use crate::recording::bag::mcap_storage::McapStorage;
 use crate::recording::bag::ros1_storage::Ros1Storage;
 use crate::recording::bag::sqlite_storage::SqliteStorage;
-use crate::recording::bag::{BagMessage, BagStorage, BagTopic};
+use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic};
 use crate::recording::records::{Broken, LONGEST_RECORD};
 use crate::recording::unpack::{Compression, UnpackBudget};
 use crate::recording::{RecordingError, natural_order};

@@ -5,8 +5,8 @@ use crate::imaging::bayer::{BayerPattern, rgb_from_bayer};
 use crate::imaging::decode::file_size;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+use crate::recording::bag::storage::{BagTopic, Header};
 use crate::recording::bag::topics::{ImageTopic, Transport};
-use crate::recording::bag::{BagTopic, Header};
 use crate::recording::fields::{Fields, TooShort};
 
 /// Encodings that are read, for messages.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::recording::RecordingError;
-use crate::recording::bag::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
 use crate::recording::records::{Broken, McapRecord, RecordReader};
 
 /// An MCAP file with messages of ROS.

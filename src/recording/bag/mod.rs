@@ -11,6 +11,7 @@ mod mcap_storage;
 mod ros1_storage;
 mod sqlite_storage;
 mod stamped_sets;
+mod storage;
 mod topics;
 mod transforms;
 
@@ -24,80 +25,15 @@ use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
 use crate::recording::bag::camera_info::CameraInfo;
 use crate::recording::bag::stamped_sets::StampedSets;
+use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic};
 use crate::recording::bag::topics::{CameraTopics, Role};
 use crate::recording::bag::transforms::FrameTree;
-use crate::recording::fields::{Fields, TooShort};
-use crate::recording::records::Broken;
 
 /// Meters per unit of a ROS depth image (REP 118).
 const DEPTH_UNIT_M: f64 = 0.001;
 /// How many messages are searched for what a camera states of itself: drivers send camera_info
 /// with every image and transforms at the start.
 const STATED_WITHIN: usize = 500;
-
-/// How a message's fields are laid out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Layout {
-    /// ROS 2: CDR.
-    Cdr,
-    /// ROS 1: packed, with a sequence number in each header.
-    Ros1,
-}
-
-impl Layout {
-    fn fields(self, message: &[u8]) -> Result<Fields<'_>, TooShort> {
-        match self {
-            Self::Cdr => Fields::cdr(message),
-            Self::Ros1 => Ok(Fields::packed(message)),
-        }
-    }
-}
-
-/// `std_msgs/Header`.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct Header {
-    stamp_ns: i64,
-    frame_id: String,
-}
-
-impl Header {
-    fn read(layout: Layout, fields: &mut Fields<'_>) -> Result<Self, TooShort> {
-        if layout == Layout::Ros1 {
-            fields.u32()?;
-        }
-        let (seconds, nanoseconds) = (fields.u32()?, fields.u32()?);
-        let stamp_ns = i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds);
-        Ok(Self { stamp_ns, frame_id: fields.text()? })
-    }
-}
-
-/// A topic of a bag.
-#[derive(Debug, Clone, PartialEq, Eq)]
-struct BagTopic {
-    name: String,
-    /// As ROS 1 writes it: `sensor_msgs/Image`.
-    message_type: String,
-    layout: Layout,
-}
-
-/// A message, on the topic with this index in [`BagStorage::topics`].
-struct BagMessage {
-    topic: usize,
-    log_time_ns: i64,
-    bytes: Vec<u8>,
-}
-
-/// What yields a bag's messages in the order of their times.
-trait BagStorage: Send {
-    /// Its topics; they never change.
-    fn topics(&self) -> &[BagTopic];
-
-    /// The next message on a topic that is `wanted`; `None` after the last.
-    fn next_message(&mut self, wanted: &[bool]) -> Result<Option<BagMessage>, Broken>;
-
-    /// Starts again at the first message.
-    fn rewind(&mut self) -> Result<(), Broken>;
-}
 
 /// A bag being read: the frame sets of one camera.
 pub struct BagReader {
@@ -272,22 +208,5 @@ impl BagReader {
             })
         });
         Ok(FactoryCalibration { sensors: sensors.collect() })
-    }
-}
-
-/// `sensor_msgs/Image` for `sensor_msgs/msg/Image` too.
-fn one_type_name(name: &str) -> String {
-    name.replacen("/msg/", "/", 1)
-}
-
-impl Broken {
-    /// As an error of the recording at `path`, of which `frame_sets` have been read.
-    pub(super) fn at(self, path: &Path, frame_sets: usize) -> RecordingError {
-        let path = path.to_owned();
-        match self {
-            Self::Cut => RecordingError::Cut { path, frame_sets },
-            Self::Damaged(reason) => RecordingError::Damaged { path, frame_sets, reason },
-            Self::Io(source) => RecordingError::Io { path, source },
-        }
     }
 }

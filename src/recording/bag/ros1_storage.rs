@@ -7,7 +7,7 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crate::recording::RecordingError;
-use crate::recording::bag::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
 use crate::recording::fields::Fields;
 use crate::recording::records::{Broken, LONGEST_RECORD};
 use crate::recording::unpack::{Compression, UnpackBudget, read_exactly};

@@ -8,7 +8,7 @@ use rusqlite::limits::Limit;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 
 use crate::recording::RecordingError;
-use crate::recording::bag::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
 use crate::recording::records::{Broken, LONGEST_RECORD};
 
 /// Room for a row beside its longest value, and for the schema of a small file.

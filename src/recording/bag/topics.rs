@@ -9,8 +9,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::imaging::frame::SensorKind;
-use crate::recording::bag::BagTopic;
-use crate::recording::{RecordingError, names_topic, topic_begins};
+use crate::recording::RecordingError;
+use crate::recording::bag::storage::BagTopic;
+use crate::recording::topic_names::{names_topic, topic_begins};
 
 /// How a topic carries images; of several that carry the same the first is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -200,7 +201,7 @@ fn sensor_named(name: &str) -> Option<SensorKind> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::bag::Layout;
+    use crate::recording::bag::storage::Layout;
 
     fn bag(topics: &[(&str, &str)]) -> Vec<BagTopic> {
         let topic = |(name, message_type): &(&str, &str)| BagTopic {

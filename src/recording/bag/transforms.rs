@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::geometry::pose::Pose;
-use crate::recording::bag::{Header, Layout};
+use crate::recording::bag::storage::{Header, Layout};
 use crate::recording::fields::TooShort;
 
 /// More frames than any robot has.

@@ -1,0 +1,64 @@
+//! Why color and depth could not be calibrated, and what to do.
+
+use crate::estimation::error::EstimationError;
+
+/// Why color and depth could not be calibrated.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RgbdError {
+    /// One sensor by itself could not be.
+    #[error("{sensor}: {source}")]
+    Sensor {
+        /// Which.
+        sensor: &'static str,
+        /// Why not.
+        source: EstimationError,
+    },
+    /// Too few captures have the board's surface in depth.
+    #[error(
+        "only {usable} of {all} views have the board in the depth picture, 3 are needed{first}: check that depth and color are of the same device and moment"
+    )]
+    TooLittleDepth {
+        /// How many.
+        usable: usize,
+        /// Of how many with the board in color.
+        all: usize,
+        /// Why the first one has not, as `; view: reason`, or nothing.
+        first: String,
+    },
+    /// Depth is a multiple of what the board says.
+    #[error(
+        "depth reads {factor:.3} times the board's distance: check the unit of depth (meters per unit: about {factor_inverse:.4} of what is stated would fit), the board's square, and that depth and color are of the same device"
+    )]
+    Unit {
+        /// How many times.
+        factor: f64,
+        /// The other way round.
+        factor_inverse: f64,
+    },
+    /// Depth is not the board's.
+    #[error(
+        "depth does not follow the board: {percent:.0} % of its surface in depth lies off the plane that color sees: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
+    )]
+    Disagree {
+        /// Part of the patches.
+        percent: f64,
+    },
+    /// The sensors would be too far apart for one device.
+    #[error(
+        "depth and color only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
+    )]
+    Apart {
+        /// How far, in meters.
+        apart_m: f64,
+        /// How much they are turned against each other.
+        degrees: f64,
+    },
+    /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.
+    #[error(
+        "no pose of the sensors lets depth and color agree: check that depth and color are of the same device, not swapped, not mirrored, and taken together"
+    )]
+    NotOneDevice,
+    /// All together could not be.
+    #[error("color and depth together: {0}")]
+    Joint(EstimationError),
+}

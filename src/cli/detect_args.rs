@@ -1,0 +1,75 @@
+//! What `plumb detect` is asked, whatever the target.
+
+use std::io::{self, BufRead};
+use std::path::PathBuf;
+
+use crate::cli::Failure;
+use crate::cli::sources::TopicArgs;
+use crate::geometry::board::BoardSize;
+
+/// Finds a chessboard in each image.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long, required_unless_present = "target")]
+    pub(super) board: Option<BoardSize>,
+    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
+    /// JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    pub(super) target: Option<PathBuf>,
+    /// Print a line of JSON for each image, in the order given.
+    #[arg(long)]
+    pub(super) json: bool,
+    /// Also answer with part of a board where the whole is not seen.
+    #[arg(long)]
+    pub(super) allow_partial: bool,
+    /// Search each image N times; elapsed_ms is the fastest.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    pub(super) repeat: u32,
+    /// How many images to search at once; all cores unless given.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(super) threads: Option<u16>,
+    #[command(flatten)]
+    pub(super) reading: TopicArgs,
+    /// Images, folders of images, quoted globs or recordings; `-` reads paths from standard input,
+    /// a line each.
+    #[arg(required = true, value_name = "PATH")]
+    pub(super) paths: Vec<String>,
+}
+
+/// The paths, those on standard input in the place of `-`.
+pub(super) fn paths(given: &[String]) -> impl Iterator<Item = String> + Send + '_ {
+    given.iter().flat_map(|path| -> Box<dyn Iterator<Item = String> + Send> {
+        if path == "-" {
+            let lines = io::BufReader::new(io::stdin()).lines();
+            Box::new(lines.map_while(Result::ok).filter(|line| !line.is_empty()))
+        } else {
+            Box::new(std::iter::once(path.clone()))
+        }
+    })
+}
+
+/// Images that could not be read: how many, and the first one's reason.
+#[derive(Debug, Default)]
+pub(super) struct Unread {
+    count: usize,
+    first: Option<String>,
+}
+
+impl Unread {
+    pub(super) fn count(&mut self, reason: &str) {
+        self.count += 1;
+        self.first.get_or_insert_with(|| reason.to_owned());
+    }
+
+    pub(super) fn into_result(self) -> Result<(), Failure> {
+        match (self.first, self.count) {
+            (None, _) => Ok(()),
+            (Some(reason), 1) => Err(Failure::failed(reason)),
+            (Some(reason), count) => Err(Failure::failed(format!(
+                "{count} images could not be read; the first: {reason}"
+            ))),
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! How far a session is, whole or by camera: counts, coverage, guidance, the estimate so far.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::calibration::admission::Rejections;
+use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::Guidance;
+use crate::calibration::session_record::RunningEstimate;
+use crate::document::error::DocumentError;
+use crate::document::image_sensor::UncertaintyDocument;
+use crate::document::lens::LensDocument;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::Pixel;
+
+/// Where in the image corners have been seen.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct CoverageDocument {
+    /// Part of the cells that hold corners, 0 to 1.
+    pub fraction: f64,
+    /// Corners kept in each cell: rows from the image's top, each from its left.
+    pub cells: Vec<Vec<u32>>,
+}
+
+/// What the person with the board should do next.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct GuidanceDocument {
+    /// In words.
+    pub message: String,
+    /// Where the board's outline should be, as corners of a polygon in pixels; empty when there is
+    /// no such wish.
+    pub outline_px: Vec<[f64; 2]>,
+}
+
+/// A running estimate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct EstimateDocument {
+    /// The lens.
+    pub lens: LensDocument,
+    /// Root mean square of the reprojection errors, in pixels.
+    pub rms_px: f64,
+    /// Predicted 1-σ reprojection uncertainty over the image.
+    pub uncertainty_px: UncertaintyDocument,
+    /// How many views it was made of.
+    pub views: u32,
+}
+
+/// As [`rejected_counts`], the other way round.
+pub(super) fn rejections(counts: &BTreeMap<String, u64>) -> Rejections {
+    Rejections::from_counts(counts.iter().map(|(kind, count)| (kind.as_str(), *count)))
+}
+
+/// Whether a document can say it: JSON has no number for infinity.
+pub(super) fn is_finite(estimate: &RunningEstimate) -> bool {
+    estimate.lens.parameters().into_iter().chain([estimate.rms_px]).all(f64::is_finite)
+}
+
+/// Each kind of rejection with its count.
+pub fn rejected_counts(rejected: &Rejections) -> BTreeMap<String, u64> {
+    rejected.iter().map(|(kind, count)| (kind.to_owned(), count)).collect()
+}
+
+impl From<&Coverage> for CoverageDocument {
+    fn from(coverage: &Coverage) -> Self {
+        Self { fraction: coverage.fraction(), cells: coverage.cells().to_vec() }
+    }
+}
+
+impl TryFrom<CoverageDocument> for Coverage {
+    type Error = DocumentError;
+    fn try_from(document: CoverageDocument) -> Result<Self, DocumentError> {
+        let uneven = || DocumentError::field("cells", "has no cells, or rows of different lengths");
+        Self::from_cells(document.cells).ok_or_else(uneven)
+    }
+}
+
+impl From<&Guidance> for GuidanceDocument {
+    fn from(guidance: &Guidance) -> Self {
+        let outline_px = guidance.outline_px.iter().map(|pixel| [pixel.x, pixel.y]).collect();
+        Self { message: guidance.message.clone(), outline_px }
+    }
+}
+
+impl From<GuidanceDocument> for Guidance {
+    fn from(document: GuidanceDocument) -> Self {
+        let outline_px = document.outline_px.into_iter().map(|[x, y]| Pixel::new(x, y)).collect();
+        Self { message: document.message, outline_px }
+    }
+}
+
+impl From<&RunningEstimate> for EstimateDocument {
+    fn from(estimate: &RunningEstimate) -> Self {
+        Self {
+            lens: (&estimate.lens).into(),
+            rms_px: estimate.rms_px,
+            uncertainty_px: estimate.uncertainty_px.into(),
+            views: estimate.views,
+        }
+    }
+}
+
+impl TryFrom<&EstimateDocument> for RunningEstimate {
+    type Error = DocumentError;
+    fn try_from(document: &EstimateDocument) -> Result<Self, DocumentError> {
+        Ok(Self {
+            lens: Lens::try_from(&document.lens).map_err(|e| e.inside("lens"))?,
+            rms_px: document.rms_px,
+            uncertainty_px: document.uncertainty_px.into(),
+            views: document.views,
+        })
+    }
+}

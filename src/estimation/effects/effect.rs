@@ -1,0 +1,48 @@
+//! The kinds of effect beyond lens and poses, and which of them are asked for.
+
+use crate::estimation::effects::board_basis::BoardBasis;
+
+/// A kind of effect, with one variance.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Effect {
+    /// The board out of its plane, by this group of polynomials.
+    Height(usize),
+    /// The board's aspect and shear.
+    Stretch,
+    /// Each corner's own offset in the plane.
+    Own,
+    /// The board's rotation while a view was read.
+    Rotation,
+    /// Its translation.
+    Translation,
+}
+
+impl Effect {
+    pub(crate) fn is_motion(self) -> bool {
+        matches!(self, Self::Rotation | Self::Translation)
+    }
+
+    /// Where its coefficients lie in a shape; of a motion, in the six numbers of a view.
+    pub(super) fn range(self, basis: &BoardBasis) -> std::ops::Range<usize> {
+        let (heights, smooth) = (basis.heights.len(), basis.smooth_len());
+        match self {
+            Self::Height(group) => {
+                let start = basis.heights.partition_point(|(other, _)| *other < group);
+                start..basis.heights.partition_point(|(other, _)| *other <= group)
+            }
+            Self::Stretch => heights..smooth,
+            Self::Own => smooth..basis.len(),
+            Self::Rotation => 0..3,
+            Self::Translation => 3..6,
+        }
+    }
+}
+
+/// Which effects are looked for, and which are in the model whatever the evidence.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Wanted {
+    pub(crate) shape: bool,
+    pub(crate) motion: bool,
+    pub(crate) shape_for_certain: bool,
+    pub(crate) motion_for_certain: bool,
+}

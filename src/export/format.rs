@@ -1,0 +1,89 @@
+//! The formats by their names.
+
+/// A format that a calibration can be written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Format {
+    /// Plumb's own calibration document.
+    Json,
+    /// ROS `camera_info` YAML, as `camera_info_manager` and `image_geometry` read it.
+    Ros,
+    /// OpenCV `FileStorage` YAML, with the field names of its calibration sample.
+    Opencv,
+    /// Kalibr's camera chain YAML.
+    Kalibr,
+    /// mrcal's `.cameramodel`.
+    Mrcal,
+    /// COLMAP's `cameras.txt`.
+    Colmap,
+    /// Where the sensors are, as a URDF of fixed joints between optical frames.
+    Urdf,
+    /// Where the sensors are, as a YAML list of ROS `geometry_msgs/TransformStamped`.
+    Tf,
+    /// The meaning and the correction of a depth sensor's readings; docs/depth-correction has
+    /// readers of it.
+    Depth,
+}
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Self; 9] = [
+        Self::Json,
+        Self::Ros,
+        Self::Opencv,
+        Self::Kalibr,
+        Self::Mrcal,
+        Self::Colmap,
+        Self::Urdf,
+        Self::Tf,
+        Self::Depth,
+    ];
+
+    /// Its name on the command line and in `?format=`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Json => "json",
+            Self::Ros => "ros",
+            Self::Opencv => "opencv",
+            Self::Kalibr => "kalibr",
+            Self::Mrcal => "mrcal",
+            Self::Colmap => "colmap",
+            Self::Urdf => "urdf",
+            Self::Tf => "tf",
+            Self::Depth => "depth",
+        }
+    }
+
+    /// The format with this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|format| format.name() == name)
+    }
+
+    pub(super) fn media_type(self) -> &'static str {
+        match self {
+            Self::Json => "application/json",
+            Self::Ros | Self::Opencv | Self::Kalibr | Self::Tf => "application/yaml",
+            Self::Urdf => "application/xml",
+            Self::Mrcal | Self::Colmap | Self::Depth => "text/plain; charset=utf-8",
+        }
+    }
+
+    pub(super) fn file_name(self, camera: &str) -> String {
+        match self {
+            Self::Json => format!("{camera}.json"),
+            Self::Ros => format!("{camera}.yaml"),
+            Self::Opencv => format!("{camera}-opencv.yaml"),
+            Self::Kalibr => format!("{camera}-camchain.yaml"),
+            Self::Mrcal => format!("{camera}.cameramodel"),
+            Self::Colmap => "cameras.txt".to_owned(),
+            Self::Urdf => format!("{camera}.urdf"),
+            Self::Tf => format!("{camera}-tf.yaml"),
+            Self::Depth => format!("{camera}-depth.txt"),
+        }
+    }
+}
+
+impl std::fmt::Display for Format {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}

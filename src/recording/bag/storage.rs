@@ -1,0 +1,73 @@
+//! What a bag is to its reader: topics, and messages in the order of their times.
+
+use crate::recording::fields::{Fields, TooShort};
+use crate::recording::records::Broken;
+
+/// How a message's fields are laid out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Layout {
+    /// ROS 2: CDR.
+    Cdr,
+    /// ROS 1: packed, with a sequence number in each header.
+    Ros1,
+}
+
+impl Layout {
+    pub(super) fn fields(self, message: &[u8]) -> Result<Fields<'_>, TooShort> {
+        match self {
+            Self::Cdr => Fields::cdr(message),
+            Self::Ros1 => Ok(Fields::packed(message)),
+        }
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Header {
+    pub(super) stamp_ns: i64,
+    pub(super) frame_id: String,
+}
+
+impl Header {
+    pub(super) fn read(layout: Layout, fields: &mut Fields<'_>) -> Result<Self, TooShort> {
+        if layout == Layout::Ros1 {
+            fields.u32()?;
+        }
+        let (seconds, nanoseconds) = (fields.u32()?, fields.u32()?);
+        let stamp_ns = i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds);
+        Ok(Self { stamp_ns, frame_id: fields.text()? })
+    }
+}
+
+/// A topic of a bag.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct BagTopic {
+    pub(super) name: String,
+    /// As ROS 1 writes it: `sensor_msgs/Image`.
+    pub(super) message_type: String,
+    pub(super) layout: Layout,
+}
+
+/// A message, on the topic with this index in [`BagStorage::topics`].
+pub(super) struct BagMessage {
+    pub(super) topic: usize,
+    pub(super) log_time_ns: i64,
+    pub(super) bytes: Vec<u8>,
+}
+
+/// What yields a bag's messages in the order of their times.
+pub(super) trait BagStorage: Send {
+    /// Its topics; they never change.
+    fn topics(&self) -> &[BagTopic];
+
+    /// The next message on a topic that is `wanted`; `None` after the last.
+    fn next_message(&mut self, wanted: &[bool]) -> Result<Option<BagMessage>, Broken>;
+
+    /// Starts again at the first message.
+    fn rewind(&mut self) -> Result<(), Broken>;
+}
+
+/// `sensor_msgs/Image` for `sensor_msgs/msg/Image` too.
+pub(super) fn one_type_name(name: &str) -> String {
+    name.replacen("/msg/", "/", 1)
+}
