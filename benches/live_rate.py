@@ -3,9 +3,11 @@
 people write with OpenCV, on the same frames.
 
     cargo build --release && target/venv/bin/python benches/live_rate.py --seconds 60
+    target/venv/bin/python benches/live_rate.py --viewers 0,1,10 --seconds 20
     target/venv/bin/python benches/live_rate.py --memory 10000
 
-The second looks at so many frames as fast as it can, in one session, and tells how resident memory goes on the way.
+The second has so many watch the preview, drawn over with what was found, beside the session.
+The third looks at so many frames as fast as it can, in one session, and tells how resident memory goes on the way.
 
 Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
 arrival to what was seen in it, resident memory at the middle and the end, frames looked at and lost.
@@ -19,6 +21,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import urllib.request
 from pathlib import Path
@@ -102,17 +105,36 @@ def measure_memory(plumb, recording, frames):
         }
 
 
-def measure_plumb(plumb, recording, seconds):
+def watch(stop, counts, index):
+    """Reads the preview and counts its frames."""
+    with urllib.request.urlopen(f"http://{ADDRESS}/v1/cameras/front/preview.mjpg") as stream:
+        while not stop.is_set():
+            counts[index] += stream.read1(1 << 16).count(b"--plumb-frame")
+
+
+def measure_plumb(plumb, recording, seconds, viewers=0):
+    stop, shown = threading.Event(), [0] * viewers
     with session(plumb, recording, "recorded") as daemon:
+        threads = [threading.Thread(target=watch, args=(stop, shown, index), daemon=True) for index in range(viewers)]
+        for thread in threads:
+            thread.start()
         time.sleep(5)
+        shown_before = sum(shown)
         before, used, began = request("/metrics"), processor_seconds(daemon.pid), time.monotonic()
         time.sleep(seconds / 2)
         middle = resident_mb(daemon.pid)
         time.sleep(seconds / 2)
         after, elapsed = request("/metrics"), time.monotonic() - began
         difference = lambda name: metric(after, name) - metric(before, name)
+        watched = {} if not viewers else {
+            "shown_per_s_each": round((sum(shown) - shown_before) / elapsed / viewers, 1),
+            "drawn_per_s": round(difference("plumb_previews_drawn_total") / elapsed, 1),
+        }
+        stop.set()
         return {
             "what": "plumb",
+            "viewers": viewers,
+            **watched,
             "cores": round((processor_seconds(daemon.pid) - used) / elapsed, 3),
             "p99_ms": percentile_99(before, after),
             "resident_mb": [round(middle, 1), round(resident_mb(daemon.pid), 1)],
@@ -162,6 +184,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plumb", default="target/release/plumb")
     parser.add_argument("--seconds", type=float, default=60)
+    parser.add_argument("--viewers", metavar="N,N", help="measures beside so many who watch the preview, instead of OpenCV")
     parser.add_argument("--memory", type=int, metavar="FRAMES")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -170,6 +193,10 @@ def main():
         subprocess.run([arguments.plumb, "simulate", "--config", scene, "--out", recording], check=True, stdout=sys.stderr)
         if arguments.memory:
             print(json.dumps(measure_memory(arguments.plumb, recording, arguments.memory)), flush=True)
+            return
+        if arguments.viewers:
+            for viewers in map(int, arguments.viewers.split(",")):
+                print(json.dumps(measure_plumb(arguments.plumb, recording, arguments.seconds, viewers)), flush=True)
             return
         print(json.dumps(measure_plumb(arguments.plumb, recording, arguments.seconds)), flush=True)
         print(json.dumps(measure_opencv(recording, arguments.seconds)), flush=True)

@@ -1,5 +1,6 @@
 //! What a camera sees now: one picture, or an endless preview.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
@@ -7,34 +8,15 @@ use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
-use tokio::sync::watch;
 
-use crate::geometry::pixel::Pixel;
 use crate::http::problem::Problem;
-use crate::http::registered::{self, registration};
 use crate::http::request::{Address, Parameters};
-use crate::http::undistorted::undistortion;
 use crate::http::{Shared, on_a_blocking_thread};
-use crate::imaging::decode::{self, DecodeError};
-use crate::imaging::draw::{self, Pen};
-use crate::imaging::frame::{PixelFormat, SensorKind};
-use crate::imaging::remap::Interpolation;
-use crate::imaging::undistort::Undistortion;
-use crate::pipeline::live_frame::LiveFrame;
+use crate::imaging::frame::SensorKind;
+use crate::pipeline::preview::PreviewReceiver;
+use crate::pipeline::preview::drawing::Drawing;
 
-const JPEG_QUALITY: u8 = 85;
 const BOUNDARY: &str = "plumb-frame";
-
-/// What to show of a frame.
-#[derive(Debug, Clone, Copy)]
-struct Look {
-    sensor: SensorKind,
-    overlay: bool,
-    guidance: bool,
-    undistorted: bool,
-    /// Depth in color's picture, or color in depth's.
-    registered: bool,
-}
 
 /// What of a frame is asked for.
 #[derive(utoipa::IntoParams)]
@@ -69,14 +51,10 @@ pub(super) async fn frame(
     Address(camera): Address<String>,
     parameters: Parameters,
 ) -> Result<Response, Problem> {
-    let look = look(&parameters, false)?;
-    let newest = shared.fleet.frames(&camera)?.borrow().clone();
-    let live = match newest {
-        Some(live) => live,
-        None => return Err(no_frame(&shared, &camera)),
-    };
-    let jpeg = picture(&shared, &camera, live, look).await?;
-    Ok(([(CONTENT_TYPE, "image/jpeg")], jpeg).into_response())
+    let drawing = drawing(&parameters, false)?;
+    let fleet = Arc::clone(&shared.fleet);
+    let jpeg = on_a_blocking_thread(move || fleet.newest_frame(&camera, drawing)).await??;
+    Ok(([(CONTENT_TYPE, "image/jpeg")], Bytes::from_owner(jpeg)).into_response())
 }
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.
@@ -92,54 +70,38 @@ pub(super) async fn preview(
     Address(camera): Address<String>,
     parameters: Parameters,
 ) -> Result<Response, Problem> {
-    let look = look(&parameters, true)?;
-    let mut frames = shared.fleet.frames(&camera)?;
-    // The newest frame is shown at once, and not only the next one.
-    frames.mark_changed();
-    let stopped = shared.stopped();
-    let parts = futures_util::stream::unfold(
-        (frames, shared, camera),
-        move |(mut frames, shared, camera)| async move {
-            let part = next_part(&mut frames, &shared, &camera, look).await?;
-            Some((Ok::<_, std::convert::Infallible>(part), (frames, shared, camera)))
-        },
-    );
-    let first = futures_util::stream::once(std::future::ready(Ok(Bytes::from(format!(
-        "--{BOUNDARY}\r\n"
-    )))));
-    let body = Body::from_stream(first.chain(parts).take_until(stopped));
+    let drawing = drawing(&parameters, true)?;
+    let frames = shared.fleet.preview(&camera, drawing)?;
+    let parts = futures_util::stream::unfold(frames, |mut frames| async move {
+        let part = next_part(&mut frames).await?;
+        Some((futures_util::stream::iter(part.map(Ok::<_, Infallible>)), frames))
+    });
+    let first = Bytes::from(format!("--{BOUNDARY}\r\n"));
+    let first = futures_util::stream::once(std::future::ready(Ok(first)));
+    let body = Body::from_stream(first.chain(parts.flatten()).take_until(shared.stopped()));
     let media_type = format!("multipart/x-mixed-replace; boundary={BOUNDARY}");
     Ok(([(CONTENT_TYPE, media_type)], body).into_response())
 }
 
 /// The next frame that can be shown; a slow viewer skips those in between.
-async fn next_part(
-    frames: &mut watch::Receiver<Option<Arc<LiveFrame>>>,
-    shared: &Shared,
-    camera: &str,
-    look: Look,
-) -> Option<Bytes> {
+async fn next_part(frames: &mut PreviewReceiver) -> Option<[Bytes; 3]> {
     loop {
         frames.changed().await.ok()?;
-        let live = frames.borrow_and_update().clone();
-        let Some(live) = live else { continue };
-        if let Ok(jpeg) = picture(shared, camera, live, look).await {
-            let head =
-                format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
-            // A browser shows a picture when it meets the boundary after it: it is not kept waiting
-            // for the next one.
-            let tail = format!("\r\n--{BOUNDARY}\r\n");
-            return Some([head.as_bytes(), &jpeg, tail.as_bytes()].concat().into());
-        }
+        let Some(jpeg) = frames.borrow_and_update().clone() else { continue };
+        let head = format!("Content-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n", jpeg.len());
+        // A browser shows an image when it meets the boundary after it: it is not kept waiting
+        // for the next one.
+        let tail = format!("\r\n--{BOUNDARY}\r\n");
+        return Some([head.into(), Bytes::from_owner(jpeg), tail.into()]);
     }
 }
 
-fn look(parameters: &Parameters, overlay: bool) -> Result<Look, Problem> {
+fn drawing(parameters: &Parameters, overlay: bool) -> Result<Drawing, Problem> {
     let overlay = parameters.flag("overlay", overlay)?;
     let sensor =
         parameters.one_of("sensor", SensorKind::from_name, "color, infrared, infrared2, depth")?;
     let sensor = sensor.unwrap_or(SensorKind::Color);
-    Ok(Look {
+    Ok(Drawing {
         sensor,
         overlay,
         guidance: parameters.flag("guidance", overlay)?,
@@ -160,94 +122,4 @@ fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Probl
             Err(Problem::field("registered", problem))
         }
     }
-}
-
-fn no_frame(shared: &Shared, camera: &str) -> Problem {
-    let said = match shared.fleet.camera(camera) {
-        Ok(status) => match status.reason {
-            Some(reason) => format!("it is {}: {reason}", status.state.name()),
-            None => format!("it is {}; ask again in a moment", status.state.name()),
-        },
-        Err(unknown) => return unknown.into(),
-    };
-    Problem::conflict(format!("camera `{camera}` has given no frame yet: {said}"))
-}
-
-/// Where the running session wants the board next, where that is to be drawn.
-fn wish(shared: &Shared, camera: &str, look: Look) -> Vec<Pixel> {
-    let shown = look.guidance && look.sensor == SensorKind::Color && !look.undistorted;
-    let session = shown.then(|| shared.fleet.camera(camera).ok()?.session).flatten();
-    let record = session.and_then(|id| shared.fleet.live_session(&id));
-    record.map(|record| record.guidance.outline_px.clone()).unwrap_or_default()
-}
-
-async fn picture(
-    shared: &Shared,
-    camera: &str,
-    live: Arc<LiveFrame>,
-    look: Look,
-) -> Result<Vec<u8>, Problem> {
-    if live.frame_set.frame(look.sensor).is_none() {
-        let detail = format!(
-            "camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}",
-            look.sensor.name()
-        );
-        return Err(Problem::not_found(detail));
-    }
-    if look.registered {
-        let registration = registration(shared, camera).await?;
-        let shown = on_a_blocking_thread(move || match look.sensor {
-            SensorKind::Depth => {
-                registered::depth_in_color(&registration, &live.frame_set, look.overlay)
-            }
-            _ => registered::color_in_depth(&registration, &live.frame_set),
-        });
-        return Ok(decode::encode_jpeg_rgb(&shown.await??, JPEG_QUALITY));
-    }
-    let wish = wish(shared, camera, look);
-    let undistortion = match look.undistorted {
-        true => Some(undistortion(shared, camera, look.sensor).await?),
-        false => None,
-    };
-    on_a_blocking_thread(move || drawn(&live, look, &wish, undistortion.as_deref())).await?
-}
-
-fn drawn(
-    live: &LiveFrame,
-    look: Look,
-    wish: &[Pixel],
-    undistortion: Option<&Undistortion>,
-) -> Result<Vec<u8>, Problem> {
-    let frame =
-        live.frame_set.frame(look.sensor).ok_or_else(|| Problem::not_found("no such sensor"))?;
-    if look.sensor == SensorKind::Depth {
-        return Ok(decode::encode_jpeg_rgb(
-            &registered::shaded_depth(&live.frame_set)?,
-            JPEG_QUALITY,
-        ));
-    }
-    let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
-    let seen = seen.filter(|_| look.overlay && look.sensor == SensorKind::Color);
-    let plain = seen.is_none() && wish.is_empty() && !look.undistorted;
-    if plain && frame.format == PixelFormat::Jpeg {
-        return Ok(frame.bytes.to_vec());
-    }
-    let unreadable =
-        |e: DecodeError| Problem::conflict(format!("the newest frame cannot be read: {e}"));
-    let mut picture = decode::rgb(frame).map_err(unreadable)?;
-    let pen = Pen::fitting(&picture, draw::WISHED);
-    draw::draw_polygon(&mut picture, wish, Pen { width_px: 2.0 * pen.width_px, ..pen });
-    if let Some(detection) = seen {
-        let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
-        draw::draw_corners(&mut picture, &corners);
-    }
-    if let Some(undistortion) = undistortion {
-        let other_size = || {
-            Problem::conflict(
-                "the current calibration is for pictures of another size; calibrate again",
-            )
-        };
-        picture = undistortion.map.rgb(&picture, Interpolation::Bilinear).ok_or_else(other_size)?;
-    }
-    Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }

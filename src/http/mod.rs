@@ -12,12 +12,10 @@ mod events;
 mod focus;
 mod frames;
 mod health;
-mod kept;
 mod openapi;
 mod page;
 pub mod problem;
 mod recordings;
-mod registered;
 mod request;
 mod rigs;
 mod router;
@@ -25,7 +23,6 @@ mod serve;
 mod sessions;
 mod solve;
 mod uncertainty;
-mod undistorted;
 mod views;
 
 use std::sync::Arc;
@@ -33,8 +30,6 @@ use std::sync::Arc;
 use tokio::sync::{Semaphore, watch};
 
 use crate::http::problem::Problem;
-use crate::http::registered::Registrations;
-use crate::http::undistorted::Undistortions;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Store, StoreError};
 
@@ -60,8 +55,6 @@ struct Shared {
     token: Option<String>,
     /// How many stateless solves may run at once.
     solves: Semaphore,
-    undistortions: Undistortions,
-    registrations: Registrations,
     /// Becomes true when the daemon goes down: endless answers end.
     stopping: watch::Receiver<bool>,
 }

@@ -8,9 +8,10 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::reading::to_json;
-use crate::pipeline::UnknownRig;
-use crate::pipeline::fleet::{ApproveError, UnknownCamera};
+use crate::pipeline::fleet::ApproveError;
+use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::session_request::{EndError, StartError};
+use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
 use crate::store::StoreError;
 
 /// Why a request was refused.
@@ -128,6 +129,18 @@ impl From<UnknownRig> for Problem {
 impl From<UnknownCamera> for Problem {
     fn from(error: UnknownCamera) -> Self {
         Self::not_found(error.to_string())
+    }
+}
+
+impl From<PreviewError> for Problem {
+    fn from(error: PreviewError) -> Self {
+        match error {
+            PreviewError::UnknownCamera(_) | PreviewError::UnknownSensor { .. } => {
+                Self::not_found(error.to_string())
+            }
+            PreviewError::Store(error) => error.into(),
+            _ => Self::conflict(error.to_string()),
+        }
     }
 }
 

@@ -11,7 +11,6 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 
-use crate::http::kept::Kept;
 use crate::http::router::router;
 use crate::http::{Service, Shared};
 
@@ -39,10 +38,8 @@ pub async fn serve(
 ) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
     let Service { fleet, store, token } = service;
-    let (solves, undistortions, registrations) =
-        (Semaphore::new(SOLVES), Kept::default(), Kept::default());
-    let shared =
-        Shared { fleet, store, token, solves, undistortions, registrations, stopping: watched };
+    let solves = Semaphore::new(SOLVES);
+    let shared = Shared { fleet, store, token, solves, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);

@@ -19,6 +19,9 @@ use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::preview::Preview;
+use crate::pipeline::preview::maps::CalibrationMaps;
+use crate::pipeline::preview_thread;
 use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::session_thread::SessionThread;
@@ -86,6 +89,8 @@ pub(super) fn start_camera(
         recorder: RecorderLink::default(),
         stop: StopSignal::default(),
         factory: Mutex::default(),
+        preview: Preview::new(Arc::clone(&shared.maps)),
+        outline_px: Mutex::default(),
         name,
     });
     let (jobs, asked) = std::sync::mpsc::channel();
@@ -117,7 +122,9 @@ pub(super) fn start_camera(
     // Nobody waits for the solve thread: a solve that is cut short is begun again with the next
     // start.
     spawn("solve", &camera.name, move || solve_thread::run(&solver, &asked))?;
+    let shown = Arc::clone(&camera);
     let threads = vec![
+        spawn("preview", &camera.name, move || preview_thread::run(&shown))?,
         spawn("session", &camera.name, move || session.run(received))?,
         spawn("detect", &camera.name, move || detect.run())?,
         spawn("capture", &camera.name, move || capture.run())?,
@@ -131,6 +138,7 @@ pub(super) struct SharedParts {
     pub(super) events: Arc<EventLog>,
     pub(super) metrics: Arc<Metrics>,
     pub(super) store: Arc<Store>,
+    pub(super) maps: Arc<CalibrationMaps>,
 }
 
 fn spawn(

@@ -46,7 +46,11 @@ impl Detect {
         });
         let seen = look.as_ref().map(|(_, look)| look.clone());
         let live = LiveFrame { frame_set: Arc::clone(&captured.frame_set), look: seen };
-        self.camera.frames.send_replace(Some(Arc::new(live)));
+        let live = Arc::new(live);
+        if self.camera.preview.offer(&live) {
+            self.camera.metrics.previews_skipped.with_label_values(&[&self.camera.name]).inc();
+        }
+        self.camera.frames.send_replace(Some(live));
         self.camera.publish(EventKind::Frame(FrameEvent {
             sequence: captured.frame_set.sequence,
             host_time_ns: captured.frame_set.host_time.utc_ns,

@@ -17,18 +17,15 @@ use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::live_rig::LiveRig;
 use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::preview::PreviewReceiver;
+use crate::pipeline::preview::drawing::{Drawing, EncodedFrame};
+use crate::pipeline::preview::error::PreviewError;
+use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 use crate::pipeline::rig_inbox::RigMessage;
 use crate::pipeline::session_request::{EndError, StartError};
+use crate::pipeline::unknown::UnknownCamera;
 use crate::store::{Store, StoreError};
-
-/// No such camera is configured.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("there is no camera `{camera}`; see GET /v1/cameras for those there are")]
-pub struct UnknownCamera {
-    /// The name that was asked for.
-    pub camera: String,
-}
 
 /// Why the cameras were not set going.
 #[derive(Debug, thiserror::Error)]
@@ -126,7 +123,8 @@ impl Fleet {
         // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in
         // JavaScript.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
-        let shared = SharedParts { events, metrics: Arc::new(metrics), store };
+        let maps = Arc::new(CalibrationMaps::new(Arc::clone(&store)));
+        let shared = SharedParts { events, metrics: Arc::new(metrics), store, maps };
         let fleet = Self {
             cameras: RwLock::default(),
             rigs: RwLock::default(),
@@ -289,6 +287,31 @@ impl Fleet {
         Ok(self.link(name)?.frames.subscribe())
     }
 
+    /// What a camera sees from now on, drawn and encoded once for all who ask for the same drawing.
+    ///
+    /// # Errors
+    /// [`UnknownCamera`].
+    pub fn preview(&self, name: &str, drawing: Drawing) -> Result<PreviewReceiver, UnknownCamera> {
+        let camera = self.link(name)?;
+        let newest = camera.frames.borrow().clone();
+        Ok(camera.preview.watch(drawing, newest))
+    }
+
+    /// A camera's newest frame, drawn and encoded; blocks meanwhile.
+    ///
+    /// # Errors
+    /// [`PreviewError`].
+    pub fn newest_frame(&self, name: &str, drawing: Drawing) -> Result<EncodedFrame, PreviewError> {
+        let camera = self.link(name)?;
+        let newest = camera.frames.borrow().clone();
+        let live = newest.ok_or_else(|| {
+            let status = camera.status.borrow();
+            let (camera, reason) = (name.to_owned(), status.reason.clone());
+            PreviewError::NoFrame { camera, state: status.state, reason }
+        })?;
+        Ok(camera.preview.encoded(&live, drawing, &camera.preview_state())?.0)
+    }
+
     /// The newest session of each camera and each rig since the daemon started, running or over.
     /// Older ones are in the store.
     pub fn live_sessions(&self) -> Vec<Arc<SessionRecord>> {
@@ -430,6 +453,7 @@ fn stop(cameras: &[RunningCamera]) {
     for RunningCamera { camera, .. } in cameras {
         camera.stop.set();
         camera.slot.close();
+        camera.preview.slot.close();
         // A full queue wakes its thread anyway.
         let _ = camera.messages.try_send(Message::Wake);
     }

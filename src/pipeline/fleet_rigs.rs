@@ -7,20 +7,13 @@ use tokio::sync::{oneshot, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::pipeline::board_look::BoardLook;
-use crate::pipeline::fleet::{Fleet, FleetError, UnknownCamera};
+use crate::pipeline::fleet::{Fleet, FleetError};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_rig::{LiveRig, RigPlan, RigStatus};
 use crate::pipeline::rig_inbox::RigMessage;
 use crate::pipeline::rig_thread::RigThread;
 use crate::pipeline::session_request::StartError;
-
-/// No such rig is configured.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("there is no rig `{rig}`; see GET /v1/rigs for those there are")]
-pub struct UnknownRig {
-    /// The name that was asked for.
-    pub rig: String,
-}
+use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
 
 /// A rig with the thread that works for it.
 #[derive(Debug)]

@@ -1,10 +1,11 @@
 //! What a camera's threads share: its state as seen from outside, and the links between them.
 
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
 use crate::calibration::session_record::SessionRecord;
+use crate::geometry::pixel::Pixel;
 use crate::imaging::factory::FactoryCalibration;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::event::{EventKind, EventLog};
@@ -12,6 +13,7 @@ use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::message::{Captured, Message};
 use crate::pipeline::metrics::Metrics;
+use crate::pipeline::preview::{Preview, PreviewState};
 use crate::pipeline::recorder::RecorderLink;
 use crate::pipeline::search::CurrentSearch;
 use crate::pipeline::stop_signal::StopSignal;
@@ -32,6 +34,9 @@ pub(super) struct LiveCamera {
     pub(super) recorder: RecorderLink,
     /// What the device that is open states of its own sensors.
     pub(super) factory: Mutex<FactoryCalibration>,
+    pub(super) preview: Preview,
+    /// The outline of the board at the pose that the running session suggests.
+    pub(super) outline_px: Mutex<Vec<Pixel>>,
 }
 
 impl LiveCamera {
@@ -59,6 +64,19 @@ impl LiveCamera {
 
     pub(super) fn publish(&self, kind: EventKind) {
         self.events.publish(&self.name, kind);
+    }
+
+    /// What drawings depend on besides the frame.
+    pub(super) fn preview_state(&self) -> PreviewState {
+        let outline_px = self.outline_px.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let calibration = self.status.borrow().calibration.clone();
+        PreviewState { camera: self.name.clone(), calibration, outline_px }
+    }
+
+    /// Shows from now on where the board should be held.
+    pub(super) fn suggest(&self, outline_px: &[Pixel]) {
+        let mut shown = self.outline_px.lock().unwrap_or_else(PoisonError::into_inner);
+        outline_px.clone_into(&mut shown);
     }
 
     /// Counts `frames` lost for the reason `why`.

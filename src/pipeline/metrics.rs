@@ -29,6 +29,10 @@ pub(super) struct Metrics {
     pub(super) opened: IntCounterVec,
     /// Times that a camera was lost.
     pub(super) lost: IntCounterVec,
+    /// Frames drawn and encoded for whoever watches.
+    pub(super) previews: IntCounterVec,
+    /// Frames that a newer one replaced before they were drawn.
+    pub(super) previews_skipped: IntCounterVec,
     state: IntGaugeVec,
     /// Decoding and detection of one frame, in seconds.
     pub(super) detection_seconds: HistogramVec,
@@ -101,6 +105,16 @@ impl Metrics {
                 "times that the camera was lost",
                 &["camera"],
             )?,
+            previews: counter(
+                "plumb_previews_drawn_total",
+                "frames drawn and encoded for all who watch them",
+                &["camera"],
+            )?,
+            previews_skipped: counter(
+                "plumb_previews_skipped_total",
+                "watched frames that a newer one replaced before they were drawn",
+                &["camera"],
+            )?,
             state,
             detection_seconds: histogram(
                 "plumb_detection_seconds",
@@ -119,9 +133,16 @@ impl Metrics {
 
     /// Makes a camera's counts appear before they first change.
     pub(super) fn introduce(&self, camera: &str) {
-        for counter in
-            [&self.frames, &self.searched, &self.boards, &self.views, &self.opened, &self.lost]
-        {
+        for counter in [
+            &self.frames,
+            &self.searched,
+            &self.boards,
+            &self.views,
+            &self.opened,
+            &self.lost,
+            &self.previews,
+            &self.previews_skipped,
+        ] {
             counter.with_label_values(&[camera]);
         }
         for why in ["device", "damaged", "overload"] {

@@ -3,7 +3,8 @@
 //! One camera is three threads and two links. `capture-<camera>` owns the device and puts each
 //! frame set into a newest-wins slot (in a replay at full speed, a slot that waits instead);
 //! `detect-<camera>` takes it from there, looks for the board while a session collects, shows the
-//! frame with what was seen to the previews, and passes the outcome to `session-<camera>`, which
+//! frame with what was seen to the previews (which `preview-<camera>` draws, once for all who watch),
+//! and passes the outcome to `session-<camera>`, which
 //! owns the session, performs its actions and answers requests. Solves run beside them on
 //! `solve-<camera>`, so that no frame waits for one.
 //!
@@ -32,6 +33,8 @@ pub mod live_frame;
 mod live_rig;
 mod message;
 mod metrics;
+pub mod preview;
+mod preview_thread;
 pub mod recorder;
 mod rig_inbox;
 mod rig_thread;
@@ -40,9 +43,9 @@ pub mod session_request;
 mod session_thread;
 mod solve_thread;
 mod stop_signal;
+pub mod unknown;
 mod view_picture;
 
 pub use camera_threads::{CameraPlan, FleetOptions};
 pub use capture_thread::Supervision;
-pub use fleet_rigs::UnknownRig;
 pub use live_rig::{RigPlan, RigStatus};

@@ -440,6 +440,7 @@ impl SessionThread {
         let Some(record) = self.session.as_ref().map(Session::record) else { return };
         self.camera.session.send_replace(Some(Arc::new(record.clone())));
         let running = (!record.state.is_over()).then(|| record.id.clone());
+        self.camera.suggest(&record.guidance.outline_px);
         self.camera.status.send_if_modified(|status| {
             let changed = status.session != running;
             status.session = running;

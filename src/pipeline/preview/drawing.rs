@@ -1,0 +1,101 @@
+//! What is drawn of a frame, and how.
+
+use std::sync::Arc;
+
+use crate::geometry::pixel::Pixel;
+use crate::imaging::decode;
+use crate::imaging::draw::{self, Pen};
+use crate::imaging::frame::{PixelFormat, SensorKind};
+use crate::imaging::remap::Interpolation;
+use crate::pipeline::live_frame::LiveFrame;
+use crate::pipeline::preview::error::PreviewError;
+use crate::pipeline::preview::maps::CalibrationMaps;
+use crate::pipeline::preview::registered::shaded_depth;
+
+const JPEG_QUALITY: u8 = 85;
+
+/// A frame as a JPEG file.
+pub type EncodedFrame = Arc<[u8]>;
+
+/// What is drawn of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Drawing {
+    /// Whose image.
+    pub sensor: SensorKind,
+    /// With the corners that were found.
+    pub overlay: bool,
+    /// With the suggested pose of the board.
+    pub guidance: bool,
+    /// Through the current calibration.
+    pub undistorted: bool,
+    /// Depth in color's image, or color in depth's.
+    pub registered: bool,
+}
+
+impl Drawing {
+    /// Whether the suggested pose is drawn: it is known in color's image as it comes.
+    fn has_guidance(&self) -> bool {
+        let plain = !self.undistorted && !self.registered;
+        self.guidance && self.sensor == SensorKind::Color && plain
+    }
+}
+
+/// A camera at the time of a frame, as far as a drawing needs it.
+#[derive(Debug)]
+pub(super) struct Scene<'a> {
+    pub(super) camera: &'a str,
+    pub(super) calibration: Option<&'a str>,
+    /// The outline of the board at its suggested pose.
+    pub(super) outline_px: &'a [Pixel],
+}
+
+/// Draws and encodes one frame.
+///
+/// # Errors
+/// [`PreviewError`].
+pub(super) fn encoded(
+    live: &LiveFrame,
+    drawing: Drawing,
+    scene: &Scene<'_>,
+    maps: &CalibrationMaps,
+) -> Result<EncodedFrame, PreviewError> {
+    let Drawing { sensor, overlay, .. } = drawing;
+    let frame = live
+        .frame_set
+        .frame(sensor)
+        .ok_or_else(|| PreviewError::UnknownSensor { camera: scene.camera.to_owned(), sensor })?;
+    if drawing.registered {
+        let registration = maps.registration(scene.camera, scene.calibration)?;
+        let image = match sensor {
+            SensorKind::Depth => registration.depth_in_color(&live.frame_set, overlay)?,
+            _ => registration.color_in_depth(&live.frame_set)?,
+        };
+        return Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into());
+    }
+    let undistortion = match drawing.undistorted {
+        true => Some(maps.undistortion(scene.camera, scene.calibration, sensor)?),
+        false => None,
+    };
+    if sensor == SensorKind::Depth {
+        return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
+    }
+    let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
+    let seen = seen.filter(|_| overlay && sensor == SensorKind::Color);
+    let outline_px = if drawing.has_guidance() { scene.outline_px } else { &[] };
+    let is_plain = seen.is_none() && outline_px.is_empty() && undistortion.is_none();
+    if is_plain && frame.format == PixelFormat::Jpeg {
+        return Ok(Arc::clone(&frame.bytes));
+    }
+    let mut image = decode::rgb(frame)?;
+    let pen = Pen::fitting(&image, draw::WISHED);
+    draw::draw_polygon(&mut image, outline_px, Pen { width_px: 2.0 * pen.width_px, ..pen });
+    if let Some(detection) = seen {
+        let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
+        draw::draw_corners(&mut image, &corners);
+    }
+    if let Some(undistortion) = undistortion {
+        let undistorted = undistortion.map.rgb(&image, Interpolation::Bilinear);
+        image = undistorted.ok_or(PreviewError::OtherSize { sensor })?;
+    }
+    Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into())
+}

@@ -1,0 +1,77 @@
+//! Why there is no image to show.
+
+use crate::imaging::decode::DecodeError;
+use crate::imaging::frame::SensorKind;
+use crate::pipeline::camera_status::CameraState;
+use crate::pipeline::unknown::UnknownCamera;
+use crate::store::StoreError;
+
+/// Why there is no image to show.
+#[derive(Debug, thiserror::Error)]
+pub enum PreviewError {
+    /// No such camera is configured.
+    #[error(transparent)]
+    UnknownCamera(#[from] UnknownCamera),
+    /// The camera has no such sensor.
+    #[error("camera `{camera}` has no {} sensor; see GET /v1/cameras/{camera}", sensor.name())]
+    UnknownSensor {
+        /// The camera's name.
+        camera: String,
+        /// What was asked for.
+        sensor: SensorKind,
+    },
+    /// Nothing has come from the camera yet.
+    #[error(
+        "camera `{camera}` has given no frame yet: it is {}{}",
+        state.name(),
+        reason.as_ref().map_or("; ask again in a moment".to_owned(), |reason| format!(": {reason}"))
+    )]
+    NoFrame {
+        /// The camera's name.
+        camera: String,
+        /// How it does.
+        state: CameraState,
+        /// Why.
+        reason: Option<String>,
+    },
+    /// There is no current calibration of this sensor.
+    #[error(
+        "camera `{camera}` has no approved calibration of {} to undistort with; run a session",
+        sensor.name()
+    )]
+    NotCalibrated {
+        /// The camera's name.
+        camera: String,
+        /// The sensor.
+        sensor: SensorKind,
+    },
+    /// There is no current calibration of color and depth.
+    #[error(
+        "camera `{camera}` has no approved calibration of color and depth to register with; run a session, and approve it"
+    )]
+    NotRegistered {
+        /// The camera's name.
+        camera: String,
+    },
+    /// The newest frame set lacks a sensor that is needed.
+    #[error("the newest frames have no {} image; ask again in a moment", sensor.name())]
+    Missing {
+        /// The sensor.
+        sensor: SensorKind,
+    },
+    /// The newest frame is damaged.
+    #[error("the newest frame cannot be read: {0}")]
+    Unreadable(#[from] DecodeError),
+    /// The current calibration was made of images of another size.
+    #[error(
+        "the current calibration is for {} images of another size; calibrate again",
+        sensor.name()
+    )]
+    OtherSize {
+        /// The sensor.
+        sensor: SensorKind,
+    },
+    /// The current calibration could not be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}

@@ -1,0 +1,85 @@
+//! The maps that draw a camera's images through its current calibration.
+
+use std::sync::Arc;
+
+use crate::calibration::sensor::SensorId;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::registration::DepthRegistration;
+use crate::imaging::undistort::{UndistortOptions, Undistortion};
+use crate::pipeline::preview::error::PreviewError;
+use crate::pipeline::preview::newest::NewestValues;
+use crate::pipeline::preview::registered::Registration;
+use crate::store::Store;
+
+/// The maps used last, of all cameras.
+#[derive(Debug)]
+pub(in crate::pipeline) struct CalibrationMaps {
+    store: Arc<Store>,
+    undistortions: NewestValues<(String, SensorKind), Undistortion>,
+    registrations: NewestValues<String, Registration>,
+}
+
+impl CalibrationMaps {
+    pub(in crate::pipeline) fn new(store: Arc<Store>) -> Self {
+        Self {
+            store,
+            undistortions: NewestValues::default(),
+            registrations: NewestValues::default(),
+        }
+    }
+
+    /// The map that undistorts a sensor's images by the calibration `id`, which is the current one
+    /// of `camera`.
+    ///
+    /// # Errors
+    /// [`PreviewError::NotCalibrated`], [`PreviewError::Store`].
+    pub(super) fn undistortion(
+        &self,
+        camera: &str,
+        id: Option<&str>,
+        sensor: SensorKind,
+    ) -> Result<Arc<Undistortion>, PreviewError> {
+        let none = || PreviewError::NotCalibrated { camera: camera.to_owned(), sensor };
+        let key = (id.ok_or_else(none)?.to_owned(), sensor);
+        self.undistortions.get_or_make(&key, || {
+            let calibration = self.store.calibration(&key.0)?.ok_or_else(none)?;
+            let calibrated = calibration.image(sensor).ok_or_else(none)?;
+            let (lens, size) = (&calibrated.lens, calibrated.image_size);
+            Ok((key.clone(), Undistortion::new(lens, size, &UndistortOptions::default())))
+        })
+    }
+
+    /// How depth is brought into color's image by the calibration `id`, which is the current one of
+    /// `camera`.
+    ///
+    /// # Errors
+    /// [`PreviewError::NotRegistered`], [`PreviewError::Store`].
+    pub(super) fn registration(
+        &self,
+        camera: &str,
+        id: Option<&str>,
+    ) -> Result<Arc<Registration>, PreviewError> {
+        let none = || PreviewError::NotRegistered { camera: camera.to_owned() };
+        let id = id.ok_or_else(none)?.to_owned();
+        self.registrations.get_or_make(&id, || {
+            let calibration = self.store.calibration(&id)?.ok_or_else(none)?;
+            let [color, depth] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+            let color_from_depth =
+                calibration.pose(&color, &depth).ok_or_else(none)?.target_from_source;
+            let (color, depth) = calibration.color().zip(calibration.depth()).ok_or_else(none)?;
+            let map = DepthRegistration::new(
+                &depth.camera,
+                &color.lens,
+                color.image_size,
+                &color_from_depth,
+            );
+            let registration = Registration {
+                map,
+                invalid: depth.invalid,
+                depth_size: depth.camera.image_size,
+                color_size: color.image_size,
+            };
+            Ok((id.clone(), registration))
+        })
+    }
+}

@@ -1,0 +1,69 @@
+//! A few costly values, kept for whoever needs them next.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// How many are kept; each takes some bytes for every pixel of its image.
+const KEPT: usize = 4;
+
+/// The values made last, by what they were made for, the newest last.
+#[derive(Debug)]
+pub(super) struct NewestValues<K, V>(Mutex<Vec<(K, Arc<V>)>>);
+
+impl<K, V> Default for NewestValues<K, V> {
+    fn default() -> Self {
+        Self(Mutex::default())
+    }
+}
+
+impl<K: PartialEq, V> NewestValues<K, V> {
+    /// The value for `key`; one that is not there is made, in place of the oldest.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub(super) fn get_or_make<E>(
+        &self,
+        key: &K,
+        make: impl FnOnce() -> Result<(K, V), E>,
+    ) -> Result<Arc<V>, E> {
+        if let Some(known) = self.get(key) {
+            return Ok(known);
+        }
+        let (key, value) = make()?;
+        let value = Arc::new(value);
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.retain(|(known, _)| *known != key);
+        if kept.len() == KEPT {
+            kept.remove(0);
+        }
+        kept.push((key, Arc::clone(&value)));
+        Ok(value)
+    }
+
+    fn get(&self, key: &K) -> Option<Arc<V>> {
+        let kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.iter().find(|(known, _)| known == key).map(|(_, value)| Arc::clone(value))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_makes_room() {
+        let values = NewestValues::default();
+        let mut made = 0;
+        let mut get = |key: usize| {
+            let make = || {
+                made += 1;
+                Ok::<_, ()>((key, key * 10))
+            };
+            assert_eq!(*values.get_or_make(&key, make).unwrap(), key * 10);
+            made
+        };
+        assert_eq!((0..KEPT).map(&mut get).last(), Some(KEPT));
+        assert_eq!(get(0), KEPT, "it is kept");
+        assert_eq!(get(KEPT), KEPT + 1);
+        assert_eq!(get(0), KEPT + 2, "it was the oldest");
+    }
+}
