@@ -6,31 +6,20 @@
 //! [`Detector`] keeps its buffers from image to image, and tracks ([`tracking`]).
 
 pub mod board_detection;
-mod board_edges;
-mod candidates;
 pub mod coded;
-mod cross;
-mod curved_board;
 pub mod depth;
 pub mod detector;
-mod edges;
-mod ends;
-mod following;
 mod grid;
-mod growth;
-mod last_board;
-mod perspective;
-mod placement;
-mod pyramid;
+mod measure;
 mod reasons;
 pub mod refine;
 mod report;
-mod response;
-mod seeds;
+mod search;
 #[cfg(test)]
 mod stage_drawings;
+pub mod thresholds;
 pub mod tracking;
-mod verification;
+mod verify;
 
 pub use crate::detection::depth::{board_plane, plane_growth};
 

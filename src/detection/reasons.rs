@@ -1,75 +1,91 @@
 //! Why there is no board.
 
-use super::board_detection::NoBoard;
-use super::cross::Vec2;
-use super::detector::{Detector, SearchEvidence};
+use crate::detection::board_detection::NoBoard;
+use crate::detection::grid::Grid;
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// Range of brightness below which an image is taken for empty, in gray levels.
-const LEAST_RANGE: u8 = 8;
-
-/// Minimum corners of a grid that is reported.
-const LEAST_GRID: usize = 6;
-/// Blur wider than this part of a square hides its corners.
-const MOST_BLUR: f32 = 0.25;
-/// Blur is read from the 99.9th percentile of the gradient magnitude.
+/// Blur is read from the 99.9th percentile of the gradient magnitude: edges are a few thousandths of
+/// an image that shows a board.
 const STEEPEST: usize = 1000;
+/// A corner this near to the image's border has no window, in pixels.
+const BORDER_PX: f32 = 1.0;
 
-impl Detector {
-    /// The reason, from what was detected on the levels up to `coarsest`.
-    pub(super) fn reason(
-        &self,
-        image: GrayView<'_>,
-        coarsest: usize,
-        seen: &SearchEvidence,
-    ) -> NoBoard {
-        let view = self.pyramid.level(image, coarsest);
-        let range = brightness_range(view);
-        if range < LEAST_RANGE {
-            return NoBoard::LowContrast { range };
-        }
-        if let Some((cols, rows)) = seen.other {
-            return NoBoard::OtherSize { cols, rows, board: self.board };
-        }
-        // A board across half of the image has squares of this size.
-        let squares = 2 * (self.board.cols.max(self.board.rows) + 1);
-        let square_px = view.width().max(view.height()) as f32 / squares as f32;
-        let blur = sharpest_blur(view, range);
-        if seen.largest < LEAST_GRID && blur > MOST_BLUR * square_px {
-            return NoBoard::Blurred { blur_px: f64::from(blur) * f64::from(1 << coarsest) };
-        }
-        if seen.candidates == 0 {
-            return NoBoard::NoCorners;
-        }
-        NoBoard::NoGrid { corners: seen.candidates, cols: seen.size.0, rows: seen.size.1 }
+/// What the search found that was no board.
+#[derive(Debug, Default)]
+pub(in crate::detection) struct SearchEvidence {
+    /// Most candidates on any level.
+    pub candidates: usize,
+    /// Corners of the largest verified grid, and its longer and shorter side.
+    pub largest: usize,
+    /// See `largest`.
+    pub size: (u32, u32),
+    /// The longer and shorter side of a board of another size.
+    pub other: Option<(u32, u32)>,
+    /// A grid was larger than the board.
+    pub too_large: bool,
+    /// Corners of the largest grid that was bridged across occluders.
+    pub bridged: usize,
+}
+
+/// Why there is no `board`, from what was found on the levels up to `coarsest`, whose image is
+/// `probe`'s.
+pub(in crate::detection) fn no_board(
+    probe: &Probe<'_>,
+    board: BoardSize,
+    coarsest: usize,
+    evidence: &SearchEvidence,
+) -> NoBoard {
+    let (view, thresholds) = (probe.image, &probe.thresholds.reasons);
+    let range = brightness_range(view);
+    if range < thresholds.least_range {
+        return NoBoard::LowContrast { range };
     }
+    if let Some((cols, rows)) = evidence.other {
+        return NoBoard::OtherSize { cols, rows, board };
+    }
+    // A board across half of the image has squares of this size.
+    let squares = 2 * (board.cols.max(board.rows) + 1);
+    let square_px = view.width().max(view.height()) as f32 / squares as f32;
+    let blur = sharpest_blur(view, range);
+    if evidence.largest < thresholds.least_grid && blur > thresholds.most_blur * square_px {
+        return NoBoard::Blurred { blur_px: f64::from(blur) * f64::from(1 << coarsest) };
+    }
+    if evidence.candidates == 0 {
+        return NoBoard::NoCorners;
+    }
+    let (cols, rows) = evidence.size;
+    NoBoard::NoGrid { corners: evidence.candidates, cols, rows }
+}
 
-    /// Why the board in `part` is not whole.
-    pub(super) fn part_reason(&self, image: GrayView<'_>, seen: usize) -> NoBoard {
-        let (part, board) = (&self.part, self.board);
-        let (longer, shorter) =
-            (board.cols.max(board.rows) as i32, board.cols.min(board.rows) as i32);
-        let (width, height) =
-            part.bounds().map_or((0, 0), |bounds| (bounds.width(), bounds.height()));
-        let inside = |p: Vec2| {
-            p.x > 1.0
-                && p.y > 1.0
-                && p.x < image.width() as f32 - 2.0
-                && p.y < image.height() as f32 - 2.0
-        };
-        let beyond = |&(i, j): &(i32, i32), (di, dj): (i32, i32)| {
-            let grown = (width.max(height) < longer) || (width.min(height) < shorter);
-            let next = (i + di, j + dj);
-            grown
-                && part.get(next.0, next.1).is_none()
-                && part.predict(next.0, next.1).is_some_and(|p| !inside(p))
-        };
-        let ways = [(1, 0), (0, 1), (-1, 0), (0, -1)];
-        if part.members.iter().any(|member| ways.into_iter().any(|way| beyond(member, way))) {
-            NoBoard::CutOff { seen, board }
-        } else {
-            NoBoard::Incomplete { seen, board }
-        }
+/// Why the board of which `part` is seen, `seen` of its corners, is not whole.
+pub(in crate::detection) fn not_whole(
+    image: GrayView<'_>,
+    part: &Grid,
+    board: BoardSize,
+    seen: usize,
+) -> NoBoard {
+    let (longer, shorter) = (board.cols.max(board.rows) as i32, board.cols.min(board.rows) as i32);
+    let (width, height) = part.bounds().map_or((0, 0), |bounds| (bounds.width(), bounds.height()));
+    let lacks_a_line = width.max(height) < longer || width.min(height) < shorter;
+    let last = Vec2::new(image.width() as f32 - 1.0, image.height() as f32 - 1.0);
+    let inside = |p: Vec2| {
+        let room = p.inf(&(last - p));
+        room.x > BORDER_PX && room.y > BORDER_PX
+    };
+    let beyond = |&(i, j): &(i32, i32), (di, dj): (i32, i32)| {
+        let next = (i + di, j + dj);
+        part.get(next.0, next.1).is_none()
+            && part.predict(next.0, next.1).is_some_and(|p| !inside(p))
+    };
+    let ways = [(1, 0), (0, 1), (-1, 0), (0, -1)];
+    let cut = |member: &(i32, i32)| ways.into_iter().any(|way| beyond(member, way));
+    if lacks_a_line && part.members.iter().any(cut) {
+        NoBoard::CutOff { seen, board }
+    } else {
+        NoBoard::Incomplete { seen, board }
     }
 }
 

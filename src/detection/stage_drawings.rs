@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use image::{Rgb, RgbImage};
 
-use super::candidates::Candidate;
-use super::detector::Detector;
-use super::pyramid::coarsest_level;
 use crate::detection::board_detection::DetectOptions;
+use crate::detection::detector::Detector;
+use crate::detection::measure::Probe;
+use crate::detection::search::candidates::Candidate;
+use crate::detection::search::pyramid::coarsest_level;
+use crate::detection::thresholds::Thresholds;
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::decode::{encode_jpeg_rgb, luma};
@@ -49,20 +51,21 @@ fn draw_the_stages() {
         detector.find_board(image.view(), &DetectOptions::default()).expect("a whole board");
 
     let coarsest = coarsest_level(image.size(), 9);
-    let level = detector.pyramid.level(image.view(), coarsest);
-    detector.response.compute(level, 1);
-    detector.candidates.search(level, &detector.response, 54);
+    let level = detector.search.pyramid.level(image.view(), coarsest);
+    detector.search.levels.response.compute(level, 1);
+    let probe = Probe { image: level, thresholds: &Thresholds::DEFAULT };
+    detector.search.levels.candidates.search(probe, &detector.search.levels.response, 54);
     let size = [level.width(), level.height()];
     let scale = f64::from(WIDTH) / size[0] as f64;
     let plain = canvas(size, scale, |x, y| level.row(y)[x]);
-    let place = |p: super::cross::Vec2| {
+    let place = |p: crate::detection::measure::cross::Vec2| {
         Pixel::new((f64::from(p.x) + 0.5) * scale - 0.5, (f64::from(p.y) + 0.5) * scale - 0.5)
     };
     save("1-level.jpg", &plain);
-    let response = &detector.response;
+    let response = &detector.search.levels.response;
     save("2-response.jpg", &canvas(size, scale, |x, y| response.row(y)[x].saturating_mul(3)));
 
-    let candidates = &detector.candidates.found;
+    let candidates = &detector.search.levels.candidates.found;
     let mut drawing = plain.clone();
     for Candidate { pixel, edges, .. } in candidates {
         for edge in edges {
@@ -71,9 +74,11 @@ fn draw_the_stages() {
     }
     save("3-candidates.jpg", &drawing);
 
-    detector.neighborhood.fill(candidates, size[0], size[1]);
+    detector.search.levels.neighborhood.fill(candidates, size[0], size[1]);
     let seed = (0..candidates.len())
-        .find_map(|first| detector.neighborhood.seed(candidates, first, size[0] as f32))
+        .find_map(|first| {
+            detector.search.levels.neighborhood.seed(candidates, first, size[0] as f32)
+        })
         .expect("a square");
     let mut drawing = plain.clone();
     let outline = [0, 1, 3, 2].map(|k| place(candidates[seed.corners[k]].pixel));
@@ -83,9 +88,9 @@ fn draw_the_stages() {
     let scale = f64::from(WIDTH) / image.width() as f64;
     let whole = canvas([image.width(), image.height()], scale, |x, y| image.row(y)[x]);
     let mut drawing = whole.clone();
-    for &(i, j) in &detector.part.members {
+    for &(i, j) in &detector.search.levels.part.members {
         let at = |i, j| {
-            let p = detector.part.pixel(i, j)?;
+            let p = detector.search.levels.part.pixel(i, j)?;
             Some(Pixel::new(f64::from(p.x) * scale, f64::from(p.y) * scale))
         };
         let Some(from) = at(i, j) else { continue };

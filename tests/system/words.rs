@@ -43,7 +43,7 @@ const WORDS_NOT_YET: &[&str] = &[
     "docs/depth-correction",
     "src/calibration",
     "src/cli",
-    "src/detection/tracking.rs",
+    "src/detection/tracking/mod.rs",
     "src/document",
     "src/estimation",
     "src/http",

@@ -4,8 +4,8 @@
 use nalgebra::{SMatrix, SVector};
 
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::cross::Vec2;
 use crate::detection::grid::Grid;
+use crate::detection::measure::cross::Vec2;
 
 type Normal = SMatrix<f64, 8, 8>;
 type Right = SVector<f64, 8>;

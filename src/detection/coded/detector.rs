@@ -1,7 +1,6 @@
 //! The whole search: lattices on each level of the image, until the markers of one are the
 //! target's.
 
-use crate::detection::candidates::CandidateSearch;
 use crate::detection::coded::answer::{NoTarget, TargetDetection};
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::seen_ends;
@@ -10,12 +9,15 @@ use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::cross::Vec2;
 use crate::detection::grid::Grid;
-use crate::detection::pyramid::{Pyramid, coarsest_level};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
-use crate::detection::response::Response;
-use crate::detection::seeds::Neighborhood;
+use crate::detection::search::candidates::CandidateSearch;
+use crate::detection::search::pyramid::{Pyramid, coarsest_level};
+use crate::detection::search::response::Response;
+use crate::detection::search::seeds::Neighborhood;
+use crate::detection::thresholds::{SeedThresholds, Thresholds};
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
@@ -80,7 +82,10 @@ impl TargetDetector {
             pyramid: Pyramid::default(),
             response: Response::default(),
             candidates: CandidateSearch::default(),
-            neighborhood: Neighborhood::with_links_within(OFF_EDGE),
+            neighborhood: Neighborhood::new(SeedThresholds {
+                off_edge: OFF_EDGE,
+                ..SeedThresholds::DEFAULT
+            }),
             used: Vec::new(),
             order: Vec::new(),
             pairs: Vec::new(),
@@ -142,7 +147,8 @@ impl TargetDetector {
     /// Grows lattices from the candidates of `view`, until one is labelled; it is left in `grid`.
     fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabelled) -> Option<BoardLabel> {
         self.response.compute(view, 1);
-        self.candidates.search(view, &self.response, usize::from(u16::MAX));
+        let probe = Probe { image: view, thresholds: &Thresholds::DEFAULT };
+        self.candidates.search(probe, &self.response, usize::from(u16::MAX));
         let candidates = &self.candidates.found;
         seen.candidates = seen.candidates.max(candidates.len());
         self.neighborhood.fill(candidates, view.width(), view.height());

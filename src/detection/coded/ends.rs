@@ -6,9 +6,9 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::edges::sample;
 use crate::detection::grid::Grid;
-use crate::detection::placement::BoardPlacement;
+use crate::detection::measure::edges::sample;
+use crate::detection::verify::placement::BoardPlacement;
 use crate::imaging::gray::GrayView;
 
 /// Where an outer square is sampled, within and beyond the board, in squares from the outermost

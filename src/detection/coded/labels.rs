@@ -10,7 +10,7 @@
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::{Sheet, Sheets};
 use crate::detection::grid::{Bounds, Grid};
-use crate::detection::placement::BoardPlacement;
+use crate::detection::verify::placement::BoardPlacement;
 
 /// Least sum of agreements, in its own deviations by chance.
 const LEAST_SIGNIFICANCE: f32 = 6.7;
@@ -78,7 +78,7 @@ impl BestLabel {
         reading: &MarkerReading,
         (inverted, beyond): (bool, i32),
     ) {
-        let Some(bounds) = grid.firm_bounds() else { return };
+        let Some(bounds) = grid.anchored_bounds() else { return };
         let sheet = &sheets.ways[way];
         for cell in 0..reading.cells.len() {
             self.contradictions +=

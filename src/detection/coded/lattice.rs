@@ -2,13 +2,13 @@
 
 use std::collections::VecDeque;
 
-use crate::detection::candidates::Candidate;
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::cross::in_steps;
-use crate::detection::cross::{CrossWindow, Vec2};
+use crate::detection::grid::in_steps;
 use crate::detection::grid::{Grid, Node};
-use crate::detection::seeds::{Neighborhood, Seed};
+use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::search::candidates::Candidate;
+use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::imaging::gray::GrayView;
 
 /// Least correlation with a crossing.

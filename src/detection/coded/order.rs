@@ -4,9 +4,9 @@
 //! payload cell, while a crossing of the board has the same black (of an inverted board white) on
 //! both sides as far as a square or a marker's border reaches.
 
-use crate::detection::candidates::Candidate;
-use crate::detection::cross::Vec2;
-use crate::detection::edges::sample;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::measure::edges::sample;
+use crate::detection::search::candidates::Candidate;
 use crate::imaging::gray::GrayView;
 
 /// Distances from the crossing at which its squares are sampled, along their diagonals in pixels.

@@ -2,8 +2,8 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::{Sheet, Sheets, unit};
-use crate::detection::edges::sample;
 use crate::detection::grid::Grid;
+use crate::detection::measure::edges::sample;
 use crate::imaging::gray::GrayView;
 
 /// A payload whose black and white differ by less than this part of the crossings' contrast says

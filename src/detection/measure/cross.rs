@@ -10,11 +10,11 @@ use nalgebra::Vector2;
 use crate::imaging::gray::GrayView;
 
 /// A position or a vector in an image, in pixels.
-pub(super) type Vec2 = Vector2<f32>;
+pub(in crate::detection) type Vec2 = Vector2<f32>;
 
 /// A parallelogram about `center`, reaching `a` and `b` to each side.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct CrossWindow {
+pub(in crate::detection) struct CrossWindow {
     /// Its middle.
     pub center: Vec2,
     /// From the middle half-way along one edge of the board.
@@ -25,7 +25,7 @@ pub(super) struct CrossWindow {
 
 /// What is measured in a window.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Cross {
+pub(in crate::detection) struct Cross {
     /// Where the edges cross, in pixels.
     pub center: Vec2,
     /// Correlation with the pattern of a chessboard corner, −1 to 1 in size; positive for either
@@ -46,14 +46,20 @@ const TOUCHING: f32 = 1e-4;
 impl CrossWindow {
     /// A window on a board whose neighboring corners lie at ±`u` and ±`v`: `fraction` of the way
     /// to them, at most `most_px` pixels.
-    pub(super) fn on_board(center: Vec2, u: Vec2, v: Vec2, fraction: f32, most_px: f32) -> Self {
+    pub(in crate::detection) fn on_board(
+        center: Vec2,
+        u: Vec2,
+        v: Vec2,
+        fraction: f32,
+        most_px: f32,
+    ) -> Self {
         let reach = |w: Vec2| w * fraction.min(most_px / w.norm().max(1e-3));
         Self { center, a: reach(u), b: reach(v) }
     }
 
     /// The same window, shrunk until it lies inside `image`; `None` if less than `least` of it is
     /// left.
-    pub(super) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
+    pub(in crate::detection) fn inside(mut self, image: GrayView<'_>, least: f32) -> Option<Self> {
         let (half, room) = (self.half(), self.room(image));
         let fit = (room.x / half.x.max(1e-6)).min(room.y / half.y.max(1e-6)) - TOUCHING;
         if fit < least || !fit.is_finite() {
@@ -86,13 +92,17 @@ impl CrossWindow {
     }
 
     /// Measures the window once. `None` if it leaves the image or is flat.
-    pub(super) fn measure(&self, image: GrayView<'_>) -> Option<Cross> {
+    pub(in crate::detection) fn measure(&self, image: GrayView<'_>) -> Option<Cross> {
         self.measure_above(image, 0.0)
     }
 
     /// Measures the window once. `None` if it leaves the image, is flat or scores less than
     /// `least_score`.
-    pub(super) fn measure_above(&self, image: GrayView<'_>, least_score: f32) -> Option<Cross> {
+    pub(in crate::detection) fn measure_above(
+        &self,
+        image: GrayView<'_>,
+        least_score: f32,
+    ) -> Option<Cross> {
         if !self.is_inside(image) {
             return None;
         }
@@ -117,7 +127,7 @@ impl CrossWindow {
     /// Whether the centers of the four quadrants alternate between bright and dark, and by how
     /// much: the darker of the bright less the brighter of the dark, with the sign of
     /// [`Cross::contrast`]. `None` outside the image; 0 if they do not alternate.
-    pub(super) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
+    pub(in crate::detection) fn alternation(&self, image: GrayView<'_>) -> Option<f32> {
         if !self.is_inside(image) {
             return None;
         }
@@ -286,7 +296,7 @@ fn edge_offset(k: &[f32; 6]) -> f32 {
 
 /// Brightness between pixels; (`x`, `y`) must lie in 0 … size − 1.
 #[inline]
-pub(super) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
+pub(in crate::detection) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
     let (column, row) = (x as i32, y as i32);
     let (fx, fy) = (x - column as f32, y - row as f32);
     let at = row as usize * stride + column as usize;
@@ -298,18 +308,6 @@ pub(super) fn bilinear(bytes: &[u8], stride: usize, x: f32, y: f32) -> f32 {
     let ((p, q), (r, s)) = (pair(at), pair(at + stride));
     let (upper, lower) = (p + fx * (q - p), r + fx * (s - r));
     upper + fy * (lower - upper)
-}
-
-/// `vector` in units of the steps `u` and `v`.
-pub(super) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
-    let area = u.x * v.y - u.y * v.x;
-    let least = 0.1 * u.norm() * v.norm();
-    (area.abs() > least && area.abs() > 1.0).then(|| {
-        Vec2::new(
-            (vector.x * v.y - vector.y * v.x) / area,
-            (u.x * vector.y - u.y * vector.x) / area,
-        )
-    })
 }
 
 #[cfg(test)]

@@ -5,16 +5,16 @@
 //! polarity of squares, the visible ends and the number of corners leave one of these, or show that
 //! it is not determined.
 
-use super::cross::Vec2;
-use super::grid::{Bounds, Grid};
+use crate::detection::grid::{Bounds, Grid};
+use crate::detection::measure::cross::Vec2;
 use crate::geometry::board::BoardSize;
 
 /// Which sides of a grid are the ends of the board, in the order least i, most i, least j, most j.
-pub(super) type Ends = [bool; 4];
+pub(in crate::detection) type Ends = [bool; 4];
 
 /// How a board's columns and rows lie in a grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct BoardPlacement {
+pub(in crate::detection) struct BoardPlacement {
     /// The grid's (i, j) of the board's first corner.
     pub first: (i32, i32),
     /// Quarter turns from i to the direction of columns, in the sense from i to j.
@@ -25,7 +25,7 @@ pub(super) struct BoardPlacement {
 
 impl BoardPlacement {
     /// The grid's index of the board's corner (`col`, `row`).
-    pub(super) fn in_grid(&self, col: i32, row: i32) -> (i32, i32) {
+    pub(in crate::detection) fn in_grid(&self, col: i32, row: i32) -> (i32, i32) {
         let (i, j) = self.first;
         match self.turns {
             0 => (i + col, j + row),
@@ -36,7 +36,7 @@ impl BoardPlacement {
     }
 
     /// The board's (col, row) of the grid's corner (i, j).
-    pub(super) fn in_board(&self, i: i32, j: i32) -> (i32, i32) {
+    pub(in crate::detection) fn in_board(&self, i: i32, j: i32) -> (i32, i32) {
         let (di, dj) = (i - self.first.0, j - self.first.1);
         match self.turns {
             0 => (di, dj),
@@ -58,7 +58,7 @@ struct Rectangle {
 
 /// Places `board` over `grid`, whose corners lie within `bounds` and whose sides at `ends` are the
 /// board's own. `None` if the board cannot lie there.
-pub(super) fn place(
+pub(in crate::detection) fn place(
     grid: &Grid,
     bounds: Bounds,
     ends: Ends,

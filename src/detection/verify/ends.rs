@@ -4,41 +4,33 @@
 //! end is accepted only if the squares outside the line alternate and what lies beyond them does
 //! not.
 
-use super::cross::Vec2;
-use super::edges::sample;
-use super::grid::{Bounds, Grid};
-use super::placement::Ends;
-use crate::imaging::gray::GrayView;
-
-/// Where the outermost squares and what lies beyond are sampled, in squares outward from the line
-/// of corners.
-const WITHIN: f32 = 0.7;
-const BEYOND: f32 = 1.3;
-/// Two squares alternate if they differ by this share of the contrast; they are alike below
-/// [`ALIKE`].
-const ALTERNATE: f32 = 0.5;
-const ALIKE: f32 = 0.3;
-/// Votes of a pair of neighboring squares with uniform brightness beyond: 2 if it equals one of
-/// them, as a board's margin does, else 1.
-const LEAST_WEIGHT: u32 = 2;
-/// Votes at which an end is certain.
-const SURE_WEIGHT: u32 = 6;
+use crate::detection::grid::{Bounds, Grid};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::measure::edges::sample;
+use crate::detection::thresholds::EndThresholds;
+use crate::detection::verify::placement::Ends;
 
 /// Which sides of `grid` are visible ends of the board: first those that may be, and of these those
 /// that must be. An occluder along a line may pass for an end at one pair of squares, hardly at
 /// two, and not along half of the line.
-pub(super) fn seen_ends(image: GrayView<'_>, grid: &Grid, bounds: Bounds) -> (Ends, Ends) {
+pub(in crate::detection) fn seen_ends(
+    probe: Probe<'_>,
+    grid: &Grid,
+    bounds: Bounds,
+) -> (Ends, Ends) {
     let columns =
-        |i: i32, outward: i32| side(image, grid, bounds.j, outward, |along| (i, along), (1, 0));
+        |i: i32, outward: i32| side(probe, grid, bounds.j, outward, |along| (i, along), (1, 0));
     let rows =
-        |j: i32, outward: i32| side(image, grid, bounds.i, outward, |along| (along, j), (0, 1));
+        |j: i32, outward: i32| side(probe, grid, bounds.i, outward, |along| (along, j), (0, 1));
     let sides = [
         columns(bounds.i.0, -1),
         columns(bounds.i.1, 1),
         rows(bounds.j.0, -1),
         rows(bounds.j.1, 1),
     ];
-    (sides.map(|side| side.may_end()), sides.map(|side| side.must_end()))
+    let thresholds = &probe.thresholds.ends;
+    (sides.map(|side| side.may_end(thresholds)), sides.map(|side| side.must_end(thresholds)))
 }
 
 /// Evidence from the pairs of neighboring squares outside a line of corners.
@@ -53,19 +45,19 @@ struct Side {
 }
 
 impl Side {
-    fn may_end(&self) -> bool {
-        self.ended > 3 * self.continued && self.ended >= LEAST_WEIGHT
+    fn may_end(&self, thresholds: &EndThresholds) -> bool {
+        self.ended > 3 * self.continued && self.ended >= thresholds.least_votes
     }
 
-    fn must_end(&self) -> bool {
-        self.continued == 0 && self.ended >= SURE_WEIGHT && 2 * self.ending >= self.pairs
+    fn must_end(&self, thresholds: &EndThresholds) -> bool {
+        self.continued == 0 && self.ended >= thresholds.sure_votes && 2 * self.ending >= self.pairs
     }
 }
 
 /// Evidence that the board ends beyond the line of corners `at(least..=most)`, towards `outward`
 /// along `axis`.
 fn side(
-    image: GrayView<'_>,
+    probe: Probe<'_>,
     grid: &Grid,
     (least, most): (i32, i32),
     outward: i32,
@@ -77,9 +69,9 @@ fn side(
     let mut side = Side { pairs: (most - least + 1) as u32, ..Side::default() };
     // The squares at the corners of the board count too, hence one more on each side.
     for along in least - 1..=most {
-        let outside = Outside::measure(image, grid, at(along), at(along + 1), outward);
+        let outside = Outside::measure(probe, grid, at(along), at(along + 1), outward);
         if let (Some(p), Some(q)) = (previous, outside) {
-            let (weight, goes_on) = p.compare(&q);
+            let (weight, goes_on) = p.compare(&q, &probe.thresholds.ends);
             side.ended += weight;
             side.ending += u32::from(weight > 0);
             side.continued += u32::from(goes_on);
@@ -103,7 +95,7 @@ struct Outside {
 impl Outside {
     /// Samples the square outward of the corners `p` and `q`, of which at least one must be known.
     fn measure(
-        image: GrayView<'_>,
+        probe: Probe<'_>,
         grid: &Grid,
         p: (i32, i32),
         q: (i32, i32),
@@ -123,27 +115,28 @@ impl Outside {
         // The square beyond the line, by its least corner.
         let square = (p.0.min(p.0 + outward.0), p.1.min(p.1 + outward.1));
         Some(Self {
-            within: sample(image, middle + step * WITHIN)?,
-            beyond: sample(image, middle + step * BEYOND),
+            within: sample(probe.image, middle + step * probe.thresholds.ends.within)?,
+            beyond: sample(probe.image, middle + step * probe.thresholds.ends.beyond),
             sign: grid.polarity(square.0, square.1),
             contrast: known.contrast.abs(),
         })
     }
 
     /// The votes of this square and the next: for an end, and whether the pattern continues.
-    fn compare(&self, next: &Self) -> (u32, bool) {
+    fn compare(&self, next: &Self, thresholds: &EndThresholds) -> (u32, bool) {
         // Signs alternate from square to square, so the difference of neighbors times the sign is
         // the contrast.
         let contrast = 0.5 * (self.contrast + next.contrast);
-        if (self.within - next.within) * self.sign <= ALTERNATE * contrast {
+        if (self.within - next.within) * self.sign <= thresholds.alternate * contrast {
             return (0, false);
         }
-        let same = |square: &Self, value: f32| (value - square.within).abs() < ALIKE * contrast;
+        let same =
+            |square: &Self, value: f32| (value - square.within).abs() < thresholds.alike * contrast;
         match (self.beyond, next.beyond) {
             (Some(p), Some(q)) => {
                 let as_margin = same(self, p) || same(next, q);
-                let alike = (p - q).abs() < ALIKE * contrast;
-                let goes_on = (q - p) * self.sign > ALTERNATE * contrast;
+                let alike = (p - q).abs() < thresholds.alike * contrast;
+                let goes_on = (q - p) * self.sign > thresholds.alternate * contrast;
                 (if !alike { 0 } else { 1 + u32::from(as_margin) }, goes_on)
             }
             (Some(p), None) => (u32::from(same(self, p)), false),

@@ -1,37 +1,23 @@
 //! Which pixels could be chessboard corners: the strongest local maxima of the response, each
 //! measured a second time.
 //!
-//! However cluttered the image, only a bounded number of maxima and at most [`MOST`] candidates go
+//! However cluttered the image, only a bounded number of maxima and at most [`CandidateThresholds::most`] candidates go
 //! on: the time is bounded by the number of pixels.
 
-use super::cross::{CrossWindow, Vec2};
-use super::response::{HALF_RING, REACH, Response};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::{CrossWindow, Vec2};
+use crate::detection::search::response::{HALF_RING, REACH, Response};
+use crate::detection::thresholds::CandidateThresholds;
 use crate::imaging::gray::GrayView;
 
-/// Tiles of the response (4×4 pixels each) whose maximum is examined: this many per corner of the
-/// board, within bounds. One square of the board among them is enough; the hardest images need 2.
-const TILES_A_CORNER: usize = 6;
-const FEWEST_TILES: usize = 320;
-const MOST_TILES: usize = 768;
-/// Candidates that go on.
-pub(super) const MOST: usize = 600;
+/// Side of the tiles of which the largest response is examined, in pixels.
 const TILE: usize = 4;
 /// Tiles that are skipped together where none is strong.
 const GROUP: usize = 32;
-/// Weaker responses are noise even in an image of low contrast.
-const LEAST_RESPONSE: u8 = 4;
-/// Responses below the strongest divided by this are ignored.
-const LEAST_SHARE: usize = 32;
-/// Minimum correlation with a chessboard corner, before and after moving to where its edges cross.
-const LEAST_FIRST_SCORE: f32 = 0.35;
-const LEAST_SCORE: f32 = 0.45;
-/// A candidate with this correlation, this near to its response, is not moved.
-const CLEAR_SCORE: f32 = 0.6;
-const SETTLED_PX: f32 = 0.5;
 
 /// A candidate for a chessboard corner.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Candidate {
+pub(in crate::detection) struct Candidate {
     /// Where, in pixels of the level.
     pub pixel: Vec2,
     /// Unit vectors along the two edges, in an order such that the bright wedges are those from the
@@ -43,7 +29,7 @@ pub(super) struct Candidate {
 
 /// Finds candidates. Buffers are kept from image to image.
 #[derive(Debug, Default)]
-pub(super) struct CandidateSearch {
+pub(in crate::detection) struct CandidateSearch {
     /// The largest response of each tile, in raster order.
     tiles: Vec<u8>,
     /// The largest of each group of tiles.
@@ -58,18 +44,26 @@ pub(super) struct CandidateSearch {
 }
 
 impl CandidateSearch {
-    /// Finds the candidates of `image`, whose response is `response`, for a board of so many
+    /// Finds the candidates of an image, whose response is `response`, for a board of so many
     /// `corners`.
-    pub(super) fn search(&mut self, image: GrayView<'_>, response: &Response, corners: usize) {
-        self.most_tiles = (TILES_A_CORNER * corners).clamp(FEWEST_TILES, MOST_TILES);
-        self.collect_tiles(response);
+    pub(in crate::detection) fn search(
+        &mut self,
+        probe: Probe<'_>,
+        response: &Response,
+        corners: usize,
+    ) {
+        let thresholds = &probe.thresholds.candidates;
+        self.most_tiles = (thresholds.tiles_a_corner * corners)
+            .min(thresholds.most_tiles)
+            .max(thresholds.fewest_tiles);
+        self.collect_tiles(response, thresholds);
         self.found.clear();
         for &(value, x, y) in &self.sorted {
-            if self.found.len() == MOST {
+            if self.found.len() == thresholds.most {
                 break;
             }
             if is_peak(response, value, x as usize, y as usize)
-                && let Some(candidate) = examine(image, x as usize, y as usize)
+                && let Some(candidate) = examine(probe, x as usize, y as usize)
             {
                 self.found.push(candidate);
             }
@@ -77,7 +71,7 @@ impl CandidateSearch {
     }
 
     /// The strongest pixel of each tile, strongest tiles first.
-    fn collect_tiles(&mut self, response: &Response) {
+    fn collect_tiles(&mut self, response: &Response, thresholds: &CandidateThresholds) {
         self.sorted.clear();
         self.tiles.clear();
         let (across, down) = (response.width() / TILE, response.height() / TILE);
@@ -99,7 +93,8 @@ impl CandidateSearch {
         let mut counts = [0; 256];
         self.groups.iter().for_each(|&group| counts[usize::from(group)] += 1);
         let strongest = counts.iter().rposition(|&count| count > 0).unwrap_or(0);
-        let weakest = usize::from(LEAST_RESPONSE).max(strongest / LEAST_SHARE);
+        let weakest =
+            usize::from(thresholds.least_response).max(strongest / thresholds.least_share.max(1));
         let least = self.least_kept(&counts, weakest).0;
         counts.fill(0);
         for (tiles, _) in self
@@ -220,26 +215,28 @@ fn is_peak(response: &Response, value: u8, x: usize, y: usize) -> bool {
 }
 
 /// Reads the two edges from the ring about (`x`, `y`) and the exact place from a window along them.
-fn examine(image: GrayView<'_>, x: usize, y: usize) -> Option<Candidate> {
+fn examine(probe: Probe<'_>, x: usize, y: usize) -> Option<Candidate> {
     let center = Vec2::new(x as f32, y as f32);
-    let edges = ring_edges(image, x, y)?;
+    let (image, thresholds) = (probe.image, &probe.thresholds.candidates);
+    let edges = ring_edges(image, [x, y], thresholds.least_straight)?;
     let window = CrossWindow { center, a: edges[0] * 3.0, b: edges[1] * 3.0 };
-    let first = window.measure_above(image, LEAST_FIRST_SCORE)?;
-    let in_place = first.score >= CLEAR_SCORE && (first.center - center).norm() < SETTLED_PX;
+    let first = window.measure_above(image, thresholds.least_first_score)?;
+    let in_place = first.score >= thresholds.clear_score
+        && (first.center - center).norm() < thresholds.settled_px;
     let cross = if in_place {
         first
     } else {
         CrossWindow { center: first.center, ..window }.measure(image)?
     };
-    if cross.score < LEAST_SCORE || cross.contrast < 3.0 || (cross.center - center).norm() > 2.5 {
-        return None;
-    }
-    Some(Candidate { pixel: cross.center, edges, contrast: cross.contrast })
+    let holds = cross.score >= thresholds.least_score
+        && cross.contrast >= thresholds.least_contrast
+        && (cross.center - center).norm() <= thresholds.most_moved_px;
+    holds.then_some(Candidate { pixel: cross.center, edges, contrast: cross.contrast })
 }
 
 /// The edges that leave the middle of the ring: it must cross its own middle gray four times, at
 /// opposite places in pairs.
-fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
+fn ring_edges(image: GrayView<'_>, [x, y]: [usize; 2], least_straight: f32) -> Option<[Vec2; 2]> {
     let ring = ring_about(image, x, y)?;
     let (least, most) = (ring.into_iter().fold(255, u8::min), ring.into_iter().fold(0, u8::max));
     let twice_middle = u16::from(least) + u16::from(most);
@@ -267,7 +264,7 @@ fn ring_edges(image: GrayView<'_>, x: usize, y: usize) -> Option<[Vec2; 2]> {
         let (from, to) = (f32::from(ring[k]) - middle, f32::from(ring[(k + 1) % 16]) - middle);
         *crossing = place(k).lerp(&place(k + 1), from / (from - to));
     }
-    let opposite = |p: Vec2, q: Vec2| p.dot(&q) < -0.6 * p.norm() * q.norm();
+    let opposite = |p: Vec2, q: Vec2| p.dot(&q) < -least_straight * p.norm() * q.norm();
     if !opposite(crossings[0], crossings[2]) || !opposite(crossings[1], crossings[3]) {
         return None;
     }
@@ -295,6 +292,7 @@ fn ring_about(image: GrayView<'_>, x: usize, y: usize) -> Option<[u8; 16]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detection::thresholds::Thresholds;
     use crate::imaging::gray::GrayImage;
 
     #[test]
@@ -306,7 +304,11 @@ mod tests {
         let mut response = Response::default();
         response.compute(image.view(), 1);
         let mut search = CandidateSearch::default();
-        search.search(image.view(), &response, 54);
+        search.search(
+            Probe { image: image.view(), thresholds: &Thresholds::DEFAULT },
+            &response,
+            54,
+        );
         assert_eq!(search.found.len(), 16);
         for candidate in &search.found {
             let nearest = candidate.pixel.map(|v| (v + 0.5) / 12.0);
@@ -327,7 +329,11 @@ mod tests {
             let mut response = Response::default();
             response.compute(image.view(), 1);
             let mut search = CandidateSearch::default();
-            search.search(image.view(), &response, 54);
+            search.search(
+                Probe { image: image.view(), thresholds: &Thresholds::DEFAULT },
+                &response,
+                54,
+            );
             assert_eq!(search.found.len(), 0);
         }
     }

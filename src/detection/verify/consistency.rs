@@ -1,36 +1,30 @@
 //! Verification, which can only drop: every corner's edges, and its position among its neighbors.
 
-use super::cross::in_steps;
-use super::curved_board::predict_on_curve;
-use super::edges::{EdgeCount, count_edges};
-use super::grid::Grid;
-use crate::imaging::gray::GrayView;
+use crate::detection::grid::curved_board::predict_on_curve;
+use crate::detection::grid::{Grid, in_steps};
+use crate::detection::measure::Probe;
+use crate::detection::measure::edges::{EdgeCount, count_edges};
+use crate::detection::thresholds::ConsistencyThresholds;
 
-/// Minimum share of edges that hold.
-const LEAST_HELD: f32 = 0.75;
-/// Largest distance of a corner from its neighbors' prediction, in steps.
-pub(super) const MOST_OFF: f32 = 0.22;
-/// Largest share of misplaced corners of an accepted grid.
-const MOST_MISPLACED: usize = 12;
-
-/// Drops the corners of `grid` that do not hold in `image`. False if too few hold to accept any of
+/// Drops the corners of `grid` that do not hold in the image. False if too few hold to accept any of
 /// it.
-pub(super) fn verify(image: GrayView<'_>, grid: &mut Grid) -> bool {
-    let total = drop_loose(image, grid);
-    let believed = total.seen > 0 && total.held as f32 >= LEAST_HELD * total.seen as f32;
-    believed && drop_misplaced(grid)
+pub(in crate::detection) fn verify(probe: Probe<'_>, grid: &mut Grid) -> bool {
+    let total = drop_loose(probe, grid);
+    let thresholds = &probe.thresholds.consistency;
+    let believed = total.seen > 0 && total.held as f32 >= thresholds.least_held * total.seen as f32;
+    believed && drop_misplaced(grid, thresholds)
 }
 
 /// Drops corners most of whose edges fail. Each drop takes an edge from others, so it iterates.
 /// Returns the last iteration's counts.
-fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
+fn drop_loose(probe: Probe<'_>, grid: &mut Grid) -> EdgeCount {
     let mut total = EdgeCount::default();
     for _ in 0..4 {
         let before = grid.members.len();
         total = EdgeCount::default();
         for index in (0..before).rev() {
             let (i, j) = grid.members[index];
-            let EdgeCount { held, seen } = count_edges(image, grid, i, j);
+            let EdgeCount { held, seen } = count_edges(probe, grid, i, j);
             if seen > 0 && 2 * held < seen {
                 grid.remove(i, j);
             } else {
@@ -47,12 +41,12 @@ fn drop_loose(image: GrayView<'_>, grid: &mut Grid) -> EdgeCount {
 
 /// Drops the corner that lies farthest from its neighbors' prediction, until all lie near. False
 /// if too many must go.
-fn drop_misplaced(grid: &mut Grid) -> bool {
-    for _ in 0..MOST_MISPLACED {
-        let off = |&(i, j): &(i32, i32)| Some((outlier(grid, i, j, MOST_OFF)?, (i, j)));
+fn drop_misplaced(grid: &mut Grid, thresholds: &ConsistencyThresholds) -> bool {
+    for _ in 0..thresholds.most_misplaced {
+        let off = |&(i, j): &(i32, i32)| Some((outlier(grid, i, j, thresholds.most_off)?, (i, j)));
         let worst = grid.members.iter().filter_map(off).max_by(|a, b| a.0.total_cmp(&b.0));
         match worst {
-            Some((off, (i, j))) if off > MOST_OFF => grid.remove(i, j),
+            Some((off, (i, j))) if off > thresholds.most_off => grid.remove(i, j),
             _ => return true,
         }
     }
@@ -61,19 +55,19 @@ fn drop_misplaced(grid: &mut Grid) -> bool {
 
 /// Distance of the corner (i, j) from its neighbors' prediction, in steps; if that exceeds `most`,
 /// from the prediction on a curved board.
-pub(super) fn outlier(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
+pub(in crate::detection) fn outlier(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
     let off = off_neighbors(grid, i, j)?;
     Some(if off > most { off_curve(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
 }
 
 /// Distance of the corner (i, j) from the prediction on a curved board, in steps.
-pub(super) fn off_curve(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+pub(in crate::detection) fn off_curve(grid: &Grid, i: i32, j: i32) -> Option<f32> {
     let off = in_steps(grid.pixel(i, j)? - predict_on_curve(grid, i, j)?, grid.steps(i, j)?)?;
     Some(off.x.abs().max(off.y.abs()))
 }
 
 /// Distance of the corner (i, j) from its neighbors' prediction, in steps.
-pub(super) fn off_neighbors(grid: &Grid, i: i32, j: i32) -> Option<f32> {
+pub(in crate::detection) fn off_neighbors(grid: &Grid, i: i32, j: i32) -> Option<f32> {
     let off = in_steps(grid.pixel(i, j)? - grid.predict(i, j)?, grid.steps(i, j)?)?;
     Some(off.x.abs().max(off.y.abs()))
 }

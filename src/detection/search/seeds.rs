@@ -3,21 +3,16 @@
 //! From a candidate its two edges lead to its neighbors, whose polarity is the opposite; if both
 //! paths to the fourth corner end at the same candidate, the four are very likely one square.
 
-use super::candidates::Candidate;
-use super::cross::Vec2;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::search::candidates::Candidate;
+use crate::detection::thresholds::SeedThresholds;
 
 /// Side of a bin, in pixels.
 const BIN: f32 = 16.0;
-/// Nearer than this is the same corner.
-const LEAST_STEP: f32 = 3.5;
-/// Tangent of how far a neighbor may lie off the edge that leads to it.
-const OFF_EDGE: f32 = 0.4;
-/// Sine of how far the edges of neighbors may differ in direction.
-const EDGE_TURN: f32 = 0.5;
 
 /// Four corners of one square, in the grid's own axes: at (0, 0), (1, 0), (0, 1) and (1, 1).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Seed {
+pub(in crate::detection) struct Seed {
     /// Indices of the candidates.
     pub corners: [usize; 4],
     /// Whether the square itself is bright.
@@ -26,9 +21,8 @@ pub(super) struct Seed {
 
 /// Candidates sorted into bins, to find the nearest in a direction.
 #[derive(Debug)]
-pub(super) struct Neighborhood {
-    /// Tangent of how far a neighbor may lie off the edge that leads to it.
-    off_edge: f32,
+pub(in crate::detection) struct Neighborhood {
+    thresholds: SeedThresholds,
     across: usize,
     down: usize,
     starts: Vec<u32>,
@@ -38,15 +32,15 @@ pub(super) struct Neighborhood {
 
 impl Default for Neighborhood {
     fn default() -> Self {
-        Self::with_links_within(OFF_EDGE)
+        Self::new(SeedThresholds::DEFAULT)
     }
 }
 
 impl Neighborhood {
-    /// An empty one, whose links lead along edges within this tangent.
-    pub(super) fn with_links_within(off_edge: f32) -> Self {
+    /// An empty one, whose links are held to these thresholds.
+    pub(in crate::detection) fn new(thresholds: SeedThresholds) -> Self {
         Self {
-            off_edge,
+            thresholds,
             across: 0,
             down: 0,
             starts: Vec::new(),
@@ -55,8 +49,18 @@ impl Neighborhood {
         }
     }
 
+    /// Holds the next links to these thresholds.
+    pub(in crate::detection) fn set_thresholds(&mut self, thresholds: SeedThresholds) {
+        self.thresholds = thresholds;
+    }
+
     /// Sorts `candidates` of an image of `width` × `height` pixels.
-    pub(super) fn fill(&mut self, candidates: &[Candidate], width: usize, height: usize) {
+    pub(in crate::detection) fn fill(
+        &mut self,
+        candidates: &[Candidate],
+        width: usize,
+        height: usize,
+    ) {
         self.across = width / BIN as usize + 1;
         self.down = height / BIN as usize + 1;
         self.starts.clear();
@@ -90,7 +94,7 @@ impl Neighborhood {
 
     /// The square that starts at candidate `first`, if its neighbors close one within `reach`
     /// pixels a side.
-    pub(super) fn seed(
+    pub(in crate::detection) fn seed(
         &mut self,
         candidates: &[Candidate],
         first: usize,
@@ -118,7 +122,7 @@ impl Neighborhood {
         if let Some(links) = self.known[from] {
             return links;
         }
-        let (origin, off_edge) = (&candidates[from], self.off_edge);
+        let (origin, thresholds) = (&candidates[from], self.thresholds);
         let (bx, by) = self.bin_of(origin.pixel);
         let (mut best, mut farthest) = ([(reach, None); 4], reach);
         for ring in 0..=(reach / BIN) as usize + 1 {
@@ -139,9 +143,10 @@ impl Neighborhood {
                 let off = (step.x * way.y - step.y * way.x).abs();
                 // A lateral offset counts as extra distance.
                 let distance = along + off;
-                let nearer =
-                    along >= LEAST_STEP && off <= off_edge * along && distance < best[quarter].0;
-                if nearer && opposite_colors(origin, other) {
+                let nearer = along >= thresholds.least_step_px
+                    && off <= thresholds.off_edge * along
+                    && distance < best[quarter].0;
+                if nearer && opposite_colors(origin, other, thresholds.edge_angle) {
                     best[quarter] = (distance, Some(index));
                     farthest = best.iter().fold(0.0, |most, &(distance, _)| distance.max(most));
                 }
@@ -153,7 +158,7 @@ impl Neighborhood {
     }
 
     /// The candidate nearest to `place` of those that `fits`, within `reach` pixels.
-    pub(super) fn nearest(
+    pub(in crate::detection) fn nearest(
         &self,
         candidates: &[Candidate],
         place: Vec2,
@@ -171,7 +176,7 @@ impl Neighborhood {
     }
 
     /// Visits the candidates within `reach` pixels of `place`.
-    pub(super) fn visit_near(
+    pub(in crate::detection) fn visit_near(
         &self,
         candidates: &[Candidate],
         place: Vec2,
@@ -232,9 +237,9 @@ fn nearest_direction(candidate: &Candidate, step: Vec2) -> usize {
 
 /// Neighbors on a board share their edges' directions, with the bright wedges where the other has
 /// the dark ones.
-fn opposite_colors(p: &Candidate, q: &Candidate) -> bool {
-    let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
-    turn(p.edges[0], q.edges[1]) < EDGE_TURN && turn(p.edges[1], q.edges[0]) < EDGE_TURN
+fn opposite_colors(p: &Candidate, q: &Candidate, edge_angle: f32) -> bool {
+    let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+    sine(p.edges[0], q.edges[1]) < edge_angle && sine(p.edges[1], q.edges[0]) < edge_angle
 }
 
 #[cfg(test)]

@@ -3,8 +3,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::cross::{Vec2, in_steps};
-use super::grid::Grid;
+use crate::detection::grid::{Grid, in_steps};
+use crate::detection::measure::cross::Vec2;
 
 type Normal = SMatrix<f64, 8, 8>;
 type Right = SVector<f64, 8>;
@@ -14,7 +14,7 @@ type Right = SVector<f64, 8>;
 /// It minimizes the algebraic error of (h₁₁i + h₁₂j + h₁₃)/w = x, (h₂₁i + h₂₂j + h₂₃)/w = y with w
 /// = 1 + h₃₁i + h₃₂j, indices counted from the grid's middle and pixels from the corners' mean.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Perspective {
+pub(in crate::detection) struct Perspective {
     h: Right,
     middle: (f64, f64),
     mean: Vec2,
@@ -23,12 +23,15 @@ pub(super) struct Perspective {
 
 impl Perspective {
     /// Fits all corners of `grid`; `None` if they do not determine it.
-    pub(super) fn fit(grid: &Grid) -> Option<Self> {
+    pub(in crate::detection) fn fit(grid: &Grid) -> Option<Self> {
         Self::fit_to(grid, |_, _| true)
     }
 
     /// Fits those corners of `grid` that are `believed`; `None` if they do not determine it.
-    pub(super) fn fit_to(grid: &Grid, believed: impl Fn(i32, i32) -> bool) -> Option<Self> {
+    pub(in crate::detection) fn fit_to(
+        grid: &Grid,
+        believed: impl Fn(i32, i32) -> bool,
+    ) -> Option<Self> {
         let bounds = grid.bounds()?;
         let members = || grid.members.iter().filter(|&&(i, j)| believed(i, j));
         let pixels = || members().filter_map(|&(i, j)| Some((i, j, grid.pixel(i, j)?)));
@@ -56,7 +59,7 @@ impl Perspective {
     }
 
     /// Where the homography puts the grid's point (i, j); `None` behind the camera.
-    pub(super) fn at(&self, i: f32, j: f32) -> Option<Vec2> {
+    pub(in crate::detection) fn at(&self, i: f32, j: f32) -> Option<Vec2> {
         let (i, j) = (f64::from(i) - self.middle.0, f64::from(j) - self.middle.1);
         let h = &self.h;
         let w = 1.0 + h[6] * i + h[7] * j;
@@ -68,7 +71,7 @@ impl Perspective {
 
     /// Prediction of the corner (i, j) of `grid`: the homography plus the nearest known corners'
     /// residuals.
-    pub(super) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
+    pub(in crate::detection) fn predict(&self, grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
         self.predict_by(grid, i, j, |_, _| true)
     }
 
@@ -100,7 +103,7 @@ impl Perspective {
 
     /// Distance of the corner (i, j) of `grid` from its prediction by the `believed` ones, in
     /// steps.
-    pub(super) fn off(
+    pub(in crate::detection) fn off(
         &self,
         grid: &Grid,
         i: i32,
@@ -115,7 +118,7 @@ impl Perspective {
     }
 
     /// From (i, j) to the next corner along i and along j.
-    pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
+    pub(in crate::detection) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         let (i, j) = (i as f32, j as f32);
         Some([
             self.at(i + 0.5, j)? - self.at(i - 0.5, j)?,

@@ -8,7 +8,7 @@ use crate::imaging::gray::GrayView;
 
 /// The levels above the image. Buffers are reused from image to image.
 #[derive(Debug, Default)]
-pub(super) struct Pyramid {
+pub(in crate::detection) struct Pyramid {
     levels: Vec<LevelPixels>,
     built: usize,
 }
@@ -28,7 +28,7 @@ impl LevelPixels {
 
 impl Pyramid {
     /// Builds the levels 1 to `coarsest` of `image`.
-    pub(super) fn build(&mut self, image: GrayView<'_>, coarsest: usize) {
+    pub(in crate::detection) fn build(&mut self, image: GrayView<'_>, coarsest: usize) {
         if self.levels.len() < coarsest {
             self.levels.resize_with(coarsest, LevelPixels::default);
         }
@@ -43,7 +43,11 @@ impl Pyramid {
     }
 
     /// Level `level` of the image the pyramid was built from; 0 is `image` itself.
-    pub(super) fn level<'a>(&'a self, image: GrayView<'a>, level: usize) -> GrayView<'a> {
+    pub(in crate::detection) fn level<'a>(
+        &'a self,
+        image: GrayView<'a>,
+        level: usize,
+    ) -> GrayView<'a> {
         let level = level.min(self.built);
         level
             .checked_sub(1)
@@ -54,7 +58,7 @@ impl Pyramid {
 }
 
 /// The coarsest level: about 150 pixels and at least `cells` × 7 on its longer side.
-pub(super) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
+pub(in crate::detection) fn coarsest_level(size: ImageSize, cells: usize) -> usize {
     let longer = size.width.max(size.height) as usize;
     let least = 150.max(cells * 7);
     (0..12).take_while(|level| longer >> level >= least).last().unwrap_or(0)

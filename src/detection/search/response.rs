@@ -15,15 +15,15 @@
 use crate::imaging::gray::GrayView;
 
 /// How far the ring reaches: no response is computed nearer to the border than this.
-pub(super) const REACH: usize = 4;
+pub(in crate::detection) const REACH: usize = 4;
 
 /// Half of the ring, in order of its angle from +x towards +y; the other half is opposite.
-pub(super) const HALF_RING: [(i32, i32); 8] =
+pub(in crate::detection) const HALF_RING: [(i32, i32); 8] =
     [(4, 0), (4, 2), (3, 3), (2, 4), (0, 4), (-2, 4), (-3, 3), (-4, 2)];
 
 /// The response at every pixel of an image, rows without padding.
 #[derive(Debug, Default)]
-pub(super) struct Response {
+pub(in crate::detection) struct Response {
     width: usize,
     height: usize,
     values: Vec<u8>,
@@ -32,7 +32,7 @@ pub(super) struct Response {
 impl Response {
     /// Computes the response of `image` in one of `every` rows; 0 in the others, and within
     /// [`REACH`] of the border.
-    pub(super) fn compute(&mut self, image: GrayView<'_>, every: usize) {
+    pub(in crate::detection) fn compute(&mut self, image: GrayView<'_>, every: usize) {
         (self.width, self.height) = (image.width(), image.height());
         let (width, height) = (self.width, self.height);
         // Never made smaller: what is added would be written twice.
@@ -50,17 +50,17 @@ impl Response {
     }
 
     /// Columns.
-    pub(super) fn width(&self) -> usize {
+    pub(in crate::detection) fn width(&self) -> usize {
         self.width
     }
 
     /// RingRows.
-    pub(super) fn height(&self) -> usize {
+    pub(in crate::detection) fn height(&self) -> usize {
         self.height
     }
 
     /// The responses of row `y`.
-    pub(super) fn row(&self, y: usize) -> &[u8] {
+    pub(in crate::detection) fn row(&self, y: usize) -> &[u8] {
         &self.values[y * self.width..(y + 1) * self.width]
     }
 }

@@ -3,7 +3,11 @@
 //! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the
 //! corners (i, j) and (i + 1, j + 1); squares with i + j even are all bright or all dark.
 
-use super::cross::Vec2;
+pub(in crate::detection) mod curved_board;
+pub(in crate::detection) mod extent;
+pub(in crate::detection) mod perspective;
+
+use crate::detection::measure::cross::Vec2;
 
 /// Most corners a grid reaches from its first one, in any direction.
 const LARGEST_RADIUS: i32 = 104;
@@ -39,7 +43,7 @@ const STEPS_NEARBY: [(i32, i32, i32); 22] = [
 
 /// A corner of the grid.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Node {
+pub(in crate::detection) struct Node {
     /// Where, in pixels of the level.
     pub pixel: Vec2,
     /// Bright less dark around it, in gray levels.
@@ -60,7 +64,7 @@ struct GridSlot {
 
 /// The smallest rectangle of indices that holds all corners, ends included.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Bounds {
+pub(in crate::detection) struct Bounds {
     /// Least and most i.
     pub i: (i32, i32),
     /// Least and most j.
@@ -69,19 +73,19 @@ pub(super) struct Bounds {
 
 impl Bounds {
     /// How many corners fit along i.
-    pub(super) fn width(&self) -> i32 {
+    pub(in crate::detection) fn width(&self) -> i32 {
         self.i.1 - self.i.0 + 1
     }
 
     /// How many corners fit along j.
-    pub(super) fn height(&self) -> i32 {
+    pub(in crate::detection) fn height(&self) -> i32 {
         self.j.1 - self.j.0 + 1
     }
 }
 
 /// Corners by index. Memory is kept from grid to grid.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Grid {
+pub(in crate::detection) struct Grid {
     radius: i32,
     places: Vec<GridSlot>,
     /// Corners whose positions may have changed.
@@ -96,7 +100,7 @@ pub(super) struct Grid {
 
 impl Grid {
     /// Empties the grid; it will hold indices up to `radius` from (0, 0).
-    pub(super) fn clear(&mut self, radius: i32, bright: bool) {
+    pub(in crate::detection) fn clear(&mut self, radius: i32, bright: bool) {
         for slot in self.touched.drain(..) {
             self.places[slot] = GridSlot::default();
         }
@@ -121,24 +125,24 @@ impl Grid {
     }
 
     /// Whether the grid has room for (i, j).
-    pub(super) fn holds(&self, i: i32, j: i32) -> bool {
+    pub(in crate::detection) fn holds(&self, i: i32, j: i32) -> bool {
         self.slot(i, j).is_some()
     }
 
     /// The corner at (i, j).
     #[inline]
-    pub(super) fn get(&self, i: i32, j: i32) -> Option<Node> {
+    pub(in crate::detection) fn get(&self, i: i32, j: i32) -> Option<Node> {
         self.slot(i, j).and_then(|slot| self.places[slot].node)
     }
 
     /// Where the corner (i, j) is.
     #[inline]
-    pub(super) fn pixel(&self, i: i32, j: i32) -> Option<Vec2> {
+    pub(in crate::detection) fn pixel(&self, i: i32, j: i32) -> Option<Vec2> {
         self.slot(i, j).and_then(|slot| self.places[slot].node.as_ref()).map(|node| node.pixel)
     }
 
     /// Sets the corner (i, j).
-    pub(super) fn set(&mut self, i: i32, j: i32, node: Node) {
+    pub(in crate::detection) fn set(&mut self, i: i32, j: i32, node: Node) {
         if let Some(slot) = self.slot(i, j)
             && self.places[slot].node.replace(node).is_none()
         {
@@ -148,7 +152,7 @@ impl Grid {
     }
 
     /// Takes the corner (i, j) out.
-    pub(super) fn remove(&mut self, i: i32, j: i32) {
+    pub(in crate::detection) fn remove(&mut self, i: i32, j: i32) {
         if let Some(slot) = self.slot(i, j)
             && self.places[slot].node.take().is_some()
         {
@@ -158,7 +162,7 @@ impl Grid {
 
     /// Whether to search (i, j): within the grid, not a corner yet, not searched too often. Counts
     /// the search.
-    pub(super) fn attempt(&mut self, i: i32, j: i32) -> bool {
+    pub(in crate::detection) fn attempt(&mut self, i: i32, j: i32) -> bool {
         let Some(slot) = self.slot(i, j) else { return false };
         let place = &mut self.places[slot];
         if place.node.is_some() || place.attempts >= MOST_ATTEMPTS {
@@ -172,19 +176,19 @@ impl Grid {
     }
 
     /// Forgets the searches without success: another level may show more.
-    pub(super) fn forget_attempts(&mut self) {
+    pub(in crate::detection) fn forget_attempts(&mut self) {
         for &slot in &self.touched {
             self.places[slot].attempts = 0;
         }
     }
 
     /// Sign of the contrast that a window with its axes along i and j has at corner (i, j).
-    pub(super) fn polarity(&self, i: i32, j: i32) -> f32 {
+    pub(in crate::detection) fn polarity(&self, i: i32, j: i32) -> f32 {
         if ((i + j) & 1 == 0) == self.bright { 1.0 } else { -1.0 }
     }
 
     /// The rectangle that holds all corners; `None` of none.
-    pub(super) fn bounds(&self) -> Option<Bounds> {
+    pub(in crate::detection) fn bounds(&self) -> Option<Bounds> {
         let &(i, j) = self.members.first()?;
         let start = Bounds { i: (i, i), j: (j, j) };
         Some(self.members.iter().fold(start, |b, &(i, j)| Bounds {
@@ -194,7 +198,7 @@ impl Grid {
     }
 
     /// The same rectangle without lines at its sides that hold a single corner.
-    pub(super) fn firm_bounds(&self) -> Option<Bounds> {
+    pub(in crate::detection) fn anchored_bounds(&self) -> Option<Bounds> {
         let mut bounds = self.bounds()?;
         let firm = |of: fn(&(i32, i32)) -> i32, line: i32| {
             self.members.iter().filter(|at| of(at) == line).count() > 1
@@ -214,7 +218,7 @@ impl Grid {
     }
 
     /// Whether all four corners of a square at (i, j) are known and unoccluded.
-    pub(super) fn is_firm(&self, i: i32, j: i32) -> bool {
+    pub(in crate::detection) fn is_anchored(&self, i: i32, j: i32) -> bool {
         let clear = |i: i32, j: i32| self.get(i, j).is_some_and(|node| !node.tight);
         let squares = [(1, 1), (-1, 1), (-1, -1), (1, -1)];
         clear(i, j)
@@ -224,7 +228,7 @@ impl Grid {
     }
 
     /// From (i, j) to the next corner along i and along j, from the nearest that are known.
-    pub(super) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
+    pub(in crate::detection) fn steps(&self, i: i32, j: i32) -> Option<[Vec2; 2]> {
         Some([self.step(i, j, (1, 0))?, self.step(i, j, (0, 1))?])
     }
 
@@ -248,7 +252,7 @@ impl Grid {
     }
 
     /// Prediction of the corner (i, j) from its known neighbors: along lines and across squares.
-    pub(super) fn predict(&self, i: i32, j: i32) -> Option<Vec2> {
+    pub(in crate::detection) fn predict(&self, i: i32, j: i32) -> Option<Vec2> {
         let (mut sum, mut weight) = (Vec2::zeros(), 0.0);
         let mut add = |p: Vec2, w: f32| {
             sum += p * w;
@@ -276,7 +280,7 @@ impl Grid {
     }
 
     /// Takes the positions to the level below, twice as fine.
-    pub(super) fn descend(&mut self) {
+    pub(in crate::detection) fn descend(&mut self) {
         for place in &mut self.places {
             if let Some(node) = &mut place.node {
                 node.pixel = node.pixel * 2.0 + Vec2::repeat(0.5);
@@ -291,6 +295,18 @@ fn projective_step(first: Vec2, second: Vec2) -> Vec2 {
     let ratio = first.norm() / second.norm().max(1e-3);
     let ratio = ratio.clamp(0.5, 2.0);
     first * ((1.0 + ratio) / (3.0 - ratio))
+}
+
+/// `vector` in units of the steps `u` and `v`.
+pub(in crate::detection) fn in_steps(vector: Vec2, [u, v]: [Vec2; 2]) -> Option<Vec2> {
+    let area = u.x * v.y - u.y * v.x;
+    let least = 0.1 * u.norm() * v.norm();
+    (area.abs() > least && area.abs() > 1.0).then(|| {
+        Vec2::new(
+            (vector.x * v.y - vector.y * v.x) / area,
+            (u.x * vector.y - u.y * vector.x) / area,
+        )
+    })
 }
 
 #[cfg(test)]

@@ -7,8 +7,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-use super::cross::Vec2;
-use super::grid::Grid;
+use crate::detection::grid::Grid;
+use crate::detection::measure::cross::Vec2;
 
 /// Corners up to this many lines away are used, on each side.
 const REACH: i32 = 2;
@@ -19,7 +19,7 @@ const FEWEST: usize = TERMS + 2;
 
 /// Prediction of the corner (i, j) of `grid` without its own measurement; `None` if too few corners
 /// are around it.
-pub(super) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
+pub(in crate::detection) fn predict_on_curve(grid: &Grid, i: i32, j: i32) -> Option<Vec2> {
     let mut normal = SMatrix::<f32, TERMS, TERMS>::zeros();
     let mut right = SMatrix::<f32, TERMS, 2>::zeros();
     let (mut count, mut origin) = (0, None);

@@ -1,0 +1,42 @@
+//! How the extent of a grid compares with the board searched for.
+
+use crate::detection::grid::{Bounds, Grid};
+use crate::detection::thresholds::SearchThresholds;
+use crate::geometry::board::BoardSize;
+
+/// Corners along the longer side.
+pub(in crate::detection) fn longer(bounds: Bounds) -> u32 {
+    bounds.width().max(bounds.height()) as u32
+}
+
+/// Corners along the shorter side.
+pub(in crate::detection) fn shorter(bounds: Bounds) -> u32 {
+    bounds.width().min(bounds.height()) as u32
+}
+
+/// Whether `grid` is the whole of `board`: every corner, in its shape.
+pub(in crate::detection) fn is_whole(grid: &Grid, board: BoardSize) -> bool {
+    let (cols, rows) = (board.cols as i32, board.rows as i32);
+    let has_shape = |bounds: Bounds| {
+        let shape = (bounds.width(), bounds.height());
+        shape == (cols, rows) || shape == (rows, cols)
+    };
+    grid.members.len() == board.corner_count() && grid.bounds().is_some_and(has_shape)
+}
+
+/// Whether a grid is larger than `board`, one spurious line allowed on each side.
+pub(in crate::detection) fn exceeds(bounds: Bounds, board: BoardSize) -> bool {
+    longer(bounds) > board.cols.max(board.rows) + 2
+        || shorter(bounds) > board.cols.min(board.rows) + 2
+}
+
+/// More corners than any grid of `board` has, one spurious line allowed on each side.
+pub(in crate::detection) fn most_corners(board: BoardSize) -> usize {
+    (board.cols as usize + 2) * (board.rows as usize + 2) + 1
+}
+
+/// Least corners of a reported part: a small board that the image border crops gives the same grid.
+pub(in crate::detection) fn least_part(board: BoardSize, thresholds: &SearchThresholds) -> usize {
+    let least = thresholds.least_part;
+    least.max((board.corner_count() * 2 / 5).min(2 * least))
+}

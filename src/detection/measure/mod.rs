@@ -1,0 +1,25 @@
+//! Measuring one corner or one edge in the image: what the search, the verification and the tracking
+//! share.
+
+pub(in crate::detection) mod cross;
+pub(in crate::detection) mod edges;
+pub(in crate::detection) mod prediction;
+
+use crate::detection::thresholds::Thresholds;
+use crate::imaging::gray::GrayView;
+
+/// An image, with the thresholds that what is measured in it is held to.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::detection) struct Probe<'a> {
+    /// The image, or a level of it.
+    pub image: GrayView<'a>,
+    /// The thresholds.
+    pub thresholds: &'a Thresholds,
+}
+
+impl<'a> Probe<'a> {
+    /// The same thresholds in another level of the image.
+    pub(in crate::detection) fn at(self, image: GrayView<'a>) -> Self {
+        Self { image, ..self }
+    }
+}

@@ -1,0 +1,234 @@
+//! One level of the image: candidates, seeds, grids, and the verification of each grid.
+
+use crate::detection::grid::extent::{
+    exceeds, is_whole, least_part, longer, most_corners, shorter,
+};
+use crate::detection::grid::{Bounds, Grid};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::reasons::SearchEvidence;
+use crate::detection::search::candidates::CandidateSearch;
+use crate::detection::search::growth::Growth;
+use crate::detection::search::pyramid::Pyramid;
+use crate::detection::search::response::Response;
+use crate::detection::search::seeds::{Neighborhood, Seed};
+use crate::detection::verify::consistency::verify;
+use crate::detection::verify::ends::seen_ends;
+use crate::detection::verify::placement::{BoardPlacement, place};
+use crate::geometry::board::BoardSize;
+
+/// What is searched.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::detection) struct SearchScene<'a> {
+    /// The image itself, with the thresholds.
+    pub probe: Probe<'a>,
+    /// Its smaller copies.
+    pub pyramid: &'a Pyramid,
+    /// The board searched for.
+    pub board: BoardSize,
+}
+
+impl<'a> SearchScene<'a> {
+    /// Level `level` of the image.
+    pub(in crate::detection) fn level(&self, level: usize) -> Probe<'a> {
+        self.probe.at(self.pyramid.level(self.probe.image, level))
+    }
+}
+
+/// Searches level by level; memory is kept from image to image.
+#[derive(Debug, Default)]
+pub(in crate::detection) struct LevelSearch {
+    pub(in crate::detection) response: Response,
+    pub(in crate::detection) candidates: CandidateSearch,
+    pub(in crate::detection) neighborhood: Neighborhood,
+    /// Candidates that belong to a grid already.
+    used: Vec<bool>,
+    pub(in crate::detection) growth: Growth,
+    /// The grid being grown.
+    grid: Grid,
+    /// The best grid so far, in pixels of the image.
+    pub(in crate::detection) part: Grid,
+    /// Its number of corners and its placement.
+    pub(in crate::detection) best: Option<(usize, BoardPlacement)>,
+}
+
+/// The result of verifying a grid.
+enum GridOutcome {
+    Whole(BoardPlacement),
+    Part(BoardPlacement),
+    Other { cols: u32, rows: u32 },
+    Nothing,
+}
+
+impl GridOutcome {
+    fn other(bounds: Bounds) -> Self {
+        Self::Other { cols: longer(bounds), rows: shorter(bounds) }
+    }
+}
+
+impl LevelSearch {
+    /// Begins with another image.
+    pub(in crate::detection) fn forget(&mut self) {
+        self.best = None;
+    }
+
+    /// Computes the response of one in `every` rows of `level`, and its candidates.
+    pub(in crate::detection) fn respond(
+        &mut self,
+        scene: &SearchScene<'_>,
+        level: usize,
+        every: usize,
+    ) {
+        let probe = scene.level(level);
+        self.response.compute(probe.image, every);
+        self.candidates.search(probe, &self.response, scene.board.corner_count());
+    }
+
+    /// Grows grids from the candidates of `level`, whose squares have sides up to `reach_px`. A
+    /// whole board is left in `part`, else the best part so far.
+    pub(in crate::detection) fn search(
+        &mut self,
+        scene: &SearchScene<'_>,
+        level: usize,
+        reach_px: f32,
+        evidence: &mut SearchEvidence,
+    ) -> Option<BoardPlacement> {
+        let (view, thresholds) = (scene.level(level).image, &scene.probe.thresholds.search);
+        self.neighborhood.set_thresholds(scene.probe.thresholds.seeds);
+        self.neighborhood.fill(&self.candidates.found, view.width(), view.height());
+        self.used.clear();
+        self.used.resize(self.candidates.found.len(), false);
+        if self.best.is_some() {
+            self.spend_part(level, thresholds.same_px);
+        }
+        let (mut grids, mut starts) = (0, 0);
+        for first in 0..self.candidates.found.len() {
+            if grids == thresholds.most_grids
+                || starts == thresholds.most_starts
+                || evidence.too_large
+            {
+                break;
+            }
+            let seed = if self.used[first] {
+                None
+            } else {
+                self.neighborhood.seed(&self.candidates.found, first, reach_px)
+            };
+            let Some(seed) = seed else { continue };
+            starts += 1;
+            let worth = self.grow_from(scene, level, &seed);
+            self.spend_grid(thresholds.same_px);
+            if !worth {
+                continue;
+            }
+            grids += 1;
+            match self.judge(scene, level, evidence) {
+                GridOutcome::Whole(placement) => {
+                    std::mem::swap(&mut self.grid, &mut self.part);
+                    return Some(placement);
+                }
+                GridOutcome::Part(placement) => {
+                    let count = self.grid.members.len();
+                    if self.best.is_none_or(|(most, _)| count > most) {
+                        self.best = Some((count, placement));
+                        std::mem::swap(&mut self.grid, &mut self.part);
+                    }
+                }
+                GridOutcome::Other { cols, rows } => {
+                    evidence.other = evidence.other.or(Some((cols, rows)));
+                }
+                GridOutcome::Nothing => {}
+            }
+        }
+        None
+    }
+
+    /// Grows a grid from `seed`; true if it is large enough to verify.
+    fn grow_from(&mut self, scene: &SearchScene<'_>, level: usize, seed: &Seed) -> bool {
+        let (probe, board) = (scene.level(level), scene.board);
+        let Self { growth, candidates, neighborhood, grid, .. } = self;
+        let radius = board.cols.max(board.rows) as i32 + 2;
+        growth.start(probe, (&candidates.found, seed), radius, grid);
+        if !is_whole(grid, board) && grid.bounds().is_some_and(|bounds| !exceeds(bounds, board)) {
+            growth.reach(probe, &candidates.found, neighborhood, grid);
+        }
+        grid.members.len() >= scene.probe.thresholds.search.least_grown
+    }
+
+    /// Candidates that are corners of the grid (even a rejected one) start no other grid.
+    fn spend_grid(&mut self, same_px: f32) {
+        let Self { neighborhood, candidates, grid, used, .. } = self;
+        for p in grid.members.iter().filter_map(|&(i, j)| grid.pixel(i, j)) {
+            neighborhood.visit_near(&candidates.found, p, same_px, |index| used[index] = true);
+        }
+    }
+
+    /// Nor do those of the best part, which is kept in pixels of the image.
+    fn spend_part(&mut self, level: usize, same_px: f32) {
+        let Self { neighborhood, candidates, part, used, .. } = self;
+        let (scale, offset) = ((1 << level) as f32, Vec2::repeat(0.5));
+        for p in part.members.iter().filter_map(|&(i, j)| part.pixel(i, j)) {
+            let p = (p + offset) / scale - offset;
+            neighborhood.visit_near(&candidates.found, p, same_px, |index| used[index] = true);
+        }
+    }
+
+    /// Takes the grid found on `level` down to the image itself, and verifies it there.
+    fn judge(
+        &mut self,
+        scene: &SearchScene<'_>,
+        level: usize,
+        evidence: &mut SearchEvidence,
+    ) -> GridOutcome {
+        let Self { growth, grid, .. } = self;
+        let (probe, board) = (scene.probe, scene.board);
+        let thresholds = &probe.thresholds.search;
+        if let Some(bounds) = grid.bounds()
+            && exceeds(bounds, board)
+        {
+            evidence.too_large = true;
+            return GridOutcome::other(bounds);
+        }
+        // A grid this small that grows beyond the whole board on a finer level is a stripe pattern.
+        let small = grid.members.len() < thresholds.least_part;
+        growth.descend(scene, grid, level);
+        if small && grid.members.len() >= most_corners(board) {
+            return GridOutcome::Nothing;
+        }
+        if !verify(probe, grid) {
+            return GridOutcome::Nothing;
+        }
+        // A grid that was rejected on a coarser level is not bridged again.
+        let verified = grid.members.len();
+        if verified >= evidence.bridged + thresholds.worth_bridging {
+            evidence.bridged = verified;
+            if growth.bridge_occluders(scene, grid) && !verify(probe, grid) {
+                return GridOutcome::Nothing;
+            }
+        }
+        let Some(bounds) = grid.bounds() else { return GridOutcome::Nothing };
+        let count = grid.members.len();
+        if count > evidence.largest {
+            evidence.largest = count;
+            evidence.size = (longer(bounds), shorter(bounds));
+        }
+        match placement(scene, grid, bounds) {
+            Some(placement) if is_whole(grid, board) => GridOutcome::Whole(placement),
+            Some(placement)
+                if count >= least_part(board, thresholds)
+                    && shorter(bounds) >= thresholds.least_line =>
+            {
+                GridOutcome::Part(placement)
+            }
+            Some(_) => GridOutcome::Nothing,
+            None => GridOutcome::other(bounds),
+        }
+    }
+}
+
+/// Where the board can lie in the grid, given all its visible ends.
+fn placement(scene: &SearchScene<'_>, grid: &Grid, bounds: Bounds) -> Option<BoardPlacement> {
+    let (possible, sure) = seen_ends(scene.probe, grid, bounds);
+    place(grid, bounds, possible, scene.board)?;
+    place(grid, bounds, sure, scene.board)
+}

@@ -1,0 +1,91 @@
+//! A corner farther off than its neighbors predict, as where a lens compresses the board: found at a
+//! candidate.
+
+use crate::detection::grid::{Grid, Node, in_steps};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::measure::edges::is_edge;
+use crate::detection::measure::prediction::Prediction;
+use crate::detection::search::candidates::Candidate;
+use crate::detection::search::seeds::Neighborhood;
+
+/// A position beside a corner at which nothing was found, to be searched for farther off.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::detection) struct Stretch {
+    place: Prediction,
+    /// The corner it lies beside, and along which of the steps, forward or back.
+    from: Node,
+    axis: usize,
+    forward: f32,
+}
+
+impl Stretch {
+    /// The position from the corner (i, j) of `grid` towards (di, dj), if it is free.
+    pub(in crate::detection) fn from(
+        probe: Probe<'_>,
+        grid: &Grid,
+        (i, j): (i32, i32),
+        (di, dj): (i32, i32),
+    ) -> Option<Self> {
+        let (from, next) = (grid.get(i, j)?, (i + di, j + dj));
+        if grid.get(next.0, next.1).is_some() || !grid.holds(next.0, next.1) {
+            return None;
+        }
+        Some(Self {
+            place: Prediction::by_neighbors(grid, next, &probe.thresholds.measure)?,
+            from,
+            axis: usize::from(dj != 0),
+            forward: (di + dj) as f32,
+        })
+    }
+
+    /// The corner there: at a candidate of the right polarity, with an edge all the way to it.
+    pub(in crate::detection) fn measure(
+        &self,
+        probe: Probe<'_>,
+        candidates: &[Candidate],
+        neighborhood: &Neighborhood,
+    ) -> Option<Node> {
+        let at = self.candidate(probe, candidates, neighborhood)?;
+        let Prediction { mut steps, polarity, .. } = self.place;
+        steps[self.axis] = (at - self.from.pixel) * self.forward;
+        let node = Prediction { expected: at, steps, ..self.place }
+            .measure(probe, probe.thresholds.windows.wide())?;
+        // Beyond +i, the square on the side of +v has the opposite of the farther corner's
+        // polarity; a quarter turn changes the sign.
+        let (aside, sign) =
+            if self.axis == 0 { (steps[1], self.forward) } else { (steps[0], self.forward) };
+        let contrast = -0.5 * (node.contrast.abs() + self.from.contrast.abs()) * polarity * sign;
+        is_edge(probe, [self.from.pixel, node.pixel], aside, contrast)
+            .filter(|&holds| holds)
+            .map(|_| node)
+    }
+
+    /// Where the nearest candidate lies whose edges and position suit.
+    fn candidate(
+        &self,
+        probe: Probe<'_>,
+        candidates: &[Candidate],
+        neighborhood: &Neighborhood,
+    ) -> Option<Vec2> {
+        let thresholds = &probe.thresholds.stretch;
+        let Prediction { expected, steps, polarity, .. } = self.place;
+        let way = |k: usize| steps[k] / steps[k].norm().max(1e-3);
+        let edges = if polarity > 0.0 { [way(0), way(1)] } else { [way(1), way(0)] };
+        let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        let fits = |candidate: &Candidate| {
+            sine(candidate.edges[0], edges[0]) < thresholds.most_rotation
+                && sine(candidate.edges[1], edges[1]) < thresholds.most_rotation
+                && in_steps(candidate.pixel - expected, steps).is_some_and(|off| {
+                    let (along, aside) =
+                        if self.axis == 0 { (off.x, off.y) } else { (off.y, off.x) };
+                    aside.abs() < thresholds.most_aside
+                        && (-thresholds.most_nearer..thresholds.most_farther)
+                            .contains(&(along * self.forward))
+                })
+        };
+        let reach = thresholds.most_farther * steps[self.axis].norm()
+            + thresholds.most_aside * steps[1 - self.axis].norm();
+        Some(candidates[neighborhood.nearest(candidates, expected, reach, fits)?].pixel)
+    }
+}

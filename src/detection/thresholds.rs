@@ -1,0 +1,563 @@
+//! Every threshold of the search, the verification and the tracking of a chessboard, with its unit
+//! and its origin.
+//!
+//! They are one value, [`Thresholds`], that goes through the pipeline beside the image: nothing in
+//! `search/`, `measure/`, `verify/` or `tracking/` compares with a number of its own. The
+//! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what that
+//! costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its table.
+//!
+//! The fit of a corner (`refine/`) has no thresholds here: its few bounds follow from its own
+//! statistics, and are stated there.
+
+/// Where a threshold's value comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ThresholdOrigin {
+    /// Follows from what is said.
+    Derived(&'static str),
+    /// Chosen where the figures are flat: the bench's table says how flat.
+    Swept,
+}
+
+/// A threshold as the sensitivity bench sees it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ThresholdEntry {
+    /// Stage and field: `candidates.least_score`.
+    pub name: String,
+    /// Its value.
+    pub value: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Where the value comes from.
+    pub origin: ThresholdOrigin,
+}
+
+/// A number that the bench may scale.
+trait Scale {
+    fn value(&self) -> f64;
+    /// Multiplies; whole numbers change by one at least.
+    fn scale(&mut self, factor: f64);
+}
+
+macro_rules! scale_floats {
+    ($($type:ty),*) => {$(
+        impl Scale for $type {
+            fn value(&self) -> f64 {
+                f64::from(*self)
+            }
+            fn scale(&mut self, factor: f64) {
+                *self = (f64::from(*self) * factor) as $type;
+            }
+        }
+    )*};
+}
+scale_floats!(f32, f64);
+
+macro_rules! scale_counts {
+    ($($type:ty),*) => {$(
+        impl Scale for $type {
+            fn value(&self) -> f64 {
+                *self as f64
+            }
+            fn scale(&mut self, factor: f64) {
+                let scaled = (*self as f64 * factor).round() as $type;
+                *self = if scaled != *self {
+                    scaled
+                } else if factor > 1.0 {
+                    *self + 1
+                } else {
+                    self.saturating_sub(1)
+                };
+            }
+        }
+    )*};
+}
+scale_counts!(u8, u32, usize);
+
+/// What is visited of each threshold: name, unit, origin, the number.
+type Visitor<'a> = dyn FnMut(&'static str, &'static str, ThresholdOrigin, &mut dyn Scale) + 'a;
+
+/// A struct of thresholds, its default values, and a visit of each.
+macro_rules! thresholds {
+    ($(#[$doc:meta])* $name:ident {
+        $($(#[$field_doc:meta])* $field:ident: $type:ty = $value:expr, $unit:literal, $origin:expr;)*
+    }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub struct $name {
+            $($(#[$field_doc])* pub $field: $type,)*
+        }
+
+        impl $name {
+            /// The values in use.
+            pub const DEFAULT: Self = Self { $($field: $value,)* };
+
+            fn visit(&mut self, visit: &mut Visitor<'_>) {
+                $(visit(stringify!($field), $unit, $origin, &mut self.$field);)*
+            }
+        }
+
+        impl Default for $name {
+            fn default() -> Self {
+                Self::DEFAULT
+            }
+        }
+    };
+}
+
+thresholds! {
+    /// Candidates for corners: maxima of the response, each measured twice (`search/candidates.rs`).
+    CandidateThresholds {
+        /// Tiles of the response (4×4 pixels) whose maximum is examined, per corner of the board.
+        /// One square of the board among them is enough.
+        tiles_a_corner: usize = 6, "tiles", ThresholdOrigin::Swept;
+        /// Bounds of that number.
+        fewest_tiles: usize = 320, "tiles", ThresholdOrigin::Swept;
+        /// Bounds of that number: the time for any image is bounded by it.
+        most_tiles: usize = 768, "tiles", ThresholdOrigin::Swept;
+        /// Candidates that go on.
+        most: usize = 600, "candidates", ThresholdOrigin::Swept;
+        /// Weaker responses are noise even in an image of low contrast.
+        least_response: u8 = 4, "gray levels", ThresholdOrigin::Derived("twice the noise of a dim sensor");
+        /// Responses below the strongest divided by this are ignored.
+        least_share: usize = 32, "1", ThresholdOrigin::Swept;
+        /// Least correlation with a chessboard corner where the response is largest.
+        least_first_score: f32 = 0.35, "correlation", ThresholdOrigin::Swept;
+        /// The same after moving to where the edges cross.
+        least_score: f32 = 0.45, "correlation", ThresholdOrigin::Swept;
+        /// A candidate with this correlation, nearer to its response than `settled_px`, stays.
+        clear_score: f32 = 0.6, "correlation", ThresholdOrigin::Swept;
+        /// See `clear_score`.
+        settled_px: f32 = 0.5, "px", ThresholdOrigin::Derived("half a pixel: the response's own grid");
+        /// Least contrast of a candidate.
+        least_contrast: f32 = 3.0, "gray levels", ThresholdOrigin::Swept;
+        /// Farthest that a candidate may move from its response.
+        most_moved_px: f32 = 2.5, "px", ThresholdOrigin::Swept;
+        /// Least cosine, negated, between the two ends of an edge seen from the corner: straight is 1.
+        least_straight: f32 = 0.6, "cosine", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// Four candidates that close a square (`search/seeds.rs`).
+    SeedThresholds {
+        /// Nearer candidates are the same corner.
+        least_step_px: f32 = 3.5, "px", ThresholdOrigin::Derived("the ring of the response is 4 px wide");
+        /// How far a neighbor may lie off the edge that leads to it.
+        off_edge: f32 = 0.4, "tangent", ThresholdOrigin::Swept;
+        /// How far the edges of neighbors may differ in direction.
+        edge_angle: f32 = 0.5, "sine", ThresholdOrigin::Swept;
+    }
+}
+
+/// A window's size, and the thresholds that a corner measured in it must pass.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct WindowThresholds {
+    /// Reach, as part of the distance to the neighbors.
+    pub reach: f32,
+    /// Largest reach, in pixels.
+    pub most_px: f32,
+    /// Least correlation with a chessboard corner.
+    pub least_score: f32,
+    /// Least contrast, as a share of the neighbors'.
+    pub least_contrast: f32,
+    /// Largest distance from the prediction, in steps.
+    pub most_off: f32,
+}
+
+impl WindowThresholds {
+    /// As large as squares allow.
+    pub const WIDE: Self =
+        Self { reach: 0.4, most_px: 16.0, least_score: 0.62, least_contrast: 0.3, most_off: 0.4 };
+    /// Beside an occluder of the rest of the squares.
+    pub const NARROW: Self =
+        Self { reach: 0.16, most_px: 8.0, least_score: 0.72, least_contrast: 0.5, most_off: 0.15 };
+    /// Very close beside an occluder.
+    pub const CLOSE: Self =
+        Self { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.4, most_off: 0.1 };
+
+    fn visit(&mut self, names: [&'static str; 5], visit: &mut Visitor<'_>) {
+        let [reach, most_px, score, contrast, off] = names;
+        visit(reach, "steps", ThresholdOrigin::Swept, &mut self.reach);
+        visit(most_px, "px", ThresholdOrigin::Swept, &mut self.most_px);
+        visit(score, "correlation", ThresholdOrigin::Swept, &mut self.least_score);
+        visit(
+            contrast,
+            "share of the neighbors'",
+            ThresholdOrigin::Swept,
+            &mut self.least_contrast,
+        );
+        visit(off, "steps", ThresholdOrigin::Swept, &mut self.most_off);
+    }
+}
+
+/// The three windows in which a corner is measured, the widest first.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Windows(pub [WindowThresholds; 3]);
+
+impl Windows {
+    /// The values in use.
+    pub const DEFAULT: Self =
+        Self([WindowThresholds::WIDE, WindowThresholds::NARROW, WindowThresholds::CLOSE]);
+
+    /// The widest alone.
+    pub fn wide(&self) -> &[WindowThresholds] {
+        &self.0[..1]
+    }
+
+    /// For tracking from image to image: as far as its squares reach.
+    pub fn tracked(&self) -> WindowThresholds {
+        WindowThresholds { most_px: f32::MAX, ..self.0[0] }
+    }
+
+    fn visit(&mut self, visit: &mut Visitor<'_>) {
+        const NAMES: [[&str; 5]; 3] = [
+            [
+                "wide.reach",
+                "wide.most_px",
+                "wide.least_score",
+                "wide.least_contrast",
+                "wide.most_off",
+            ],
+            [
+                "narrow.reach",
+                "narrow.most_px",
+                "narrow.least_score",
+                "narrow.least_contrast",
+                "narrow.most_off",
+            ],
+            [
+                "close.reach",
+                "close.most_px",
+                "close.least_score",
+                "close.least_contrast",
+                "close.most_off",
+            ],
+        ];
+        for (window, names) in self.0.iter_mut().zip(NAMES) {
+            window.visit(names, visit);
+        }
+    }
+}
+
+thresholds! {
+    /// One corner measured at its prediction (`measure/prediction.rs`).
+    MeasureThresholds {
+        /// Least alternation of the four squares.
+        least_alternation: f32 = 0.3, "share of the contrast", ThresholdOrigin::Swept;
+        /// Largest distance of a corner from its neighbors' prediction.
+        most_off: f32 = 0.4, "steps", ThresholdOrigin::Derived("below one half: the next corner's is nearer");
+        /// The same where no neighbor is known.
+        most_off_far: f32 = 0.2, "steps", ThresholdOrigin::Swept;
+        /// A position this far from another is measured separately.
+        elsewhere: f32 = 0.15, "steps", ThresholdOrigin::Swept;
+        /// The immediate surroundings of a corner.
+        near_reach: f32 = 0.16, "steps", ThresholdOrigin::Swept;
+        /// Least contrast in the immediate surroundings.
+        least_near_contrast: f32 = 0.5, "share of the neighbors'", ThresholdOrigin::Swept;
+        /// Least correlation with a chessboard corner there.
+        least_near_score: f32 = 0.65, "correlation", ThresholdOrigin::Swept;
+        /// Least correlation at a predicted position, before it is refined.
+        least_first_score: f32 = 0.25, "correlation", ThresholdOrigin::Swept;
+        /// Least increase of the correlation for another iteration.
+        least_gain: f32 = 0.1, "correlation", ThresholdOrigin::Swept;
+        /// Smallest reach of a window.
+        least_reach_px: f32 = 2.0, "px", ThresholdOrigin::Derived("six samples each way need four pixels");
+        /// Least correlation in a narrower window for its corner to be taken.
+        least_narrow_score: f32 = 0.6, "correlation", ThresholdOrigin::Swept;
+        /// Least contrast of a narrower window: with less, blur fills it.
+        least_narrow_contrast: f32 = 0.6, "share of the widest's", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// Growing a grid to candidates that lie farther off than predicted (`search/stretch.rs`).
+    StretchThresholds {
+        /// Largest distance of a candidate to the side of its prediction.
+        most_aside: f32 = 0.45, "steps", ThresholdOrigin::Swept;
+        /// Nearer than predicted: less than a step that skips two occluded corners errs by.
+        most_nearer: f32 = 0.45, "steps", ThresholdOrigin::Swept;
+        /// Farther than predicted.
+        most_farther: f32 = 0.75, "steps", ThresholdOrigin::Swept;
+        /// Largest rotation of its edges.
+        most_rotation: f32 = 0.5, "sine", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// The search over the levels (`search/`).
+    SearchThresholds {
+        /// Least corners of a partial board, in `least_line` lines each way: fewer occur by chance.
+        least_part: usize = 12, "corners", ThresholdOrigin::Swept;
+        /// See `least_part`.
+        least_line: u32 = 3, "lines", ThresholdOrigin::Derived("two lines of corners fit any pair of edges");
+        /// Grids verified per level.
+        most_grids: usize = 2, "grids", ThresholdOrigin::Swept;
+        /// Seeds tried per level.
+        most_starts: usize = 16, "seeds", ThresholdOrigin::Swept;
+        /// Smaller grids are clutter.
+        least_grown: usize = 7, "corners", ThresholdOrigin::Swept;
+        /// A grid is bridged across occluders again only if it has so many corners more than one
+        /// that was rejected.
+        worth_bridging: usize = 4, "corners", ThresholdOrigin::Swept;
+        /// A candidate this near to a corner is that corner.
+        same_px: f32 = 2.5, "px", ThresholdOrigin::Derived("below the least step of two corners, 3.5 px");
+        /// Longest side of a square searched for on any but the coarsest level.
+        most_step_px: f32 = 36.0, "px", ThresholdOrigin::Swept;
+        /// First window in which corners are measured on their way to the image.
+        first_reach: f32 = 0.2, "steps", ThresholdOrigin::Swept;
+        /// The second one, in the image itself.
+        second_reach: f32 = 0.1, "steps", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// The edge between two corners (`measure/edges.rs`).
+    EdgeThresholds {
+        /// How far from the edge its two sides are sampled.
+        aside: f32 = 0.25, "steps", ThresholdOrigin::Derived("the middle of half a square");
+        /// Least difference of the two sides.
+        least_difference: f32 = 0.25, "share of the corners' contrast", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// A grid held against the image (`verify/consistency.rs`).
+    ConsistencyThresholds {
+        /// Least share of edges that hold.
+        least_held: f32 = 0.75, "share", ThresholdOrigin::Swept;
+        /// Largest distance of a corner from its neighbors' prediction.
+        most_off: f32 = 0.22, "steps", ThresholdOrigin::Swept;
+        /// Misplaced corners that an accepted grid may lose.
+        most_misplaced: usize = 12, "corners", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// Visible ends of the board (`verify/ends.rs`).
+    EndThresholds {
+        /// Where the outermost squares are sampled, outward from the line of corners.
+        within: f32 = 0.7, "steps", ThresholdOrigin::Swept;
+        /// Where what lies beyond them is sampled.
+        beyond: f32 = 1.3, "steps", ThresholdOrigin::Derived("as far outside the border as `within` is inside");
+        /// Two squares alternate if they differ by this.
+        alternate: f32 = 0.5, "share of the contrast", ThresholdOrigin::Swept;
+        /// They are alike below this.
+        alike: f32 = 0.3, "share of the contrast", ThresholdOrigin::Swept;
+        /// Votes at which an end is possible. A pair of squares votes 2 where what lies beyond
+        /// equals one of them, as a board's margin does, else 1.
+        least_votes: u32 = 2, "votes", ThresholdOrigin::Swept;
+        /// Votes at which an end is certain.
+        sure_votes: u32 = 6, "votes", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// The refined corners, each by itself (`verify/corners.rs`).
+    CornerThresholds {
+        /// Least correlation of a corner that is reported without refinement.
+        standing_score: f32 = 0.7, "correlation", ThresholdOrigin::Swept;
+        /// Largest distance of such a corner from its neighbors' prediction.
+        standing_off: f32 = 0.05, "steps", ThresholdOrigin::Swept;
+        /// Least standard deviation of a corner with an occluder a few pixels away, whose edge may
+        /// pull it.
+        least_tight_std_px: f64 = 0.3, "px", ThresholdOrigin::Swept;
+        /// Largest distance of a corner of a part from its neighbors' prediction.
+        most_off: f32 = 0.12, "steps", ThresholdOrigin::Swept;
+        /// The same next to an occluder.
+        most_off_near_occluder: f32 = 0.08, "steps", ThresholdOrigin::Swept;
+        /// Corners with a standard deviation above this multiple of the median are held to the
+        /// bound next to an occluder.
+        suspect_stds: f64 = 5.0, "medians", ThresholdOrigin::Swept;
+        /// Least corners that predict those without a square of their own.
+        least_anchored: usize = 8, "corners", ThresholdOrigin::Derived("a homography's parameters");
+        /// Farthest that a corner may move when it is refined.
+        most_moved: f64 = 0.25, "steps", ThresholdOrigin::Swept;
+        /// Standard deviation of a corner that could not be refined.
+        unrefined_std: f64 = 0.02, "steps", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// Tracking from image to image (`tracking/`).
+    TrackingThresholds {
+        /// A board with more than one in so many corners off its prediction is searched for.
+        most_lost: usize = 4, "1", ThresholdOrigin::Swept;
+        /// Search radius of a corner whose neighbors are not found yet.
+        most_off_first: f32 = 0.3, "steps", ThresholdOrigin::Swept;
+        /// Reach of the wide window: at least this, and the two below.
+        predicted_px: f32 = 5.0, "px", ThresholdOrigin::Swept;
+        /// How uncertain the neighbors' prediction is.
+        predicted_reach: f32 = 0.06, "steps", ThresholdOrigin::Swept;
+        /// The same after a wide, coarsely sampled window has found the corner.
+        found_reach: f32 = 0.12, "steps", ThresholdOrigin::Swept;
+        /// The wide window's reach under blur.
+        predicted_blurs: f32 = 2.5, "blur widths", ThresholdOrigin::Swept;
+        /// Windows narrow by this factor: each places the corner to within the next.
+        narrower: f32 = 0.45, "1", ThresholdOrigin::Swept;
+        /// Reach of the last, most exact window.
+        exact_px: f32 = 2.5, "px", ThresholdOrigin::Swept;
+        /// The same under blur.
+        exact_blurs: f32 = 2.0, "blur widths", ThresholdOrigin::Swept;
+        /// Largest reach of any window.
+        most_reach: f32 = 0.4, "steps", ThresholdOrigin::Derived("below one half: the next corner's begins");
+        /// Least correlation with a chessboard corner in the wide window.
+        least_far_score: f32 = 0.6, "correlation", ThresholdOrigin::Swept;
+        /// And in the exact one.
+        least_exact_score: f32 = 0.7, "correlation", ThresholdOrigin::Swept;
+        /// Least contrast: windows of other sizes, and light, change it by less.
+        least_contrast: f32 = 0.3, "share of the last image's", ThresholdOrigin::Swept;
+        /// A wide window is moved while the corner is farther from its center than this.
+        far_aside: f32 = 0.4, "reaches", ThresholdOrigin::Swept;
+        /// An exact one, likewise.
+        exact_aside: f32 = 0.2, "reaches", ThresholdOrigin::Swept;
+        /// Windows tried at one place.
+        most_iterations: usize = 3, "windows", ThresholdOrigin::Swept;
+        /// Steps longer than this make squares in which one pixel is as good as a mean of four.
+        large_px: f32 = 16.0, "px", ThresholdOrigin::Derived("rounding then moves a sample by 3 % of a square");
+        /// Least difference of an edge's two sides.
+        least_difference: f32 = 0.25, "share of the edges' around it", ThresholdOrigin::Swept;
+        /// Least share of edges that hold.
+        least_held: f32 = 0.75, "share", ThresholdOrigin::Swept;
+        /// Where the four squares about a position beyond the board are sampled.
+        beyond: f32 = 0.3, "steps", ThresholdOrigin::Swept;
+        /// Their least alternation for a closer measurement.
+        may_alternate: f32 = 0.1, "share of the contrast", ThresholdOrigin::Swept;
+        /// Least standard deviation of a corner that is not refined.
+        least_std_px: f64 = 0.05, "px", ThresholdOrigin::Swept;
+    }
+}
+
+thresholds! {
+    /// The reason why there is no board (`reasons.rs`).
+    ReasonThresholds {
+        /// An image whose brightness varies by less is empty.
+        least_range: u8 = 8, "gray levels", ThresholdOrigin::Swept;
+        /// Least corners of a grid that is reported.
+        least_grid: usize = 6, "corners", ThresholdOrigin::Swept;
+        /// Blur wider than this hides the corners of a square.
+        most_blur: f32 = 0.25, "steps", ThresholdOrigin::Derived("a Gaussian's ±2σ then fills the square");
+    }
+}
+
+/// All thresholds of chessboards.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Thresholds {
+    /// Candidates for corners.
+    pub candidates: CandidateThresholds,
+    /// Squares of four candidates.
+    pub seeds: SeedThresholds,
+    /// The windows in which a corner is measured.
+    pub windows: Windows,
+    /// One corner at its prediction.
+    pub measure: MeasureThresholds,
+    /// Candidates farther off than predicted.
+    pub stretch: StretchThresholds,
+    /// The search over the levels.
+    pub search: SearchThresholds,
+    /// Edges between corners.
+    pub edges: EdgeThresholds,
+    /// A grid held against the image.
+    pub consistency: ConsistencyThresholds,
+    /// Visible ends of the board.
+    pub ends: EndThresholds,
+    /// Refined corners.
+    pub corners: CornerThresholds,
+    /// From image to image.
+    pub tracking: TrackingThresholds,
+    /// Why there is no board.
+    pub reasons: ReasonThresholds,
+}
+
+impl Default for Thresholds {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+impl Thresholds {
+    /// The values in use.
+    pub const DEFAULT: Self = Self {
+        candidates: CandidateThresholds::DEFAULT,
+        seeds: SeedThresholds::DEFAULT,
+        windows: Windows::DEFAULT,
+        measure: MeasureThresholds::DEFAULT,
+        stretch: StretchThresholds::DEFAULT,
+        search: SearchThresholds::DEFAULT,
+        edges: EdgeThresholds::DEFAULT,
+        consistency: ConsistencyThresholds::DEFAULT,
+        ends: EndThresholds::DEFAULT,
+        corners: CornerThresholds::DEFAULT,
+        tracking: TrackingThresholds::DEFAULT,
+        reasons: ReasonThresholds::DEFAULT,
+    };
+
+    /// Every threshold, in the order of the stages.
+    pub fn entries() -> Vec<ThresholdEntry> {
+        let mut entries = Vec::new();
+        let mut thresholds = Self::DEFAULT;
+        thresholds.visit(&mut |name, unit, origin, number| {
+            entries.push(ThresholdEntry { name, value: number.value(), unit, origin });
+        });
+        entries
+    }
+
+    /// These thresholds with the one called `name` multiplied by `factor` (a count changes by one
+    /// at least); `None` if no threshold has that name.
+    pub fn scaled(mut self, name: &str, factor: f64) -> Option<Self> {
+        let mut found = false;
+        self.visit(&mut |visited, _, _, number| {
+            if visited == name {
+                number.scale(factor);
+                found = true;
+            }
+        });
+        found.then_some(self)
+    }
+
+    fn visit(
+        &mut self,
+        visit: &mut dyn FnMut(String, &'static str, ThresholdOrigin, &mut dyn Scale),
+    ) {
+        macro_rules! stages {
+            ($($stage:ident),*) => {$(
+                self.$stage.visit(&mut |field, unit, origin, number| {
+                    visit(format!("{}.{field}", stringify!($stage)), unit, origin, number);
+                });
+            )*};
+        }
+        stages!(
+            candidates,
+            seeds,
+            windows,
+            measure,
+            stretch,
+            search,
+            edges,
+            consistency,
+            ends,
+            corners,
+            tracking,
+            reasons
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_threshold_has_one_name_and_can_be_scaled() {
+        let entries = Thresholds::entries();
+        assert!(entries.len() > 100, "{}", entries.len());
+        for entry in &entries {
+            let same = entries.iter().filter(|other| other.name == entry.name).count();
+            assert_eq!(same, 1, "{}", entry.name);
+            for factor in [0.8, 1.25] {
+                let scaled = Thresholds::DEFAULT.scaled(&entry.name, factor).expect("its name");
+                assert_ne!(scaled, Thresholds::DEFAULT, "{} by {factor}", entry.name);
+            }
+        }
+        assert_eq!(Thresholds::DEFAULT.scaled("candidates.nothing", 2.0), None);
+    }
+}

@@ -1,0 +1,14 @@
+//! Verification: what was found is held against the image and against the rest of the board. The
+//! only place that rejects, and it can only reject: "may miss, never mislabels".
+//!
+//! | what | file | rejects |
+//! | --- | --- | --- |
+//! | a grid | `consistency` | corners whose edges fail, or that lie off their neighbors' prediction; a grid of too many of these |
+//! | its ends | `ends` | placements against a visible end of the board |
+//! | its placement | `placement` | grids in which the board cannot lie |
+//! | refined corners | `corners` | those that moved, that an occluder may pull, or that lie off the others |
+
+pub(in crate::detection) mod consistency;
+pub(in crate::detection) mod corners;
+pub(in crate::detection) mod ends;
+pub(in crate::detection) mod placement;
