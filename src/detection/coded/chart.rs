@@ -1,7 +1,7 @@
 //! Where the nearest known crossings put another: a homography from the lattice to the image that
 //! is fitted to them alone, so that a lens may bend the rest.
 
-use nalgebra::{SMatrix, SVector};
+use nalgebra::{Matrix3, SMatrix, SVector};
 
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
@@ -137,6 +137,16 @@ impl Chart {
             let v = (h[3] * i + h[4] * j + h[5]) / w * self.scale + self.mean[1];
             Vec2::new(u as f32, v as f32)
         })
+    }
+
+    /// The same as a matrix, from the lattice to the image.
+    pub(super) fn matrix(&self) -> Matrix3<f64> {
+        let h = &self.h;
+        let (k, [mi, mj]) = (1.0 / self.spread, self.middle);
+        let centered = Matrix3::new(k, 0.0, -k * mi, 0.0, k, -k * mj, 0.0, 0.0, 1.0);
+        let (s, [x, y]) = (self.scale, self.mean);
+        let placed = Matrix3::new(s, 0.0, x, 0.0, s, y, 0.0, 0.0, 1.0);
+        placed * Matrix3::new(h[0], h[1], h[2], h[3], h[4], h[5], h[6], h[7], 1.0) * centered
     }
 
     /// One unit of the lattice along each axis, at the place (x, y), in pixels.

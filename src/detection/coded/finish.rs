@@ -6,6 +6,7 @@ use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::{LatticeScene, MOST_REACH_PX, expect_bent, settle};
+use crate::detection::coded::print::LabelledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
 use crate::detection::measure::cross::Vec2;
@@ -50,7 +51,7 @@ impl TargetDetector {
         if !self.drop_misplaced(MOST_OFF) {
             return None;
         }
-        self.refine(image);
+        self.refine(image, label);
         if !self.drop_misplaced(MOST_OFF_REFINED) {
             return None;
         }
@@ -126,7 +127,7 @@ impl TargetDetector {
     }
 
     /// Refines all crossings of `grid`; those that are none are taken out.
-    fn refine(&mut self, image: GrayView<'_>) {
+    fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
         self.guesses.clear();
         let reach = 0.5 * (self.sheets.widths[0] + self.sheets.widths[1]);
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
@@ -144,7 +145,9 @@ impl TargetDetector {
                 neighbors: [u, v, -u, -v].map(|step| Some(pixel(p + step * reach))),
             });
         }
-        self.refiner.refine(image, &self.guesses, &mut self.refined);
+        let corners = self.guesses.iter().map(|it| (it.index.col, it.index.row)).collect();
+        let mut print = LabelledPrint::new(&self.sheets, label, &mut self.grid, corners);
+        self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
         let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
         stds.sort_unstable_by(f64::total_cmp);
         let most_std_px = SUSPECT_STDS * stds.get(stds.len() / 2).copied().unwrap_or(0.0);

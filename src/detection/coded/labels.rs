@@ -186,7 +186,7 @@ pub(super) fn cell_in_grid(placement: BoardPlacement, col: i32, row: i32) -> (i3
 }
 
 /// The sheet's cell that lies in the grid's cell (i, j).
-fn cell_in_sheet(placement: BoardPlacement, (i, j): (i32, i32)) -> (i32, i32) {
+pub(super) fn cell_in_sheet(placement: BoardPlacement, (i, j): (i32, i32)) -> (i32, i32) {
     let (a, b) = placement.in_board(i, j);
     let (c, d) = placement.in_board(i + 1, j + 1);
     (a.min(c), b.min(d))

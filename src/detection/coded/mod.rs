@@ -12,6 +12,7 @@
 //! | reading | `reading` | how well each marker cell agrees with each code |
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
+//! | print | `print` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labelled board, refinement |
 //!
 //! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
@@ -25,5 +26,6 @@ mod finish;
 mod labels;
 mod lattice;
 mod order;
+mod print;
 mod reading;
 mod sheet;

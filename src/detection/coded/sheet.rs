@@ -35,6 +35,8 @@ pub(super) struct Sheets {
     pub in_bright: bool,
     /// How far white or black reaches from a crossing undisturbed, in units of the lattice.
     pub room: f32,
+    /// Where in its cell a marker starts, as a part of the cell's side.
+    pub margin: f32,
     /// The codes as zero-mean unit vectors over the payload in the grid's own axes: for each
     /// marker and quarter turn.
     pub codes: Vec<f32>,
@@ -93,6 +95,7 @@ impl Sheets {
             bits,
             in_bright: true,
             room: (1.0 - ratio) / 2.0,
+            margin: (1.0 - ratio) / 2.0,
             codes: codes(&board.dictionary, board.first_id as usize, count, 0),
         }
     }
@@ -118,6 +121,7 @@ impl Sheets {
             bits,
             in_bright: false,
             room: spacing.min(1.0 / (bits + 2) as f32 * 2.0),
+            margin: 0.0,
             codes: codes(
                 &grid.family,
                 grid.first_id as usize,

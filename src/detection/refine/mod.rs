@@ -6,6 +6,7 @@
 //! | window | `window`, `samples` | gathers the pixels along the cells' own axes, short of the next edges |
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against what does not belong |
+//! | print | `print` | takes off the window what is printed beside the two edges, where blur brings it in |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
@@ -24,6 +25,7 @@ mod lattice;
 mod misfit;
 mod noise;
 mod normal_equations;
+pub mod print;
 mod samples;
 mod scatter;
 mod straightness;
@@ -38,6 +40,7 @@ use crate::detection::refine::lattice::{Known, Lattice, axes_of};
 use crate::detection::refine::misfit::{CornerMisfit, Quality};
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{ModelColumns, Noise};
+use crate::detection::refine::print::{BoardPrint, PrintPatch, disturbs};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::straightness::{Placed, Straightness};
@@ -77,6 +80,11 @@ pub struct Refiner {
     shapes: Vec<[f64; 3]>,
     fitted: Vec<Option<Fitted>>,
     known: Vec<Option<Known>>,
+    patch: PrintPatch,
+    /// Where the corners are by now.
+    placed: Vec<Option<Pixel>>,
+    /// Widths of the blur at the corners.
+    blurs_px: Vec<f64>,
     /// The last window of a first fit.
     quarter_means: [f64; 2],
 }
@@ -106,6 +114,9 @@ const RECENTER: f64 = 2.0;
 const MOST_WINDOWS: usize = 5;
 /// Number of corners whose edges give the scatter.
 const ENOUGH_CORNERS: usize = 40;
+/// How often corners are fitted with what is printed beside them taken off, before the last fit:
+/// each makes black, white and blur less wrong.
+const PRINT_ROUNDS: usize = 2;
 /// Inlier ratio of an unoccluded corner.
 const MOST_AGREE: f64 = 0.7;
 
@@ -129,20 +140,21 @@ impl Refiner {
         corners: &[GridCorner],
         refined: &mut Vec<Option<RefinedCorner>>,
     ) {
+        self.refine_printed(image, corners, None, refined);
+    }
+
+    /// The same of a board on which more is printed than its corners' edges.
+    pub fn refine_printed(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        print: Option<&mut dyn BoardPrint>,
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) {
         self.fit_each(image, corners);
-        self.misfit.clear();
-        self.fitted
-            .iter()
-            .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
-        self.known.clear();
-        let fits = self.misfit.fits();
-        self.known.extend(
-            self.fitted
-                .iter()
-                .zip(fits)
-                .map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
-        );
+        self.compare_fits();
         self.lattice.fill(corners, &self.known);
+        let nearby = print.and_then(|print| self.fit_printed(image, corners, print));
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
         refined.clear();
@@ -150,8 +162,10 @@ impl Refiner {
         self.straightness.clear();
         self.shapes.clear();
         for (corner, first) in corners.iter().zip(&fitted) {
-            let second =
-                first.as_ref().and_then(|first| self.fit_within_board(image, corner, first, noise));
+            let nearby = nearby.map(|nearby| (refined.len(), nearby));
+            let second = first
+                .as_ref()
+                .and_then(|first| self.fit_within_board(image, corner, first, (noise, nearby)));
             let second = second.filter(|second| second.is_corner(corner));
             self.misfit.take(second.as_ref().map(Fitted::quality));
             if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
@@ -174,6 +188,78 @@ impl Refiner {
             });
         }
         self.scale_by_lines(refined);
+    }
+
+    /// What is known of the corners that fit as well as the others.
+    fn compare_fits(&mut self) {
+        self.misfit.clear();
+        self.fitted
+            .iter()
+            .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
+        self.known.clear();
+        let fits = self.misfit.fits();
+        self.known.extend(
+            self.fitted
+                .iter()
+                .zip(fits)
+                .map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
+        );
+    }
+
+    /// Where blur brings other edges of the print into the corners' windows: fits that take them
+    /// off, each with what the one before it says of blur, black and white. `None` where it does
+    /// not.
+    fn fit_printed<'a>(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        print: &'a mut dyn BoardPrint,
+    ) -> Option<Nearby<'a>> {
+        let mut blur_px = self.median_blur_px()?;
+        let disturbed = corners.iter().filter_map(axes_of).filter(|&axes| {
+            disturbs(print.room(), axes, blur_px)
+        });
+        if 2 * disturbed.count() < corners.len() {
+            return None;
+        }
+        self.place(print);
+        for _ in 0..PRINT_ROUNDS {
+            let noise = self.noise.of_pixels();
+            self.noise.clear();
+            for (slot, corner) in corners.iter().enumerate() {
+                let Some(first) = self.fitted[slot] else { continue };
+                let nearby = Some((slot, Nearby { print: &*print, blur_px }));
+                let second = self
+                    .fit_within_board(image, corner, &first, (noise, nearby))
+                    .filter(|second| second.may_be_corner(corner));
+                if let Some(second) = second {
+                    self.noise.take(second.fit.residuals.flat, second.window.bin);
+                    self.fitted[slot] = Some(second);
+                }
+            }
+            self.compare_fits();
+            self.lattice.fill(corners, &self.known);
+            self.place(print);
+            blur_px = self.median_blur_px()?;
+        }
+        Some(Nearby { print: &*print, blur_px })
+    }
+
+    fn place(&mut self, print: &mut dyn BoardPrint) {
+        self.placed.clear();
+        let center = |known: &Option<Known>| known.map(|it| Pixel::new(it.at[0], it.at[1]));
+        self.placed.extend(self.known.iter().map(center));
+        print.place(&self.placed);
+    }
+
+    /// Median width of the blur at the corners.
+    fn median_blur_px(&mut self) -> Option<f64> {
+        let blurs = &mut self.blurs_px;
+        blurs.clear();
+        blurs.extend(self.fitted.iter().flatten().map(Fitted::blur_px));
+        let middle = blurs.len() / 2;
+        (middle < blurs.len())
+            .then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
     }
 
     /// Widens or narrows all standard deviations where corners scatter more or less about the
@@ -289,14 +375,11 @@ impl Refiner {
         image: GrayView<'_>,
         corner: &GridCorner,
         first: &Fitted,
-        noise: [f64; 2],
+        (noise, nearby): ([f64; 2], Option<(usize, Nearby<'_>)>),
     ) -> Option<Fitted> {
-        let window = Window::new(
-            first.center(),
-            first.window.axes,
-            first.blur_px(),
-            (SECOND_REACH, 1.0 - self.taken),
-        );
+        let free = if nearby.is_some() { 1.0 } else { 1.0 - self.taken };
+        let axes = axes_of(corner)?;
+        let window = Window::new(first.center(), axes, first.blur_px(), (SECOND_REACH, free));
         let window = window.along_edges(first.fit.model.along, first.blur_px());
         self.gather(image, &window)?;
         let bin = window.bin as f64;
@@ -305,13 +388,18 @@ impl Refiner {
         start.center = [0.0; 2];
         start.curvature = around.curvature.map(|c| c * bin);
         start.gradient = around.light_gradient.map(|g| g * bin);
+        if let Some((slot, Nearby { print, blur_px })) = nearby
+            && self.patch.render(print, slot, &window, blur_px)
+        {
+            self.patch.take_off(&mut self.samples, &start);
+        }
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise {
             black,
             white,
             tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs(),
         };
-        let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: false };
+        let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: nearby.is_some() };
         let second = self.fit(window, start, &noise, &options)?;
         if second.inlier_ratio > MOST_AGREE {
             return Some(second);
@@ -391,6 +479,13 @@ struct Before {
     /// Its level less the mean of the quarters' means.
     offset: f64,
     gamma_term: f64,
+}
+
+/// What is printed beside the corners, and how blurred it is.
+#[derive(Clone, Copy)]
+struct Nearby<'a> {
+    print: &'a dyn BoardPrint,
+    blur_px: f64,
 }
 
 /// Whether a corner's edge halves are compared: of many corners, every other one is enough.

@@ -47,6 +47,15 @@ impl Samples {
         [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
+    /// Replaces each value by what `change` makes of its position and it.
+    pub fn change(&mut self, change: impl Fn(f32, f32, f32) -> f32) {
+        let Self { x, y, value, count, .. } = self;
+        let places = x[..*count].iter().zip(&y[..*count]);
+        for ((&x, &y), value) in places.zip(&mut value[..*count]) {
+            *value = change(x, y, *value);
+        }
+    }
+
     /// Mean gray value where the product of the distances to two lines through the origin is
     /// negative, and where it is positive.
     pub fn quarter_means(&self, along: [[f64; 2]; 2]) -> [f64; 2] {
