@@ -68,7 +68,7 @@ pub enum Rejection {
 impl Rejection {
     /// The stable names, as counted in [`Rejections`], in the order of documents: those of
     /// [`NoBoard::KINDS`] among them.
-    pub const KINDS: [&'static str; 14] = [
+    pub const KINDS: [&'static str; 17] = [
         "no_corners",
         "no_grid",
         "other_size",
@@ -76,6 +76,9 @@ impl Rejection {
         "image_too_small",
         "cut_off",
         "incomplete",
+        "no_lattice",
+        "no_markers",
+        "other_board",
         "partial",
         "blurred",
         "moving",

@@ -6,10 +6,11 @@
 //! therefore only about right, but the same for the same picture, whatever was estimated meanwhile:
 //! which views are kept does not depend on how fast a solve was.
 
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
-use crate::detection::board_detection::Detection;
+use crate::detection::board_detection::{DetectedCorner, Detection};
 use crate::geometry::board::BoardSize;
+use crate::geometry::homography::Homography;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// Focal length over the image's longer side: a horizontal field of view of 58°, between a
@@ -39,8 +40,8 @@ const TILT_STEP_RAD: f64 = 0.20;
 const ROLL_STEP_RAD: f64 = 0.50;
 
 impl Placement {
-    /// The placement of a detected board in an image of `size`; `None` if one of its outer corners
-    /// was not seen, or they span nothing.
+    /// The placement of a detected board in an image of `size`; `None` if its outer corners are
+    /// neither seen nor known by what is seen of it, or they span nothing.
     pub fn of(detection: &Detection, size: ImageSize) -> Option<Self> {
         let placement = Self::of_outline(outer_corners(detection)?, detection.board, size)?;
         Some(Self { half_turn_alike: detection.orientation_ambiguous, ..placement })
@@ -101,7 +102,24 @@ pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
     };
     let known = detection.position_known || !detection.partial;
     known.then_some(())?;
-    Some([at(0, 0)?, at(last_col, 0)?, at(last_col, last_row)?, at(0, last_row)?])
+    let ends = [(0, 0), (last_col, 0), (last_col, last_row), (0, last_row)];
+    if let [Some(a), Some(b), Some(c), Some(d)] = ends.map(|(col, row)| at(col, row)) {
+        return Some([a, b, c, d]);
+    }
+    // Markers prove where in the board a part of it lies.
+    detection.markers?;
+    let pairs: Vec<(Point2<f64>, Point2<f64>)> = (detection.corners.iter())
+        .map(|DetectedCorner { index, pixel, .. }| {
+            let place = Point2::new(f64::from(index.col), f64::from(index.row));
+            (place, Point2::from(pixel.to_vector()))
+        })
+        .collect();
+    let image_from_board = Homography::fit(&pairs).ok()?;
+    let [a, b, c, d] = ends.map(|(col, row)| {
+        let pixel = image_from_board.apply(Point2::new(f64::from(col), f64::from(row)))?;
+        Some(Pixel::new(pixel.x, pixel.y))
+    });
+    Some([a?, b?, c?, d?])
 }
 
 /// The homography that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points (Heckbert,
@@ -164,6 +182,7 @@ pub(crate) mod tests {
             corners: corners.collect(),
             partial: false,
             position_known: true,
+            markers: None,
             orientation_ambiguous: false,
             blur_px: 0.7,
         }

@@ -2,10 +2,10 @@
 
 use nalgebra::{Point3, Vector3};
 
-use crate::geometry::board::Chessboard;
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
 /// Measured less true depth at each pixel of a depth picture, in meters, row by row; NaN beside the
@@ -27,17 +27,17 @@ const MARGIN_SQUARES: f64 = 0.8;
 /// `color_from_board`.
 pub fn plane_error(
     (camera, color_from_depth): (&DepthCamera, &Pose),
-    (board, color_from_board): (&Chessboard, &Pose),
+    (board, color_from_board): (&Target, &Pose),
     (picture, invalid): (&DepthImage, Option<u16>),
 ) -> PlaneError {
     let depth_from_board = color_from_depth.inverse() * *color_from_board;
     let board_from_depth = depth_from_board.inverse();
     let normal = depth_from_board * Vector3::z();
     let distance_m = normal.dot(&depth_from_board.translation());
-    let far = board.corner_in_board(board.size.cols as i32 - 1, board.size.rows as i32 - 1);
-    let margin_m = MARGIN_SQUARES * board.square_m;
+    let [near, far] = board.extent();
+    let margin_m = MARGIN_SQUARES * board.spanned_chessboard().square_m;
     let on_board = |at: &Point3<f64>| {
-        (0..2).all(|axis| at[axis] > -margin_m && at[axis] < far[axis] + margin_m)
+        (0..2).all(|axis| at[axis] > near[axis] - margin_m && at[axis] < far[axis] + margin_m)
     };
     let of = |(k, reading): (usize, &u16)| {
         let width = camera.image_size.width.max(1) as usize;
@@ -73,7 +73,7 @@ pub fn mean_and_rms_m(errors_m: &[f32]) -> Option<[f64; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::board::BoardSize;
+    use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::camera_matrix::CameraMatrix;
     use crate::geometry::depth_camera::DepthReading;
     use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
@@ -101,7 +101,7 @@ mod tests {
             reading: DepthReading::Metric { unit_m: 0.000_1 },
             correction: Some(correction),
         };
-        let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
+        let board: Target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap().into();
         let color_from_depth =
             Pose::from_axis_angle(Vector3::new(0.01, 0.0, 0.02), Vector3::new(0.03, 0.0, 0.0));
         let depth_from_board =

@@ -10,8 +10,8 @@ use crate::calibration::solve_rig::{
 };
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
-use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// What was seen at one instant.
@@ -29,7 +29,7 @@ pub struct StereoCapture {
 #[derive(Debug, Clone, PartialEq)]
 pub struct StereoInput {
     /// The board.
-    pub board: Chessboard,
+    pub board: Target,
     /// The size of the color pictures.
     pub color_size: ImageSize,
     /// The size of the right infrared pictures.
@@ -102,7 +102,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
 
     use super::*;
-    use crate::geometry::board::BoardSize;
+    use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::camera_matrix::CameraMatrix;
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::Pixel;
@@ -143,7 +143,7 @@ mod tests {
             }
         };
         StereoInput {
-            board,
+            board: board.into(),
             color_size: SIZE,
             infrared2_size: SIZE,
             captures: (0..15).map(capture).collect(),

@@ -5,14 +5,14 @@ use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
 use crate::calibration::result::ProjectionUncertainty;
 use crate::estimation::problem::LensChoice;
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
+use crate::geometry::target::Target;
 
 /// What a session is asked to do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionRequest {
     /// The board that is shown.
-    pub target: Chessboard,
+    pub target: Target,
     /// Which lens model to fit.
     pub lens: LensChoice,
     /// When it is enough; `None` runs until it is stopped.

@@ -17,9 +17,9 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A solved camera.
@@ -37,7 +37,7 @@ pub struct SolvedCamera {
 
 impl SolvedCamera {
     /// The calibration that it amounts to, of an instrument that is this one sensor.
-    pub fn into_calibration(self, target: Option<Chessboard>) -> Calibration {
+    pub fn into_calibration(self, target: Option<Target>) -> Calibration {
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), self.sensor);
         Calibration::unnamed(target, vec![color], (self.checks, self.verdict))
     }

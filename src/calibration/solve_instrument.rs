@@ -10,14 +10,14 @@ use crate::calibration::sensor::SensorId;
 use crate::calibration::solve_rgbd::{RgbdError, RgbdInput, solve_rgbd};
 use crate::calibration::solve_rig::{RigCameraInput, RigError, RigInput, solve_rig};
 use crate::estimation::camera::CameraOptions;
-use crate::geometry::board::Chessboard;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// What the cameras of an instrument saw.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observations {
     /// The board.
-    pub board: Chessboard,
+    pub board: Target,
     /// Its cameras; the first is the instrument's own frame.
     pub cameras: Vec<CameraObservations>,
 }
@@ -76,7 +76,7 @@ pub fn solve(
 
 /// A camera by itself; `None` for one with a single sensor.
 fn alone(
-    board: Chessboard,
+    board: Target,
     camera: &CameraObservations,
     options: &CameraOptions,
 ) -> Result<Option<Calibration>, SolveError> {

@@ -19,13 +19,13 @@ use crate::estimation::rgbd::motion::{
 };
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::estimation::robust::median;
-use crate::geometry::board::Chessboard;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
 /// What is known of a depth camera beforehand.
@@ -66,7 +66,7 @@ pub struct RgbdCapture {
 #[derive(Debug, Clone, PartialEq)]
 pub struct RgbdInput {
     /// The board.
-    pub board: Chessboard,
+    pub board: Target,
     /// The size of the color pictures.
     pub color_size: ImageSize,
     /// What is known of the depth camera.
@@ -300,7 +300,7 @@ impl Guess {
             .collect();
         let poses: Vec<(f64, Pose)> = moments.iter().map(|(_, moment)| *moment).collect();
         self.motions = vec![None; input.captures.len()];
-        let (mut both, middle) = (Vec::new(), far_corner(&input.board).coords * 0.5);
+        let (mut both, (middle, radius_m)) = (Vec::new(), middle_of(&input.board));
         for ((index, (_, first_from_board)), motion) in moments.iter().zip(board_motions(&poses)) {
             self.motions[*index] = motion;
             let capture = &input.captures[*index];
@@ -316,14 +316,14 @@ impl Guess {
                 });
             }
         }
-        self.time_offset = time_offset(&self.depth_from_color, &both, (middle, middle.norm()))
+        self.time_offset = time_offset(&self.depth_from_color, &both, (middle.coords, radius_m))
             .filter(|offset| offset.std_s < LEAST_SURE_S);
     }
 
     /// What disparity means, from what is read in the board's middle and how far away color says
     /// it is: the line through the pairs by the median of the slopes between them (H. Theil, 1950).
     fn disparity(&self, input: &RgbdInput) -> Option<DepthReading> {
-        let middle = Point3::from(far_corner(&input.board).coords * 0.5);
+        let (middle, _) = middle_of(&input.board);
         let pair = |(capture, pose): (&RgbdCapture, &Option<Pose>)| {
             let point = self.depth_from_color * ((*pose)? * middle);
             let pixel = self.lens.pixel_from_point(&point)?;
@@ -423,11 +423,12 @@ impl Guess {
 
     /// The board's edge in the depth picture, `margin` squares past its outer inner corners; what
     /// the lens does not see is left out.
-    fn outline(&self, board: &Chessboard, color_from_board: &Pose, margin: f64) -> Vec<Pixel> {
-        let far = far_corner(board);
-        let (low, high) = (-margin * board.square_m, margin * board.square_m);
-        let corners =
-            [(low, low), (far.x + high, low), (far.x + high, far.y + high), (low, far.y + high)];
+    fn outline(&self, board: &Target, color_from_board: &Pose, margin: f64) -> Vec<Pixel> {
+        let [near, far] = board.extent();
+        let margin_m = margin * board.spanned_chessboard().square_m;
+        let [left, top] = [near.x - margin_m, near.y - margin_m];
+        let [right, bottom] = [far.x + margin_m, far.y + margin_m];
+        let corners = [(left, top), (right, top), (right, bottom), (left, bottom)];
         let depth_from_board = self.depth_from_color * *color_from_board;
         let sides = corners.iter().zip(corners.iter().cycle().skip(1));
         let points = sides.flat_map(|(a, b)| {
@@ -440,10 +441,11 @@ impl Guess {
     }
 }
 
-/// The last corner; the first is the board frame's origin.
-fn far_corner(board: &Chessboard) -> Point3<f64> {
-    let along = |corners: u32| f64::from(corners - 1) * board.square_m;
-    Point3::new(along(board.size.cols), along(board.size.rows), 0.0)
+/// The middle of the board's corners in the board frame, and how far the outermost are from it, in
+/// meters.
+fn middle_of(board: &Target) -> (Point3<f64>, f64) {
+    let [near, far] = board.extent();
+    (nalgebra::center(&near, &far), (far - near).norm() / 2.0)
 }
 
 /// The pose of every capture that a sensor's solve used.

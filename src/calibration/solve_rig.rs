@@ -14,17 +14,17 @@ use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A rig to calibrate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigInput {
     /// The board.
-    pub board: Chessboard,
+    pub board: Target,
     /// Its cameras.
     pub cameras: Vec<RigCameraInput>,
 }
@@ -58,7 +58,7 @@ pub struct SolvedRig {
 
 impl SolvedRig {
     /// The calibration that it amounts to.
-    pub fn into_calibration(self, target: Chessboard) -> Calibration {
+    pub fn into_calibration(self, target: Target) -> Calibration {
         let color = |camera: &str| SensorId::of(camera, SensorKind::Color);
         let sensors = self.cameras.into_iter();
         let sensors =

@@ -6,7 +6,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::*;
 use crate::estimation::problem::Correspondence;
-use crate::geometry::board::BoardSize;
+use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
 
@@ -75,7 +75,10 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
             views,
         }
     };
-    RigInput { board, cameras: camera_from_first().into_iter().enumerate().map(camera).collect() }
+    RigInput {
+        board: board.into(),
+        cameras: camera_from_first().into_iter().enumerate().map(camera).collect(),
+    }
 }
 
 fn options() -> CameraOptions {

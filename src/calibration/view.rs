@@ -1,11 +1,9 @@
 //! A view: a detection that a session kept.
 
-use nalgebra::Point3;
-
 use crate::detection::board_detection::Detection;
 use crate::estimation::problem::{BoardView, Correspondence};
-use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 
 /// What a session has to know about a frame besides what was seen in it. Time arrives here, from
 /// the frame, and nowhere else.
@@ -46,25 +44,23 @@ pub struct View {
     pub detection: Detection,
 }
 
+/// `target`, with what the markers in the first of `views` say of how it is printed.
+pub fn target_as_seen<'a>(target: &Target, views: impl IntoIterator<Item = &'a View>) -> Target {
+    let markers = views.into_iter().find_map(|view| view.detection.markers);
+    markers.map_or(*target, |markers| markers.as_printed(target))
+}
+
 impl View {
-    /// The view as the solve takes it: each corner of `board` with the pixel it was seen at.
-    pub fn to_board_view(&self, board: &Chessboard) -> BoardView {
-        let correspondence =
-            |point_in_board: Point3<f64>,
-             corner: &crate::detection::board_detection::DetectedCorner| {
-                Correspondence { point_in_board, pixel: corner.pixel, std_px: corner.std_px }
-            };
+    /// The view as the solve takes it: each corner of `target` with the pixel it was seen at.
+    pub fn to_board_view(&self, target: &Target) -> BoardView {
         let corners = self.detection.corners.iter();
-        BoardView {
-            name: self.frame.display_name(),
-            correspondences: corners
-                .map(|corner| {
-                    correspondence(
-                        board.corner_in_board(corner.index.col, corner.index.row),
-                        corner,
-                    )
-                })
-                .collect(),
-        }
+        let correspondences = corners.filter_map(|corner| {
+            Some(Correspondence {
+                point_in_board: target.corner_at(corner.index.col, corner.index.row)?,
+                pixel: corner.pixel,
+                std_px: corner.std_px,
+            })
+        });
+        BoardView { name: self.frame.display_name(), correspondences: correspondences.collect() }
     }
 }

@@ -1,24 +1,21 @@
 //! `plumb calibrate`: from pictures or a recording to a calibration.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
 
 use crate::calibration::solve::solve_views;
 use crate::cli::calibrate_rgbd;
-use crate::cli::calibrate_target::gather_target;
 use crate::cli::calibration_output::{OutputArgs, finished, named};
 use crate::cli::choose::{ChooseArgs, Pictures};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::gather;
-use crate::cli::length::Length;
 use crate::cli::lens_name::LensName;
 use crate::cli::rig::{self, NamedSource, named_source};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::is_recording;
-use crate::cli::target_search::read_target;
+use crate::cli::target_args::TargetArgs;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
-use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::target::Target;
 
 /// Calibrates a camera from pictures of a chessboard, or from a recording.
@@ -26,17 +23,8 @@ use crate::geometry::target::Target;
 pub struct Args {
     #[command(flatten)]
     search: SearchArgs,
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
-    /// along a column.
-    #[arg(long, required_unless_present = "target")]
-    board: Option<BoardSize>,
-    /// The side of one square, with its unit, as in 25mm.
-    #[arg(long, required_unless_present = "target")]
-    square: Option<Length>,
-    /// The target in FILE, in place of --board and --square: a chessboard, a ChArUco board or an
-    /// AprilGrid as JSON or TOML, or Kalibr's YAML.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["board", "square"])]
-    target: Option<PathBuf>,
+    #[command(flatten)]
+    target: TargetArgs,
     /// The lens model to fit.
     #[arg(long, default_value = "auto")]
     lens: LensName,
@@ -60,16 +48,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
     args.estimated.add_to(&mut options);
-    let target = match (args.board, args.square, &args.target) {
-        (Some(board), Some(square), _) => {
-            Chessboard::new(board, square.meters).map_err(Failure::usage)?
-        }
-        (_, _, Some(file)) => match read_target(file)? {
-            Target::Chessboard(board) => board,
-            target => return calibrate_with_markers(args, &target, &options),
-        },
-        _ => return Err(Failure::usage("give --board and --square, or --target")),
-    };
+    let target = args.target.read()?;
     if !args.rig.is_empty() {
         args.choose.refuse("those of a rig")?;
         if !args.search.sources.is_empty() {
@@ -93,22 +72,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;
         return args.output.give(&calibration, Some(elapsed_ms));
     }
-    let gathered = gather(&args.search, target)?.finish()?;
-    solve(args, Some(target), gathered, &options)
-}
-
-fn calibrate_with_markers(
-    args: &Args,
-    target: &Target,
-    options: &CameraOptions,
-) -> Result<(), Failure> {
-    solve(args, None, gather_target(&args.search, target)?, options)
+    let gathered = gather(&args.search, target)?;
+    let target = gathered.target_as_seen();
+    solve(args, target, gathered.finish()?, &options)
 }
 
 /// Solves the problem and gives the calibration; pictures that are no views keep their places.
 fn solve(
     args: &Args,
-    target: Option<Chessboard>,
+    target: Target,
     pictures: Pictures,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
@@ -122,7 +94,7 @@ fn solve(
     for (place, view) in others {
         solved.sensor.views.insert(place.min(solved.sensor.views.len()), view);
     }
-    let calibration = finished(target, solved);
+    let calibration = finished(Some(target), solved);
     args.output.give(&calibration, None)
 }
 

@@ -17,13 +17,13 @@ use crate::cli::calibration_output::finished;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
-use crate::detection::detector::Detector;
+use crate::detection::finder::TargetFinder;
 use crate::document::sensors_file::{FILE_NAME, SensorsFile};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{Correspondence, LensChoice};
-use crate::geometry::board::Chessboard;
 use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{FrameSet, SensorKind};
@@ -53,7 +53,7 @@ pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
 /// When it cannot be read, what its depth means is not said, or too little is seen.
 pub fn calibrate(
     (source, reading): (&str, &TopicArgs),
-    target: Chessboard,
+    target: Target,
     options: &CameraOptions,
     detect: DetectOptions,
 ) -> Result<(Calibration, f64), Failure> {
@@ -89,7 +89,7 @@ pub fn calibrate(
 /// As [`calibrate`].
 pub fn views_of(
     (source, reading): (&str, &TopicArgs),
-    target: Chessboard,
+    target: Target,
     detect: DetectOptions,
     paths: &BTreeSet<String>,
 ) -> Result<(RgbdInput, Option<StereoInput>), Failure> {
@@ -132,9 +132,9 @@ fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
 
 struct Gathered<'a> {
     source: &'a str,
-    target: Chessboard,
+    target: Target,
     detect: DetectOptions,
-    detector: Detector,
+    finder: TargetFinder,
     image: GrayImage,
     color_size: Option<ImageSize>,
     depth_size: Option<ImageSize>,
@@ -148,12 +148,12 @@ struct Gathered<'a> {
 }
 
 impl<'a> Gathered<'a> {
-    fn new(source: &'a str, target: Chessboard, detect: DetectOptions) -> Self {
+    fn new(source: &'a str, target: Target, detect: DetectOptions) -> Self {
         Self {
             source,
             target,
             detect,
-            detector: Detector::new(target.size),
+            finder: TargetFinder::new(&target),
             image: GrayImage::default(),
             color_size: None,
             depth_size: None,
@@ -215,7 +215,7 @@ impl<'a> Gathered<'a> {
         let Some(frame) = set.frame(sensor) else { return Ok(None) };
         luma(frame, &mut self.image)
             .map_err(|error| Failure::failed(format!("{path}: {}: {error}", sensor.name())))?;
-        let seen = self.detector.find_board(self.image.view(), &self.detect);
+        let seen = self.finder.find(self.image.view(), &self.detect);
         if let (Err(no_board), None) = (&seen, &self.first_reason) {
             self.first_reason = Some(format!("{path}: {}: {no_board}", sensor.name()));
         }
@@ -308,9 +308,9 @@ impl<'a> Gathered<'a> {
                 Ok(RgbdInput { board: self.target, color_size, depth, captures: self.captures })
             }
             Some(_) => Err(Failure::failed(format!(
-                "{}: no {} board was seen in any of {} frames; the first: {}",
+                "{}: no {} was seen in any of {} frames; the first: {}",
                 self.source,
-                self.target.size,
+                self.target,
                 self.looked,
                 self.first_reason.unwrap_or_default()
             ))),

@@ -11,8 +11,8 @@ use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
 use crate::export::{ExportOptions, Format, export};
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
+use crate::geometry::target::Target;
 
 /// Where a calibration goes.
 #[derive(Debug, clap::Args)]
@@ -78,7 +78,7 @@ impl OutputArgs {
 }
 
 /// The calibration that `solved` amounts to, made now.
-pub fn finished(target: Option<Chessboard>, solved: SolvedCamera) -> Calibration {
+pub fn finished(target: Option<Target>, solved: SolvedCamera) -> Calibration {
     named(solved.into_calibration(target))
 }
 

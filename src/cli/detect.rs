@@ -7,10 +7,8 @@ use crate::cli::detect_args::{Unread, paths};
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::search::{Looked, searcher};
 use crate::cli::sources::FrameSets;
-use crate::cli::target_search::read_target;
-use crate::cli::{Failure, detect_target, output};
-use crate::detection::board_detection::DetectOptions;
-use crate::geometry::board::BoardSize;
+use crate::cli::{Failure, output};
+use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection, GridIndex};
 use crate::geometry::target::Target;
 
 /// What the command prints for an image.
@@ -31,55 +29,66 @@ struct ImageLine {
     position_known: bool,
     reason: Option<String>,
     elapsed_ms: f64,
+    /// Of a board with markers.
+    #[serde(flatten)]
+    coded: Option<CodedLine>,
 }
+
+/// What a board with markers adds.
+#[derive(Debug, Serialize)]
+struct CodedLine {
+    kind: &'static str,
+    ids: Vec<u32>,
+    std_px: Vec<f64>,
+    /// Markers that were read.
+    markers: usize,
+    /// Of a ChArUco board with an even number of rows: whether its layout is the legacy one.
+    legacy: Option<bool>,
+    /// Of an AprilGrid: the cells of black around a tag's payload.
+    border_bits: Option<u32>,
+    inverted: bool,
+}
+
+/// The side of a square, which has no influence on where a board is.
+const ANY_SQUARE_M: f64 = 0.025;
 
 /// Runs the command.
 ///
 /// # Errors
 /// When images could not be read, after all others have been searched.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    match (args.board, &args.target) {
-        (Some(board), _) => detect_boards(args, board),
-        (None, Some(file)) => match read_target(file)? {
-            Target::Chessboard(board) => detect_boards(args, board.size),
-            target => detect_target::run(args, target),
-        },
-        (None, None) => Err(Failure::usage("give --board or --target")),
-    }
-}
-
-fn detect_boards(args: &Args, board: BoardSize) -> Result<(), Failure> {
+    let target = args.target.read(ANY_SQUARE_M)?;
     let options = DetectOptions { allow_partial: args.allow_partial };
     let mut unread = Unread::default();
     in_order(
         FrameSets::new(paths(&args.paths)).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
-        || searcher(board, options, args.repeat),
+        || searcher(&target, options, args.repeat),
         |looked| {
             let line = match looked {
-                Ok(looked) => ImageLine::of(board, looked),
+                Ok(looked) => ImageLine::of(&target, looked),
                 Err(unreadable) => {
                     unread.count(&unreadable.reason);
                     ImageLine {
                         reason: Some(unreadable.reason),
-                        ..ImageLine::nothing(board, unreadable.path)
+                        ..ImageLine::nothing(&target, unreadable.path)
                     }
                 }
             };
-            print(args, board, &line)
+            print(args, &target, &line)
         },
     )?;
     unread.into_result()
 }
 
 impl ImageLine {
-    fn of(board: BoardSize, looked: Looked) -> Self {
+    fn of(target: &Target, looked: Looked) -> Self {
         let size = looked.frame.image_size;
         let nothing = Self {
             width: Some(size.width),
             height: Some(size.height),
             elapsed_ms: looked.elapsed_ms,
-            ..Self::nothing(board, looked.path)
+            ..Self::nothing(target, looked.path)
         };
         match looked.answer {
             Err(no_board) => Self { reason: Some(no_board.to_string()), ..nothing },
@@ -98,31 +107,63 @@ impl ImageLine {
                     .collect(),
                 orientation_ambiguous: detection.orientation_ambiguous,
                 position_known: detection.position_known,
+                coded: CodedLine::of(target, &detection),
                 ..nothing
             },
         }
     }
 
-    fn nothing(board: BoardSize, path: String) -> Self {
+    fn nothing(target: &Target, path: String) -> Self {
+        let size = target.lattice();
         Self {
             path,
             width: None,
             height: None,
             found: false,
             partial: false,
-            cols: board.cols,
-            rows: board.rows,
+            cols: size.cols,
+            rows: size.rows,
             corners: Vec::new(),
             indices: Vec::new(),
-            orientation_ambiguous: board.orientation_ambiguous(),
+            orientation_ambiguous: target.orientation_ambiguous(),
             position_known: false,
             reason: None,
             elapsed_ms: 0.0,
+            coded: None,
         }
     }
 }
 
-fn print(args: &Args, board: BoardSize, line: &ImageLine) -> Result<(), Failure> {
+impl CodedLine {
+    fn of(target: &Target, detection: &Detection) -> Option<Self> {
+        let BoardMarkers { read, legacy, border_bits, inverted } = detection.markers?;
+        let corners = || detection.corners.iter();
+        let id = |GridIndex { col, row }: GridIndex| target.corner_id(col as u32, row as u32);
+        Some(Self {
+            kind: target.kind(),
+            ids: corners().map(|corner| id(corner.index)).collect(),
+            std_px: corners().map(|corner| corner.std_px).collect(),
+            markers: read,
+            legacy,
+            border_bits,
+            inverted,
+        })
+    }
+
+    /// What a person wants to know of it.
+    fn notes(&self) -> String {
+        let mut notes = format!(" by {} markers", self.markers);
+        if self.legacy == Some(true) {
+            notes.push_str(", legacy layout");
+        }
+        if self.inverted {
+            notes.push_str(", black and white exchanged");
+        }
+        notes
+    }
+}
+
+fn print(args: &Args, target: &Target, line: &ImageLine) -> Result<(), Failure> {
     if args.json {
         return output::print_json(line);
     }
@@ -133,7 +174,11 @@ fn print(args: &Args, board: BoardSize, line: &ImageLine) -> Result<(), Failure>
         Some(reason) if line.width.is_none() => reason.clone(),
         Some(reason) => format!("{path}: no board: {reason}"),
         None => {
-            format!("{path}: {part} {board} board, {} corners, {elapsed_ms:.2} ms", corners.len())
+            let (name, notes) = match &line.coded {
+                Some(coded) => (target.to_string(), coded.notes()),
+                None => (format!("{} board", target.lattice()), String::new()),
+            };
+            format!("{path}: {part} {name}, {} corners{notes}, {elapsed_ms:.2} ms", corners.len())
         }
     })
 }

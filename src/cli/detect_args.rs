@@ -1,23 +1,16 @@
 //! What `plumb detect` is asked, whatever the target.
 
 use std::io::{self, BufRead};
-use std::path::PathBuf;
 
 use crate::cli::Failure;
 use crate::cli::sources::TopicArgs;
-use crate::geometry::board::BoardSize;
+use crate::cli::target_args::ShapeArgs;
 
 /// Finds a chessboard in each image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
-    /// along a column.
-    #[arg(long, required_unless_present = "target")]
-    pub(super) board: Option<BoardSize>,
-    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
-    /// JSON or TOML, or Kalibr's YAML.
-    #[arg(long, value_name = "FILE", conflicts_with = "board")]
-    pub(super) target: Option<PathBuf>,
+    #[command(flatten)]
+    pub(super) target: ShapeArgs,
     /// Print a line of JSON for each image, in the order given.
     #[arg(long)]
     pub(super) json: bool,

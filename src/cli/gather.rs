@@ -11,16 +11,20 @@ use crate::cli::search::{Looked, searcher};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::{Failure, progress};
+use crate::detection::board_detection::{BoardMarkers, Detection};
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
-use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
+
+/// Fewer corners do not determine a board's pose and say anything about the lens.
+const LEAST_CORNERS: usize = 6;
 
 /// What the pictures amount to. A picture that was chosen by hand (a file, one of a folder) is a
 /// view if the board is seen in it; frames of a recording go through a session, which keeps the
 /// sharp, still and different ones, as it would live.
 #[derive(Debug)]
 pub struct Gathered {
-    target: Chessboard,
+    target: Target,
     /// The first picture's name and size.
     size: Option<(String, ImageSize)>,
     /// Every picture in order: a view, or why it is none. Frames of a recording that its session
@@ -29,11 +33,13 @@ pub struct Gathered {
     session: Option<(String, Session)>,
     looked: usize,
     first_reason: Option<String>,
+    /// Of the first picture that shows the target.
+    markers: Option<BoardMarkers>,
 }
 
 impl Gathered {
     /// Nothing yet.
-    pub fn new(target: Chessboard) -> Self {
+    pub fn new(target: Target) -> Self {
         Self {
             target,
             size: None,
@@ -41,6 +47,7 @@ impl Gathered {
             session: None,
             looked: 0,
             first_reason: None,
+            markers: None,
         }
     }
 
@@ -53,6 +60,8 @@ impl Gathered {
         match looked {
             Ok(looked) => {
                 self.check_size(&looked)?;
+                let seen = looked.answer.as_ref().ok();
+                self.markers = self.markers.or(seen.and_then(|seen| seen.markers));
                 self.note_reason(
                     looked
                         .answer
@@ -92,10 +101,15 @@ impl Gathered {
             }
             _ if self.looked == 1 => Err(Failure::failed(first)),
             _ => Err(Failure::failed(format!(
-                "no {} board was seen in any of {} pictures; the first: {first}",
-                self.target.size, self.looked
+                "no {} was seen in any of {} pictures; the first: {first}",
+                self.target, self.looked
             ))),
         }
+    }
+
+    /// The target, with what its markers say of how it is printed.
+    pub fn target_as_seen(&self) -> Target {
+        self.markers.map_or(self.target, |markers| markers.as_printed(&self.target))
     }
 
     fn check_size(&mut self, looked: &Looked) -> Result<(), Failure> {
@@ -120,6 +134,9 @@ impl Gathered {
         self.end_recording();
         let name = looked.path;
         self.pictures.push(match looked.answer {
+            Ok(Detection { corners, .. }) if corners.len() < LEAST_CORNERS => {
+                Err((name, format!("only {} corners are seen", corners.len())))
+            }
             Ok(detection) => {
                 let view = View { number: 0, frame: looked.frame, detection };
                 Ok(BoardView { name, ..view.to_board_view(&self.target) })
@@ -156,7 +173,7 @@ impl Gathered {
 ///
 /// # Errors
 /// When a source is not there, or pictures differ in size.
-pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure> {
+pub fn gather(args: &SearchArgs, target: Target) -> Result<Gathered, Failure> {
     args.check_sources()?;
     let options = args.detect_options();
     let mut gathered = Gathered::new(target);
@@ -164,7 +181,7 @@ pub fn gather(args: &SearchArgs, target: Chessboard) -> Result<Gathered, Failure
     in_order(
         FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.thread_count(),
-        || searcher(target.size, options, 1),
+        || searcher(&target, options, 1),
         |looked| {
             spinner.inc(1);
             gathered.add(looked)

@@ -9,13 +9,13 @@ use crate::calibration::sensor::SensorId;
 use crate::calibration::view::{FrameFacts, View};
 use crate::cli::Failure;
 use crate::detection::board_detection::DetectOptions;
-use crate::detection::detector::Detector;
+use crate::detection::finder::TargetFinder;
 use crate::estimation::board_pose::board_poses;
-use crate::geometry::board::Chessboard;
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::error_picture::draw_errors;
@@ -25,13 +25,13 @@ use crate::imaging::gray::GrayImage;
 
 /// Measures depth by the board in color's pictures.
 pub struct PlaneErrors {
-    board: Chessboard,
+    board: Target,
     color: Lens,
     color_size: ImageSize,
     color_from_depth: Pose,
     depth: DepthCamera,
     invalid: Option<u16>,
-    detector: Detector,
+    finder: TargetFinder,
     image: GrayImage,
 }
 
@@ -78,7 +78,7 @@ impl PlaneErrors {
             color_from_depth: color_from_depth.target_from_source,
             depth: depth.camera.clone(),
             invalid: depth.invalid,
-            detector: Detector::new(board.size),
+            finder: TargetFinder::new(&board),
             image: GrayImage::default(),
         })
     }
@@ -101,8 +101,7 @@ impl PlaneErrors {
                 "its color picture is {image_size}, the calibration is of {expected}; record at that size"
             ));
         }
-        let Ok(detection) = self.detector.find_board(self.image.view(), &DetectOptions::default())
-        else {
+        let Ok(detection) = self.finder.find(self.image.view(), &DetectOptions::default()) else {
             return Ok(None);
         };
         let frame = FrameFacts {

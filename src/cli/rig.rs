@@ -22,8 +22,8 @@ use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, LensChoice};
-use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::Lens;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// Frames of two recordings nearer in time than this were taken together, in nanoseconds: half of
@@ -56,7 +56,7 @@ pub fn named_source(text: &str) -> Result<NamedSource, String> {
 pub fn calibrate(
     cameras: &[NamedSource],
     search: &SearchArgs,
-    target: Chessboard,
+    target: Target,
     (options, given): (&CameraOptions, &[GivenLens]),
 ) -> Result<Calibration, Failure> {
     let names: BTreeSet<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -71,7 +71,7 @@ pub fn calibrate(
             unknown.camera
         )));
     }
-    let searched = cameras.iter().map(|camera| searched(camera, search, target.size));
+    let searched = cameras.iter().map(|camera| searched(camera, search, &target));
     let searched: Vec<Vec<Looked>> = searched.collect::<Result<_, _>>()?;
     let frame_sets = frame_sets(cameras, &searched)?;
     let kept = kept(cameras, &searched, &frame_sets, target)?;
@@ -91,7 +91,7 @@ pub fn calibrate(
 fn searched(
     camera: &NamedSource,
     search: &SearchArgs,
-    board: BoardSize,
+    target: &Target,
 ) -> Result<Vec<Looked>, Failure> {
     let mut all = Vec::new();
     let spinner = progress::spinner("searching pictures");
@@ -99,7 +99,7 @@ fn searched(
     in_order(
         FrameSets::new(source).reading(&search.reading),
         search.thread_count(),
-        || searcher(board, search.detect_options(), 1),
+        || searcher(target, search.detect_options(), 1),
         |looked| {
             spinner.inc(1);
             let looked = looked.map_err(|unreadable| {
@@ -192,7 +192,7 @@ fn kept(
     cameras: &[NamedSource],
     searched: &[Vec<Looked>],
     frame_sets: &[FrameSetOf],
-    target: Chessboard,
+    target: Target,
 ) -> Result<Vec<Vec<(usize, usize)>>, Failure> {
     let mut kept: Vec<Vec<(usize, usize)>> = vec![Vec::new(); cameras.len()];
     let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
@@ -223,20 +223,16 @@ fn kept(
     let without = kept.iter().position(Vec::is_empty);
     match without {
         Some(camera) => Err(Failure::failed(format!(
-            "camera `{}`: no {} board was seen in any of {} frames",
+            "camera `{}`: no {} was seen in any of {} frames",
             cameras[camera].name,
-            target.size,
+            target,
             searched[camera].len()
         ))),
         None => Ok(kept),
     }
 }
 
-fn views(
-    searched: &[Looked],
-    kept: &[(usize, usize)],
-    target: &Chessboard,
-) -> Vec<(usize, BoardView)> {
+fn views(searched: &[Looked], kept: &[(usize, usize)], target: &Target) -> Vec<(usize, BoardView)> {
     let view = |(frame_set, index): &(usize, usize)| {
         let looked = &searched[*index];
         let detection = looked.answer.as_ref().ok()?.clone();
@@ -249,7 +245,7 @@ fn views(
 
 fn observations(
     camera: &NamedSource,
-    (search, target): (&SearchArgs, Chessboard),
+    (search, target): (&SearchArgs, Target),
     (searched, views): (&[Looked], Vec<(usize, BoardView)>),
     given: &[GivenLens],
 ) -> Result<CameraObservations, Failure> {

@@ -5,9 +5,9 @@ use std::time::Instant;
 use crate::calibration::view::FrameFacts;
 use crate::cli::sources::{SourcedFrames, Unreadable};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
-use crate::detection::detector::Detector;
-use crate::geometry::board::BoardSize;
+use crate::detection::finder::TargetFinder;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
@@ -27,14 +27,14 @@ pub struct Looked {
     pub elapsed_ms: f64,
 }
 
-/// A function that looks for `board` in the picture of a frame set, `repeat` times over. It keeps
+/// A function that searches for `target` in the picture of a frame set, `repeat` times over. It keeps
 /// its buffers.
 pub fn searcher(
-    board: BoardSize,
+    target: &Target,
     options: DetectOptions,
     repeat: u32,
 ) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<Looked, Unreadable> {
-    let (mut detector, mut image) = (Detector::new(board), GrayImage::default());
+    let (mut finder, mut image) = (TargetFinder::new(target), GrayImage::default());
     move |frames| {
         let frames = frames?;
         let path = frames.path();
@@ -45,7 +45,7 @@ pub fn searcher(
         let frame = frame_facts(&frames, image.size());
         let mut search = || {
             let started = Instant::now();
-            let answer = detector.find_board(image.view(), &options);
+            let answer = finder.find(image.view(), &options);
             (answer, started.elapsed().as_secs_f64() * 1000.0)
         };
         let (answer, mut elapsed_ms) = search();

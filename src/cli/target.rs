@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use crate::cli::files::write_file;
-use crate::cli::target_search::read_target;
+use crate::cli::target_args::read_target;
 use crate::cli::target_sheet::PaperSheet;
 use crate::cli::{Failure, output};
 use crate::document::target_file::target_to_json;

@@ -12,11 +12,12 @@ use crate::calibration::result::ImageCalibration;
 use crate::cli::files::read_calibration;
 use crate::cli::gather::gather;
 use crate::cli::search_args::SearchArgs;
+use crate::cli::target_args::ShapeArgs;
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::Lens;
+use crate::geometry::target::Target;
 
 /// A change of this many of the calibration's own standard deviations is one.
 const LIMIT_SIGMAS: f64 = 3.0;
@@ -34,10 +35,8 @@ pub struct Args {
     calibration: PathBuf,
     #[command(flatten)]
     search: SearchArgs,
-    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
-    /// along a column.
-    #[arg(long)]
-    board: BoardSize,
+    #[command(flatten)]
+    target: ShapeArgs,
     /// Print the answer as one JSON document
     #[arg(long)]
     json: bool,
@@ -69,8 +68,11 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let sensor = calibration
         .guide()
         .ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
-    let square_m = calibration.target.map_or(ANY_SQUARE_M, |target| target.square_m);
-    let target = Chessboard::new(args.board, square_m).map_err(Failure::usage)?;
+    let square_m = match calibration.target {
+        Some(Target::Chessboard(board)) => board.square_m,
+        _ => ANY_SQUARE_M,
+    };
+    let target = args.target.read(square_m)?;
     let (problem, _) = gather(&args.search, target)?.finish()?;
     if problem.image_size != sensor.image_size {
         return Err(Failure::failed(format!(

@@ -1,7 +1,9 @@
 //! The detector's result: [`Detection`] or [`NoBoard`].
 
+use crate::detection::coded::no_target::NoTarget;
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
+use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
 
 /// A corner's place in the board's grid: `col` along a row, `row` down the columns, the first inner
 /// corner at (0, 0).
@@ -43,6 +45,37 @@ pub struct Detection {
     pub orientation_ambiguous: bool,
     /// Width of the blur at the board's edges, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
+    /// What the board's markers say; `None` of a plain chessboard.
+    pub markers: Option<BoardMarkers>,
+}
+
+/// What the markers of a board say besides which corner is which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BoardMarkers {
+    /// Markers whose code was read and agrees.
+    pub read: usize,
+    /// Of a ChArUco board: it has the layout of OpenCV before 4.6; `None` where the two are one.
+    pub legacy: Option<bool>,
+    /// Of an AprilGrid: the cells of black around a tag's payload.
+    pub border_bits: Option<u32>,
+    /// Black and white change places.
+    pub inverted: bool,
+}
+
+impl BoardMarkers {
+    /// `target` with what they say of how it is printed.
+    pub fn as_printed(&self, target: &Target) -> Target {
+        match *target {
+            Target::Chessboard(_) => *target,
+            Target::Charuco(board) => {
+                Target::Charuco(CharucoBoard { legacy: self.legacy.or(board.legacy), ..board })
+            }
+            Target::AprilGrid(grid) => {
+                let border_bits = self.border_bits.or(grid.border_bits);
+                Target::AprilGrid(AprilGrid { border_bits, ..grid })
+            }
+        }
+    }
 }
 
 /// Why no board is reported.
@@ -101,6 +134,9 @@ pub enum NoBoard {
         /// The board searched for.
         board: BoardSize,
     },
+    /// No board with markers, or not this one.
+    #[error(transparent)]
+    Target(#[from] NoTarget),
     /// Part of the board, because the rest is beyond the image's border.
     #[error("cut off: the picture's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
     CutOff {
@@ -121,7 +157,7 @@ pub enum NoBoard {
 
 impl NoBoard {
     /// Every name that [`Self::kind`] gives.
-    pub const KINDS: [&'static str; 8] = [
+    pub const KINDS: [&'static str; 11] = [
         "image_too_small",
         "low_contrast",
         "blurred",
@@ -130,6 +166,9 @@ impl NoBoard {
         "other_size",
         "cut_off",
         "incomplete",
+        "no_lattice",
+        "no_markers",
+        "other_board",
     ];
 
     /// A short stable name for counters and events.
@@ -141,6 +180,7 @@ impl NoBoard {
             Self::NoCorners => "no_corners",
             Self::NoGrid { .. } => "no_grid",
             Self::OtherSize { .. } => "other_size",
+            Self::Target(reason) => reason.kind(),
             Self::CutOff { .. } => "cut_off",
             Self::Incomplete { .. } => "incomplete",
         }

@@ -9,6 +9,7 @@ pub mod board_detection;
 pub mod coded;
 pub mod depth;
 pub mod detector;
+pub mod finder;
 mod grid;
 mod measure;
 mod reasons;

@@ -82,6 +82,7 @@ pub(in crate::detection) fn detection(
         board,
         partial: corners.len() < board.corner_count(),
         position_known: placement.known,
+        markers: None,
         orientation_ambiguous: board.orientation_ambiguous(),
         blur_px: upper_median(blurs),
         corners,

@@ -11,8 +11,8 @@ use crate::document::sensors::SensorsDocument;
 use crate::document::target::TargetDocument;
 use crate::document::time;
 use crate::document::verdict::{ChecksDocument, VerdictDocument};
-use crate::geometry::board::Chessboard;
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A finished calibration of one camera, or of a rig of cameras.
@@ -127,7 +127,8 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             created_at_ns: time::utc_ns(document.created_at),
             target: document
                 .target
-                .map(Chessboard::try_from)
+                .as_ref()
+                .map(Target::try_from)
                 .transpose()
                 .map_err(|e| e.inside("target"))?,
             sensors,
@@ -218,9 +219,9 @@ pub(crate) mod tests {
     use crate::document::image_sensor::SensorDocument;
     use crate::document::reading::{from_json, to_json, to_json_pretty};
     use crate::document::sensors::AnySensorDocument;
-    use crate::geometry::board::BoardSize;
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::ImageSize;
+    use crate::geometry::target::chessboard;
 
     /// A calibration with every field filled in.
     pub(crate) fn example() -> Calibration {
@@ -258,7 +259,7 @@ pub(crate) mod tests {
             camera: Some("front".into()),
             session: None,
             created_at_ns: 1_770_000_000_123_456_789,
-            target: Some(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()),
+            target: Some(chessboard(9, 6, 0.03).unwrap()),
             sensors: vec![CalibratedSensor::image(SensorId::own(SensorKind::Color), sensor)],
             extrinsics: vec![Extrinsics {
                 target: SensorId::own(SensorKind::Color),

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex};
+use crate::detection::board_detection::{BoardMarkers, DetectedCorner, Detection, GridIndex};
 use crate::document::error::DocumentError;
 use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
@@ -28,6 +28,36 @@ pub struct DetectionDocument {
     pub corners: Vec<[f64; 2]>,
     /// Predicted standard deviation of each, per axis, in pixels.
     pub std_px: Vec<f64>,
+    /// What the board's markers say; of a plain chessboard left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub markers: Option<BoardMarkersDocument>,
+}
+
+/// What the markers of a board say besides which corner is which.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoardMarkersDocument {
+    /// Markers whose code was read.
+    pub read: usize,
+    /// Of a ChArUco board whose two layouts differ: it has the legacy one.
+    pub legacy: Option<bool>,
+    /// Of an AprilGrid: the cells of black around a tag's payload.
+    pub border_bits: Option<u32>,
+    /// Black and white change places.
+    pub inverted: bool,
+}
+
+impl From<BoardMarkers> for BoardMarkersDocument {
+    fn from(markers: BoardMarkers) -> Self {
+        let BoardMarkers { read, legacy, border_bits, inverted } = markers;
+        Self { read, legacy, border_bits, inverted }
+    }
+}
+
+impl From<BoardMarkersDocument> for BoardMarkers {
+    fn from(document: BoardMarkersDocument) -> Self {
+        let BoardMarkersDocument { read, legacy, border_bits, inverted } = document;
+        Self { read, legacy, border_bits, inverted }
+    }
 }
 
 impl From<&Detection> for DetectionDocument {
@@ -43,6 +73,7 @@ impl From<&Detection> for DetectionDocument {
             indices: corners().map(|corner| [corner.index.col, corner.index.row]).collect(),
             corners: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
             std_px: corners().map(|corner| corner.std_px).collect(),
+            markers: detection.markers.map(BoardMarkersDocument::from),
         }
     }
 }
@@ -50,7 +81,11 @@ impl From<&Detection> for DetectionDocument {
 impl TryFrom<&DetectionDocument> for Detection {
     type Error = DocumentError;
     fn try_from(document: &DetectionDocument) -> Result<Self, DocumentError> {
-        let board = BoardSize::new(document.cols, document.rows);
+        let board = match document.markers {
+            // One or two columns are enough where markers say which.
+            Some(_) => Ok(BoardSize { cols: document.cols, rows: document.rows }),
+            None => BoardSize::new(document.cols, document.rows),
+        };
         let count = document.corners.len();
         if document.indices.len() != count || document.std_px.len() != count {
             return Err(DocumentError::field(
@@ -69,6 +104,7 @@ impl TryFrom<&DetectionDocument> for Detection {
             position_known: document.position_known,
             orientation_ambiguous: document.orientation_ambiguous,
             blur_px: document.blur_px,
+            markers: document.markers.map(BoardMarkers::from),
         })
     }
 }
@@ -93,6 +129,7 @@ pub(crate) mod tests {
             position_known: true,
             orientation_ambiguous: false,
             blur_px: 2.0 / 3.0,
+            markers: None,
         }
     }
 

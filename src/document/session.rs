@@ -17,7 +17,7 @@ use crate::document::session_progress::{
 };
 use crate::document::target::TargetDocument;
 use crate::document::time;
-use crate::geometry::board::Chessboard;
+use crate::geometry::target::Target;
 
 /// What starts a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -47,7 +47,7 @@ impl TryFrom<&StartDocument> for SessionRequest {
     type Error = DocumentError;
     fn try_from(document: &StartDocument) -> Result<Self, DocumentError> {
         Ok(Self {
-            target: Chessboard::try_from(document.target).map_err(|e| e.inside("target"))?,
+            target: Target::try_from(&document.target).map_err(|e| e.inside("target"))?,
             lens: document.lens.into(),
             finish: document
                 .finish
@@ -222,7 +222,7 @@ impl SessionDocument {
     /// [`DocumentError::Field`] naming the field that cannot be.
     pub fn to_record(&self, collecting_s: f64) -> Result<SessionRecord, DocumentError> {
         let finish = Some(self.finish).filter(|finish| *finish != FinishDocument::default());
-        let start = StartDocument { target: self.target, lens: self.lens, finish };
+        let start = StartDocument { target: self.target.clone(), lens: self.lens, finish };
         let estimate = self.estimate.as_ref().map(RunningEstimate::try_from).transpose();
         Ok(SessionRecord {
             id: self.id.clone(),

@@ -1,55 +1,202 @@
-//! The board that is looked for.
+//! A calibration target, as the contract writes it.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
-use crate::geometry::board::{BoardError, BoardSize, Chessboard};
+use crate::geometry::board::{BoardError, Chessboard};
+use crate::geometry::dictionary::Dictionary;
+use crate::geometry::target::{AprilGrid, CharucoBoard, Target, TargetError, chessboard};
 
 /// What kind of target it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "lowercase")]
 pub enum TargetKind {
     /// A plain chessboard.
     Chessboard,
+    /// OpenCV's board of squares and markers.
+    Charuco,
+    /// Kalibr's grid of tags.
+    AprilGrid,
 }
 
-/// A calibration target. There is no default: count the inner corners and measure a square.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+/// A calibration target. There is no default: count its squares and measure one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TargetDocument {
     /// Its kind.
     pub kind: TargetKind,
-    /// Inner corners along a row, 3 to 100.
+    /// Of a chessboard inner corners along a row, of a ChArUco board squares, of an AprilGrid tags.
     pub cols: u32,
-    /// Rows of inner corners, 3 to 100.
+    /// Rows of them.
     pub rows: u32,
-    /// The side of one square, in meters.
-    pub square_m: f64,
+    /// The side of one square of a chessboard or a ChArUco board, in meters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub square_m: Option<f64>,
+    /// The side of a ChArUco board's marker with its black border, in meters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub marker_m: Option<f64>,
+    /// The dictionary of a ChArUco board's markers, by OpenCV's name: `DICT_4X4_50`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dictionary: Option<String>,
+    /// The first marker or tag, 0 unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub first_id: Option<u32>,
+    /// Whether a ChArUco board has the layout of OpenCV before 4.6; found if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub legacy: Option<bool>,
+    /// The side of an AprilGrid's tag with its black border, in meters.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tag_m: Option<f64>,
+    /// The gap between two tags as a part of a tag's side.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spacing: Option<f64>,
+    /// The family of an AprilGrid's tags, `tag36h11` unless given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub family: Option<String>,
+    /// Cells of black around a tag's payload, 1 or 2; found if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub border_bits: Option<u32>,
+}
+
+impl TargetDocument {
+    /// One of this kind and size of which nothing else is known.
+    pub(super) fn of_size(kind: TargetKind, cols: u32, rows: u32) -> Self {
+        Self {
+            kind,
+            cols,
+            rows,
+            square_m: None,
+            marker_m: None,
+            dictionary: None,
+            first_id: None,
+            legacy: None,
+            tag_m: None,
+            spacing: None,
+            family: None,
+            border_bits: None,
+        }
+    }
+
+    /// The field that this kind of target does not have, if one is given.
+    fn foreign_field(&self) -> Option<&'static str> {
+        use TargetKind::{AprilGrid, Charuco, Chessboard};
+        let fields = [
+            ("square_m", self.square_m.is_some(), &[Chessboard, Charuco] as &[TargetKind]),
+            ("marker_m", self.marker_m.is_some(), &[Charuco]),
+            ("dictionary", self.dictionary.is_some(), &[Charuco]),
+            ("first_id", self.first_id.is_some(), &[Charuco, AprilGrid]),
+            ("legacy", self.legacy.is_some(), &[Charuco]),
+            ("tag_m", self.tag_m.is_some(), &[AprilGrid]),
+            ("spacing", self.spacing.is_some(), &[AprilGrid]),
+            ("family", self.family.is_some(), &[AprilGrid]),
+            ("border_bits", self.border_bits.is_some(), &[AprilGrid]),
+        ];
+        let foreign =
+            |(_, given, kinds): &&(_, bool, &[TargetKind])| *given && !kinds.contains(&self.kind);
+        fields.iter().find(foreign).map(|(name, ..)| *name)
+    }
+}
+
+impl From<Target> for TargetDocument {
+    fn from(target: Target) -> Self {
+        match target {
+            Target::Chessboard(Chessboard { size, square_m }) => Self {
+                square_m: Some(square_m),
+                ..Self::of_size(TargetKind::Chessboard, size.cols, size.rows)
+            },
+            Target::Charuco(board) => Self {
+                square_m: Some(board.square_m),
+                marker_m: Some(board.marker_m),
+                dictionary: Some(board.dictionary.name().to_owned()),
+                first_id: Some(board.first_id),
+                legacy: board.legacy,
+                ..Self::of_size(TargetKind::Charuco, board.cols, board.rows)
+            },
+            Target::AprilGrid(grid) => Self {
+                tag_m: Some(grid.tag_m),
+                spacing: Some(grid.spacing),
+                family: Some(grid.family.family().unwrap_or(grid.family.name()).to_owned()),
+                first_id: Some(grid.first_id),
+                border_bits: grid.border_bits,
+                ..Self::of_size(TargetKind::AprilGrid, grid.cols, grid.rows)
+            },
+        }
+    }
 }
 
 impl From<Chessboard> for TargetDocument {
     fn from(board: Chessboard) -> Self {
-        let Chessboard { size, square_m } = board;
-        Self { kind: TargetKind::Chessboard, cols: size.cols, rows: size.rows, square_m }
+        Target::from(board).into()
     }
 }
 
-impl TryFrom<TargetDocument> for Chessboard {
+impl TryFrom<&TargetDocument> for Target {
     type Error = DocumentError;
-    fn try_from(document: TargetDocument) -> Result<Self, DocumentError> {
-        let TargetDocument { kind: TargetKind::Chessboard, cols, rows, square_m } = document;
-        let named = |error: BoardError| {
-            let field = match error {
-                BoardError::Size { cols, .. } if !(3..=100).contains(&cols) => "cols",
-                BoardError::Size { .. } | BoardError::Malformed { .. } => "rows",
-                BoardError::Square { .. } => "square_m",
-            };
-            DocumentError::field(field, error.to_string())
+    fn try_from(document: &TargetDocument) -> Result<Self, DocumentError> {
+        if let Some(field) = document.foreign_field() {
+            let problem = "is not of this kind of target; leave it out";
+            return Err(DocumentError::field(field, problem));
+        }
+        let TargetDocument { kind, cols, rows, .. } = *document;
+        let first_id = document.first_id.unwrap_or(0);
+        let dictionary =
+            |name: &str| Dictionary::named(name).map_err(|error| in_field(&error.into()));
+        let checked = match kind {
+            TargetKind::Chessboard => {
+                return chessboard(cols, rows, needed("square_m", document.square_m)?)
+                    .map_err(|error| in_field(&error));
+            }
+            TargetKind::Charuco => {
+                let board = CharucoBoard {
+                    cols,
+                    rows,
+                    square_m: needed("square_m", document.square_m)?,
+                    marker_m: needed("marker_m", document.marker_m)?,
+                    dictionary: dictionary(needed("dictionary", document.dictionary.as_deref())?)?,
+                    first_id,
+                    legacy: document.legacy,
+                };
+                board.check().map(|()| Self::Charuco(board))
+            }
+            TargetKind::AprilGrid => {
+                let grid = AprilGrid {
+                    cols,
+                    rows,
+                    tag_m: needed("tag_m", document.tag_m)?,
+                    spacing: needed("spacing", document.spacing)?,
+                    family: dictionary(document.family.as_deref().unwrap_or("tag36h11"))?,
+                    border_bits: document.border_bits,
+                    first_id,
+                };
+                grid.check().map(|()| Self::AprilGrid(grid))
+            }
         };
-        let size = BoardSize::new(cols, rows).map_err(named)?;
-        Self::new(size, square_m).map_err(named)
+        checked.map_err(|error| in_field(&error))
     }
+}
+
+fn needed<T>(name: &str, value: Option<T>) -> Result<T, DocumentError> {
+    value.ok_or_else(|| DocumentError::field(name, "is missing"))
+}
+
+/// The error with the field that it is about.
+fn in_field(error: &TargetError) -> DocumentError {
+    let field = match error {
+        TargetError::Chessboard(BoardError::Size { cols, .. }) if (3..=100).contains(cols) => {
+            "rows"
+        }
+        TargetError::Chessboard(BoardError::Square(_)) => "square_m",
+        TargetError::Chessboard(_) | TargetError::Size { .. } => "cols",
+        TargetError::Dictionary(unknown) if unknown.name.starts_with("tag") => "family",
+        TargetError::Dictionary(_) => "dictionary",
+        TargetError::Length { field, .. } => field,
+        TargetError::Marker { .. } => "marker_m",
+        TargetError::Spacing { .. } => "spacing",
+        TargetError::Ids { .. } => "first_id",
+        TargetError::Border { .. } => "border_bits",
+    };
+    DocumentError::field(field, error.to_string())
 }
 
 #[cfg(test)]
@@ -64,8 +211,21 @@ mod tests {
             (9, 6, 0.0, "square_m"),
             (9, 101, 0.03, "rows"),
         ] {
-            let document = TargetDocument { kind: TargetKind::Chessboard, cols, rows, square_m };
-            assert_eq!(Chessboard::try_from(document).unwrap_err().path(), Some(field));
+            let document = TargetDocument {
+                square_m: Some(square_m),
+                ..TargetDocument::of_size(TargetKind::Chessboard, cols, rows)
+            };
+            assert_eq!(Target::try_from(&document).unwrap_err().path(), Some(field));
         }
+    }
+
+    #[test]
+    fn a_field_of_another_kind_is_refused() {
+        let document = TargetDocument {
+            square_m: Some(0.03),
+            tag_m: Some(0.03),
+            ..TargetDocument::of_size(TargetKind::Chessboard, 9, 6)
+        };
+        assert_eq!(Target::try_from(&document).unwrap_err().path(), Some("tag_m"));
     }
 }

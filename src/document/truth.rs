@@ -110,7 +110,7 @@ impl TruthDocument {
 mod tests {
     use super::*;
     use crate::document::pose::RotationDocument;
-    use crate::document::target::TargetKind;
+    use crate::geometry::target::chessboard;
 
     #[test]
     fn a_truth_survives_its_record_to_the_bit() {
@@ -118,12 +118,7 @@ mod tests {
         let pose = PoseDocument { rotation, translation: [1.0 / 3.0, -0.1, 0.7] };
         let truth = TruthDocument {
             seed: u64::MAX,
-            target: TargetDocument {
-                kind: TargetKind::Chessboard,
-                cols: 9,
-                rows: 6,
-                square_m: 0.1 / 3.0,
-            },
+            target: chessboard(9, 6, 0.1 / 3.0).unwrap().into(),
             sensors: BTreeMap::new(),
             extrinsics: Vec::new(),
             frames: vec![TrueFrameDocument {

@@ -4,7 +4,9 @@ use crate::calibration::result::Calibration;
 use crate::export::number::{decimal, list};
 use crate::export::sensors::{Sensor, without_skew};
 use crate::export::{ExportError, Format};
+use crate::geometry::board::Chessboard;
 use crate::geometry::lens::LensModel;
+use crate::geometry::target::Target;
 
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:
 /// the coefficients are those of `cv::fisheye`), for `cv::projectPoints`, `cv::undistort` and their
@@ -25,9 +27,9 @@ pub(super) fn file_storage(
         "image_width: {}\nimage_height: {}\n",
         sensor.image_size.width, sensor.image_size.height
     );
-    if let Some(target) = &calibration.target {
-        text += &format!("board_width: {}\nboard_height: {}\n", target.size.cols, target.size.rows);
-        text += &format!("square_size: {}\n", decimal(target.square_m));
+    if let Some(Target::Chessboard(Chessboard { size, square_m })) = &calibration.target {
+        text += &format!("board_width: {}\nboard_height: {}\n", size.cols, size.rows);
+        text += &format!("square_size: {}\n", decimal(*square_m));
     }
     text += &format!("fisheye_model: {}\n", i32::from(lens.model() == LensModel::KannalaBrandt));
     text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);

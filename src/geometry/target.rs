@@ -6,6 +6,7 @@ use nalgebra::Point3;
 use crate::geometry::board::{BoardError, BoardSize, Chessboard};
 use crate::geometry::dictionary::{Dictionary, UnknownDictionary};
 use crate::geometry::physical::SQUARE_M;
+use crate::geometry::pose::Pose;
 
 /// A calibration target.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -227,8 +228,76 @@ impl Target {
 
     /// How many corners it has.
     pub fn corner_count(&self) -> usize {
-        let [across, down] = self.corners_each_way();
-        across as usize * down as usize
+        self.lattice().corner_count()
+    }
+
+    /// Its corners as columns and rows of the sheet as it is printed, from the upper left one.
+    pub fn lattice(&self) -> BoardSize {
+        let [cols, rows] = self.corners_each_way();
+        BoardSize { cols, rows }
+    }
+
+    /// Whether no image of it determines which corner is first. Markers determine it.
+    pub fn orientation_ambiguous(&self) -> bool {
+        matches!(self, Self::Chessboard(board) if board.size.orientation_ambiguous())
+    }
+
+    /// The motions after which it appears the same, as `board_from_board`, the identity first: only a
+    /// plain chessboard has others.
+    pub fn symmetries(&self) -> Vec<Pose> {
+        match self {
+            Self::Chessboard(board) => board.symmetries(),
+            Self::Charuco(_) | Self::AprilGrid(_) => vec![Pose::identity()],
+        }
+    }
+
+    /// The number of the corner in this column and row of the sheet.
+    pub fn corner_id(&self, col: u32, row: u32) -> u32 {
+        match self {
+            Self::AprilGrid(grid) => {
+                let up = 2 * grid.rows - 1 - row;
+                let tag = up / 2 * grid.cols + col / 2;
+                let corner = [[0, 1], [3, 2]][(up % 2) as usize][(col % 2) as usize];
+                4 * (grid.first_id + tag) + corner
+            }
+            Self::Charuco(board) => row * (board.cols - 1) + col,
+            Self::Chessboard(board) => row * board.size.cols + col,
+        }
+    }
+
+    /// Where the corner in this column and row of the sheet lies in the board frame, in meters;
+    /// `None` outside a board with markers.
+    pub fn corner_at(&self, col: i32, row: i32) -> Option<Point3<f64>> {
+        if let Self::Chessboard(board) = self {
+            return Some(board.corner_in_board(col, row));
+        }
+        let size = self.lattice();
+        let (col, row) = (u32::try_from(col).ok()?, u32::try_from(row).ok()?);
+        let inside = col < size.cols && row < size.rows;
+        inside.then(|| self.corner_in_board(self.corner_id(col, row))).flatten()
+    }
+
+    /// The chessboard whose corners span what this target's do: for what only needs a board's
+    /// extent.
+    pub fn spanned_chessboard(&self) -> Chessboard {
+        let size = self.lattice();
+        let square_m = match self {
+            Self::Chessboard(board) => board.square_m,
+            Self::Charuco(board) => board.square_m,
+            Self::AprilGrid(grid) => {
+                let tags = f64::from(grid.cols);
+                grid.tag_m * (tags + (tags - 1.0) * grid.spacing) / (2.0 * tags - 1.0)
+            }
+        };
+        Chessboard { size, square_m }
+    }
+
+    /// The corners of least and most x and y in the board frame, in meters.
+    pub fn extent(&self) -> [Point3<f64>; 2] {
+        let size = self.lattice();
+        let first = self.corner_at(0, 0).unwrap_or_default();
+        let last = self.corner_at(size.cols as i32 - 1, size.rows as i32 - 1).unwrap_or_default();
+        [first.inf(&last), first.sup(&last)]
     }
 
     /// Where the corner `id` lies in the board frame, in meters; `None` if there is no such corner.
@@ -251,6 +320,12 @@ impl Target {
                 (row < grid.rows).then(|| Point3::new(at(col, right), at(row, up), 0.0))
             }
         }
+    }
+}
+
+impl From<Chessboard> for Target {
+    fn from(board: Chessboard) -> Self {
+        Self::Chessboard(board)
     }
 }
 

@@ -13,7 +13,7 @@ use crate::calibration::view::View;
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
-use crate::geometry::board::Chessboard;
+use crate::geometry::target::Target;
 use crate::http::problem::Problem;
 use crate::http::request::Address;
 use crate::http::sessions::session;
@@ -148,12 +148,12 @@ fn residuals_px(
     view: &View,
     sensor: &ImageCalibration,
     calibrated: &CalibratedView,
-    target: Chessboard,
+    target: Target,
 ) -> Option<Vec<[f64; 2]>> {
     let camera_from_board = calibrated.camera_from_board?;
     let corners = view.detection.corners.iter();
     let residual = |corner: &crate::detection::board_detection::DetectedCorner| {
-        let point_in_board = target.corner_in_board(corner.index.col, corner.index.row);
+        let point_in_board = target.corner_at(corner.index.col, corner.index.row)?;
         let predicted = sensor.lens.pixel_from_point(&(camera_from_board * point_in_board))?;
         Some([corner.pixel.x - predicted.x, corner.pixel.y - predicted.y])
     };

@@ -2,9 +2,9 @@
 //! the frame before.
 
 use crate::detection::board_detection::DetectOptions;
-use crate::detection::detector::Detector;
+use crate::detection::finder::TargetFinder;
 use crate::detection::tracking::Sighting;
-use crate::geometry::board::BoardSize;
+use crate::geometry::target::Target;
 use crate::imaging::decode;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
@@ -24,7 +24,7 @@ pub(super) enum Manner {
 /// Looks for boards; its buffers are kept from frame to frame.
 #[derive(Default)]
 pub(super) struct BoardLook {
-    detector: Option<Detector>,
+    finder: Option<TargetFinder>,
     luma: GrayImage,
 }
 
@@ -32,12 +32,12 @@ impl BoardLook {
     pub(super) fn look(
         &mut self,
         frame_set: &FrameSet,
-        board: BoardSize,
+        target: &Target,
         manner: Manner,
     ) -> Result<Sighting, LookError> {
-        guarded(|| self.try_look(frame_set, board, manner)).unwrap_or_else(|detail| {
+        guarded(|| self.try_look(frame_set, target, manner)).unwrap_or_else(|detail| {
             // What it was doing when it broke off is not to be trusted.
-            self.detector = None;
+            self.finder = None;
             Err(LookError::Unreadable { detail })
         })
     }
@@ -45,23 +45,23 @@ impl BoardLook {
     fn try_look(
         &mut self,
         frame_set: &FrameSet,
-        board: BoardSize,
+        target: &Target,
         manner: Manner,
     ) -> Result<Sighting, LookError> {
         let unreadable = |detail: String| LookError::Unreadable { detail };
         let frame = picture_of(frame_set)
             .ok_or_else(|| unreadable("there is none in this frame set".to_owned()))?;
         decode::luma(frame, &mut self.luma).map_err(|error| unreadable(error.to_string()))?;
-        let detector = match &mut self.detector {
-            Some(detector) if detector.board() == board => detector,
-            other => other.insert(Detector::new(board)),
+        let finder = match &mut self.finder {
+            Some(finder) if finder.target() == target => finder,
+            other => other.insert(TargetFinder::new(target)),
         };
         let (image, options) = (self.luma.view(), DetectOptions::default());
         Ok(match manner {
             Manner::Searched => {
-                Sighting { detection: detector.find_board(image, &options)?, followed: false }
+                Sighting { detection: finder.find(image, &options)?, followed: false }
             }
-            Manner::Followed => detector.track_board(image, &options)?,
+            Manner::Followed => finder.track(image, &options)?,
         })
     }
 }

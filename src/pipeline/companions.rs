@@ -6,10 +6,10 @@ use crate::calibration::session::Session;
 use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::{DetectOptions, Detection};
-use crate::detection::detector::Detector;
+use crate::detection::finder::TargetFinder;
 use crate::estimation::problem::Correspondence;
-use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::target::Target;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::factory::FactorySensor;
@@ -29,7 +29,7 @@ const USUAL_UNIT_M: f64 = 0.001;
 pub(super) fn companions_of(
     number: u32,
     frame_set: &FrameSet,
-    board: BoardSize,
+    board: &Target,
     unit_m: Option<f64>,
 ) -> Vec<Companion> {
     let searched = picture_of(frame_set).map(|frame| frame.sensor);
@@ -64,10 +64,10 @@ pub(super) fn companions_of(
     others.filter_map(companion).collect()
 }
 
-fn look(frame: &Frame, board: BoardSize) -> Option<Detection> {
+fn look(frame: &Frame, board: &Target) -> Option<Detection> {
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).ok()?;
-    Detector::new(board).find_board(luma.view(), &DetectOptions::default()).ok()
+    TargetFinder::new(board).find(luma.view(), &DetectOptions::default()).ok()
 }
 
 /// The joint problem of a session whose views have `companions`, with what the device states of its
@@ -137,7 +137,7 @@ pub(super) fn stereo_input(session: &Session, companions: &[Companion]) -> Optio
     Some(StereoInput { board, color_size: part.image_size()?, infrared2_size, captures })
 }
 
-fn corners(infrared: &Companion, view: &View, board: &Chessboard) -> Vec<Correspondence> {
+fn corners(infrared: &Companion, view: &View, board: &Target) -> Vec<Correspondence> {
     let Some(detection) = infrared.detection.clone() else { return Vec::new() };
     let frame = FrameFacts { image_size: infrared.image_size, ..view.frame.clone() };
     View { number: view.number, frame, detection }.to_board_view(board).correspondences

@@ -66,7 +66,7 @@ impl Detect {
     fn look(&mut self, captured: &CapturedFrame, search: &Search) -> Look {
         let started = Instant::now();
         let manner = if captured.waits { Manner::Searched } else { Manner::Followed };
-        let sighting = self.board_look.look(&captured.frame_set, search.board, manner);
+        let sighting = self.board_look.look(&captured.frame_set, &search.target, manner);
         let elapsed = started.elapsed().as_secs_f64();
         let (name, metrics) = (&self.camera.name, &self.camera.metrics);
         metrics.detection_seconds.with_label_values(&[name]).observe(elapsed);

@@ -135,7 +135,7 @@ fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration)
 
 fn request() -> SessionRequest {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
-    SessionRequest { target, lens: LensChoice::Auto, finish: None }
+    SessionRequest { target: target.into(), lens: LensChoice::Auto, finish: None }
 }
 
 async fn until<T>(events: &mut EventStream, mut wanted: impl FnMut(&Event) -> Option<T>) -> T {

@@ -176,7 +176,7 @@ impl RigThread {
             let seat = RigSeat { inbox: Arc::clone(&self.rig.inbox), member };
             let search = Search {
                 session: record.id.clone(),
-                board: record.request.target.size,
+                target: record.request.target,
                 rig: Some(seat),
             };
             let (reply, answer) = oneshot::channel();
@@ -229,10 +229,10 @@ impl RigThread {
             looked.look.outcome.as_ref().is_ok_and(keeps)
         };
         if moment.iter().enumerate().any(worth) {
-            let board = session.record().request.target.size;
+            let target = session.record().request.target;
             for looked in moment.iter_mut().flatten().filter(|looked| looked.look.followed) {
                 let sighting =
-                    self.board_look.look(&looked.captured.frame_set, board, Manner::Searched);
+                    self.board_look.look(&looked.captured.frame_set, &target, Manner::Searched);
                 looked.look = Look::of(sighting, looked.look.elapsed_ms);
             }
         }

@@ -3,16 +3,16 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::geometry::board::BoardSize;
+use crate::geometry::target::Target;
 use crate::pipeline::rig_inbox::RigSeat;
 
 /// One session's wish: look for this board, and say so in its name.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Search {
     /// The session that looks; each begins a search of its own.
     pub(super) session: String,
     /// What it looks for.
-    pub(super) board: BoardSize,
+    pub(super) target: Target,
     /// For a rig's session: where what is seen is handed over.
     pub(super) rig: Option<RigSeat>,
 }

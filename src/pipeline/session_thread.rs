@@ -174,7 +174,7 @@ impl SessionThread {
         let record = session.record();
         if record.state == SessionState::Collecting {
             let search =
-                Search { session: record.id.clone(), board: record.request.target.size, rig: None };
+                Search { session: record.id.clone(), target: record.request.target, rig: None };
             self.camera.search.set(Some(search));
         }
     }
@@ -210,7 +210,7 @@ impl SessionThread {
             |detection: &Arc<Detection>| look.followed && session.would_keep(0, &facts, detection);
         let look = if look.outcome.as_ref().is_ok_and(worth) {
             Look::of(
-                self.board_look.look(&captured.frame_set, search.board, Manner::Searched),
+                self.board_look.look(&captured.frame_set, &search.target, Manner::Searched),
                 look.elapsed_ms,
             )
         } else {
@@ -270,12 +270,8 @@ impl SessionThread {
             );
         }
         let unit_m = self.stated_depth().and_then(|stated| stated.depth_unit_m);
-        let companions = companions_of(
-            number,
-            &captured.frame_set,
-            session.record().request.target.size,
-            unit_m,
-        );
+        let companions =
+            companions_of(number, &captured.frame_set, &session.record().request.target, unit_m);
         if !companions.is_empty()
             && let Err(error) = self.store.append_companions(id, &companions)
         {

@@ -11,11 +11,12 @@ use crate::calibration::second_infrared::{StereoInput, with_second_infrared};
 use crate::calibration::session::Session;
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
+use crate::calibration::view::target_as_seen;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::message::Message;
@@ -31,7 +32,7 @@ pub(super) struct Job {
     /// The result itself, and not only how far it is.
     pub(super) is_final: bool,
     /// The board, and what depth adds, for the result.
-    pub(super) target: Chessboard,
+    pub(super) target: Target,
     pub(super) with_depth: Option<RgbdInput>,
     /// What the right infrared sensor adds, for the result.
     pub(super) with_infrared2: Option<StereoInput>,
@@ -50,7 +51,7 @@ impl Job {
             problem: CameraProblem { image_size, views },
             lens: record.request.lens,
             is_final,
-            target: record.request.target,
+            target: target_as_seen(&record.request.target, part.views()),
             with_depth: None,
             with_infrared2: None,
         })

@@ -128,9 +128,9 @@ pub(super) mod tests {
     use crate::calibration::result::ProjectionUncertainty;
     use crate::calibration::session_record::{Finish, RunningEstimate, SessionRequest};
     use crate::document::lens::LensRequest;
-    use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::Pixel;
+    use crate::geometry::target::chessboard;
 
     /// A session in the middle of its work, with every field filled in.
     pub(in crate::store) fn record(id: &str) -> SessionRecord {
@@ -144,7 +144,7 @@ pub(super) mod tests {
             camera: "front".into(),
             members: Vec::new(),
             request: SessionRequest {
-                target: Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.1 * third).unwrap(),
+                target: chessboard(9, 6, 0.1 * third).unwrap(),
                 lens: LensRequest::Brown.into(),
                 finish: Some(Finish {
                     uncertainty_px: Some(third),

@@ -257,7 +257,9 @@ fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
             name: number.to_string(),
             time_s: None,
             is_view: true,
-            color: View { number: 0, frame, detection }.to_board_view(board).correspondences,
+            color: View { number: 0, frame, detection }
+                .to_board_view(&(*board).into())
+                .correspondences,
             infrared: Vec::new(),
             depth: Some(depth),
         };
@@ -280,9 +282,11 @@ fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibratio
         let depth =
             DepthSensor { reading: None, invalid: Some(2047), factory: None, with_infrared: true };
         let captures = others.map(|(_, capture)| capture.clone()).collect();
-        let solved =
-            solve_rgbd(&RgbdInput { board, color_size, depth, captures }, &SeededRgbd::options())
-                .unwrap();
+        let solved = solve_rgbd(
+            &RgbdInput { board: board.into(), color_size, depth, captures },
+            &SeededRgbd::options(),
+        )
+        .unwrap();
         let joint = &solved.joint;
         mean_and_rms((&joint.color, &joint.depth, &joint.color_from_depth), &data, &views, left_out)
     };

@@ -95,7 +95,7 @@ impl SeededRgbd {
             }
         });
         RgbdInput {
-            board: self.color.board,
+            board: self.color.board.into(),
             color_size: self.color.size,
             depth: DepthSensor {
                 reading: Some(DepthReading::Metric { unit_m: self.unit_m }),

@@ -10,10 +10,10 @@ pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
 use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A finished calibration of an instrument: one camera, or a rig of cameras. Never changed once
@@ -29,7 +29,7 @@ pub struct Calibration {
     /// UTC, nanoseconds since the Unix epoch.
     pub created_at_ns: i64,
     /// The board; `None` where correspondences were given without one.
-    pub target: Option<Chessboard>,
+    pub target: Option<Target>,
     /// Its sensors, camera by camera in the rig's order, each camera's in the order of kinds.
     pub sensors: Vec<CalibratedSensor>,
     /// Where the sensors are relative to each other; empty for one sensor.
@@ -90,7 +90,7 @@ impl CalibratedSensor {
 impl Calibration {
     /// One with neither name nor time, and no extrinsics.
     pub fn unnamed(
-        target: Option<Chessboard>,
+        target: Option<Target>,
         sensors: Vec<CalibratedSensor>,
         (checks, verdict): (Checks, Verdict),
     ) -> Self {

@@ -10,8 +10,8 @@ use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
-use crate::geometry::board::Chessboard;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 
 /// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera
 /// calibration", 2000, section 3.3).
@@ -24,7 +24,7 @@ const OBSTACLE_FRAMES: u32 = 4;
 /// One camera's part of a session.
 #[derive(Debug, Clone)]
 pub struct CameraPart {
-    target: Chessboard,
+    target: Target,
     summary: SessionMember,
     views: Vec<View>,
     placements: Vec<Placement>,
@@ -41,11 +41,7 @@ pub struct CameraPart {
 
 impl CameraPart {
     /// A part without views; `summary` says what came before them.
-    pub(super) fn new(
-        target: Chessboard,
-        summary: SessionMember,
-        options: &AdmissionOptions,
-    ) -> Self {
+    pub(super) fn new(target: Target, summary: SessionMember, options: &AdmissionOptions) -> Self {
         let summary = SessionMember {
             views_kept: 0,
             views_shared: 0,
@@ -237,6 +233,7 @@ impl CameraPart {
         let obstacle = self.obstacle.as_ref();
         let lasting =
             obstacle.filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what);
-        self.summary.guidance = advise(&self.target, size, &self.placements, lasting);
+        self.summary.guidance =
+            advise(&self.target.spanned_chessboard(), size, &self.placements, lasting);
     }
 }

@@ -1,5 +1,7 @@
-//! What is answered: [`TargetDetection`] or [`NoTarget`].
+//! What is answered.
 
+use crate::detection::board_detection::{BoardMarkers, DetectedCorner, Detection, GridIndex};
+use crate::geometry::board::BoardSize;
 use crate::geometry::pixel::Pixel;
 
 /// A corner of a target that was seen.
@@ -8,6 +10,8 @@ pub struct LabelledCorner {
     /// Its number, as [`Target::corner_in_board`](crate::geometry::target::Target::corner_in_board)
     /// counts.
     pub id: u32,
+    /// Its column and row on the sheet.
+    pub index: GridIndex,
     /// Where it is seen.
     pub pixel: Pixel,
     /// Predicted standard deviation of `pixel`, per axis, in pixels.
@@ -21,73 +25,30 @@ pub struct TargetDetection {
     pub corners: Vec<LabelledCorner>,
     /// Some of its corners were not seen.
     pub partial: bool,
-    /// Of a ChArUco board: it has the layout of OpenCV before 4.6; `None` where the two are one.
-    pub legacy: Option<bool>,
-    /// Of an AprilGrid: the cells of black around a tag's payload.
-    pub border_bits: Option<u32>,
-    /// Black and white change places.
-    pub inverted: bool,
-    /// Markers whose code was read and agrees.
-    pub markers: usize,
+    /// What its markers say besides.
+    pub markers: BoardMarkers,
     /// Width of the blur at the crossings, as a Gaussian's standard deviation in pixels.
     pub blur_px: f64,
 }
 
-/// Why no target is reported.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum NoTarget {
-    /// Smaller than any target can be found in.
-    #[error("the image of {width}x{height} pixels is too small to hold a {target}")]
-    ImageTooSmall {
-        /// The image's width, in pixels.
-        width: usize,
-        /// The image's height, in pixels.
-        height: usize,
-        /// What was searched for.
-        target: String,
-    },
-    /// No lattice of crossings.
-    #[error(
-        "{corners} crossings of black and white seen, but no lattice of them; is the {target} in view, flat and not too small?"
-    )]
-    NoLattice {
-        /// How many crossings were seen.
-        corners: usize,
-        /// What was searched for.
-        target: String,
-    },
-    /// A lattice whose cells hold no marker of the target.
-    #[error(
-        "a lattice of {cols}x{rows} corners is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?"
-    )]
-    NoMarkers {
-        /// Corners along the longer side.
-        cols: u32,
-        /// Corners along the other side.
-        rows: u32,
-        /// What was searched for.
-        target: String,
-    },
-    /// Markers that are not where the target has them.
-    #[error(
-        "a board with {markers} markers of the same dictionary is seen, but not in the places that the {target} has them: check its size, first_id and dictionary"
-    )]
-    OtherBoard {
-        /// How many markers say so.
-        markers: usize,
-        /// What was searched for.
-        target: String,
-    },
-}
-
-impl NoTarget {
-    /// A short stable name for counters and events.
-    pub fn kind(&self) -> &'static str {
-        match self {
-            Self::ImageTooSmall { .. } => "image_too_small",
-            Self::NoLattice { .. } => "no_lattice",
-            Self::NoMarkers { .. } => "no_markers",
-            Self::OtherBoard { .. } => "other_board",
+impl TargetDetection {
+    /// The same as the detection of any board, of a target with corners in this many columns and
+    /// rows.
+    pub fn into_detection(mut self, board: BoardSize) -> Detection {
+        self.corners.sort_unstable_by_key(|corner| (corner.index.row, corner.index.col));
+        let corners = self.corners.iter().map(|corner| DetectedCorner {
+            index: corner.index,
+            pixel: corner.pixel,
+            std_px: corner.std_px,
+        });
+        Detection {
+            board,
+            corners: corners.collect(),
+            partial: self.partial,
+            position_known: true,
+            orientation_ambiguous: false,
+            blur_px: self.blur_px,
+            markers: Some(self.markers),
         }
     }
 }

@@ -1,11 +1,12 @@
 //! The whole search: lattices on each level of the image, until the markers of one are the
 //! target's.
 
-use crate::detection::coded::answer::{NoTarget, TargetDetection};
+use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::seen_ends;
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, MOST_BEYOND};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
+use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;

@@ -1,7 +1,7 @@
 //! From a labelled lattice on some level to what is answered: on the image itself, refined, with
 //! what is in doubt left out.
 
-use crate::detection::board_detection::GridIndex;
+use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
@@ -181,10 +181,11 @@ impl TargetDetector {
                 continue;
             }
             let (col, row) = label.placement.in_board(i, j);
-            let id = self.sheets.corner_id(&self.target, col, row);
+            let id = self.target.corner_id(col as u32, row as u32);
             blurs.extend(refined.map(|refined| refined.blur_px));
             corners.push(LabelledCorner {
                 id,
+                index: GridIndex { col, row },
                 pixel: refined.map_or(guess.pixel, |refined| refined.pixel),
                 std_px: refined.map_or(STANDING_STD_PX, |refined| refined.std_px),
             });
@@ -194,10 +195,12 @@ impl TargetDetector {
         TargetDetection {
             partial: corners.len() < self.target.corner_count(),
             corners,
-            legacy: sheet.legacy,
-            border_bits: sheet.border_bits,
-            inverted: label.inverted,
-            markers: label.markers,
+            markers: BoardMarkers {
+                read: label.markers,
+                legacy: sheet.legacy,
+                border_bits: sheet.border_bits,
+                inverted: label.inverted,
+            },
             blur_px: blurs.get(blurs.len() / 2).copied().unwrap_or(0.0),
         }
     }

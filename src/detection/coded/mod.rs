@@ -25,6 +25,7 @@ mod ends;
 mod finish;
 mod labels;
 mod lattice;
+pub mod no_target;
 mod order;
 mod print;
 mod reading;

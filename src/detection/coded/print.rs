@@ -5,8 +5,8 @@ use nalgebra::{Matrix3, Vector3};
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::labels::{BoardLabel, cell_in_sheet};
 use crate::detection::coded::sheet::{Sheet, Sheets};
-use crate::detection::measure::cross::Vec2;
 use crate::detection::grid::{Grid, Node};
+use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::print::BoardPrint;
 use crate::geometry::pixel::Pixel;
 
@@ -51,9 +51,8 @@ impl<'a> LabelledPrint<'a> {
         let inside = |part: f64, inset: f64| part > inset && part < 1.0 - inset;
         if inside(across, inset) && inside(down, inset) {
             let n = self.sheets.bits;
-            let bit = |part: f64| {
-                (((part - inset) / (1.0 - 2.0 * inset) * n as f64) as usize).min(n - 1)
-            };
+            let bit =
+                |part: f64| (((part - inset) / (1.0 - 2.0 * inset) * n as f64) as usize).min(n - 1);
             let turn = usize::from(self.label.placement.turns);
             let code = (marker as usize * 4 + turn) * n * n;
             let white = self.sheets.codes[code + bit(down) * n + bit(across)] > 0.0;
@@ -86,9 +85,11 @@ impl BoardPrint for LabelledPrint<'_> {
         }
         let Self { sheets, grid, pairs, corners, charts, .. } = self;
         charts.clear();
-        charts.extend(corners.iter().map(|&at| {
-            Chart::near(grid, sheets, at, None, pairs)?.matrix().try_inverse()
-        }));
+        charts.extend(
+            corners
+                .iter()
+                .map(|&at| Chart::near(grid, sheets, at, None, pairs)?.matrix().try_inverse()),
+        );
     }
 
     fn near(&self, corner: usize, [px, py]: [f64; 2]) -> Option<[f32; 2]> {

@@ -141,20 +141,6 @@ impl Sheets {
         let pairs = k.div_euclid(2) as f32 * (self.widths[0] + self.widths[1]);
         if k.rem_euclid(2) == 0 { pairs } else { pairs + self.widths[0] }
     }
-
-    /// Corner id of the crossing of two lines of the target.
-    pub(super) fn corner_id(&self, target: &Target, col: i32, row: i32) -> u32 {
-        match target {
-            Target::AprilGrid(grid) => {
-                let up = 2 * grid.rows as i32 - 1 - row;
-                let tag = up / 2 * grid.cols as i32 + col / 2;
-                let corner = [[0, 1], [3, 2]][(up % 2) as usize][(col % 2) as usize];
-                4 * (grid.first_id + tag as u32) + corner
-            }
-            Target::Charuco(board) => row as u32 * (board.cols - 1) + col as u32,
-            Target::Chessboard(board) => row as u32 * board.size.cols + col as u32,
-        }
-    }
 }
 
 /// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the sheet

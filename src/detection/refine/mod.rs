@@ -216,9 +216,10 @@ impl Refiner {
         print: &'a mut dyn BoardPrint,
     ) -> Option<Nearby<'a>> {
         let mut blur_px = self.median_blur_px()?;
-        let disturbed = corners.iter().filter_map(axes_of).filter(|&axes| {
-            disturbs(print.room(), axes, blur_px)
-        });
+        let disturbed = corners
+            .iter()
+            .filter_map(axes_of)
+            .filter(|&axes| disturbs(print.room(), axes, blur_px));
         if 2 * disturbed.count() < corners.len() {
             return None;
         }
@@ -258,8 +259,7 @@ impl Refiner {
         blurs.clear();
         blurs.extend(self.fitted.iter().flatten().map(Fitted::blur_px));
         let middle = blurs.len() / 2;
-        (middle < blurs.len())
-            .then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
+        (middle < blurs.len()).then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
     }
 
     /// Widens or narrows all standard deviations where corners scatter more or less about the
@@ -399,7 +399,12 @@ impl Refiner {
             white,
             tolerance: 4.0 * black.max(white) + 0.08 * start.amplitude.abs(),
         };
-        let options = FitOptions { iterations: [1, 4], enough: 0.05, alike: 0.0, with_flat: nearby.is_some() };
+        let options = FitOptions {
+            iterations: [1, 4],
+            enough: 0.05,
+            alike: 0.0,
+            with_flat: nearby.is_some(),
+        };
         let second = self.fit(window, start, &noise, &options)?;
         if second.inlier_ratio > MOST_AGREE {
             return Some(second);

@@ -90,7 +90,8 @@ impl PrintPatch {
         let gradient = model.gradient.map(|g| g as f32);
         let [dx, dy] = self.offset.map(|o| o as f32);
         samples.change(|x, y, value| {
-            let (i, j) = ((x - dx).round() as i64 + self.reach, (y - dy).round() as i64 + self.reach);
+            let (i, j) =
+                ((x - dx).round() as i64 + self.reach, (y - dy).round() as i64 + self.reach);
             if !(0..side).contains(&i) || !(0..side).contains(&j) {
                 return value;
             }
@@ -112,13 +113,7 @@ impl PrintPatch {
     }
 
     /// Reads the print at all samples and as far around them as blur reaches.
-    fn read(
-        &mut self,
-        print: &dyn BoardPrint,
-        corner: usize,
-        window: &Window,
-        sigma: f64,
-    ) -> bool {
+    fn read(&mut self, print: &dyn BoardPrint, corner: usize, window: &Window, sigma: f64) -> bool {
         let around = self.reach + (self.kernel.len() / 2) as i64;
         let points = if sigma > COVERED { POINTS[0] } else { POINTS[1] };
         let bin = window.bin as f64;
@@ -156,7 +151,10 @@ impl PrintPatch {
             passed.clear();
             for row in layer.chunks_exact(outer) {
                 passed.extend(row.windows(kernel.len()).map(|seen| {
-                    seen.iter().zip(kernel.iter()).map(|(value, weight)| value * weight).sum::<f32>()
+                    seen.iter()
+                        .zip(kernel.iter())
+                        .map(|(value, weight)| value * weight)
+                        .sum::<f32>()
                 }));
             }
             layer.clear();

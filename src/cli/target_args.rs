@@ -1,0 +1,81 @@
+//! Which target to search for, as arguments.
+
+use std::path::{Path, PathBuf};
+
+use crate::cli::Failure;
+use crate::cli::length::Length;
+use crate::document::target_file::target_from_text;
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::target::Target;
+
+/// A target by its size or in a file.
+#[derive(Debug, clap::Args)]
+pub struct TargetArgs {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long, required_unless_present = "target")]
+    board: Option<BoardSize>,
+    /// The side of one square, with its unit, as in 25mm.
+    #[arg(long, required_unless_present = "target")]
+    square: Option<Length>,
+    /// The target in FILE, in place of --board and --square: a chessboard, a ChArUco board or an
+    /// AprilGrid as JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["board", "square"])]
+    target: Option<PathBuf>,
+}
+
+/// A target whose size does not matter.
+#[derive(Debug, clap::Args)]
+pub struct ShapeArgs {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long, required_unless_present = "target")]
+    board: Option<BoardSize>,
+    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
+    /// JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    target: Option<PathBuf>,
+}
+
+impl TargetArgs {
+    /// The target.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or the target cannot be used.
+    pub fn read(&self) -> Result<Target, Failure> {
+        match (self.board, self.square, &self.target) {
+            (Some(board), Some(square), _) => {
+                Ok(Chessboard::new(board, square.meters).map_err(Failure::usage)?.into())
+            }
+            (_, _, Some(file)) => read_target(file),
+            _ => Err(Failure::usage("give --board and --square, or --target")),
+        }
+    }
+}
+
+impl ShapeArgs {
+    /// The target; a board that is given by its size alone has squares of `square_m` meters.
+    ///
+    /// # Errors
+    /// As [`TargetArgs::read`].
+    pub fn read(&self, square_m: f64) -> Result<Target, Failure> {
+        match (self.board, &self.target) {
+            (Some(board), _) => {
+                Ok(Chessboard::new(board, square_m).map_err(Failure::usage)?.into())
+            }
+            (_, Some(file)) => read_target(file),
+            _ => Err(Failure::usage("give --board or --target")),
+        }
+    }
+}
+
+/// The target in a file.
+///
+/// # Errors
+/// When it cannot be read, or is no target that can be used.
+pub fn read_target(path: &Path) -> Result<Target, Failure> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path)
+        .map_err(|error| Failure::failed(format!("{name}: {error}")))?;
+    target_from_text(&text).map_err(|error| Failure::usage(format!("{name}: {error}")))
+}

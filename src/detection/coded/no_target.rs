@@ -1,0 +1,60 @@
+//! Why no target with markers is answered.
+
+/// Why no target is reported.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum NoTarget {
+    /// Smaller than any target can be found in.
+    #[error("the image of {width}x{height} pixels is too small to hold a {target}")]
+    ImageTooSmall {
+        /// The image's width, in pixels.
+        width: usize,
+        /// The image's height, in pixels.
+        height: usize,
+        /// What was searched for.
+        target: String,
+    },
+    /// No lattice of crossings.
+    #[error(
+        "{corners} crossings of black and white seen, but no lattice of them; is the {target} in view, flat and not too small?"
+    )]
+    NoLattice {
+        /// How many crossings were seen.
+        corners: usize,
+        /// What was searched for.
+        target: String,
+    },
+    /// A lattice whose cells hold no marker of the target.
+    #[error(
+        "a lattice of {cols}x{rows} corners is seen, but its cells show no markers of the {target}: a plain chessboard, another dictionary or another board?"
+    )]
+    NoMarkers {
+        /// Corners along the longer side.
+        cols: u32,
+        /// Corners along the other side.
+        rows: u32,
+        /// What was searched for.
+        target: String,
+    },
+    /// Markers that are not where the target has them.
+    #[error(
+        "a board with {markers} markers of the same dictionary is seen, but not in the places that the {target} has them: check its size, first_id and dictionary"
+    )]
+    OtherBoard {
+        /// How many markers say so.
+        markers: usize,
+        /// What was searched for.
+        target: String,
+    },
+}
+
+impl NoTarget {
+    /// A short stable name for counters and events.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::ImageTooSmall { .. } => "image_too_small",
+            Self::NoLattice { .. } => "no_lattice",
+            Self::NoMarkers { .. } => "no_markers",
+            Self::OtherBoard { .. } => "other_board",
+        }
+    }
+}
