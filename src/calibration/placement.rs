@@ -149,7 +149,7 @@ pub(crate) mod tests {
     use nalgebra::Point3;
 
     use super::*;
-    use crate::detection::board_detection::{DetectedCorner, GridIndex};
+    use crate::detection::board_detection::{BoardMarkers, DetectedCorner, GridIndex};
     use crate::geometry::board::Chessboard;
     use crate::geometry::camera_matrix::CameraMatrix;
     use crate::geometry::lens::Lens;
@@ -186,6 +186,19 @@ pub(crate) mod tests {
             orientation_ambiguous: false,
             blur_px: 0.7,
         }
+    }
+
+    #[test]
+    fn markers_place_a_board_of_which_a_part_is_seen() {
+        let whole = detection_at(Vector3::new(0.05, 0.02, 0.6), Vector3::new(0.3, -0.2, 0.4));
+        let placement = Placement::of(&whole, SIZE).unwrap();
+        let seen = whole.corners.iter().filter(|corner| corner.index.col > 2).copied();
+        let part = Detection { corners: seen.collect(), partial: true, ..whole };
+        assert_eq!(Placement::of(&part, SIZE), None);
+        let markers = BoardMarkers { read: 9, legacy: None, border_bits: None, inverted: false };
+        let coded = Detection { markers: Some(markers), ..part };
+        let by_part = Placement::of(&coded, SIZE).unwrap();
+        assert!(placement.steps_to(&by_part) < 1e-6, "{placement:?}, {by_part:?}");
     }
 
     #[test]

@@ -64,6 +64,14 @@ impl CornerMisfit {
             .map(move |quality| quality.is_some_and(|quality| quality.mean_square < most))
     }
 
+    /// For each corner whether it leaves more than this many times the median mean square.
+    pub fn worse_than(&mut self, times: f64) -> impl Iterator<Item = bool> + '_ {
+        let most = self.medians().map_or(f64::INFINITY, |medians| times * medians.mean_square);
+        self.of_corners
+            .iter()
+            .map(move |quality| quality.is_some_and(|quality| quality.mean_square > most))
+    }
+
     /// For each corner the factor on the standard deviation predicted by its own residuals; `None`
     /// where it is rejected beside the others.
     pub fn std_factors(&mut self) -> impl Iterator<Item = Option<f64>> + '_ {

@@ -7,6 +7,7 @@
 //! | model | `corner_model`, `gaussian` | two crossing edges, each a Gaussian's integral across |
 //! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against what does not belong |
 //! | print | `print` | takes off the window what is printed beside the two edges, where blur brings it in |
+//! | shading | `shading` | takes off light that changes over a corner's window |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | trust | `halves`, `scatter`, `misfit`, `straightness` | how far off corners are: the parts of their edges disagree, one fits worse than the others, or they leave their lines |
 //!
@@ -28,6 +29,7 @@ mod normal_equations;
 pub mod print;
 mod samples;
 mod scatter;
+mod shading;
 mod straightness;
 mod window;
 
@@ -40,9 +42,10 @@ use crate::detection::refine::lattice::{Known, Lattice, axes_of};
 use crate::detection::refine::misfit::{CornerMisfit, Quality};
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{ModelColumns, Noise};
-use crate::detection::refine::print::{BoardPrint, PrintPatch, disturbs};
+use crate::detection::refine::print::{BoardPrint, PrintBlur, PrintPatch, disturbs, linear_power};
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
+use crate::detection::refine::shading::take_off_shading;
 use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::geometry::pixel::Pixel;
@@ -85,6 +88,9 @@ pub struct Refiner {
     placed: Vec<Option<Pixel>>,
     /// Widths of the blur at the corners.
     blurs_px: Vec<f64>,
+    powers: Vec<f64>,
+    /// Of each corner, whether its light is its own.
+    shaded: Vec<bool>,
     /// The last window of a first fit.
     quarter_means: [f64; 2],
 }
@@ -114,6 +120,15 @@ const RECENTER: f64 = 2.0;
 const MOST_WINDOWS: usize = 5;
 /// Number of corners whose edges give the scatter.
 const ENOUGH_CORNERS: usize = 40;
+/// Corners of which the first fit leaves this many times the median's mean square are under light of
+/// their own, or beside an occluder.
+const SHADED: f64 = 1.6;
+/// Added to the tolerance of a residual while light is taken off, as shares of the amplitude.
+const SHADED_TOLERANCES: [f64; 4] = [0.5, 0.3, 0.15, 0.05];
+/// No motion is distinguished from a round blur that is narrower.
+const LEAST_MOTION_PX: f64 = 1.2;
+/// Corners at which kinds of blur are compared.
+const COMPARED_CORNERS: usize = 6;
 /// How often corners are fitted with what is printed beside them taken off, before the last fit:
 /// each makes black, white and blur less wrong.
 const PRINT_ROUNDS: usize = 2;
@@ -154,6 +169,9 @@ impl Refiner {
         self.fit_each(image, corners);
         self.compare_fits();
         self.lattice.fill(corners, &self.known);
+        if print.is_none() {
+            self.shaded.fill(false);
+        }
         let nearby = print.and_then(|print| self.fit_printed(image, corners, print));
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
@@ -161,11 +179,11 @@ impl Refiner {
         self.misfit.clear();
         self.straightness.clear();
         self.shapes.clear();
-        for (corner, first) in corners.iter().zip(&fitted) {
-            let nearby = nearby.map(|nearby| (refined.len(), nearby));
+        for (slot, (corner, first)) in corners.iter().zip(&fitted).enumerate() {
+            let beside = Beside { print: nearby.map(|it| (slot, it)), shaded: self.shaded[slot] };
             let second = first
                 .as_ref()
-                .and_then(|first| self.fit_within_board(image, corner, first, (noise, nearby)));
+                .and_then(|first| self.fit_within_board(image, corner, first, (noise, beside)));
             let second = second.filter(|second| second.is_corner(corner));
             self.misfit.take(second.as_ref().map(Fitted::quality));
             if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
@@ -196,6 +214,8 @@ impl Refiner {
         self.fitted
             .iter()
             .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
+        self.shaded.clear();
+        self.shaded.extend(self.misfit.worse_than(SHADED));
         self.known.clear();
         let fits = self.misfit.fits();
         self.known.extend(
@@ -215,7 +235,7 @@ impl Refiner {
         corners: &[GridCorner],
         print: &'a mut dyn BoardPrint,
     ) -> Option<Nearby<'a>> {
-        let mut blur_px = self.median_blur_px()?;
+        let blur_px = self.median_blur_px()?;
         let disturbed = corners
             .iter()
             .filter_map(axes_of)
@@ -224,14 +244,17 @@ impl Refiner {
             return None;
         }
         self.place(print);
+        let mut power = self.median_power()?;
+        let mut blur = PrintBlur::round(blur_px);
         for _ in 0..PRINT_ROUNDS {
             let noise = self.noise.of_pixels();
             self.noise.clear();
             for (slot, corner) in corners.iter().enumerate() {
                 let Some(first) = self.fitted[slot] else { continue };
-                let nearby = Some((slot, Nearby { print: &*print, blur_px }));
+                let print = Some((slot, Nearby { print: &*print, blur, power }));
+                let beside = Beside { print, shaded: self.shaded[slot] };
                 let second = self
-                    .fit_within_board(image, corner, &first, (noise, nearby))
+                    .fit_within_board(image, corner, &first, (noise, beside))
                     .filter(|second| second.may_be_corner(corner));
                 if let Some(second) = second {
                     self.noise.take(second.fit.residuals.flat, second.window.bin);
@@ -241,9 +264,10 @@ impl Refiner {
             self.compare_fits();
             self.lattice.fill(corners, &self.known);
             self.place(print);
-            blur_px = self.median_blur_px()?;
+            power = self.median_power()?;
+            blur = self.blur_as_seen(image, &*print, power)?;
         }
-        Some(Nearby { print: &*print, blur_px })
+        Some(Nearby { print: &*print, blur, power })
     }
 
     fn place(&mut self, print: &mut dyn BoardPrint) {
@@ -260,6 +284,51 @@ impl Refiner {
         blurs.extend(self.fitted.iter().flatten().map(Fitted::blur_px));
         let middle = blurs.len() / 2;
         (middle < blurs.len()).then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+
+    /// Median of the powers of the corners' gray values that are in proportion to light.
+    fn median_power(&mut self) -> Option<f64> {
+        let powers = &mut self.powers;
+        powers.clear();
+        powers.extend(self.fitted.iter().flatten().map(|it| linear_power(&it.fit.model)));
+        let middle = powers.len() / 2;
+        (middle < powers.len()).then(|| *powers.select_nth_unstable_by(middle, f64::total_cmp).1)
+    }
+
+    /// The blur that makes the print most like the image, of those that blur the edges as the
+    /// corners' fits say: round, or a motion in some direction.
+    fn blur_as_seen(
+        &mut self,
+        image: GrayView<'_>,
+        print: &dyn BoardPrint,
+        power: f64,
+    ) -> Option<PrintBlur> {
+        let blur_px = self.median_blur_px()?;
+        let round = PrintBlur::round(blur_px);
+        if blur_px < LEAST_MOTION_PX {
+            return Some(round);
+        }
+        let fitted = std::mem::take(&mut self.fitted);
+        let compared: Vec<(usize, &Fitted)> = (fitted.iter().enumerate())
+            .filter_map(|(slot, fitted)| Some((slot, fitted.as_ref()?)))
+            .filter(|(slot, _)| self.known[*slot].is_some())
+            .collect();
+        let every = (compared.len() / COMPARED_CORNERS).max(1);
+        let mut misfit = |blur: PrintBlur| -> f64 {
+            let each = compared.iter().step_by(every).filter_map(|(slot, fitted)| {
+                let axes = fitted.window.axes;
+                let window = Window::new(fitted.center(), axes, blur_px, (SECOND_REACH, 1.0));
+                self.gather(image, &window)?;
+                self.patch.render(print, *slot, &window, blur);
+                let bins = [fitted.window.bin, window.bin].map(|bin| bin as f64);
+                let model = fitted.fit.model.rescaled(bins[0], bins[1]);
+                Some(self.patch.misfit(&mut self.samples, &model, power))
+            });
+            each.sum()
+        };
+        let best = PrintBlur::best(blur_px, &mut misfit);
+        self.fitted = fitted;
+        Some(best)
     }
 
     /// Widens or narrows all standard deviations where corners scatter more or less about the
@@ -375,9 +444,9 @@ impl Refiner {
         image: GrayView<'_>,
         corner: &GridCorner,
         first: &Fitted,
-        (noise, nearby): ([f64; 2], Option<(usize, Nearby<'_>)>),
+        (noise, beside): ([f64; 2], Beside<'_>),
     ) -> Option<Fitted> {
-        let free = if nearby.is_some() { 1.0 } else { 1.0 - self.taken };
+        let free = if beside.print.is_some() { 1.0 } else { 1.0 - self.taken };
         let axes = axes_of(corner)?;
         let window = Window::new(first.center(), axes, first.blur_px(), (SECOND_REACH, free));
         let window = window.along_edges(first.fit.model.along, first.blur_px());
@@ -388,10 +457,10 @@ impl Refiner {
         start.center = [0.0; 2];
         start.curvature = around.curvature.map(|c| c * bin);
         start.gradient = around.light_gradient.map(|g| g * bin);
-        if let Some((slot, Nearby { print, blur_px })) = nearby
-            && self.patch.render(print, slot, &window, blur_px)
+        if let Some((slot, Nearby { print, blur, power })) = beside.print
+            && self.patch.render(print, slot, &window, blur)
         {
-            self.patch.take_off(&mut self.samples, &start);
+            self.patch.take_off(&mut self.samples, &start, power);
         }
         let [black, white] = noise.map(|std| std / bin);
         let noise = Noise {
@@ -403,9 +472,12 @@ impl Refiner {
             iterations: [1, 4],
             enough: 0.05,
             alike: 0.0,
-            with_flat: nearby.is_some(),
+            with_flat: beside.print.is_some(),
         };
         let second = self.fit(window, start, &noise, &options)?;
+        if beside.shaded {
+            return self.fit_shaded(window, second.fit.model, &noise, &options);
+        }
         if second.inlier_ratio > MOST_AGREE {
             return Some(second);
         }
@@ -417,6 +489,25 @@ impl Refiner {
             .fit
             .model;
         self.fit(window, start, &noise, &options)
+    }
+
+    /// Fits of a corner under light of its own, each after more of that is taken off.
+    fn fit_shaded(
+        &mut self,
+        window: Window,
+        mut model: CornerModel,
+        noise: &Noise,
+        options: &FitOptions,
+    ) -> Option<Fitted> {
+        let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
+        let amplitude = model.amplitude.abs();
+        for tolerance in SHADED_TOLERANCES {
+            let patient = Noise { tolerance: noise.tolerance + tolerance * amplitude, ..*noise };
+            let options = FitOptions { iterations: [1, 4], ..*options };
+            model = self.fit(window, model, &patient, &options)?.fit.model;
+            take_off_shading(&mut self.samples, &self.columns, reach[0].max(reach[1]));
+        }
+        self.fit(window, model, noise, options)
     }
 
     /// Records corner `slot`'s difference between the near and far edge offsets, normalized by its
@@ -490,7 +581,17 @@ struct Before {
 #[derive(Clone, Copy)]
 struct Nearby<'a> {
     print: &'a dyn BoardPrint,
-    blur_px: f64,
+    blur: PrintBlur,
+    /// The camera's gray values to this power are in proportion to light.
+    power: f64,
+}
+
+/// What is beside a corner.
+#[derive(Clone, Copy)]
+struct Beside<'a> {
+    print: Option<(usize, Nearby<'a>)>,
+    /// Light of its own.
+    shaded: bool,
 }
 
 /// Whether a corner's edge halves are compared: of many corners, every other one is enough.

@@ -74,9 +74,16 @@ pub(super) struct Residuals {
 #[derive(Debug, Default)]
 pub(super) struct ModelColumns {
     lanes: Vec<f32>,
+    /// Of each column.
+    length: usize,
 }
 
 impl ModelColumns {
+    /// One column of the last linearization, sample by sample.
+    pub fn values(&self, k: usize) -> &[f32] {
+        &self.lanes[k * self.length..(k + 1) * self.length]
+    }
+
     /// One column of the last linearization, which was of `count` vectors.
     #[inline(always)]
     pub fn column<S: Simd>(&self, k: usize, count: usize) -> &[S::f32s] {
@@ -126,6 +133,7 @@ impl WithSimd for Linearize<'_> {
         if columns.lanes.len() < size {
             columns.lanes.resize(size, 0.0);
         }
+        columns.length = length;
         let lanes = &mut columns.lanes[..size];
         equations.residuals = if what.with_flat {
             derivatives::<S, true>(simd, what, model, lanes)

@@ -43,11 +43,76 @@ pub(super) fn disturbs(room: f64, [u, v]: [[f64; 2]; 2], blur_px: f64) -> bool {
     room * height < DISTURBS * blur_px
 }
 
+/// A blur: a Gaussian's, and a uniform motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct PrintBlur {
+    /// The Gaussian's standard deviation, in pixels.
+    sigma_px: f64,
+    /// Half of the way of the motion, in pixels.
+    line_px: [f64; 2],
+}
+
+impl PrintBlur {
+    /// Without motion.
+    pub fn round(sigma_px: f64) -> Self {
+        Self { sigma_px, line_px: [0.0; 2] }
+    }
+
+    /// A motion in the direction `angle` that has `share` of the variance across two edges at a right
+    /// angle, which together are 2·`blur_px`².
+    fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
+        let variance = 2.0 * blur_px * blur_px;
+        // A uniform motion over 2h has a variance of h²/3.
+        let half = (3.0 * share * variance).sqrt();
+        let sigma_px = ((1.0 - share) * variance / 2.0).sqrt().max(SHARPEST_PX);
+        let (sin, cos) = angle.sin_cos();
+        Self { sigma_px, line_px: [half * cos, half * sin] }
+    }
+
+    /// The blur of least `misfit`, of those with the variance of `blur_px` across edges at a right
+    /// angle.
+    pub fn best(blur_px: f64, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
+        let round = Self::round(blur_px);
+        let mut best = (MOVES * misfit(round), round);
+        let mut at = (0.0, FIRST_SHARE);
+        let mut offer = |angle: f64, share: f64, at: &mut (f64, f64)| {
+            let moving = Self::moving(blur_px, angle, share);
+            let found = misfit(moving);
+            if found < best.0 {
+                best = (found, moving);
+                *at = (angle, share);
+            }
+        };
+        let step = std::f64::consts::PI / ANGLES as f64;
+        (0..ANGLES).for_each(|k| offer(step * k as f64, FIRST_SHARE, &mut at));
+        let angle = at.0;
+        SHARES.iter().for_each(|share| offer(angle, *share, &mut at));
+        let (angle, share) = at;
+        [-0.5, -0.25, 0.25, 0.5].iter().for_each(|k| offer(angle + k * step, share, &mut at));
+        best.1
+    }
+}
+
+/// Directions in which motion is sought, over a half turn.
+const ANGLES: usize = 12;
+/// The part of the variance that is motion's: first, and then.
+const FIRST_SHARE: f64 = 0.9;
+const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
+/// Motion must leave less than this part of what a round blur leaves.
+const MOVES: f64 = 0.8;
+/// No lens with its pixels is sharper, in pixels.
+const SHARPEST_PX: f64 = 0.35;
+/// The darkest gray level, and the powers of gray levels that may be in proportion to light.
+const DARKEST: f64 = 0.5;
+const POWERS: [f64; 2] = [0.7, 3.0];
+
 /// The print around one corner, in the samples of its window.
 #[derive(Debug, Default)]
 pub(super) struct PrintPatch {
     /// Half width, in samples.
     reach: i64,
+    /// Half of the way of the motion, in samples.
+    line: [f64; 2],
     /// From the window's origin to the patch's middle, in samples.
     offset: [f64; 2],
     /// The print as it is and as two edges alone, row by row.
@@ -57,14 +122,14 @@ pub(super) struct PrintPatch {
 }
 
 impl PrintPatch {
-    /// Renders the print around `corner` in the samples of `window`, with a Gaussian blur of
-    /// `blur_px`. False where nothing but the corner's two edges is printed.
+    /// Renders the print around `corner` in the samples of `window`, blurred. False where nothing but
+    /// the corner's two edges is printed.
     pub fn render(
         &mut self,
         print: &dyn BoardPrint,
         corner: usize,
         window: &Window,
-        blur_px: f64,
+        blur: PrintBlur,
     ) -> bool {
         let bin = window.bin as f64;
         let half = (bin - 1.0) / 2.0;
@@ -73,8 +138,9 @@ impl PrintPatch {
             window.extent[0] * window.axes[0][k].abs() + window.extent[1] * window.axes[1][k].abs()
         });
         self.reach = ((reach[0].max(reach[1]) / bin).ceil() as i64 + 1).min(MOST_REACH);
-        self.fill_kernel(blur_px / bin);
-        let disturbed = self.read(print, corner, window, blur_px / bin);
+        self.line = blur.line_px.map(|v| v / bin);
+        self.fill_kernel(blur.sigma_px / bin);
+        let disturbed = self.read(print, corner, window, blur.sigma_px / bin);
         if disturbed {
             self.blur();
         }
@@ -82,26 +148,47 @@ impl PrintPatch {
     }
 
     /// Takes off `samples`, which are those of the rendered window, what the corner's two edges do
-    /// not explain, in the gray values of `model`.
-    pub fn take_off(&self, samples: &mut Samples, model: &CornerModel) {
-        let side = 2 * self.reach + 1;
-        let amplitude = model.amplitude.abs() as f32;
-        let gamma_term = model.gamma_term as f32;
+    /// not explain, in the gray values of `model`, which to `power` are in proportion to light.
+    pub fn take_off(&self, samples: &mut Samples, model: &CornerModel, power: f64) {
+        let gray = Transfer::of(model, power);
         let gradient = model.gradient.map(|g| g as f32);
-        let [dx, dy] = self.offset.map(|o| o as f32);
-        samples.change(|x, y, value| {
-            let (i, j) =
-                ((x - dx).round() as i64 + self.reach, (y - dy).round() as i64 + self.reach);
-            if !(0..side).contains(&i) || !(0..side).contains(&j) {
-                return value;
+        samples.change(|x, y, value| match self.at(x, y) {
+            Some([full, alone]) if full != alone => {
+                let light = 1.0 + gradient[0] * x + gradient[1] * y;
+                value + light * (gray.at(alone) - gray.at(full))
             }
-            let at = (j * side + i) as usize;
-            let (full, alone) = (self.layers[0][at], self.layers[1][at]);
-            let light = 1.0 + gradient[0] * x + gradient[1] * y;
-            let by_edges = amplitude * alone - gamma_term * alone * alone;
-            let as_printed = amplitude * full - gamma_term * full * full;
-            value + light * (by_edges - as_printed)
+            _ => value,
         });
+    }
+
+    /// Mean square of the differences between `samples` and the rendered print, in squares of gray
+    /// levels.
+    pub fn misfit(&self, samples: &mut Samples, model: &CornerModel, power: f64) -> f64 {
+        let gray = Transfer::of(model, power);
+        let (mut sum, mut count) = (0.0, 0.0);
+        samples.change(|x, y, value| {
+            if let Some([full, _]) = self.at(x, y) {
+                sum += f64::from(value - gray.at(full)).powi(2);
+                count += 1.0;
+            }
+            value
+        });
+        sum / f64::max(count, 1.0)
+    }
+
+    /// The print at a place of the window: as it is, and as two edges alone.
+    fn at(&self, x: f32, y: f32) -> Option<[f32; 2]> {
+        let side = 2 * self.reach + 1;
+        let [dx, dy] = self.offset.map(|o| o as f32);
+        let (i, j) = ((x - dx).round() as i64 + self.reach, (y - dy).round() as i64 + self.reach);
+        let inside = (0..side).contains(&i) && (0..side).contains(&j);
+        let at = (j * side + i) as usize;
+        inside.then(|| [self.layers[0][at], self.layers[1][at]])
+    }
+
+    /// By how many samples motion reaches to each side.
+    fn line_reach(&self) -> i64 {
+        self.line[0].abs().max(self.line[1].abs()).ceil() as i64
     }
 
     fn fill_kernel(&mut self, sigma: f64) {
@@ -114,7 +201,7 @@ impl PrintPatch {
 
     /// Reads the print at all samples and as far around them as blur reaches.
     fn read(&mut self, print: &dyn BoardPrint, corner: usize, window: &Window, sigma: f64) -> bool {
-        let around = self.reach + (self.kernel.len() / 2) as i64;
+        let around = self.reach + self.line_reach() + (self.kernel.len() / 2) as i64;
         let points = if sigma > COVERED { POINTS[0] } else { POINTS[1] };
         let bin = window.bin as f64;
         let step = 1.0 / points as f64;
@@ -144,8 +231,10 @@ impl PrintPatch {
 
     /// Blurs both layers, and leaves what lies within reach.
     fn blur(&mut self) {
-        let Self { reach, layers, passed, kernel, .. } = self;
-        let inner = 2 * *reach as usize + 1;
+        let margin = self.line_reach() as usize;
+        let Self { reach, layers, passed, kernel, line, .. } = self;
+        let side = 2 * *reach as usize + 1;
+        let inner = side + 2 * margin;
         let outer = inner + kernel.len() - 1;
         for layer in layers {
             passed.clear();
@@ -165,6 +254,84 @@ impl PrintPatch {
                     sums.iter_mut().zip(from).for_each(|(sum, value)| *sum += weight * value);
                 }
             }
+            if margin > 0 {
+                move_along(layer, passed, (side, margin), *line);
+            }
         }
     }
+}
+
+/// Averages `layer`, `side` samples and a margin wide, along `line` to both sides; what lies within
+/// the margin is left.
+fn move_along(
+    layer: &mut Vec<f32>,
+    moved: &mut Vec<f32>,
+    (side, margin): (usize, usize),
+    line: [f64; 2],
+) {
+    let wide = side + 2 * margin;
+    let steps = (3.0 * line[0].hypot(line[1])).ceil().max(1.0) as i64;
+    moved.clear();
+    moved.resize(side * side, 0.0);
+    let weight = 1.0 / (2 * steps + 1) as f32;
+    for step in -steps..=steps {
+        // The middles of equal parts of the line.
+        let part = 2.0 * step as f64 / (2 * steps + 1) as f64;
+        let at = line.map(|v| v * part + margin as f64);
+        let [i, j] = at.map(|v| (v.floor() as usize).min(2 * margin - 1));
+        let [fx, fy] = [(at[0] - i as f64) as f32, (at[1] - j as f64) as f32];
+        for (row, sums) in moved.chunks_exact_mut(side).enumerate() {
+            let (upper, lower) =
+                (&layer[(row + j) * wide + i..], &layer[(row + j + 1) * wide + i..]);
+            for (k, sum) in sums.iter_mut().enumerate() {
+                let above = upper[k] + fx * (upper[k + 1] - upper[k]);
+                let below = lower[k] + fx * (lower[k + 1] - lower[k]);
+                *sum += weight * (above + fy * (below - above));
+            }
+        }
+    }
+    std::mem::swap(layer, moved);
+}
+
+/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as of
+/// a camera with a gamma.
+struct Transfer {
+    middle: f64,
+    half: f64,
+    inverse: f64,
+}
+
+impl Transfer {
+    fn of(model: &CornerModel, power: f64) -> Self {
+        let [black, white] = black_and_white(model).map(|gray| gray.powf(power));
+        Self { middle: (white + black) / 2.0, half: (white - black) / 2.0, inverse: 1.0 / power }
+    }
+
+    fn at(&self, pattern: f32) -> f32 {
+        let light = self.middle + self.half * f64::from(pattern);
+        light.max(0.0).powf(self.inverse) as f32
+    }
+}
+
+fn black_and_white(model: &CornerModel) -> [f64; 2] {
+    let half = model.amplitude.abs();
+    [model.level - half, model.level + half].map(|gray| gray.max(DARKEST))
+}
+
+/// The power of gray values that makes the gray value midway between black and white in light that
+/// which `model` has at its edges.
+pub(super) fn linear_power(model: &CornerModel) -> f64 {
+    let [black, white] = black_and_white(model);
+    let edge = (model.level + model.gamma_term).max(DARKEST);
+    // Above the root, light at the edge is less than the mean of black and white.
+    let mean_less_edge = |power: f64| (black / edge).powf(power) + (white / edge).powf(power) - 2.0;
+    let [mut low, mut high] = POWERS;
+    if mean_less_edge(high) < 0.0 {
+        return high;
+    }
+    for _ in 0..20 {
+        let middle = 0.5 * (low + high);
+        if mean_less_edge(middle) < 0.0 { low = middle } else { high = middle }
+    }
+    high
 }

@@ -48,7 +48,7 @@ impl Samples {
     }
 
     /// Replaces each value by what `change` makes of its position and it.
-    pub fn change(&mut self, change: impl Fn(f32, f32, f32) -> f32) {
+    pub fn change(&mut self, mut change: impl FnMut(f32, f32, f32) -> f32) {
         let Self { x, y, value, count, .. } = self;
         let places = x[..*count].iter().zip(&y[..*count]);
         for ((&x, &y), value) in places.zip(&mut value[..*count]) {

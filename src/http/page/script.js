@@ -351,7 +351,7 @@ function showClock() {
   if (!session) return;
   const end = session.finished_at ? new Date(session.finished_at) : new Date();
   const seconds = Math.max(0, Math.round((end - new Date(session.started_at)) / 1000));
-  $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} · ${session.target.cols}×${session.target.rows}, ${+(session.target.square_m * 1000).toFixed(3)} mm`;
+  $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} · ${session.target.cols}×${session.target.rows}, ${+((session.target.square_m ?? session.target.tag_m) * 1000).toFixed(3)} mm`;
 }
 
 async function showViews() {
@@ -512,12 +512,43 @@ async function press(button, errorPlace, act) {
   }
 }
 
+// What is counted and measured on each kind of board.
+const KINDS = {
+  chessboard: ["Corners in a row", "Square, mm", "Count the inner corners, where four squares meet, and measure one square: the wider the span you measure, the better."],
+  charuco: ["Squares in a row", "Square, mm", "Count the squares, black and white, and measure one square and one marker: the wider the span you measure, the better."],
+  aprilgrid: ["Tags in a row", "Tag, mm", "Count the tags, and measure a tag with its black border, and the gap between two tags as a part of that."],
+};
+const KIND_FIELDS = ["marker", "dictionary", "spacing", "family", "first_id"];
+
+function showKind() {
+  const kind = $("kind").value;
+  [$("cols-title").textContent, $("square-title").textContent, $("how-to-count").textContent] = KINDS[kind];
+  for (const label of document.querySelectorAll("#start-form [data-kind]")) {
+    const has = label.dataset.kind.split(" ").includes(kind);
+    label.hidden = !has;
+    label.querySelector("input").disabled = !has;
+  }
+}
+$("kind").addEventListener("change", showKind);
+
+function targetOf(form) {
+  const size = { kind: form.kind, cols: +form.cols, rows: +form.rows };
+  const side = +form.square / 1000;
+  if (form.kind === "charuco") {
+    return { ...size, square_m: side, marker_m: +form.marker / 1000, dictionary: form.dictionary, first_id: +form.first_id };
+  }
+  if (form.kind === "aprilgrid") {
+    return { ...size, tag_m: side, spacing: +form.spacing, family: form.family, first_id: +form.first_id };
+  }
+  return { ...size, square_m: side };
+}
+
 $("start-form").addEventListener("submit", (event) => {
   event.preventDefault();
-  const form = { cols: $("cols").value, rows: $("rows").value, square: $("square").value, lens: $("lens").value, finish: $("finish").checked, goal: $("goal").value };
+  const form = { kind: $("kind").value, cols: $("cols").value, rows: $("rows").value, square: $("square").value, lens: $("lens").value, finish: $("finish").checked, goal: $("goal").value };
+  for (const id of KIND_FIELDS) form[id] = $(id).value;
   localStorage.setItem("plumb", JSON.stringify(form));
-  const target = { kind: "chessboard", cols: +form.cols, rows: +form.rows, square_m: +form.square / 1000 };
-  const body = { target, lens: form.lens };
+  const body = { target: targetOf(form), lens: form.lens };
   if (form.finish) body.finish = { uncertainty_px: +form.goal, min_views: 10 };
   press($("start"), "start-error", async () => {
     const started = await ask(`${home()}/sessions`, {
@@ -554,7 +585,8 @@ setInterval(() => { if (camera && !document.hidden) refreshCamera().catch(() => 
 
 try {
   const form = JSON.parse(localStorage.getItem("plumb")) || {};
-  for (const id of ["cols", "rows", "square", "lens", "goal"]) if (form[id]) $(id).value = form[id];
+  for (const id of ["kind", "cols", "rows", "square", "lens", "goal", ...KIND_FIELDS]) if (form[id]) $(id).value = form[id];
+  showKind();
   $("finish").checked = Boolean(form.finish);
 } catch { /* nothing kept */ }
 begin();
