@@ -139,7 +139,7 @@ fn write_colmap(folder: &Path, calibration: &SceneCalibration) -> Result<(), Fai
     std::fs::create_dir_all(folder).map_err(|error| {
         Failure::failed(format!("{}: cannot be made ({error})", folder.display()))
     })?;
-    for (name, text) in colmap_scene::files(calibration) {
+    for (name, text) in colmap_scene::files(calibration).map_err(Failure::failed)? {
         write_file(&folder.join(name), text.as_bytes())?;
     }
     Ok(())

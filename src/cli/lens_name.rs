@@ -1,37 +1,39 @@
 //! The lens models by their names on the command line.
 
+use std::sync::LazyLock;
+
 use clap::ValueEnum;
+use clap::builder::PossibleValue;
 
 use crate::estimation::problem::LensChoice;
 use crate::geometry::lens::LensModel;
 
 /// Which lens model to fit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[value(rename_all = "snake_case")]
-pub enum LensName {
-    /// the one with the smallest error on views that were not fitted to
-    Auto,
-    /// no distortion
-    Pinhole,
-    /// one coefficient
-    Radial,
-    /// OpenCV's 5 coefficients, ROS plumb_bob
-    Brown,
-    /// OpenCV's 8 coefficients, ROS rational_polynomial
-    Rational,
-    /// OpenCV's fisheye, ROS equidistant
-    KannalaBrandt,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LensName(LensChoice);
+
+impl ValueEnum for LensName {
+    fn value_variants<'a>() -> &'a [Self] {
+        static ALL: LazyLock<Vec<LensName>> = LazyLock::new(|| {
+            let models = LensModel::ALL.into_iter().map(LensChoice::Model);
+            std::iter::once(LensChoice::Auto).chain(models).map(LensName).collect()
+        });
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(match self.0 {
+            LensChoice::Auto => PossibleValue::new("auto")
+                .help("the one with the smallest error on views that were not fitted to"),
+            LensChoice::Model(model) => {
+                PossibleValue::new(model.name()).help(model.facts().summary)
+            }
+        })
+    }
 }
 
 impl From<LensName> for LensChoice {
     fn from(name: LensName) -> Self {
-        Self::Model(match name {
-            LensName::Auto => return Self::Auto,
-            LensName::Pinhole => LensModel::Pinhole,
-            LensName::Radial => LensModel::Radial,
-            LensName::Brown => LensModel::Brown,
-            LensName::Rational => LensModel::Rational,
-            LensName::KannalaBrandt => LensModel::KannalaBrandt,
-        })
+        name.0
     }
 }

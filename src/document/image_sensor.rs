@@ -8,9 +8,10 @@ use crate::calibration::result::{
 };
 use crate::document::board_shape::{BoardShapeDocument, RollingShutterDocument};
 use crate::document::error::{DocumentError, physical};
-use crate::document::lens::{LensDocument, LensModelName, LensStdDocument};
+use crate::document::lens::{LensDocument, LensStdDocument};
+use crate::document::lens_model::LensModelName;
 use crate::document::pose::PoseDocument;
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::lens::Lens;
 use crate::geometry::physical::RMS_PX;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
@@ -183,13 +184,13 @@ impl From<UncertaintyDocument> for ProjectionUncertainty {
 
 impl From<&ComparedLens> for ComparedLensDocument {
     fn from(compared: &ComparedLens) -> Self {
-        Self { model: compared.model.into(), held_out_rms_px: compared.held_out_rms_px }
+        Self { model: LensModelName(compared.model), held_out_rms_px: compared.held_out_rms_px }
     }
 }
 
 impl From<&ComparedLensDocument> for ComparedLens {
     fn from(document: &ComparedLensDocument) -> Self {
-        Self { model: LensModel::from(document.model), held_out_rms_px: document.held_out_rms_px }
+        Self { model: document.model.0, held_out_rms_px: document.held_out_rms_px }
     }
 }
 

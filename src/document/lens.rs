@@ -1,269 +1,121 @@
 //! A lens as `model` and its named parameters.
 
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::LazyLock;
+
+use serde::de::{Error, MapAccess, Visitor};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use utoipa::openapi::schema::{ObjectBuilder, Type};
+use utoipa::openapi::{Ref, RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
 
 use crate::document::error::{DocumentError, physical};
-use crate::estimation::problem::LensChoice;
+use crate::document::lens_model::LensModelName;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::physical::{FOCAL_LENGTH_PX, PRINCIPAL_POINT_PX};
 
-/// The name of a lens model in a result.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum LensModelName {
-    /// No distortion.
-    Pinhole,
-    /// One radial coefficient.
-    Radial,
-    /// OpenCV's five coefficients, ROS `plumb_bob`.
-    Brown,
-    /// OpenCV's eight coefficients, ROS `rational_polynomial`.
-    Rational,
-    /// OpenCV's `fisheye`, ROS `equidistant`.
-    KannalaBrandt,
-}
-
-impl From<LensModel> for LensModelName {
-    fn from(model: LensModel) -> Self {
-        match model {
-            LensModel::Pinhole => Self::Pinhole,
-            LensModel::Radial => Self::Radial,
-            LensModel::Brown => Self::Brown,
-            LensModel::Rational => Self::Rational,
-            LensModel::KannalaBrandt => Self::KannalaBrandt,
-        }
-    }
-}
-
-impl From<LensModelName> for LensModel {
-    fn from(name: LensModelName) -> Self {
-        match name {
-            LensModelName::Pinhole => Self::Pinhole,
-            LensModelName::Radial => Self::Radial,
-            LensModelName::Brown => Self::Brown,
-            LensModelName::Rational => Self::Rational,
-            LensModelName::KannalaBrandt => Self::KannalaBrandt,
-        }
-    }
-}
-
-/// The lens model that is asked for: one by name, or `auto`, chosen by the error on views that were
-/// not fitted to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum LensRequest {
-    /// Chosen by held-out error.
-    #[default]
-    Auto,
-    /// No distortion.
-    Pinhole,
-    /// One radial coefficient.
-    Radial,
-    /// OpenCV's five coefficients.
-    Brown,
-    /// OpenCV's eight coefficients.
-    Rational,
-    /// OpenCV's `fisheye`.
-    KannalaBrandt,
-}
-
-impl From<LensChoice> for LensRequest {
-    fn from(choice: LensChoice) -> Self {
-        match choice {
-            LensChoice::Auto => Self::Auto,
-            LensChoice::Model(LensModel::Pinhole) => Self::Pinhole,
-            LensChoice::Model(LensModel::Radial) => Self::Radial,
-            LensChoice::Model(LensModel::Brown) => Self::Brown,
-            LensChoice::Model(LensModel::Rational) => Self::Rational,
-            LensChoice::Model(LensModel::KannalaBrandt) => Self::KannalaBrandt,
-        }
-    }
-}
-
-impl From<LensRequest> for LensChoice {
-    fn from(request: LensRequest) -> Self {
-        match request {
-            LensRequest::Auto => Self::Auto,
-            LensRequest::Pinhole => Self::Model(LensModel::Pinhole),
-            LensRequest::Radial => Self::Model(LensModel::Radial),
-            LensRequest::Brown => Self::Model(LensModel::Brown),
-            LensRequest::Rational => Self::Model(LensModel::Rational),
-            LensRequest::KannalaBrandt => Self::Model(LensModel::KannalaBrandt),
-        }
-    }
-}
-
 /// A lens: its model, fx, fy, cx, cy, skew, and exactly the coefficients that the model has.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LensDocument {
     /// Which coefficients there are and what they mean.
-    pub model: LensModelName,
-    /// Focal length along x, in pixels.
-    pub fx: f64,
-    /// Focal length along y, in pixels.
-    pub fy: f64,
-    /// Principal point, x, in pixels.
-    pub cx: f64,
-    /// Principal point, y, in pixels.
-    pub cy: f64,
-    /// How much x moves with normalized y, in pixels: 0 unless asked for.
-    #[serde(default)]
-    pub skew: f64,
-    /// The model's coefficients.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k1: Option<f64>,
-    /// Radial.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k2: Option<f64>,
-    /// Tangential.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub p1: Option<f64>,
-    /// Tangential.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub p2: Option<f64>,
-    /// Radial.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k3: Option<f64>,
-    /// Radial; `rational`: in the denominator.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k4: Option<f64>,
-    /// `rational`: in the denominator.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k5: Option<f64>,
-    /// `rational`: in the denominator.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k6: Option<f64>,
+    model: LensModel,
+    parameters: NamedParameters,
 }
 
-impl LensDocument {
-    fn new(model: LensModel, parameters: &[f64]) -> Self {
-        let names = Lens::parameter_names(model);
-        let value = |name: &str| {
-            names.iter().position(|n| *n == name).and_then(|i| parameters.get(i)).copied()
-        };
-        let number = |name: &str| value(name).unwrap_or(0.0);
-        Self {
-            model: model.into(),
-            fx: number("fx"),
-            fy: number("fy"),
-            cx: number("cx"),
-            cy: number("cy"),
-            skew: number("skew"),
-            k1: value("k1"),
-            k2: value("k2"),
-            p1: value("p1"),
-            p2: value("p2"),
-            k3: value("k3"),
-            k4: value("k4"),
-            k5: value("k5"),
-            k6: value("k6"),
+/// Standard deviations of a lens's parameters, by the same names; 0 for one that was fixed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LensStdDocument(NamedParameters);
+
+/// Values by their parameter's place in [`NAMES`].
+#[derive(Debug, Clone, PartialEq, Default)]
+struct NamedParameters(BTreeMap<usize, f64>);
+
+const MODEL: &str = "model";
+const SKEW: &str = "skew";
+
+/// The names of every model's parameters, each once: first those of the model with the most.
+static NAMES: LazyLock<Vec<&'static str>> = LazyLock::new(|| {
+    let mut models = LensModel::ALL;
+    models.sort_by_key(|model| std::cmp::Reverse(model.coefficient_names().len()));
+    let mut names = Vec::new();
+    for name in models.into_iter().flat_map(Lens::parameter_names) {
+        if !names.contains(&name) {
+            names.push(name);
         }
     }
+    names
+});
 
-    /// The parameters in the order of [`Lens::parameter_names`], all of them and no others.
-    fn parameters(&self) -> Result<Vec<f64>, DocumentError> {
-        let model = LensModel::from(self.model);
-        let given = [
-            ("k1", self.k1),
-            ("k2", self.k2),
-            ("p1", self.p1),
-            ("p2", self.p2),
-            ("k3", self.k3),
-            ("k4", self.k4),
-            ("k5", self.k5),
-            ("k6", self.k6),
-        ];
-        let names = model.coefficient_names();
-        if let Some((extra, _)) =
-            given.iter().find(|(name, value)| value.is_some() && !names.contains(name))
-        {
-            return Err(DocumentError::field(
-                *extra,
-                format!("a `{model}` lens has no such coefficient"),
-            ));
+/// The keys of a lens in a document.
+static KEYS: LazyLock<Vec<&'static str>> =
+    LazyLock::new(|| std::iter::once(MODEL).chain(NAMES.iter().copied()).collect());
+
+fn place_of(name: &str) -> Option<usize> {
+    NAMES.iter().position(|known| *known == name)
+}
+
+impl NamedParameters {
+    /// From values in the order of [`Lens::parameter_names`].
+    fn new(model: LensModel, values: &[f64]) -> Self {
+        let named = Lens::parameter_names(model).into_iter().zip(values);
+        Self(named.filter_map(|(name, value)| Some((place_of(name)?, *value))).collect())
+    }
+
+    fn value(&self, name: &str) -> Option<f64> {
+        self.0.get(&place_of(name)?).copied()
+    }
+
+    /// The values in the order of [`Lens::parameter_names`], all of them and no others.
+    fn to_values(&self, model: LensModel) -> Result<Vec<f64>, DocumentError> {
+        let names = Lens::parameter_names(model);
+        let mut given = self.0.keys().filter_map(|place| NAMES.get(*place));
+        if let Some(extra) = given.find(|name| !names.contains(name)) {
+            let problem = format!("a `{model}` lens has no such coefficient");
+            return Err(DocumentError::field(*extra, problem));
         }
-        let mut parameters = vec![self.fx, self.fy, self.cx, self.cy, self.skew];
-        for name in names {
-            let value = given.iter().find(|(given, _)| given == name).and_then(|(_, value)| *value);
+        let value = |name: &str| {
             let missing =
-                || DocumentError::field(*name, format!("is missing; a `{model}` lens has it"));
-            parameters.push(value.ok_or_else(missing)?);
-        }
-        Ok(parameters)
+                || DocumentError::field(name, format!("is missing; a `{model}` lens has it"));
+            self.value(name).ok_or_else(missing)
+        };
+        names.into_iter().map(value).collect()
+    }
+
+    fn entries(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        self.0.iter().filter_map(|(place, value)| Some((*NAMES.get(*place)?, *value)))
     }
 }
 
 impl From<&Lens> for LensDocument {
     fn from(lens: &Lens) -> Self {
-        Self::new(lens.model(), &lens.parameters())
+        let model = lens.model();
+        Self { model, parameters: NamedParameters::new(model, &lens.parameters()) }
     }
 }
 
 impl TryFrom<&LensDocument> for Lens {
     type Error = DocumentError;
     fn try_from(document: &LensDocument) -> Result<Self, DocumentError> {
-        for (name, value, range) in [
-            ("fx", document.fx, &FOCAL_LENGTH_PX),
-            ("fy", document.fy, &FOCAL_LENGTH_PX),
-            ("cx", document.cx, &PRINCIPAL_POINT_PX),
-            ("cy", document.cy, &PRINCIPAL_POINT_PX),
+        let LensDocument { model, parameters } = document;
+        for (name, range) in [
+            ("fx", &FOCAL_LENGTH_PX),
+            ("fy", &FOCAL_LENGTH_PX),
+            ("cx", &PRINCIPAL_POINT_PX),
+            ("cy", &PRINCIPAL_POINT_PX),
         ] {
-            physical(name, value, range)?;
+            physical(name, parameters.value(name).unwrap_or_default(), range)?;
         }
-        let wrong = || DocumentError::field("model", "has other coefficients than are given");
-        Self::from_parameters(document.model.into(), &document.parameters()?).ok_or_else(wrong)
+        let wrong = || DocumentError::field(MODEL, "has other coefficients than are given");
+        Self::from_parameters(*model, &parameters.to_values(*model)?).ok_or_else(wrong)
     }
-}
-
-/// Standard deviations of a lens's parameters, by the same names; 0 for one that was fixed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct LensStdDocument {
-    /// Of fx, in pixels.
-    pub fx: f64,
-    /// Of fy, in pixels.
-    pub fy: f64,
-    /// Of cx, in pixels.
-    pub cx: f64,
-    /// Of cy, in pixels.
-    pub cy: f64,
-    /// Of skew, in pixels.
-    #[serde(default)]
-    pub skew: f64,
-    /// Of k1.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k1: Option<f64>,
-    /// Of k2.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k2: Option<f64>,
-    /// Of p1.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub p1: Option<f64>,
-    /// Of p2.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub p2: Option<f64>,
-    /// Of k3.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k3: Option<f64>,
-    /// Of k4.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k4: Option<f64>,
-    /// Of k5.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k5: Option<f64>,
-    /// Of k6.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub k6: Option<f64>,
 }
 
 impl LensStdDocument {
     /// From values in the order of [`Lens::parameter_names`].
     pub fn new(model: LensModel, std: &[f64]) -> Self {
-        let LensDocument { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6, .. } =
-            LensDocument::new(model, std);
-        Self { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 }
+        Self(NamedParameters::new(model, std))
     }
 
     /// The values in the order of [`Lens::parameter_names`].
@@ -272,11 +124,135 @@ impl LensStdDocument {
     /// [`DocumentError::Field`] naming a coefficient that is missing or that the model does not
     /// have.
     pub fn to_values(&self, model: LensModel) -> Result<Vec<f64>, DocumentError> {
-        let &Self { fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 } = self;
-        LensDocument { model: model.into(), fx, fy, cx, cy, skew, k1, k2, p1, p2, k3, k4, k5, k6 }
-            .parameters()
+        self.0.to_values(model)
     }
 }
+
+impl Serialize for LensDocument {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        map.serialize_entry(MODEL, &LensModelName(self.model))?;
+        for (name, value) in self.parameters.entries() {
+            map.serialize_entry(name, &value)?;
+        }
+        map.end()
+    }
+}
+
+impl Serialize for LensStdDocument {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.entries())
+    }
+}
+
+impl<'de> Deserialize<'de> for LensDocument {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (model, parameters) =
+            deserializer.deserialize_map(ParametersVisitor { keys: &KEYS })?;
+        let LensModelName(model) = model.ok_or_else(|| Error::missing_field(MODEL))?;
+        Ok(Self { model, parameters })
+    }
+}
+
+impl<'de> Deserialize<'de> for LensStdDocument {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (_, parameters) = deserializer.deserialize_map(ParametersVisitor { keys: &NAMES })?;
+        Ok(Self(parameters))
+    }
+}
+
+/// Reads parameters by name; the model too where it is among the keys.
+struct ParametersVisitor {
+    keys: &'static [&'static str],
+}
+
+impl<'de> Visitor<'de> for ParametersVisitor {
+    type Value = (Option<LensModelName>, NamedParameters);
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let (mut model, mut parameters) = (None, NamedParameters::default());
+        while let Some(key) = map.next_key::<String>()? {
+            let Some(name) = self.keys.iter().find(|known| **known == key) else {
+                return Err(Error::unknown_field(&key, self.keys));
+            };
+            let before = match place_of(name) {
+                None => model.replace(map.next_value()?).is_some(),
+                // Null is as good as left out.
+                Some(place) => map
+                    .next_value::<Option<f64>>()?
+                    .is_some_and(|value| parameters.0.insert(place, value).is_some()),
+            };
+            if before {
+                return Err(Error::duplicate_field(name));
+            }
+        }
+        for name in ["fx", "fy", "cx", "cy"] {
+            if parameters.value(name).is_none() {
+                return Err(Error::missing_field(name));
+            }
+        }
+        if let Some(skew) = place_of(SKEW) {
+            parameters.0.entry(skew).or_insert(0.0);
+        }
+        Ok((model, parameters))
+    }
+}
+
+/// An object of numbers, of which the coefficients depend on the model.
+fn schema(with_model: bool, description: &str) -> RefOr<Schema> {
+    let number = || ObjectBuilder::new().schema_type(Type::Number);
+    let mut schema = ObjectBuilder::new().description(Some(description));
+    if with_model {
+        schema = schema.property(MODEL, Ref::from_schema_name(LensModelName::name()));
+        schema = schema.required(MODEL);
+    }
+    for name in NAMES.iter() {
+        let has = |model: &LensModel| model.coefficient_names().contains(name);
+        let models: Vec<&str> =
+            LensModel::ALL.into_iter().filter(has).map(LensModel::name).collect();
+        let of = match *name {
+            "fx" | "fy" => "Focal length, in pixels.".to_owned(),
+            "cx" | "cy" => "Principal point, in pixels.".to_owned(),
+            SKEW => "How much x moves with normalized y, in pixels: 0 unless asked for.".to_owned(),
+            _ => format!("Coefficient of {}.", models.join(", ")),
+        };
+        schema = schema.property(*name, number().description(Some(of)));
+        if models.is_empty() && *name != SKEW {
+            schema = schema.required(*name);
+        }
+    }
+    schema.into()
+}
+
+impl PartialSchema for LensDocument {
+    fn schema() -> RefOr<Schema> {
+        schema(
+            true,
+            "A lens: its model, fx, fy, cx, cy, skew, and exactly the coefficients that the model has.",
+        )
+    }
+}
+
+impl ToSchema for LensDocument {
+    fn schemas(schemas: &mut Vec<(String, RefOr<Schema>)>) {
+        schemas.push((LensModelName::name().into_owned(), LensModelName::schema()));
+    }
+}
+
+impl PartialSchema for LensStdDocument {
+    fn schema() -> RefOr<Schema> {
+        schema(
+            false,
+            "Standard deviations of a lens's parameters, by the same names; 0 for one that was fixed.",
+        )
+    }
+}
+
+impl ToSchema for LensStdDocument {}
 
 #[cfg(test)]
 mod tests {

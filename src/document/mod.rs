@@ -15,6 +15,7 @@ pub mod error;
 pub mod focus;
 pub mod image_sensor;
 pub mod lens;
+pub mod lens_model;
 pub mod pose;
 pub mod problem;
 pub mod reading;

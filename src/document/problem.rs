@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::image_sensor::image_size;
-use crate::document::lens::LensRequest;
+use crate::document::lens_model::LensRequest;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardShape, BoardView, CameraProblem, Correspondence, Shutter};
 use crate::geometry::pixel::Pixel;

@@ -9,7 +9,7 @@ use crate::calibration::session_record::{
     Finish, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
 };
 use crate::document::error::DocumentError;
-use crate::document::lens::LensRequest;
+use crate::document::lens_model::LensRequest;
 use crate::document::pose::PoseDocument;
 use crate::document::session_member::SessionMemberDocument;
 use crate::document::session_progress::{

@@ -76,7 +76,7 @@ pub(crate) fn choose_lens(
 ) -> Result<(CameraFit, Vec<LensTrial>), EstimationError> {
     let mut fits = Vec::new();
     let mut refusal = None;
-    for model in LensModel::ALL {
+    for model in LensModel::compared() {
         match fit_camera(prepared, model, options) {
             Ok(fit) => fits.push(fit),
             Err(error) => refusal = Some(error),
@@ -98,7 +98,7 @@ pub(crate) fn choose_lens(
     let trials: Vec<Trial<'_>> =
         fits.iter().filter_map(|fit| Trial::of(fit, &closest.observations, &views, grid)).collect();
     let mut by_size: Vec<&Trial<'_>> = trials.iter().collect();
-    by_size.sort_by_key(|trial| standing(trial.fit.lens().model()));
+    by_size.sort_by_key(|trial| trial.fit.lens().model().facts().auto_place);
     let enough = |(k, smaller): &(usize, &&Trial<'_>)| {
         !by_size[k + 1..].iter().any(|larger| larger.is_worth_more(smaller))
     };
@@ -121,8 +121,7 @@ pub(crate) fn choose_lens(
 /// not determine all of its parameters are fitted best by a numerator and a denominator of huge
 /// coefficients that cancel but for a kink on a circle, which no lens has.
 fn has_pole(lens: &Lens, size: ImageSize) -> bool {
-    let coefficients = lens.distortion.coefficients();
-    let [_, _, _, _, _, k4, k5, k6] = coefficients.as_slice() else { return false };
+    let Some([_, _, _, _, _, k4, k5, k6]) = lens.distortion.as_rational() else { return false };
     let matrix = lens.matrix;
     let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
     let farthest =
@@ -131,18 +130,6 @@ fn has_pole(lens: &Lens, size: ImageSize) -> bool {
     (1..=POLE_STEPS).any(|k| {
         denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR
     })
-}
-
-/// The order in which models are preferred: by the number of their parameters, but the fisheye's,
-/// with one less, after the one that every program knows.
-fn standing(model: LensModel) -> usize {
-    match model {
-        LensModel::Pinhole => 0,
-        LensModel::Radial => 1,
-        LensModel::Brown => 2,
-        LensModel::KannalaBrandt => 3,
-        LensModel::Rational => 4,
-    }
 }
 
 /// A model's fit with its errors on held-out views.

@@ -99,8 +99,7 @@ impl Prepared {
     /// where there is none.
     pub(crate) fn pose(&self, view: usize, lens: &Lens) -> Option<Pose> {
         let (prepared, observation) = (&self.views[view], &self.observations[view]);
-        let straight = lens.model() != LensModel::KannalaBrandt
-            && lens.distortion.coefficients().iter().all(|c| *c == 0.0);
+        let straight = lens.distortion.as_rational() == Some([0.0; 8]);
         if let (true, Some((homography, _)), Some(Shape::Flat { plane_from_board, .. })) =
             (straight, &prepared.homography, &prepared.shape)
         {
@@ -269,13 +268,9 @@ fn centered(size: ImageSize, focal_px: f64) -> CameraMatrix {
     CameraMatrix { fx: focal_px, fy: focal_px, cx: size.center().x, cy: size.center().y, skew: 0.0 }
 }
 
-/// A lens of `model` that bends nothing.
+/// The lens of `model` that a search begins with.
 pub(crate) fn undistorted(model: LensModel, matrix: CameraMatrix) -> Lens {
-    let zeros = vec![0.0; model.coefficient_names().len()];
-    match Distortion::from_coefficients(model, &zeros) {
-        Some(distortion) => Lens { matrix, distortion },
-        None => Lens::pinhole(matrix),
-    }
+    Lens { matrix, distortion: Distortion::start(model) }
 }
 
 fn is_plausible(matrix: &CameraMatrix, size: ImageSize) -> bool {

@@ -1,9 +1,11 @@
 //! COLMAP's `cameras.txt`, a camera for each picture sensor.
 
+use crate::export::format::models;
 use crate::export::number::decimal;
 use crate::export::sensors::{Sensor, without_skew};
 use crate::export::{ExportError, Format};
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::lens::Lens;
+use crate::geometry::lens::model::ForeignModel;
 
 /// COLMAP puts (0, 0) at the image's corner, half a pixel up and left of the first pixel's center:
 /// its cx and cy are ours plus one half.
@@ -17,7 +19,7 @@ pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
     let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
     for (k, sensor) in sensors.iter().enumerate() {
         without_skew(sensor, Format::Colmap)?;
-        let (model, parameters) = camera(sensor.lens);
+        let (model, parameters) = camera(sensor.lens)?;
         let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
         let (width, height) = (sensor.image_size.width, sensor.image_size.height);
         text += &format!(
@@ -31,18 +33,18 @@ pub(super) fn cameras(sensors: &[Sensor<'_>]) -> Result<String, ExportError> {
 }
 
 /// COLMAP's name for the model, and its parameters; skew is left out.
-pub(super) fn camera(lens: &Lens) -> (&'static str, Vec<f64>) {
+///
+/// # Errors
+/// [`ExportError::Lens`] for a model that COLMAP lacks.
+pub(super) fn camera(lens: &Lens) -> Result<(&'static str, Vec<f64>), ExportError> {
     let k = lens.matrix;
-    let mut coefficients = lens.distortion.coefficients();
-    let (model, count) = match lens.model() {
-        LensModel::Pinhole => ("PINHOLE", 0),
-        LensModel::Radial => ("OPENCV", 4),
-        LensModel::KannalaBrandt => ("OPENCV_FISHEYE", 4),
-        // k1, k2, p1, p2, k3, k4, k5, k6
-        LensModel::Brown | LensModel::Rational => ("FULL_OPENCV", 8),
-    };
-    coefficients.resize(count, 0.0);
+    let ForeignModel { name, coefficients } =
+        lens.model().facts().colmap.ok_or_else(|| ExportError::Lens {
+            format: Format::Colmap,
+            model: lens.model(),
+            instead: models(|model| model.facts().colmap.is_some()),
+        })?;
     let mut parameters = vec![k.fx, k.fy, k.cx + CORNER_TO_CENTER_PX, k.cy + CORNER_TO_CENTER_PX];
-    parameters.extend(coefficients);
-    (model, parameters)
+    parameters.extend(lens.distortion.padded_coefficients(coefficients));
+    Ok((name, parameters))
 }

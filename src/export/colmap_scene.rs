@@ -5,12 +5,16 @@ use std::path::Path;
 
 use crate::calibration::scene::SceneCalibration;
 use crate::export::colmap::{CORNER_TO_CENTER_PX, camera};
+use crate::export::error::ExportError;
 use crate::export::number::decimal;
 
 /// The three files with their names. Images are numbered from 1 in the order of views.
-pub fn files(calibration: &SceneCalibration) -> [(&'static str, String); 3] {
+///
+/// # Errors
+/// [`ExportError::Lens`] for a lens model that COLMAP lacks.
+pub fn files(calibration: &SceneCalibration) -> Result<[(&'static str, String); 3], ExportError> {
     let sensor = &calibration.sensor;
-    let (model, parameters) = camera(&sensor.lens);
+    let (model, parameters) = camera(&sensor.lens)?;
     let parameters: Vec<String> = parameters.into_iter().map(decimal).collect();
     let cameras = format!(
         "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n1 {model} {} {} {}\n",
@@ -18,11 +22,11 @@ pub fn files(calibration: &SceneCalibration) -> [(&'static str, String); 3] {
         sensor.image_size.height,
         parameters.join(" ")
     );
-    [
+    Ok([
         ("cameras.txt", cameras),
         ("images.txt", images(calibration)),
         ("points3D.txt", points(calibration)),
-    ]
+    ])
 }
 
 fn images(calibration: &SceneCalibration) -> String {

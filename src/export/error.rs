@@ -16,7 +16,7 @@ pub enum ExportError {
         /// The calibration's lens model.
         model: LensModel,
         /// Models that the format holds.
-        instead: &'static str,
+        instead: String,
     },
     /// The nearest lens the format has is too far off.
     #[error(
@@ -30,7 +30,7 @@ pub enum ExportError {
         /// The largest difference over the image, in pixels.
         worst_px: f64,
         /// Models that the format holds.
-        instead: &'static str,
+        instead: String,
     },
     /// The format's readers take the axes as square.
     #[error(

@@ -1,5 +1,7 @@
 //! The formats by their names.
 
+use crate::geometry::lens::LensModel;
+
 /// A format that a calibration can be written in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Format {
@@ -79,6 +81,18 @@ impl Format {
             Self::Tf => format!("{camera}-tf.yaml"),
             Self::Depth => format!("{camera}-depth.txt"),
         }
+    }
+}
+
+/// The models that a format `holds`, most coefficients first, as a choice in words.
+pub(super) fn models(holds: impl Fn(LensModel) -> bool) -> String {
+    let mut held: Vec<LensModel> =
+        LensModel::ALL.into_iter().filter(|model| holds(*model)).collect();
+    held.sort_by_key(|model| std::cmp::Reverse(model.coefficient_names().len()));
+    let names: Vec<&str> = held.into_iter().map(LensModel::name).collect();
+    match names.as_slice() {
+        [several @ .., last] if !several.is_empty() => format!("{} or {last}", several.join(", ")),
+        one => one.concat(),
     }
 }
 

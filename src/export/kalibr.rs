@@ -2,9 +2,11 @@
 
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
+use crate::export::format::models;
 use crate::export::number::list;
 use crate::export::sensors::{self, Sensor, without_skew};
 use crate::export::{ExportError, Format, refit};
+use crate::geometry::lens::model::KalibrModel;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pose::Pose;
 use crate::imaging::frame::SensorKind;
@@ -41,7 +43,7 @@ pub(super) fn camera_chain(
     let (mut text, mut notes) = (String::new(), Vec::new());
     for (k, sensor) in cameras.iter().enumerate() {
         without_skew(sensor, Format::Kalibr)?;
-        let (lens, note) = held_lens(sensor)?;
+        let (model, lens, note) = held_lens(sensor)?;
         notes.extend(
             note.map(
                 |note| if cameras.len() > 1 { format!("{}: {note}", sensor.name) } else { note },
@@ -55,7 +57,8 @@ pub(super) fn camera_chain(
         {
             text += &step(&(first_from_sensor.inverse() * before));
         }
-        text += &format!("  cam_overlaps: [{}]\n{}", others.join(", "), entry(sensor, &lens));
+        text +=
+            &format!("  cam_overlaps: [{}]\n{}", others.join(", "), entry(sensor, &lens, model));
         text += &format!("  rostopic: {}\n", serde_json::Value::from(sensor.topic(camera)));
     }
     let note = (!notes.is_empty()).then(|| notes.join("; "));
@@ -63,20 +66,18 @@ pub(super) fn camera_chain(
     Ok((comment + &text, note))
 }
 
-fn entry(sensor: &Sensor<'_>, lens: &Lens) -> String {
-    let coefficients = lens.distortion.coefficients();
-    let (distortion, coefficients) = match lens.model() {
-        LensModel::Pinhole => ("none", Vec::new()),
-        LensModel::KannalaBrandt => ("equidistant", coefficients),
-        LensModel::Radial => ("radtan", vec![coefficients[0], 0.0, 0.0, 0.0]),
-        LensModel::Brown | LensModel::Rational => ("radtan", coefficients[..4].to_vec()),
-    };
+fn entry(sensor: &Sensor<'_>, lens: &Lens, model: KalibrModel) -> String {
+    let KalibrModel { camera, distortion, coefficients } = model;
     let k = lens.matrix;
+    let mut intrinsics = vec![k.fx, k.fy, k.cx, k.cy];
+    if !model.is_pinhole() {
+        intrinsics.splice(0..0, lens.distortion.coefficients());
+    }
     format!(
-        "  camera_model: pinhole\n  distortion_coeffs: [{}]\n  distortion_model: {distortion}\n  \
+        "  camera_model: {camera}\n  distortion_coeffs: [{}]\n  distortion_model: {distortion}\n  \
          intrinsics: [{}]\n  resolution: [{}, {}]\n",
-        list(&coefficients),
-        list(&[k.fx, k.fy, k.cx, k.cy]),
+        list(&lens.distortion.padded_coefficients(coefficients)),
+        list(&intrinsics),
         sensor.image_size.width,
         sensor.image_size.height,
     )
@@ -91,26 +92,28 @@ fn step(this_from_before: &Pose) -> String {
     format!("  T_cn_cnm1:\n{}{}{}  - [0.0, 0.0, 0.0, 1.0]\n", row(0), row(1), row(2))
 }
 
-/// The lens itself, or the nearest one that `radtan` holds.
-fn held_lens(sensor: &Sensor<'_>) -> Result<(Lens, Option<String>), ExportError> {
+/// Kalibr's name for the model; with the lens itself, or the nearest one that `radtan` holds.
+fn held_lens(sensor: &Sensor<'_>) -> Result<(KalibrModel, Lens, Option<String>), ExportError> {
     let lens = *sensor.lens;
-    let held = match lens.model() {
-        LensModel::Pinhole | LensModel::Radial | LensModel::KannalaBrandt => true,
-        LensModel::Brown => lens.distortion.coefficients()[4] == 0.0,
-        LensModel::Rational => false,
-    };
-    if held {
-        return Ok((lens, None));
-    }
     let model = lens.model();
+    let known = model.facts().kalibr.ok_or_else(|| ExportError::Lens {
+        format: Format::Kalibr,
+        model,
+        instead: models(held_exactly),
+    })?;
+    let coefficients = lens.distortion.coefficients();
+    let beyond = coefficients.get(known.coefficients..).unwrap_or_default();
+    if !known.is_pinhole() || beyond.iter().all(|coefficient| *coefficient == 0.0) {
+        return Ok((known, lens, None));
+    }
     let refused = |worst_px| ExportError::Refit {
         format: Format::Kalibr,
         model,
         worst_px,
-        instead: "radial or kannala_brandt",
+        instead: models(held_exactly),
     };
-    let refit =
-        refit::with_four_coefficients(&lens, sensor.image_size).ok_or(refused(f64::INFINITY))?;
+    let refit = refit::with_four_coefficients(&lens, sensor.image_size)
+        .ok_or_else(|| refused(f64::INFINITY))?;
     if refit.worst_px > WORST_REFIT_PX {
         return Err(refused(refit.worst_px));
     }
@@ -118,5 +121,13 @@ fn held_lens(sensor: &Sensor<'_>) -> Result<(Lens, Option<String>), ExportError>
         "kalibr's radtan lens has no {model} coefficients beyond k1, k2, p1, p2: refitted over the whole image, off by {:.4} px rms and {:.4} px at worst",
         refit.rms_px, refit.worst_px
     );
-    Ok((refit.lens, Some(note)))
+    Ok((known, refit.lens, Some(note)))
+}
+
+/// Whether Kalibr has every coefficient of the model.
+fn held_exactly(model: LensModel) -> bool {
+    let has = |known: KalibrModel| {
+        !known.is_pinhole() || model.coefficient_names().len() <= known.coefficients
+    };
+    model.facts().kalibr.is_some_and(has)
 }

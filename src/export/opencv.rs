@@ -1,11 +1,11 @@
 //! OpenCV `FileStorage` YAML, with the field names of OpenCV's own calibration sample.
 
 use crate::calibration::result::Calibration;
+use crate::export::format::models;
 use crate::export::number::{decimal, list};
 use crate::export::sensors::{Sensor, without_skew};
 use crate::export::{ExportError, Format};
 use crate::geometry::board::Chessboard;
-use crate::geometry::lens::LensModel;
 use crate::geometry::target::Target;
 
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:
@@ -17,10 +17,12 @@ pub(super) fn file_storage(
 ) -> Result<String, ExportError> {
     without_skew(sensor, Format::Opencv)?;
     let lens = sensor.lens;
-    let mut coefficients = lens.distortion.coefficients();
-    if matches!(lens.model(), LensModel::Pinhole | LensModel::Radial) {
-        coefficients.resize(5, 0.0);
-    }
+    let known = lens.model().facts().opencv.ok_or_else(|| ExportError::Lens {
+        format: Format::Opencv,
+        model: lens.model(),
+        instead: models(|model| model.facts().opencv.is_some()),
+    })?;
+    let coefficients = lens.distortion.padded_coefficients(known.coefficients);
     let k = lens.matrix;
     let mut text = String::from("%YAML:1.0\n---\n");
     text += &format!(
@@ -31,7 +33,7 @@ pub(super) fn file_storage(
         text += &format!("board_width: {}\nboard_height: {}\n", size.cols, size.rows);
         text += &format!("square_size: {}\n", decimal(*square_m));
     }
-    text += &format!("fisheye_model: {}\n", i32::from(lens.model() == LensModel::KannalaBrandt));
+    text += &format!("fisheye_model: {}\n", i32::from(known.fisheye));
     text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
     text += &matrix("distortion_coefficients", coefficients.len(), &coefficients);
     if let Some(rms_px) = sensor.rms_px {

@@ -1,16 +1,17 @@
 //! ROS `camera_info` YAML, as `camera_info_manager` and `camera_calibration_parsers` read it.
 
+use crate::export::format::models;
 use crate::export::number::list;
 use crate::export::sensors::{Sensor, without_skew};
 use crate::export::{ExportError, Format};
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::lens::Lens;
 
 /// `sensor_msgs/CameraInfo` as YAML. The rectification is the identity (a single camera), and the
 /// projection matrix keeps the camera matrix: a rectified image has the same focal length and
 /// principal point, so that nothing is resampled more than the distortion asks for.
 pub(super) fn camera_info(name: &str, sensor: &Sensor<'_>) -> Result<String, ExportError> {
     without_skew(sensor, Format::Ros)?;
-    let (model, coefficients) = distortion(sensor.lens);
+    let (model, coefficients) = distortion(sensor.lens)?;
     let k = sensor.lens.matrix;
     let camera_matrix = list(&[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
     let rectification = list(&[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
@@ -32,15 +33,12 @@ pub(super) fn camera_info(name: &str, sensor: &Sensor<'_>) -> Result<String, Exp
     ))
 }
 
-/// ROS's name and coefficients. Pinhole and radial lenses are `plumb_bob` ones whose other
-/// coefficients are 0.
-fn distortion(lens: &Lens) -> (&'static str, Vec<f64>) {
-    let coefficients = lens.distortion.coefficients();
-    match lens.model() {
-        LensModel::Pinhole => ("plumb_bob", vec![0.0; 5]),
-        LensModel::Radial => ("plumb_bob", vec![coefficients[0], 0.0, 0.0, 0.0, 0.0]),
-        LensModel::Brown => ("plumb_bob", coefficients),
-        LensModel::Rational => ("rational_polynomial", coefficients),
-        LensModel::KannalaBrandt => ("equidistant", coefficients),
-    }
+/// ROS's name and coefficients; those that a lens lacks are 0.
+fn distortion(lens: &Lens) -> Result<(&'static str, Vec<f64>), ExportError> {
+    let known = lens.model().facts().camera_info.ok_or_else(|| ExportError::Lens {
+        format: Format::Ros,
+        model: lens.model(),
+        instead: models(|model| model.facts().camera_info.is_some()),
+    })?;
+    Ok((known.ros, lens.distortion.padded_coefficients(known.coefficients)))
 }

@@ -98,8 +98,8 @@ async fn next_part(frames: &mut PreviewReceiver) -> Option<[Bytes; 3]> {
 
 fn drawing(parameters: &Parameters, overlay: bool) -> Result<Drawing, Problem> {
     let overlay = parameters.flag("overlay", overlay)?;
-    let sensor =
-        parameters.one_of("sensor", SensorKind::from_name, "color, infrared, infrared2, depth")?;
+    let known = SensorKind::ALL.map(SensorKind::name).join(", ");
+    let sensor = parameters.one_of("sensor", SensorKind::from_name, &known)?;
     let sensor = sensor.unwrap_or(SensorKind::Color);
     Ok(Drawing {
         sensor,

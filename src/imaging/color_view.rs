@@ -4,7 +4,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::geometry::camera_matrix::CameraMatrix;
-use crate::geometry::lens::{Distortion, Lens};
+use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::distortion_lookup::{DistortionLookup, seen};
@@ -89,14 +89,8 @@ impl ColorView {
 impl PlaneLens {
     /// `None` for a lens that does not bend the plane.
     fn new(lens: &Lens, size: ImageSize) -> Option<Self> {
-        let (numerator, denominator, tangential) = match lens.distortion.coefficients()[..] {
-            _ if matches!(lens.distortion, Distortion::KannalaBrandt(_)) => return None,
-            [] => ([0.0; 3], [0.0; 3], [0.0; 2]),
-            [k1] => ([k1, 0.0, 0.0], [0.0; 3], [0.0; 2]),
-            [k1, k2, p1, p2, k3] => ([k1, k2, k3], [0.0; 3], [p1, p2]),
-            [k1, k2, p1, p2, k3, k4, k5, k6] => ([k1, k2, k3], [k4, k5, k6], [p1, p2]),
-            _ => return None,
-        };
+        let [k1, k2, p1, p2, k3, k4, k5, k6] = lens.distortion.as_rational()?;
+        let (numerator, denominator, tangential) = ([k1, k2, k3], [k4, k5, k6], [p1, p2]);
         let CameraMatrix { fx, fy, cx, cy, skew } = lens.matrix;
         Some(Self {
             focal: [fx as f32, fy as f32],

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::imaging::frame::SensorKind;
 use crate::recording::records::Broken;
 
 /// A recording that cannot be read or written.
@@ -15,8 +16,9 @@ pub enum RecordingError {
     },
     /// A folder with nothing that is named like a picture.
     #[error(
-        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders color/, infrared/, infrared2/, depth/ with such files",
-        path.display()
+        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders {} with such files",
+        path.display(),
+        SensorKind::ALL.map(|sensor| format!("{}/", sensor.name())).join(", ")
     )]
     NoPictures {
         /// The folder.

@@ -4,7 +4,8 @@ use foxglove::bytes::Bytes;
 use foxglove::messages::{CameraCalibration, CompressedImage, RawImage, Timestamp};
 use foxglove::{Decode, Encode};
 
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::{Distortion, Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::file_size;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
@@ -97,15 +98,9 @@ pub(super) fn encode_lens(
     utc_ns: i64,
 ) -> Option<Encoded> {
     let m = lens.matrix;
-    let distortion_model = match lens.model() {
-        LensModel::Pinhole | LensModel::Radial | LensModel::Brown => "plumb_bob",
-        LensModel::Rational => "rational_polynomial",
-        LensModel::KannalaBrandt => "kannala_brandt",
-    };
-    let mut d = lens.distortion.coefficients();
-    if distortion_model == "plumb_bob" {
-        d.resize(5, 0.0);
-    }
+    let known = lens.model().facts().camera_info?;
+    let distortion_model = known.foxglove;
+    let d = lens.distortion.padded_coefficients(known.coefficients);
     let message = CameraCalibration {
         timestamp: Some(timestamp(utc_ns)),
         frame_id: frame_id.to_owned(),
@@ -181,25 +176,26 @@ pub(super) fn decode_lens(bytes: &[u8]) -> Option<(ImageSize, Lens)> {
 /// are 0.
 pub(super) fn lens_from_ros(
     distortion_model: &str,
-    distortion: &[f64],
+    stated_coefficients: &[f64],
     matrix: &[f64; 9],
 ) -> Option<Lens> {
     let [fx, skew, cx, _, fy, cy, ..] = *matrix;
     let is_zero = |coefficients: &[f64]| coefficients.iter().all(|d| *d == 0.0);
-    let model = match distortion_model {
-        "plumb_bob" => LensModel::Brown,
-        "rational_polynomial" => LensModel::Rational,
-        "kannala_brandt" | "equidistant" | "fisheye" => LensModel::KannalaBrandt,
-        _ if is_zero(distortion) => LensModel::Pinhole,
-        _ => return None,
+    let matrix = CameraMatrix { fx, fy, cx, cy, skew };
+    let lens = match LensModel::from_camera_info(distortion_model) {
+        Some(model) => {
+            let count = model.coefficient_names().len();
+            let stated =
+                stated_coefficients.iter().copied().chain(std::iter::repeat(0.0)).take(count);
+            let stated: Vec<f64> = stated.collect();
+            let distortion = Distortion::from_coefficients(model, &stated)?;
+            let beyond = stated_coefficients.get(count..).unwrap_or_default();
+            is_zero(beyond).then_some(Lens { matrix, distortion })
+        }
+        None => is_zero(stated_coefficients).then(|| Lens::pinhole(matrix)),
     };
-    let count = model.coefficient_names().len();
-    let beyond = distortion.get(count..).unwrap_or_default();
-    let stated = distortion.iter().copied().chain(std::iter::repeat(0.0)).take(count);
-    let parameters: Vec<f64> = [fx, fy, cx, cy, skew].into_iter().chain(stated).collect();
-    let whole = fx > 0.0 && fy > 0.0 && is_zero(beyond);
-    let whole = whole && parameters.iter().all(|value| value.is_finite());
-    Lens::from_parameters(model, &parameters).filter(|_| whole)
+    let is_finite = |lens: &Lens| lens.parameters().iter().all(|value| value.is_finite());
+    lens.filter(|lens| fx > 0.0 && fy > 0.0 && is_finite(lens))
 }
 
 fn encoded<T: Encode>(schema: &'static str, message: &T) -> Option<Encoded> {

@@ -3,7 +3,7 @@
 //! The color sensor of camera `front` is `/front/image_raw` in `front_optical_frame` (REP 103),
 //! its others `/front/depth/image_rect_raw`, `/front/infra1/image_rect_raw` and so on.
 
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
@@ -48,27 +48,20 @@ pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Mess
     Some(Ros2Message { topic: base, type_name: IMAGE, bytes: cdr.0 })
 }
 
-/// What is stated of a sensor's lens, as `camera_info`.
+/// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not.
 pub(super) fn camera_info(
     (camera, sensor): (&str, SensorKind),
     lens: &Lens,
     size: ImageSize,
     utc_ns: i64,
-) -> Ros2Message {
+) -> Option<Ros2Message> {
     let m = lens.matrix;
-    let model = match lens.model() {
-        LensModel::Pinhole | LensModel::Radial | LensModel::Brown => "plumb_bob",
-        LensModel::Rational => "rational_polynomial",
-        LensModel::KannalaBrandt => "equidistant",
-    };
-    let mut distortion = lens.distortion.coefficients();
-    if model == "plumb_bob" {
-        distortion.resize(5, 0.0);
-    }
+    let known = lens.model().facts().camera_info?;
+    let distortion = lens.distortion.padded_coefficients(known.coefficients);
     let mut cdr = Cdr::with_header(utc_ns, &frame_id(camera, sensor));
     cdr.u32(size.height);
     cdr.u32(size.width);
-    cdr.text(model);
+    cdr.text(known.ros);
     cdr.u32(distortion.len() as u32);
     distortion.iter().for_each(|d| cdr.f64(*d));
     let matrix = [m.fx, m.skew, m.cx, 0.0, m.fy, m.cy, 0.0, 0.0, 1.0];
@@ -81,7 +74,7 @@ pub(super) fn camera_info(
     (0..6).for_each(|_| cdr.u32(0));
     cdr.0.push(0);
     let topic = format!("{}/camera_info", namespace(camera, sensor));
-    Ros2Message { topic, type_name: CAMERA_INFO, bytes: cdr.0 }
+    Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes: cdr.0 })
 }
 
 fn namespace(camera: &str, sensor: SensorKind) -> String {

@@ -71,7 +71,7 @@ impl Ros2Writer {
         Ok(())
     }
 
-    /// Notes what the device states of a sensor's lens.
+    /// Notes what the device states of a sensor's lens, where ROS has its model.
     ///
     /// # Errors
     /// As [`Self::write`].
@@ -82,8 +82,10 @@ impl Ros2Writer {
         lens: &Lens,
         utc_ns: i64,
     ) -> Result<(), RecordingError> {
-        let message = camera_info((&self.camera, sensor), lens, size, utc_ns);
-        self.append(&message, 0, utc_ns)
+        match camera_info((&self.camera, sensor), lens, size, utc_ns) {
+            Some(message) => self.append(&message, 0, utc_ns),
+            None => Ok(()),
+        }
     }
 
     /// Writes the index and the metadata.

@@ -127,7 +127,8 @@ pub(super) mod tests {
     use crate::calibration::guidance::Guidance;
     use crate::calibration::result::ProjectionUncertainty;
     use crate::calibration::session_record::{Finish, RunningEstimate, SessionRequest};
-    use crate::document::lens::LensRequest;
+    use crate::document::lens_model::LensRequest;
+    use crate::document::reading::from_json;
     use crate::geometry::lens::{Lens, LensModel};
     use crate::geometry::pixel::Pixel;
     use crate::geometry::target::chessboard;
@@ -145,7 +146,7 @@ pub(super) mod tests {
             members: Vec::new(),
             request: SessionRequest {
                 target: chessboard(9, 6, 0.1 * third).unwrap(),
-                lens: LensRequest::Brown.into(),
+                lens: from_json::<LensRequest>(b"\"brown\"").unwrap().into(),
                 finish: Some(Finish {
                     uncertainty_px: Some(third),
                     min_views: Some(12),

@@ -249,8 +249,9 @@ fn agrees_with_opencv() {
             lens.model()
         })
         .collect();
+    let in_opencv = |model: &LensModel| model.facts().opencv.is_some();
     assert!(
-        LensModel::ALL.iter().all(|model| models.contains(model)),
+        LensModel::ALL.iter().filter(|model| in_opencv(model)).all(|model| models.contains(model)),
         "a model is not compared: {models:?}"
     );
 }

@@ -14,6 +14,7 @@ mod import_circles;
 mod layering;
 mod lens_conformance;
 mod live_session;
+mod one_place;
 mod program;
 mod properties;
 mod recordings;

@@ -20,10 +20,8 @@ pub(super) struct LensFit {
 
 const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
 
-/// Models compared by `auto`, fewest parameters first: eight coefficients are beyond what scenes
-/// determine.
-const COMPARED: [LensModel; 4] =
-    [LensModel::Pinhole, LensModel::Radial, LensModel::Brown, LensModel::KannalaBrandt];
+/// Models with more coefficients are not compared by `auto`: eight are beyond what scenes determine.
+const MOST_COEFFICIENTS: usize = 5;
 
 /// A larger model is taken if it lowers the cost by more than this, per parameter, in squared
 /// standard deviations that count how observations err together: of models that are no better one
@@ -53,7 +51,11 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
     };
     let mut fits: Vec<LensFit> = Vec::new();
     let mut refusal = SceneRefusal::NoFit;
-    for model in COMPARED.into_iter().filter(knows) {
+    let determined = |model: &LensModel| model.coefficient_names().len() <= MOST_COEFFICIENTS;
+    let mut compared: Vec<LensModel> =
+        LensModel::compared().filter(determined).filter(knows).collect();
+    compared.sort_by_key(|model| model.facts().auto_place);
+    for model in compared {
         match fit_model(start, model, given) {
             Ok(fit) => fits.push(fit),
             Err(error) => refusal = error,
@@ -143,9 +145,11 @@ fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
     let known = start.state.lens.parameters();
     let mut parameters = start.bundle.prior.mean(model);
     parameters[..COEFFICIENTS].copy_from_slice(&known[..COEFFICIENTS]);
-    if model == LensModel::KannalaBrandt {
-        // What a lens without distortion has: the series of the tangent.
-        parameters[COEFFICIENTS..].iter_mut().for_each(|coefficient| *coefficient *= 2.0);
+    let has_k1 = Lens::from_parameters(model, &parameters)
+        .is_some_and(|lens| lens.distortion.as_rational().is_some());
+    if !has_k1 {
+        parameters.truncate(COEFFICIENTS);
+        parameters.extend(model.straight());
     } else if let (Some(own), Some(first)) =
         (parameters.get_mut(COEFFICIENTS), known.get(COEFFICIENTS))
     {

@@ -6,7 +6,8 @@ use realsense_rust::device::Device;
 use realsense_rust::kind::{Rs2DistortionModel, Rs2Option, Rs2StreamKind};
 use realsense_rust::stream_profile::StreamProfile;
 
-use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::{Distortion, Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
@@ -77,15 +78,19 @@ fn stated_lens(intrinsics: &Rs2Intrinsics) -> StatedLens {
 fn lens_of(intrinsics: &Rs2Intrinsics) -> Option<Lens> {
     let distortion = intrinsics.distortion();
     let straight = distortion.coeffs.iter().all(|coefficient| *coefficient == 0.0);
-    let (model, count) = match distortion.model {
-        _ if straight => (LensModel::Pinhole, 0),
-        Rs2DistortionModel::BrownConrady => (LensModel::Brown, 5),
-        Rs2DistortionModel::KannalaBrandt => (LensModel::KannalaBrandt, 4),
+    let [fx, fy, cx, cy] =
+        [intrinsics.fx(), intrinsics.fy(), intrinsics.ppx(), intrinsics.ppy()].map(f64::from);
+    let matrix = CameraMatrix { fx, fy, cx, cy, skew: 0.0 };
+    if straight {
+        return Some(Lens::pinhole(matrix));
+    }
+    let model = LensModel::from_camera_info(match distortion.model {
+        Rs2DistortionModel::BrownConrady => "plumb_bob",
+        Rs2DistortionModel::KannalaBrandt => "equidistant",
         _ => return None,
-    };
-    let mut parameters =
-        vec![intrinsics.fx(), intrinsics.fy(), intrinsics.ppx(), intrinsics.ppy(), 0.0];
-    parameters.extend(&distortion.coeffs[..count]);
-    let parameters: Vec<f64> = parameters.into_iter().map(f64::from).collect();
-    Lens::from_parameters(model, &parameters)
+    })?;
+    let count = model.coefficient_names().len();
+    let coefficients: Vec<f64> =
+        distortion.coeffs.iter().take(count).copied().map(f64::from).collect();
+    Some(Lens { matrix, distortion: Distortion::from_coefficients(model, &coefficients)? })
 }

@@ -11,15 +11,6 @@ const CENTER_STD: f64 = 0.02;
 /// The standard deviation of fy / fx from 1: pixels are square but for how images were resampled.
 const ASPECT_STD: f64 = 0.002;
 
-/// The standard deviations of coefficients: radial ones of ordinary lenses, and tangential ones as
-/// of cameras with mounted lenses.
-const RADIAL_STD: f64 = 0.2;
-const TANGENTIAL_STD: f64 = 0.0003;
-
-/// The coefficients of Kannala and Brandt's model half way between an equidistant lens (0) and one
-/// without distortion (the series of the tangent: 1/3, 2/15, 17/315, 62/2835).
-const HALF_TANGENT: [f64; 4] = [1.0 / 6.0, 1.0 / 15.0, 17.0 / 630.0, 31.0 / 2835.0];
-
 /// Independent Gaussian priors on a lens's parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensPrior {
@@ -56,13 +47,7 @@ impl LensPrior {
     pub fn std(&self, model: LensModel) -> Vec<f64> {
         let center = CENTER_STD * f64::from(self.image_size.width);
         let mut std = vec![f64::INFINITY, f64::INFINITY, center, center, 0.0];
-        let tangential = |name: &&str| name.starts_with('p');
-        std.extend(
-            model
-                .coefficient_names()
-                .iter()
-                .map(|name| if tangential(name) { TANGENTIAL_STD } else { RADIAL_STD }),
-        );
+        std.extend(model.priors().iter().map(|prior| prior.std));
         std
     }
 
@@ -70,10 +55,7 @@ impl LensPrior {
     pub fn mean(&self, model: LensModel) -> Vec<f64> {
         let middle = self.image_size.center();
         let mut mean = vec![0.0, 0.0, middle.x, middle.y, 0.0];
-        match model {
-            LensModel::KannalaBrandt => mean.extend(HALF_TANGENT),
-            _ => mean.resize(COEFFICIENTS + model.coefficient_names().len(), 0.0),
-        }
+        mean.extend(model.priors().iter().map(|prior| prior.mean));
         mean
     }
 

@@ -2,8 +2,11 @@
 
 use nalgebra::{Matrix2, Point3, SMatrix, Vector2};
 
+use crate::geometry::lens::model::{
+    CameraInfoModel, CoefficientPrior, Distorted, DistortionModel, ForeignModel, KalibrModel,
+    ModelFacts, OpencvModel,
+};
 use crate::geometry::lens::plane::{self, MAX_RADIUS, PlaneDistortion};
-use crate::geometry::lens::{Distorted, DistortionModel};
 use crate::geometry::pixel::Bearing;
 use crate::geometry::polynomial;
 
@@ -68,7 +71,27 @@ impl PlaneDistortion<5> for Brown {
 }
 
 impl DistortionModel<5> for Brown {
+    const FACTS: ModelFacts = ModelFacts {
+        name: "brown",
+        summary: "OpenCV's 5 coefficients, ROS plumb_bob",
+        auto_place: Some(2),
+        camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
+        opencv: Some(OpencvModel::plain(5)),
+        // All but k3.
+        kalibr: Some(KalibrModel::pinhole("radtan", 4)),
+        mrcal: Some(ForeignModel::new("LENSMODEL_OPENCV5", 5)),
+        colmap: Some(ForeignModel::new("FULL_OPENCV", 8)),
+    };
+
     const NAMES: [&'static str; 5] = ["k1", "k2", "p1", "p2", "k3"];
+
+    const PRIORS: [CoefficientPrior; 5] = [
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::TANGENTIAL,
+        CoefficientPrior::TANGENTIAL,
+        CoefficientPrior::RADIAL,
+    ];
 
     fn from_coefficients([k1, k2, p1, p2, k3]: [f64; 5]) -> Self {
         let end = MAX_RADIUS * MAX_RADIUS;
@@ -91,5 +114,9 @@ impl DistortionModel<5> for Brown {
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
         plane::undistort(self, distorted)
+    }
+
+    fn as_rational(&self) -> Option<[f64; 8]> {
+        Some([self.k1, self.k2, self.p1, self.p2, self.k3, 0.0, 0.0, 0.0])
     }
 }

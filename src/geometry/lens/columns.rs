@@ -3,7 +3,7 @@
 
 use nalgebra::Point3;
 
-use crate::geometry::lens::DistortionModel;
+use crate::geometry::lens::model::DistortionModel;
 
 /// Distorted normalized coordinates of many points, with their derivatives: each quantity is one
 /// column over the points.

@@ -4,9 +4,15 @@ use std::f64::consts::PI;
 
 use nalgebra::{Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
 
-use crate::geometry::lens::{Distorted, DistortionModel};
+use crate::geometry::lens::model::{
+    CameraInfoModel, CoefficientPrior, Distorted, DistortionModel, ForeignModel, KalibrModel,
+    ModelFacts, OpencvModel,
+};
 use crate::geometry::pixel::Bearing;
 use crate::geometry::polynomial;
+
+/// The coefficients of a lens without distortion: the series of the tangent.
+const TANGENT: [f64; 4] = [1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0];
 
 /// With θ the angle off the axis: θ_d = θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸), (x_d, y_d) = θ_d (X,
 /// Y)/√(X² + Y²).
@@ -40,7 +46,34 @@ impl KannalaBrandt {
 }
 
 impl DistortionModel<4> for KannalaBrandt {
+    const FACTS: ModelFacts = ModelFacts {
+        name: "kannala_brandt",
+        summary: "OpenCV's fisheye, ROS equidistant",
+        // One coefficient less than OpenCV's five, but after them: every program knows those.
+        auto_place: Some(3),
+        camera_info: Some(CameraInfoModel {
+            ros: "equidistant",
+            foxglove: "kannala_brandt",
+            also: &["fisheye"],
+            coefficients: 4,
+        }),
+        opencv: Some(OpencvModel { fisheye: true, coefficients: 4 }),
+        kalibr: Some(KalibrModel::pinhole("equidistant", 4)),
+        mrcal: None,
+        colmap: Some(ForeignModel::new("OPENCV_FISHEYE", 4)),
+    };
+
     const NAMES: [&'static str; 4] = ["k1", "k2", "k3", "k4"];
+
+    /// Half way between an equidistant lens (0) and one without distortion.
+    const PRIORS: [CoefficientPrior; 4] = [
+        CoefficientPrior::about(0.5 * TANGENT[0]),
+        CoefficientPrior::about(0.5 * TANGENT[1]),
+        CoefficientPrior::about(0.5 * TANGENT[2]),
+        CoefficientPrior::about(0.5 * TANGENT[3]),
+    ];
+
+    const STRAIGHT: [f64; 4] = TANGENT;
 
     fn from_coefficients(k: [f64; 4]) -> Self {
         let [k1, k2, k3, k4] = k;

@@ -8,14 +8,15 @@
 //! point in camera --Distortion--> (x_d, y_d) --CameraMatrix--> pixel
 //! ```
 //!
-//! One model a file; a new one is a file, an arm of [`Distortion`], and a line of the conformance
-//! tests. Every model knows its *valid region*: the largest connected set around the optical axis
+//! One model a file; a new one is a file and its line in the list below, and a line of the
+//! conformance tests. Every model knows its *valid region*: the largest connected set around the optical axis
 //! in which it is one-to-one. Outside it, projecting and unprojecting answer `None` instead of a
 //! plausible wrong number.
 
 mod brown;
 pub mod columns;
 mod kannala_brandt;
+pub mod model;
 mod pinhole;
 mod plane;
 mod radial;
@@ -25,6 +26,7 @@ use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Vector2};
 
 pub use brown::Brown;
 pub use kannala_brandt::KannalaBrandt;
+pub use model::{CoefficientPrior, Distorted, DistortionModel, ModelFacts};
 pub use pinhole::Pinhole;
 pub use radial::Radial;
 pub use rational::Rational;
@@ -33,78 +35,168 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 use crate::geometry::pixel::{Bearing, Pixel};
 
-/// The most parameters a lens has: fx, fy, cx, cy, skew and the eight of [`Rational`].
-pub const MAX_PARAMETERS: usize = 5 + 8;
+/// The most parameters a lens has: fx, fy, cx, cy, skew and the most coefficients of any model.
+pub const MAX_PARAMETERS: usize = 5 + MAX_COEFFICIENTS;
 
-/// What a lens does to a ray before the camera matrix: one model with `N` coefficients.
-pub trait DistortionModel<const N: usize>: Sized {
-    /// The coefficients' names, in the order of every array of coefficients.
-    const NAMES: [&'static str; N];
+/// The models. A line here and its file are all there is to a model.
+macro_rules! lens_models {
+    ($($(#[$doc:meta])* $model:ident,)*) => {
+        /// Which distortion model: the contract's `lens.model`.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+        pub enum LensModel {
+            $($(#[$doc])* $model,)*
+        }
 
-    /// The model with these coefficients.
-    fn from_coefficients(coefficients: [f64; N]) -> Self;
+        impl LensModel {
+            /// Every model, fewest coefficients first.
+            pub const ALL: [Self; MODEL_COUNT] = [$(Self::$model),*];
 
-    /// Its coefficients.
-    fn coefficients(&self) -> [f64; N];
+            /// Every model's name in documents, in the same order.
+            pub const NAMES: [&'static str; MODEL_COUNT] = [$($model::FACTS.name),*];
 
-    /// Distorted normalized coordinates of a point in the camera frame; `None` outside the valid
-    /// region.
-    fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>>;
+            /// What is known of it beside its formula.
+            pub fn facts(self) -> &'static ModelFacts {
+                match self {
+                    $(Self::$model => &$model::FACTS,)*
+                }
+            }
 
-    /// As [`Self::distort`], with its derivatives.
-    fn distort_with_jacobians(&self, point_in_camera: &Point3<f64>) -> Option<Distorted<N>> {
-        let (distorted, inside) = self.distort_or_axis(point_in_camera);
-        inside.then_some(distorted)
-    }
+            /// Its coefficients' names, in order.
+            pub fn coefficient_names(self) -> &'static [&'static str] {
+                match self {
+                    $(Self::$model => &$model::NAMES,)*
+                }
+            }
 
-    /// As [`Self::distort_with_jacobians`], and whether the point is inside the valid region; if
-    /// not, the derivatives are those at some point inside, finite and without meaning.
-    fn distort_or_axis(&self, point_in_camera: &Point3<f64>) -> (Distorted<N>, bool);
+            /// What is known of its coefficients before any image.
+            pub fn priors(self) -> &'static [CoefficientPrior] {
+                match self {
+                    $(Self::$model => &$model::PRIORS,)*
+                }
+            }
 
-    /// The direction that [`Self::distort`] maps to `distorted`; `None` outside the valid region.
-    fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing>;
+            /// The coefficients of a lens without distortion, or the nearest to one.
+            pub fn straight(self) -> &'static [f64] {
+                match self {
+                    $(Self::$model => &$model::STRAIGHT,)*
+                }
+            }
+        }
+
+        /// A distortion of any of the models.
+        #[derive(Debug, Clone, Copy, PartialEq)]
+        pub enum Distortion {
+            $($(#[$doc])* $model($model),)*
+        }
+
+        impl Distortion {
+            /// The model `model` with `coefficients`; `None` if their number is not the model's.
+            pub fn from_coefficients(model: LensModel, coefficients: &[f64]) -> Option<Self> {
+                Some(match model {
+                    $(LensModel::$model => {
+                        Self::$model($model::from_coefficients(coefficients.try_into().ok()?))
+                    })*
+                })
+            }
+
+            /// What a search for a lens of `model` begins with.
+            pub fn start(model: LensModel) -> Self {
+                match model {
+                    $(LensModel::$model => {
+                        Self::$model($model::from_coefficients($model::START))
+                    })*
+                }
+            }
+
+            /// Which model it is.
+            pub fn model(&self) -> LensModel {
+                match self {
+                    $(Self::$model(_) => LensModel::$model,)*
+                }
+            }
+
+            /// Its coefficients, in the order of [`LensModel::coefficient_names`].
+            pub fn coefficients(&self) -> Vec<f64> {
+                match self {
+                    $(Self::$model(model) => model.coefficients().to_vec(),)*
+                }
+            }
+
+            /// The same lens by OpenCV's eight coefficients k1, k2, p1, p2, k3, k4, k5, k6; `None`
+            /// for one that they cannot describe.
+            pub fn as_rational(&self) -> Option<[f64; 8]> {
+                match self {
+                    $(Self::$model(model) => model.as_rational(),)*
+                }
+            }
+
+            /// Distorted normalized coordinates of a point in the camera frame; `None` outside the
+            /// valid region.
+            pub fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
+                match self {
+                    $(Self::$model(model) => model.distort(point_in_camera),)*
+                }
+            }
+
+            /// The direction seen at distorted normalized coordinates; `None` outside the valid
+            /// region.
+            pub fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
+                match self {
+                    $(Self::$model(model) => model.undistort(distorted),)*
+                }
+            }
+
+            #[inline(always)]
+            fn fill_columns(&self, points_in_camera: [&[f64]; 3], columns: &mut DistortedColumns) {
+                match self {
+                    $(Self::$model(model) => columns.fill(model, points_in_camera),)*
+                }
+            }
+
+            fn project(&self, matrix: &CameraMatrix, point: &Point3<f64>) -> Option<Projection> {
+                match self {
+                    $(Self::$model(model) => {
+                        Some(projection(matrix, &model.distort_with_jacobians(point)?))
+                    })*
+                }
+            }
+        }
+
+        const COEFFICIENT_COUNTS: &[usize] = &[$($model::NAMES.len()),*];
+    };
 }
 
-/// Distorted normalized coordinates with their derivatives.
-#[derive(Debug, Clone, Copy)]
-pub struct Distorted<const N: usize> {
-    /// (x_d, y_d).
-    pub normalized: Vector2<f64>,
-    /// By the point in the camera frame.
-    pub by_point: Matrix2x3<f64>,
-    /// By the model's coefficients.
-    pub by_coefficients: SMatrix<f64, 2, N>,
-}
-
-/// Which distortion model: the contract's `lens.model`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum LensModel {
+// Fewest coefficients first.
+lens_models! {
     /// No distortion.
     Pinhole,
     /// One radial coefficient.
     Radial,
+    /// OpenCV's `fisheye`, ROS `equidistant`.
+    KannalaBrandt,
     /// OpenCV's five coefficients, ROS `plumb_bob`.
     Brown,
     /// OpenCV's eight coefficients, ROS `rational_polynomial`.
     Rational,
-    /// OpenCV's `fisheye`, ROS `equidistant`.
-    KannalaBrandt,
 }
 
-impl LensModel {
-    /// Every model, fewest parameters first.
-    pub const ALL: [Self; 5] =
-        [Self::Pinhole, Self::Radial, Self::KannalaBrandt, Self::Brown, Self::Rational];
+const MODEL_COUNT: usize = COEFFICIENT_COUNTS.len();
 
+const MAX_COEFFICIENTS: usize = {
+    let (mut most, mut model) = (0, 0);
+    while model < MODEL_COUNT {
+        if COEFFICIENT_COUNTS[model] > most {
+            most = COEFFICIENT_COUNTS[model];
+        }
+        model += 1;
+    }
+    most
+};
+
+impl LensModel {
     /// Its name in documents.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Pinhole => "pinhole",
-            Self::Radial => "radial",
-            Self::Brown => "brown",
-            Self::Rational => "rational",
-            Self::KannalaBrandt => "kannala_brandt",
-        }
+        self.facts().name
     }
 
     /// The model with this name.
@@ -112,15 +204,21 @@ impl LensModel {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
-    /// Its coefficients' names, in order.
-    pub fn coefficient_names(self) -> &'static [&'static str] {
-        match self {
-            Self::Pinhole => &Pinhole::NAMES,
-            Self::Radial => &Radial::NAMES,
-            Self::Brown => &Brown::NAMES,
-            Self::Rational => &Rational::NAMES,
-            Self::KannalaBrandt => &KannalaBrandt::NAMES,
-        }
+    /// The models that are compared where the choice is left open, fewest coefficients first.
+    pub fn compared() -> impl Iterator<Item = Self> {
+        Self::ALL.into_iter().filter(|model| model.facts().auto_place.is_some())
+    }
+
+    /// The model that messages about cameras call `distortion_model`: of those that share a name,
+    /// the one that has all its coefficients.
+    pub fn from_camera_info(distortion_model: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|model| {
+            model.facts().camera_info.is_some_and(|info| {
+                let named = [info.ros, info.foxglove].contains(&distortion_model)
+                    || info.also.contains(&distortion_model);
+                named && info.coefficients == model.coefficient_names().len()
+            })
+        })
     }
 }
 
@@ -130,81 +228,12 @@ impl std::fmt::Display for LensModel {
     }
 }
 
-/// A distortion of any of the five models.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Distortion {
-    /// See [`Pinhole`].
-    Pinhole(Pinhole),
-    /// See [`Radial`].
-    Radial(Radial),
-    /// See [`Brown`].
-    Brown(Brown),
-    /// See [`Rational`].
-    Rational(Rational),
-    /// See [`KannalaBrandt`].
-    KannalaBrandt(KannalaBrandt),
-}
-
-/// Runs one expression with `$model` bound to the model inside a [`Distortion`].
-macro_rules! with_model {
-    ($distortion:expr, $model:ident => $result:expr) => {
-        match $distortion {
-            Distortion::Pinhole($model) => $result,
-            Distortion::Radial($model) => $result,
-            Distortion::Brown($model) => $result,
-            Distortion::Rational($model) => $result,
-            Distortion::KannalaBrandt($model) => $result,
-        }
-    };
-}
-
 impl Distortion {
-    /// The model `model` with `coefficients`; `None` if their number is not the model's.
-    pub fn from_coefficients(model: LensModel, coefficients: &[f64]) -> Option<Self> {
-        Some(match model {
-            LensModel::Pinhole => {
-                Self::Pinhole(Pinhole::from_coefficients(coefficients.try_into().ok()?))
-            }
-            LensModel::Radial => {
-                Self::Radial(Radial::from_coefficients(coefficients.try_into().ok()?))
-            }
-            LensModel::Brown => {
-                Self::Brown(Brown::from_coefficients(coefficients.try_into().ok()?))
-            }
-            LensModel::Rational => {
-                Self::Rational(Rational::from_coefficients(coefficients.try_into().ok()?))
-            }
-            LensModel::KannalaBrandt => {
-                Self::KannalaBrandt(KannalaBrandt::from_coefficients(coefficients.try_into().ok()?))
-            }
-        })
-    }
-
-    /// Which model it is.
-    pub fn model(&self) -> LensModel {
-        match self {
-            Self::Pinhole(_) => LensModel::Pinhole,
-            Self::Radial(_) => LensModel::Radial,
-            Self::Brown(_) => LensModel::Brown,
-            Self::Rational(_) => LensModel::Rational,
-            Self::KannalaBrandt(_) => LensModel::KannalaBrandt,
-        }
-    }
-
-    /// Its coefficients, in the order of [`LensModel::coefficient_names`].
-    pub fn coefficients(&self) -> Vec<f64> {
-        with_model!(self, model => model.coefficients().to_vec())
-    }
-
-    /// Distorted normalized coordinates of a point in the camera frame; `None` outside the valid
-    /// region.
-    pub fn distort(&self, point_in_camera: &Point3<f64>) -> Option<Vector2<f64>> {
-        with_model!(self, model => model.distort(point_in_camera))
-    }
-
-    /// The direction seen at distorted normalized coordinates; `None` outside the valid region.
-    pub fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
-        with_model!(self, model => model.undistort(distorted))
+    /// Its first `count` coefficients, 0 where it has fewer.
+    pub fn padded_coefficients(&self, count: usize) -> Vec<f64> {
+        let mut coefficients = self.coefficients();
+        coefficients.resize(count, 0.0);
+        coefficients
     }
 }
 
@@ -279,31 +308,29 @@ impl Lens {
     /// [`DistortedColumns`].
     #[inline(always)]
     pub fn distort_columns(&self, points_in_camera: [&[f64]; 3], columns: &mut DistortedColumns) {
-        with_model!(&self.distortion, model => columns.fill(model, points_in_camera));
+        self.distortion.fill_columns(points_in_camera, columns);
     }
 
     /// As [`Self::pixel_from_point`], with analytic derivatives by point and parameters.
     pub fn project(&self, point_in_camera: &Point3<f64>) -> Option<Projection> {
-        with_model!(&self.distortion, model => Some(self.projection(&model.distort_with_jacobians(point_in_camera)?)))
+        self.distortion.project(&self.matrix, point_in_camera)
     }
+}
 
-    fn projection<const N: usize>(&self, distorted: &Distorted<N>) -> Projection {
-        let CameraMatrix { fx, fy, skew, .. } = self.matrix;
-        let pixel_by_normalized = Matrix2::new(fx, skew, 0.0, fy);
-        let (x, y) = (distorted.normalized.x, distorted.normalized.y);
-        let mut by_parameters = SMatrix::<f64, 2, MAX_PARAMETERS>::zeros();
-        by_parameters[(0, 0)] = x;
-        by_parameters[(1, 1)] = y;
-        by_parameters[(0, 2)] = 1.0;
-        by_parameters[(1, 3)] = 1.0;
-        by_parameters[(0, 4)] = y;
-        by_parameters
-            .columns_mut(5, N)
-            .copy_from(&(pixel_by_normalized * distorted.by_coefficients));
-        Projection {
-            pixel: self.matrix.pixel_from_normalized(distorted.normalized),
-            by_point: pixel_by_normalized * distorted.by_point,
-            by_parameters,
-        }
+fn projection<const N: usize>(matrix: &CameraMatrix, distorted: &Distorted<N>) -> Projection {
+    let CameraMatrix { fx, fy, skew, .. } = *matrix;
+    let pixel_by_normalized = Matrix2::new(fx, skew, 0.0, fy);
+    let (x, y) = (distorted.normalized.x, distorted.normalized.y);
+    let mut by_parameters = SMatrix::<f64, 2, MAX_PARAMETERS>::zeros();
+    by_parameters[(0, 0)] = x;
+    by_parameters[(1, 1)] = y;
+    by_parameters[(0, 2)] = 1.0;
+    by_parameters[(1, 3)] = 1.0;
+    by_parameters[(0, 4)] = y;
+    by_parameters.columns_mut(5, N).copy_from(&(pixel_by_normalized * distorted.by_coefficients));
+    Projection {
+        pixel: matrix.pixel_from_normalized(distorted.normalized),
+        by_point: pixel_by_normalized * distorted.by_point,
+        by_parameters,
     }
 }

@@ -2,7 +2,10 @@
 
 use nalgebra::{Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
 
-use crate::geometry::lens::{Distorted, DistortionModel};
+use crate::geometry::lens::model::{
+    CameraInfoModel, CoefficientPrior, Distorted, DistortionModel, ForeignModel, KalibrModel,
+    ModelFacts, OpencvModel,
+};
 use crate::geometry::pixel::Bearing;
 
 /// (x_d, y_d) = (x/z, y/z). Valid for z > 0.
@@ -10,7 +13,20 @@ use crate::geometry::pixel::Bearing;
 pub struct Pinhole;
 
 impl DistortionModel<0> for Pinhole {
+    const FACTS: ModelFacts = ModelFacts {
+        name: "pinhole",
+        summary: "no distortion",
+        auto_place: Some(0),
+        camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
+        opencv: Some(OpencvModel::plain(5)),
+        kalibr: Some(KalibrModel::pinhole("none", 0)),
+        mrcal: Some(ForeignModel::new("LENSMODEL_PINHOLE", 0)),
+        colmap: Some(ForeignModel::new("PINHOLE", 0)),
+    };
+
     const NAMES: [&'static str; 0] = [];
+
+    const PRIORS: [CoefficientPrior; 0] = [];
 
     fn from_coefficients(_: [f64; 0]) -> Self {
         Self
@@ -50,5 +66,9 @@ impl DistortionModel<0> for Pinhole {
             .iter()
             .all(|v| v.is_finite())
             .then(|| Unit::new_normalize(Vector3::new(distorted.x, distorted.y, 1.0)))
+    }
+
+    fn as_rational(&self) -> Option<[f64; 8]> {
+        Some([0.0; 8])
     }
 }

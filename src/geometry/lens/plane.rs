@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Unit, Vector2, Vector3};
 
-use crate::geometry::lens::Distorted;
+use crate::geometry::lens::model::Distorted;
 use crate::geometry::pixel::Bearing;
 
 /// The largest ideal radius that any plane model is asked for: 89.9° off the axis.

@@ -2,8 +2,11 @@
 
 use nalgebra::{Matrix2, Point3, SMatrix, Vector2};
 
+use crate::geometry::lens::model::{
+    CameraInfoModel, CoefficientPrior, Distorted, DistortionModel, ForeignModel, KalibrModel,
+    ModelFacts, OpencvModel,
+};
 use crate::geometry::lens::plane::{self, MAX_RADIUS, PlaneDistortion};
-use crate::geometry::lens::{Distorted, DistortionModel};
 use crate::geometry::pixel::Bearing;
 
 /// (x_d, y_d) = (1 + k1 r²) (x, y) with (x, y) = (X/Z, Y/Z) and r² = x² + y².
@@ -39,7 +42,20 @@ impl PlaneDistortion<1> for Radial {
 }
 
 impl DistortionModel<1> for Radial {
+    const FACTS: ModelFacts = ModelFacts {
+        name: "radial",
+        summary: "one coefficient",
+        auto_place: Some(1),
+        camera_info: Some(CameraInfoModel::new("plumb_bob", 5)),
+        opencv: Some(OpencvModel::plain(5)),
+        kalibr: Some(KalibrModel::pinhole("radtan", 4)),
+        mrcal: Some(ForeignModel::new("LENSMODEL_OPENCV4", 4)),
+        colmap: Some(ForeignModel::new("OPENCV", 4)),
+    };
+
     const NAMES: [&'static str; 1] = ["k1"];
+
+    const PRIORS: [CoefficientPrior; 1] = [CoefficientPrior::RADIAL];
 
     fn from_coefficients([k1]: [f64; 1]) -> Self {
         let fold = if k1 < 0.0 { -1.0 / (3.0 * k1) } else { f64::INFINITY };
@@ -61,5 +77,9 @@ impl DistortionModel<1> for Radial {
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
         plane::undistort(self, distorted)
+    }
+
+    fn as_rational(&self) -> Option<[f64; 8]> {
+        Some([self.k1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     }
 }

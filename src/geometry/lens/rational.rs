@@ -2,8 +2,11 @@
 
 use nalgebra::{Matrix2, Point3, SMatrix, Vector2};
 
+use crate::geometry::lens::model::{
+    CameraInfoModel, CoefficientPrior, Distorted, DistortionModel, ForeignModel, KalibrModel,
+    ModelFacts, OpencvModel,
+};
 use crate::geometry::lens::plane::{self, MAX_RADIUS, PlaneDistortion};
-use crate::geometry::lens::{Distorted, DistortionModel};
 use crate::geometry::pixel::Bearing;
 use crate::geometry::polynomial;
 
@@ -95,7 +98,29 @@ fn fold(numerator: &[f64; 4], denominator: &[f64; 4]) -> f64 {
 }
 
 impl DistortionModel<8> for Rational {
+    const FACTS: ModelFacts = ModelFacts {
+        name: "rational",
+        summary: "OpenCV's 8 coefficients, ROS rational_polynomial",
+        auto_place: Some(4),
+        camera_info: Some(CameraInfoModel::new("rational_polynomial", 8)),
+        opencv: Some(OpencvModel::plain(8)),
+        kalibr: Some(KalibrModel::pinhole("radtan", 4)),
+        mrcal: Some(ForeignModel::new("LENSMODEL_OPENCV8", 8)),
+        colmap: Some(ForeignModel::new("FULL_OPENCV", 8)),
+    };
+
     const NAMES: [&'static str; 8] = ["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"];
+
+    const PRIORS: [CoefficientPrior; 8] = [
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::TANGENTIAL,
+        CoefficientPrior::TANGENTIAL,
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::RADIAL,
+        CoefficientPrior::RADIAL,
+    ];
 
     fn from_coefficients([k1, k2, p1, p2, k3, k4, k5, k6]: [f64; 8]) -> Self {
         let (numerator, denominator) = ([1.0, k1, k2, k3], [1.0, k4, k5, k6]);
@@ -118,5 +143,9 @@ impl DistortionModel<8> for Rational {
 
     fn undistort(&self, distorted: Vector2<f64>) -> Option<Bearing> {
         plane::undistort(self, distorted)
+    }
+
+    fn as_rational(&self) -> Option<[f64; 8]> {
+        Some(self.coefficients())
     }
 }
