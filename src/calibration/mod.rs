@@ -2,13 +2,17 @@
 //! Pure; uses geometry, estimation and detection.
 
 pub mod admission;
+mod beside_color;
+mod composed_pose;
 pub mod coverage;
 pub mod depth_calibration;
 pub mod drift;
 pub mod factory_check;
 pub mod guidance;
 pub mod information;
+pub mod instrument;
 mod list_shift;
+pub mod observations;
 pub mod placement;
 pub mod plane_error;
 pub mod result;
@@ -29,3 +33,6 @@ pub mod solve_rig;
 pub mod stated_calibration;
 pub(crate) mod verdict;
 pub mod view;
+
+pub use crate::calibration::instrument::{InstrumentError, SolveOptions, UnsolvedDepth, solve};
+pub use crate::calibration::observations::{CameraFrameSets, InstrumentObservations, SeenFrameSet};

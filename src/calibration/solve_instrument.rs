@@ -1,8 +1,7 @@
 //! The solve of an instrument of whole cameras: each by itself with all of its sensors, then all
 //! that saw the board together, so that every sensor is placed beside the first camera's color.
 
-use nalgebra::{Matrix3, Vector3};
-
+use crate::calibration::composed_pose::through;
 use crate::calibration::result::{CalibratedSensor, Calibration, Extrinsics, Verdict};
 use crate::calibration::rgbd_calibration::with_depth;
 use crate::calibration::second_infrared::{StereoInput, with_second_infrared};
@@ -111,28 +110,6 @@ fn add_camera(whole: &mut Calibration, camera: &str, own: Calibration) {
         whole.sensors.push(CalibratedSensor { id: of_camera(&id), result });
     }
     add_verdict(&mut whole.verdict, camera, own.verdict);
-}
-
-/// `a_from_c` of `a_from_b` and `b_from_c`, whose errors are taken to be independent: a rotation of
-/// c about b's axes is one about a's, and one of b about a's moves c by the lever between them.
-fn through(a_from_b: &Extrinsics, b_from_c: &Extrinsics) -> Extrinsics {
-    let turn = a_from_b.target_from_source.rotation_matrix();
-    let lever = turn * b_from_c.target_from_source.translation();
-    let variance = |std: [f64; 3]| Matrix3::from_diagonal(&Vector3::from(std).map(|s| s * s));
-    let carried = |std: [f64; 3]| turn * variance(std) * turn.transpose();
-    let rotation = variance(a_from_b.rotation_std) + carried(b_from_c.rotation_std);
-    let by_lever = lever.cross_matrix();
-    let translation = variance(a_from_b.translation_std_m)
-        + carried(b_from_c.translation_std_m)
-        + by_lever * variance(a_from_b.rotation_std) * by_lever.transpose();
-    let std = |covariance: Matrix3<f64>| covariance.diagonal().map(|v| v.max(0.0).sqrt()).into();
-    Extrinsics {
-        target: a_from_b.target.clone(),
-        source: b_from_c.source.clone(),
-        target_from_source: a_from_b.target_from_source * b_from_c.target_from_source,
-        rotation_std: std(rotation),
-        translation_std_m: std(translation),
-    }
 }
 
 /// What holds of a camera's other sensors, besides what the rig says of its color already.

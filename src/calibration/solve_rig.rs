@@ -211,7 +211,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
 }
 
 /// Options that hold every parameter of `lens`.
-fn holding(lens: &Lens) -> CameraOptions {
+pub(super) fn holding(lens: &Lens) -> CameraOptions {
     let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
     let given = names.zip(lens.parameters()).collect();
     CameraOptions { lens: LensChoice::Model(lens.model()), given, ..CameraOptions::default() }

@@ -3,9 +3,9 @@
 use std::path::Path;
 use std::time::Instant;
 
-use crate::calibration::solve::solve_views;
+use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::cli::calibrate_rgbd;
-use crate::cli::calibration_output::{OutputArgs, finished, named};
+use crate::cli::calibration_output::{OutputArgs, named};
 use crate::cli::choose::{ChooseArgs, Pictures};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::gather;
@@ -17,6 +17,7 @@ use crate::cli::target_args::TargetArgs;
 use crate::cli::{Failure, progress};
 use crate::estimation::camera::CameraOptions;
 use crate::geometry::target::Target;
+use crate::imaging::frame::SensorKind;
 
 /// Calibrates a camera from pictures of a chessboard, or from a recording.
 #[derive(Debug, clap::Args)]
@@ -87,15 +88,18 @@ fn solve(
     let picked = args.choose.pick(pictures, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");
-    let solved = solve_views(&problem, &options);
+    let observations = InstrumentObservations::of_views(Some(target), problem);
+    let options = SolveOptions { camera: options, ..SolveOptions::default() };
+    let solved = calibration::solve(&observations, &options);
     spinner.finish_and_clear();
     let mut solved =
         solved.map_err(|error| Failure::failed(format!("{}: {error}", args.search.title())))?;
-    for (place, view) in others {
-        solved.sensor.views.insert(place.min(solved.sensor.views.len()), view);
+    if let Some(color) = solved.image_mut(SensorKind::Color) {
+        for (place, view) in others {
+            color.views.insert(place.min(color.views.len()), view);
+        }
     }
-    let calibration = finished(Some(target), solved);
-    args.output.give(&calibration, None)
+    args.output.give(&named(solved), None)
 }
 
 /// Several folders or recordings may be one camera's or several cameras': that is not guessed.

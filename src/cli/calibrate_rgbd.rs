@@ -1,19 +1,20 @@
 //! `plumb calibrate` of a recording with color and depth.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::Calibration;
-use crate::calibration::rgbd_calibration::with_depth;
-use crate::calibration::second_infrared::{StereoCapture, StereoInput, with_second_infrared};
 use crate::calibration::session::Session;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
-use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
+use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View};
-use crate::cli::calibration_output::finished;
+use crate::calibration::{
+    CameraFrameSets, InstrumentObservations, SeenFrameSet, SolveOptions, solve,
+};
+use crate::cli::calibration_output::named;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
@@ -66,24 +67,18 @@ pub fn calibrate(
         gathered.add(&frames)?;
     }
     spinner.finish_and_clear();
-    let stereo = gathered.stereo();
-    let input = gathered.finish(depth)?;
+    let observations = InstrumentObservations::of_camera(Some(target), gathered.finish(depth)?);
+    let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };
     let spinner = progress::spinner("solving");
     let started = Instant::now();
-    let solved = solve_rgbd(&input, options);
-    let solved = solved.map_err(|error| Failure::failed(format!("{source}: {error}")))?;
-    let color = finished(Some(target), solved.color.clone());
-    let calibration = with_depth(color, &input, &solved);
-    let calibration = match &stereo {
-        Some(stereo) => with_second_infrared(calibration, stereo, options),
-        None => calibration,
-    };
+    let solved = solve(&observations, &options);
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
     spinner.finish_and_clear();
-    Ok((calibration, elapsed_ms))
+    let solved = solved.map_err(|error| Failure::failed(format!("{source}: {error}")))?;
+    Ok((named(solved), elapsed_ms))
 }
 
-/// What the sensors of one recording saw in the frame sets of these paths.
+/// What the sensors of one recording saw in the frame sets of these paths, with their numbers.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -91,21 +86,25 @@ pub fn views_of(
     (source, reading): (&str, &TopicArgs),
     target: Target,
     detect: DetectOptions,
-    paths: &BTreeSet<String>,
-) -> Result<(RgbdInput, Option<StereoInput>), Failure> {
+    numbers: &BTreeMap<String, usize>,
+) -> Result<CameraFrameSets, Failure> {
     let depth = depth_sensor(source)?;
     let mut gathered = Gathered::new(source, target, detect);
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
         let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
         let path = frames.path();
-        if paths.contains(&path) {
+        if numbers.contains_key(&path) {
             // As an image that was chosen by hand: it is a view, and its time says nothing.
             (frames.recording, frames.set.name) = (None, Some(path));
             gathered.add(&frames)?;
         }
     }
-    let stereo = gathered.stereo();
-    Ok((gathered.finish(depth)?, stereo))
+    let mut camera = gathered.finish(depth)?;
+    for seen in &mut camera.frame_sets {
+        seen.number = numbers.get(&seen.name).copied().unwrap_or(seen.number);
+    }
+    camera.frame_sets.sort_by_key(|seen| seen.number);
+    Ok(camera)
 }
 
 /// What is said of a recording's depth. In a recording file 16-bit depth is in millimeters (ROS REP
@@ -136,13 +135,9 @@ struct Gathered<'a> {
     detect: DetectOptions,
     finder: TargetFinder,
     image: GrayImage,
-    color_size: Option<ImageSize>,
-    depth_size: Option<ImageSize>,
+    sizes: BTreeMap<SensorKind, ImageSize>,
     session: Option<Session>,
-    captures: Vec<RgbdCapture>,
-    infrared2_size: Option<ImageSize>,
-    /// Of each capture.
-    infrared2: Vec<Vec<Correspondence>>,
+    frame_sets: Vec<SeenFrameSet>,
     first_reason: Option<String>,
     looked: usize,
 }
@@ -155,12 +150,9 @@ impl<'a> Gathered<'a> {
             detect,
             finder: TargetFinder::new(&target),
             image: GrayImage::default(),
-            color_size: None,
-            depth_size: None,
+            sizes: BTreeMap::new(),
             session: None,
-            captures: Vec::new(),
-            infrared2_size: None,
-            infrared2: Vec::new(),
+            frame_sets: Vec::new(),
             first_reason: None,
             looked: 0,
         }
@@ -171,14 +163,20 @@ impl<'a> Gathered<'a> {
         let path = frames.path();
         let color = self.look(&frames.set, SensorKind::Color, &path)?;
         if let Some((size, _)) = &color {
-            self.same_size(*size, "color", &path)?;
+            self.same_size(*size, SensorKind::Color, &path)?;
         }
         let is_view = frames.recording.is_none() || self.keep(&frames.set, color.as_ref());
-        let infrared = self.look(&frames.set, SensorKind::Infrared, &path)?;
-        let infrared2 =
-            if is_view { self.look(&frames.set, SensorKind::Infrared2, &path)? } else { None };
-        if let Some((size, _)) = &infrared2 {
-            self.same_size(*size, "infrared2", &path)?;
+        let mut corners = vec![(SensorKind::Color, self.corners(color))];
+        // Between views, infrared beside color determines when depth was taken.
+        let others = SensorKind::ALL.into_iter().filter(|kind| {
+            kind.is_image() && *kind != SensorKind::Color && (is_view || kind.is_of_depth())
+        });
+        for kind in others {
+            let seen = self.look(&frames.set, kind, &path)?;
+            if let Some((size, _)) = &seen {
+                self.same_size(*size, kind, &path)?;
+            }
+            corners.push((kind, self.corners(seen)));
         }
         let depth = match frames.set.frame(SensorKind::Depth).filter(|_| is_view) {
             Some(frame) => {
@@ -186,7 +184,7 @@ impl<'a> Gathered<'a> {
                     .map_err(|error| Failure::failed(format!(
                         "{path}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped"
                     )))?;
-                self.same_size(picture.size(), "depth", &path)?;
+                self.same_size(picture.size(), SensorKind::Depth, &path)?;
                 Some(picture)
             }
             None => None,
@@ -194,12 +192,19 @@ impl<'a> Gathered<'a> {
         let time =
             frames.set.device_time.map_or(frames.set.host_time.utc_ns, |time| time.monotonic_ns);
         let time_s = frames.recording.is_some().then_some(time as f64 * 1e-9);
-        let color = self.corners(color);
-        let infrared = self.corners(infrared);
-        if !(color.is_empty() && infrared.is_empty()) || (is_view && depth.is_some()) {
-            self.captures.push(RgbdCapture { name: path, time_s, is_view, color, infrared, depth });
-            let infrared2 = self.corners(infrared2);
-            self.infrared2.push(infrared2);
+        let seen_with_depth = |(kind, corners): &(SensorKind, Vec<Correspondence>)| {
+            (*kind == SensorKind::Color || kind.is_of_depth()) && !corners.is_empty()
+        };
+        if corners.iter().any(seen_with_depth) || (is_view && depth.is_some()) {
+            let number = self.frame_sets.len();
+            self.frame_sets.push(SeenFrameSet {
+                number,
+                name: path,
+                time_s,
+                is_view,
+                corners,
+                depth,
+            });
         }
         Ok(())
     }
@@ -225,18 +230,14 @@ impl<'a> Gathered<'a> {
     fn same_size(
         &mut self,
         size: ImageSize,
-        sensor: &'static str,
+        sensor: SensorKind,
         path: &str,
     ) -> Result<(), Failure> {
-        let first = match sensor {
-            "depth" => &mut self.depth_size,
-            "infrared2" => &mut self.infrared2_size,
-            _ => &mut self.color_size,
-        };
-        let expected = *first.get_or_insert(size);
+        let expected = *self.sizes.entry(sensor).or_insert(size);
         if expected == size {
             return Ok(());
         }
+        let sensor = sensor.name();
         Err(Failure::failed(format!(
             "{path}: its {sensor} picture is {size}, those before it are {expected}: calibrate each size by itself"
         )))
@@ -284,29 +285,16 @@ impl<'a> Gathered<'a> {
         View { number: 0, frame, detection }.to_board_view(&self.target).correspondences
     }
 
-    /// Color and right infrared, where there is the latter.
-    fn stereo(&self) -> Option<StereoInput> {
-        let (color_size, infrared2_size) = (self.color_size?, self.infrared2_size?);
-        let views =
-            self.captures.iter().zip(&self.infrared2).filter(|(capture, _)| capture.is_view);
-        let captures = views.map(|(capture, infrared2)| StereoCapture {
-            name: capture.name.clone(),
-            color: capture.color.clone(),
-            infrared2: infrared2.clone(),
-        });
-        Some(StereoInput {
-            board: self.target,
-            color_size,
-            infrared2_size,
-            captures: captures.collect(),
-        })
-    }
-
-    fn finish(self, depth: DepthSensor) -> Result<RgbdInput, Failure> {
-        match self.color_size {
-            Some(color_size) if self.captures.iter().any(|capture| !capture.color.is_empty()) => {
-                Ok(RgbdInput { board: self.target, color_size, depth, captures: self.captures })
-            }
+    fn finish(self, depth: DepthSensor) -> Result<CameraFrameSets, Failure> {
+        let saw = |seen: &SeenFrameSet| !seen.corners(SensorKind::Color).is_empty();
+        match self.sizes.get(&SensorKind::Color).copied() {
+            Some(_) if self.frame_sets.iter().any(saw) => Ok(CameraFrameSets {
+                name: None,
+                image_sensors: self.sizes.into_iter().filter(|(kind, _)| kind.is_image()).collect(),
+                given: None,
+                depth: Some(depth),
+                frame_sets: self.frame_sets,
+            }),
             Some(_) => Err(Failure::failed(format!(
                 "{}: no {} was seen in any of {} frames; the first: {}",
                 self.source,

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 
 use crate::calibration::result::{Calibration, ImageCalibration};
 use crate::calibration::rounded::value_with_std;
-use crate::calibration::solve::SolvedCamera;
 use crate::cli::export::FormatName;
 use crate::cli::files::write_file;
 use crate::cli::{Failure, output};
@@ -12,7 +11,6 @@ use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
 use crate::export::{ExportOptions, Format, export};
 use crate::geometry::lens::Lens;
-use crate::geometry::target::Target;
 
 /// Where a calibration goes.
 #[derive(Debug, clap::Args)]
@@ -75,11 +73,6 @@ impl OutputArgs {
             _ => output::print_text(&summary(calibration)),
         }
     }
-}
-
-/// The calibration that `solved` amounts to, made now.
-pub fn finished(target: Option<Target>, solved: SolvedCamera) -> Calibration {
-    named(solved.into_calibration(target))
 }
 
 /// A calibration with a name and a time of its own: it was made now.

@@ -9,9 +9,10 @@ use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session::{CameraFrame, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
-use crate::calibration::solve_instrument::{CameraObservations, Observations, solve};
-use crate::calibration::solve_rig::RigCameraInput;
 use crate::calibration::view::View;
+use crate::calibration::{
+    CameraFrameSets, InstrumentObservations, SeenFrameSet, SolveOptions, solve,
+};
 use crate::cli::calibrate_rgbd;
 use crate::cli::estimated::GivenLens;
 use crate::cli::files::read_calibration;
@@ -79,10 +80,13 @@ pub fn calibrate(
         let views = views(&searched[place], &kept[place], &target);
         observations(camera, (search, target), (&searched[place], views), given)
     });
-    let observations =
-        Observations { board: target, cameras: each.collect::<Result<_, Failure>>()? };
+    let observations = InstrumentObservations {
+        board: Some(target),
+        cameras: each.collect::<Result<_, Failure>>()?,
+    };
+    let options = SolveOptions { camera: options.clone(), ..SolveOptions::default() };
     let spinner = progress::spinner("solving");
-    let solved = solve(&observations, options);
+    let solved = solve(&observations, &options);
     spinner.finish_and_clear();
     solved.map_err(Failure::failed)
 }
@@ -248,23 +252,24 @@ fn observations(
     (search, target): (&SearchArgs, Target),
     (searched, views): (&[Looked], Vec<(usize, BoardView)>),
     given: &[GivenLens],
-) -> Result<CameraObservations, Failure> {
-    let paths: BTreeSet<String> = views.iter().map(|(_, view)| view.name.clone()).collect();
+) -> Result<CameraFrameSets, Failure> {
     let given = given.iter().find(|given| given.camera == camera.name);
-    let image_size = searched[0].frame.image_size;
-    let color = RigCameraInput {
-        name: camera.name.clone(),
-        image_size,
-        given: given.map(given_lens).transpose()?,
-        views,
-    };
-    if !calibrate_rgbd::has_depth(&camera.source, &search.reading) {
-        return Ok(CameraObservations { color, depth: None, second_infrared: None });
+    let given = given.map(given_lens).transpose()?;
+    let name = Some(camera.name.clone());
+    if calibrate_rgbd::has_depth(&camera.source, &search.reading) {
+        let number = |(number, view): &(usize, BoardView)| (view.name.clone(), *number);
+        let numbers: BTreeMap<String, usize> = views.iter().map(number).collect();
+        let source = (camera.source.as_str(), &search.reading);
+        let seen = calibrate_rgbd::views_of(source, target, search.detect_options(), &numbers)?;
+        return Ok(CameraFrameSets { name, given, ..seen });
     }
-    let source = (camera.source.as_str(), &search.reading);
-    let (depth, second_infrared) =
-        calibrate_rgbd::views_of(source, target, search.detect_options(), &paths)?;
-    Ok(CameraObservations { color, depth: Some(depth), second_infrared })
+    Ok(CameraFrameSets {
+        name,
+        image_sensors: vec![(SensorKind::Color, searched[0].frame.image_size)],
+        given,
+        depth: None,
+        frame_sets: views.into_iter().map(SeenFrameSet::of_view).collect(),
+    })
 }
 
 /// The lens of a calibration that is to be held.

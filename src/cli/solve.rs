@@ -3,9 +3,10 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::calibration::solve::{solve_dlt, solve_views};
+use crate::calibration::solve::solve_dlt;
+use crate::calibration::{InstrumentObservations, SolveOptions, solve};
 use crate::cli::Failure;
-use crate::cli::calibration_output::{OutputArgs, finished};
+use crate::cli::calibration_output::{OutputArgs, named};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
@@ -49,11 +50,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     args.estimated.add_to(&mut options);
     let started = Instant::now();
     let solved = match document.method {
-        Method::Calibrate => solve_views(&problem, &options),
-        Method::Dlt => solve_dlt(&problem),
-    }
-    .map_err(|error| in_file(&error))?;
+        Method::Calibrate => {
+            let options = SolveOptions { camera: options, ..SolveOptions::default() };
+            let observations = InstrumentObservations::of_views(None, problem);
+            solve(&observations, &options).map_err(|error| in_file(&error))
+        }
+        Method::Dlt => solve_dlt(&problem)
+            .map(|solved| solved.into_calibration(None))
+            .map_err(|error| in_file(&error)),
+    }?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1000.0;
-    let calibration = finished(None, solved);
-    args.output.give(&calibration, Some(elapsed_ms))
+    args.output.give(&named(solved), Some(elapsed_ms))
 }

@@ -7,7 +7,8 @@ use axum::Json;
 use axum::extract::{Request, State};
 
 use crate::calibration::result::Calibration;
-use crate::calibration::solve::{solve_dlt, solve_views};
+use crate::calibration::solve::solve_dlt;
+use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::problem::{Method, ProblemDocument};
 use crate::document::time;
@@ -37,16 +38,22 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
     let problem = CameraProblem::try_from(document)?;
     let options = document.options();
     let started = Instant::now();
+    let of_views = |error: &dyn std::fmt::Display| Problem::field("views", &error.to_string());
     let solved = match document.method {
-        Method::Calibrate => solve_views(&problem, &options),
-        Method::Dlt => solve_dlt(&problem),
-    }
-    .map_err(|e| Problem::field("views", &e.to_string()))?;
+        Method::Calibrate => {
+            let options = SolveOptions { camera: options, ..SolveOptions::default() };
+            let observations = InstrumentObservations::of_views(None, problem);
+            calibration::solve(&observations, &options).map_err(|error| of_views(&error))
+        }
+        Method::Dlt => solve_dlt(&problem)
+            .map(|solved| solved.into_calibration(None))
+            .map_err(|error| of_views(&error)),
+    }?;
     let elapsed = started.elapsed();
     let calibration = Calibration {
         id: ulid::Ulid::generate().to_string(),
         created_at_ns: time::utc_ns(jiff::Timestamp::now()),
-        ..solved.into_calibration(None)
+        ..solved
     };
     Ok(CalibrationDocument {
         elapsed_ms: Some(elapsed.as_secs_f64() * 1e3),

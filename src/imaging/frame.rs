@@ -39,6 +39,11 @@ impl SensorKind {
         self != Self::Depth
     }
 
+    /// Whether its image is the one that depth is measured in.
+    pub fn is_of_depth(self) -> bool {
+        self == Self::Infrared
+    }
+
     /// The sensor with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|sensor| sensor.name() == name)

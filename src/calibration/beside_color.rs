@@ -1,0 +1,56 @@
+//! An image sensor beside color (the right infrared one of a stereo depth camera): its lens, and
+//! where it is. It is solved with color alone, as a rig of two cameras: depth is measured in the
+//! left one's view, so that it adds nothing to depth.
+
+use crate::calibration::observations::CameraFrameSets;
+use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
+use crate::calibration::sensor::SensorId;
+use crate::calibration::solve_rig::{RigError, RigInput, RigPose, SolvedRig, solve_rig};
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::problem::LensChoice;
+use crate::geometry::target::Target;
+use crate::imaging::frame::SensorKind;
+
+/// Solves color and the sensor `kind` of one camera together, both with the lens model of
+/// `options`.
+///
+/// # Errors
+/// [`RigError`]: one of them cannot be calibrated, or they never saw the board together.
+fn solve_beside_color(
+    (board, camera, kind): (Target, &CameraFrameSets, SensorKind),
+    options: &CameraOptions,
+) -> Result<SolvedRig, RigError> {
+    let of = |sensor: SensorKind| camera.as_rig_camera(sensor.name(), sensor, |place, _| place);
+    let mut cameras = vec![of(SensorKind::Color), of(kind)];
+    cameras.iter_mut().for_each(|camera| camera.given = None);
+    solve_rig(&RigInput { board, cameras }, options)
+}
+
+/// `calibration`, which has color, with the sensor `kind` and where that is; where it cannot be
+/// had, color stays as it is and the verdict says why.
+pub(super) fn with_image_sensor(
+    mut calibration: Calibration,
+    observed: (Target, &CameraFrameSets, SensorKind),
+    options: &CameraOptions,
+) -> Calibration {
+    let (_, _, kind) = observed;
+    let lens = calibration.color().map(|color| LensChoice::Model(color.lens.model()));
+    let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
+    match solve_beside_color(observed, &options) {
+        Ok(SolvedRig { cameras, extrinsics, .. }) => {
+            let sensor = cameras.into_iter().find(|(name, _)| name == kind.name());
+            if let Some((_, sensor)) = sensor {
+                calibration.add_sensor(CalibratedSensor::image(SensorId::own(kind), sensor));
+            }
+            let color = SensorId::own(SensorKind::Color);
+            let placed = |pose: RigPose| pose.between(color.clone(), SensorId::own(kind));
+            calibration.extrinsics.extend(extrinsics.into_iter().map(placed));
+        }
+        Err(reason) => {
+            calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
+            let name = kind.name();
+            calibration.verdict.reasons.push(format!("{name} is not calibrated: {reason}"));
+        }
+    }
+    calibration
+}
