@@ -3,7 +3,7 @@
 //! relative pose; with a shifted list the pose scatters as the board moves, but for one shift.
 
 use crate::estimation::board_turns::SensorPoses;
-use crate::estimation::robust::median;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// The longest shift that is looked for, in frame sets.

@@ -4,8 +4,8 @@
 use crate::calibration::rgbd_error::RgbdError;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::rgbd::RgbdEstimate;
-use crate::estimation::robust::median;
 use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::median::median;
 
 /// Depth this many times the board's distance, or less than one part in this, has another unit.
 const UNIT_LIMIT: f64 = 1.2;

@@ -18,11 +18,11 @@ use crate::estimation::rgbd::motion::{
     BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
 };
 use crate::estimation::rgbd::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
-use crate::estimation::robust::median;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::depth_camera::{DepthCamera, DepthReading};
 use crate::geometry::depth_correction::CorrectedQuantity;
 use crate::geometry::lens::Lens;
+use crate::geometry::median::{median, median_pose};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -242,7 +242,7 @@ impl Guess {
                 let depth_from_color: Vec<Pose> = both
                     .filter_map(|(color, infrared)| Some((*infrared)? * (*color)?.inverse()))
                     .collect();
-                (solved.estimate.lens, middle_pose(&depth_from_color).unwrap_or(Pose::identity()))
+                (solved.estimate.lens, median_pose(&depth_from_color).unwrap_or(Pose::identity()))
             }
             None => factory.unwrap_or_else(|| {
                 (same_view(&color.estimate.lens, input.color_size, size), Pose::identity())
@@ -492,21 +492,6 @@ fn moving_pose(lens: &Lens, capture: &RgbdCapture, corners: &[Correspondence]) -
     }
     let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
     board_poses(lens, &view).ok()?.first().map(|pose| pose.camera_from_board)
-}
-
-/// The pose that is nearest to most others.
-fn middle_pose(a_from_b: &[Pose]) -> Option<Pose> {
-    let apart = |(first, second): (&Pose, &Pose)| {
-        first.angle_to(second) + (first.translation() - second.translation()).norm()
-    };
-    let spread = |other_from_here: &Pose| {
-        median(a_from_b.iter().map(|other| apart((other_from_here, other))).collect())
-    };
-    let least = a_from_b.iter().min_by(|first, second| {
-        let [first, second] = [first, second].map(|one| spread(one).unwrap_or(f64::INFINITY));
-        first.total_cmp(&second)
-    });
-    least.copied()
 }
 
 /// A pinhole that sees about as much of the world as another camera does.

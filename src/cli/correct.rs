@@ -14,7 +14,7 @@ use crate::cli::files::{read_calibration, write_file};
 use crate::cli::plane_errors::{BeforeAndAfter, PlaneErrors};
 use crate::cli::sources::{FrameSets, TopicArgs, is_recording};
 use crate::cli::{Failure, output, progress};
-use crate::estimation::robust::median;
+use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;

@@ -14,6 +14,7 @@ use crate::detection::verify::corners::{CornerTest, drop_outliers};
 use crate::detection::verify::ends::seen_ends;
 use crate::detection::verify::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
+use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 
 /// Memory of refinement and report, kept from image to image.
@@ -54,7 +55,7 @@ pub(in crate::detection) fn report(
     if corners.len() < board.corner_count() {
         stds.clear();
         stds.extend(corners.iter().map(|corner| corner.std_px));
-        let median_std_px = upper_median(stds);
+        let median_std_px = median_of(stds).unwrap_or(0.0);
         drop_outliers(probe, found.grid, placement, (&mut corners, median_std_px));
     }
     let partial = corners.len() < board.corner_count();
@@ -84,7 +85,7 @@ pub(in crate::detection) fn detection(
         position_known: placement.known,
         markers: None,
         orientation_ambiguous: board.orientation_ambiguous(),
-        blur_px: upper_median(blurs),
+        blur_px: median_of(blurs).unwrap_or(0.0),
         corners,
     }
 }
@@ -153,10 +154,4 @@ fn determined_by(
         place(grid, bounds, sure, board)
     });
     BoardPlacement { known: again == Some(placement), ..placement }
-}
-
-/// The median of `values`, the upper one of an even number; they are sorted for it. 0 of none.
-fn upper_median(values: &mut [f64]) -> f64 {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }

@@ -2,7 +2,7 @@
 //! camera calls its first corner, a second one may call its last; that they are fixed to each other
 //! tells which views have to be turned.
 
-use crate::estimation::robust::median;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// The poses that each sensor found of the board by itself, with the moment (counted from 0) of

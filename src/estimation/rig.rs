@@ -10,11 +10,11 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
-use crate::estimation::robust::median;
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::variance_inflation::variance_inflation;
 use crate::estimation::view_fault::ViewFault;
+use crate::geometry::median::median_pose;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 
@@ -200,7 +200,7 @@ fn place_sensors(
                 let first = sensor == 0;
                 let sensor_from_rig: Vec<Pose> =
                     if first { vec![Pose::identity()] } else { shared.collect() };
-                Some((sensor, agreed(&sensor_from_rig)?))
+                Some((sensor, median_pose(&sensor_from_rig)?))
             },
         );
         let Some((sensor, sensor_from)) = next else {
@@ -215,19 +215,4 @@ fn place_sensors(
         }
     }
     Ok((sensor_from_rig.into_iter().flatten().collect(), rig_from_board))
-}
-
-/// The candidate with the least median distance to the others: not moved by less than half of wrong
-/// ones.
-fn agreed(a_from_b: &[Pose]) -> Option<Pose> {
-    let spread = |one: &_| {
-        let apart =
-            |other: &Pose| other.angle_to(one) + (other.translation() - one.translation()).norm();
-        median(a_from_b.iter().map(apart).collect()).unwrap_or(f64::INFINITY)
-    };
-    a_from_b
-        .iter()
-        .map(|one| (spread(one), one))
-        .min_by(|a, b| a.0.total_cmp(&b.0))
-        .map(|(_, pose)| *pose)
 }

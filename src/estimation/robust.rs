@@ -1,5 +1,7 @@
 //! Which residuals to believe: scale from the median, losses that bound what a wrong corner can do.
 
+use crate::geometry::median::median;
+
 /// What a squared residual r² (in two dimensions, in standard deviations) costs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Loss {
@@ -32,15 +34,6 @@ const RAYLEIGH_MEDIAN: f64 = 1.177_410_022_515_474_7;
 pub(crate) fn median_scale(residuals: impl Iterator<Item = [f64; 2]>) -> f64 {
     let squares = residuals.map(|[x, y]| x * x + y * y).collect();
     median(squares).unwrap_or(0.0).sqrt() / RAYLEIGH_MEDIAN
-}
-
-/// The upper median.
-pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
-    let middle = values.len() / 2;
-    if values.is_empty() {
-        return None;
-    }
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 #[cfg(test)]

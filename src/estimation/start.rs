@@ -6,12 +6,12 @@ use nalgebra::{Point2, Point3, Vector3};
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
 use crate::estimation::problem::{CameraProblem, CameraStart};
-use crate::estimation::robust::median;
 use crate::estimation::view_fault::{ViewFault, mislabelling};
 use crate::estimation::zhang::{self, Skew};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::homography::Homography;
 use crate::geometry::lens::{Distortion, Lens, LensModel};
+use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 

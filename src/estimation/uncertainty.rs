@@ -7,6 +7,7 @@
 use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
 use crate::geometry::lens::{Lens, MAX_PARAMETERS, Projection};
+use crate::geometry::median::median_of;
 use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
 
 /// How far away the things are that are seen.
@@ -229,11 +230,8 @@ fn spreads(
 /// the variance.
 fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
     let mut variances: Vec<f64> = spreads.iter().flatten().map(Matrix2::trace).collect();
-    let middle = variances.len() / 2;
-    if variances.is_empty() {
-        return vec![0.0; spreads.len()];
-    }
-    let limit = *variances.select_nth_unstable_by(middle, f64::total_cmp).1 * FAR_WORSE * FAR_WORSE;
+    let Some(median) = median_of(&mut variances) else { return vec![0.0; spreads.len()] };
+    let limit = median * FAR_WORSE * FAR_WORSE;
     let weight =
         |spread: &Matrix2<f64>| if spread.trace() > limit { limit / spread.trace() } else { 1.0 };
     spreads.iter().map(|spread| spread.as_ref().map_or(0.0, weight)).collect()

@@ -18,6 +18,7 @@ pub mod dictionary;
 pub mod homography;
 pub mod image_region;
 pub mod lens;
+pub mod median;
 pub mod physical;
 pub mod pixel;
 pub mod polynomial;

@@ -9,6 +9,7 @@
 use nalgebra::{Matrix2, Point3, Vector3};
 
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// What a view shows of noise.
@@ -61,10 +62,11 @@ impl CornerNoise {
         let factors = samples.iter().map(|sample| {
             sample.std_px * (sample.side_px.min(LONGEST_SIDE_PX) / sample.blur_px.max(0.1)).sqrt()
         });
-        let Some(factor_px) = median(factors) else { return Self::default() };
+        let Some(factor_px) = median_of_finite(factors) else { return Self::default() };
         let distances = || samples.iter().map(|sample| sample.distance_m);
         let seen_m = [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)];
-        let blur = median(samples.iter().map(|sample| sample.blur_px)).unwrap_or(UNSEEN_BLUR_PX);
+        let blur =
+            median_of_finite(samples.iter().map(|sample| sample.blur_px)).unwrap_or(UNSEEN_BLUR_PX);
         let constant = [blur * blur, 0.0, 0.0];
         let determined = samples.len() >= LEAST_DISTANCES && seen_m[1] > LEAST_RANGE * seen_m[0];
         let blur_square = determined.then(|| depth_of_field(samples)).flatten().unwrap_or(constant);
@@ -120,8 +122,6 @@ fn depth_of_field(samples: &[NoiseSample]) -> Option<[f64; 3]> {
     (c > 0.0 && focus >= 0.0 && a + b * focus + c * focus * focus > 0.0).then_some([a, b, c])
 }
 
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.filter(|v| v.is_finite()).collect();
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+fn median_of_finite(values: impl Iterator<Item = f64>) -> Option<f64> {
+    median(values.filter(|v| v.is_finite()).collect())
 }

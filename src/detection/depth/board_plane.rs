@@ -8,6 +8,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
@@ -216,10 +217,6 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
         each.map(|(tile, ray)| ((tile.inverse_depth - plane.dot(ray)) / tile.inverse_depth).abs())
             .collect()
     };
-    let median = |mut values: Vec<f64>| {
-        values.sort_by(f64::total_cmp);
-        values.get(values.len() / 2).copied().unwrap_or(f64::INFINITY)
-    };
     let through = |chosen: &[usize]| {
         let (mut square, mut right) = (Matrix3::zeros(), Vector3::zeros());
         for k in chosen {
@@ -232,8 +229,9 @@ fn keep_plane(tiles: &mut Vec<DepthTile>, lens: &Lens, tolerance: f64) {
     let triples =
         (0..TRIPLES).map(|k| [k * 7919, k * 104_729 + count / 3, k * 1_299_709 + 2 * count / 3]);
     let planes = triples.filter_map(|triple| through(&triple.map(|k| k % count.max(1))));
-    let best =
-        planes.map(|plane| (median(deviations(&plane)), plane)).min_by(|a, b| a.0.total_cmp(&b.0));
+    let best = planes
+        .map(|plane| (median(deviations(&plane)).unwrap_or(f64::INFINITY), plane))
+        .min_by(|a, b| a.0.total_cmp(&b.0));
     let Some((scale, mut plane)) = best else { return tiles.clear() };
     let limit = (4.0 * scale).max(0.002).min(tolerance);
     for _ in 0..3 {

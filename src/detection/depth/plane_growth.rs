@@ -11,6 +11,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::detection::depth::board_plane::{PlaneOptions, fit_tile};
 use crate::geometry::depth_camera::{DepthReading, DepthTile};
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::depth_image::DepthImage;
 
@@ -47,9 +48,8 @@ pub fn grow_plane(
     let size = image.size();
     let side = ((f64::from(size.width) * f64::from(size.height) / PATCHES).sqrt() as usize).max(6);
     let (across, down) = (size.width as usize / side, size.height as usize / side);
-    let mut stds: Vec<f64> = board.iter().map(|tile| tile.reading_std).collect();
-    stds.sort_by(f64::total_cmp);
-    let Some(median_std) = stds.get(stds.len() / 2).copied() else { return Vec::new() };
+    let stds = board.iter().map(|tile| tile.reading_std).collect();
+    let Some(median_std) = median(stds) else { return Vec::new() };
     let patch = |cell: usize| {
         let tile = measure(
             image,

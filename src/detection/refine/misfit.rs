@@ -5,6 +5,8 @@
 //! others' shows chance, or the shape of the blur, which moves no corner. An occluder's residuals
 //! are one-sided and pull the corner: its error grows with the excess.
 
+use crate::geometry::median::median_of;
+
 /// Minimum corners for a robust reference.
 const FEWEST_CORNERS: usize = 8;
 /// Mean squares exceed the median by chance up to this many of their standard deviations,
@@ -92,9 +94,7 @@ impl CornerMisfit {
         let mut median = |of: fn(&Quality) -> f64| {
             sorted.clear();
             sorted.extend(of_corners.iter().flatten().map(of));
-            let middle = sorted.len() / 2;
-            (sorted.len() >= FEWEST_CORNERS)
-                .then(|| *sorted.select_nth_unstable_by(middle, f64::total_cmp).1)
+            median_of(sorted).filter(|_| sorted.len() >= FEWEST_CORNERS)
         };
         let (mean_square, inlier_ratio) = (median(|q| q.mean_square)?, median(|q| q.inlier_ratio)?);
         (mean_square > 0.0).then_some(BoardMedians { mean_square, inlier_ratio })

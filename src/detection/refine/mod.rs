@@ -48,6 +48,7 @@ use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::shading::take_off_shading;
 use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
+use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -282,8 +283,7 @@ impl Refiner {
         let blurs = &mut self.blurs_px;
         blurs.clear();
         blurs.extend(self.fitted.iter().flatten().map(Fitted::blur_px));
-        let middle = blurs.len() / 2;
-        (middle < blurs.len()).then(|| *blurs.select_nth_unstable_by(middle, f64::total_cmp).1)
+        median_of(blurs)
     }
 
     /// Median of the powers of the corners' gray values that are in proportion to light.
@@ -291,8 +291,7 @@ impl Refiner {
         let powers = &mut self.powers;
         powers.clear();
         powers.extend(self.fitted.iter().flatten().map(|it| linear_power(&it.fit.model)));
-        let middle = powers.len() / 2;
-        (middle < powers.len()).then(|| *powers.select_nth_unstable_by(middle, f64::total_cmp).1)
+        median_of(powers)
     }
 
     /// The blur that makes the print most like the image, of those that blur the edges as the

@@ -1,5 +1,7 @@
 //! Pixel noise, from the residuals of the first fits where the pattern is flat.
 
+use crate::geometry::median::median_of;
+
 /// Noise where the pattern is black and where it is white, over all corners of a board.
 #[derive(Debug, Default)]
 pub(super) struct PooledNoise {
@@ -30,11 +32,7 @@ impl PooledNoise {
     /// corners. Shot noise grows with the light, and a camera's gamma can reverse that, so either
     /// may be the larger.
     pub fn of_pixels(&mut self) -> [f64; 2] {
-        let [black, white] = self.variances.each_mut().map(|variances| {
-            let middle = variances.len() / 2;
-            (middle < variances.len())
-                .then(|| *variances.select_nth_unstable_by(middle, f64::total_cmp).1)
-        });
+        let [black, white] = self.variances.each_mut().map(|variances| median_of(variances));
         [black.or(white), white.or(black)]
             .map(|variance| variance.unwrap_or(4.0).max(ROUNDING).sqrt())
     }

@@ -10,7 +10,8 @@ use crate::estimation::joint::{BoardObservation, Layout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{Apart, PoseJitter, eliminate, pose_part};
 use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, shifted};
-use crate::estimation::robust::{Loss, median};
+use crate::estimation::robust::Loss;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// The answer of the corners: sensor 0 is color and the rig, sensor 1 infrared and depth.

@@ -10,7 +10,7 @@
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-use crate::estimation::robust::median;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// How fast a board moves, in a camera's frame.

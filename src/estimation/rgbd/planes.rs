@@ -13,10 +13,10 @@ use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
-use crate::estimation::robust::median;
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
 /// Tiles further off than this many standard deviations of their own scatter take no part.

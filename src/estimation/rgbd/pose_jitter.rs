@@ -10,7 +10,7 @@
 use nalgebra::{Matrix6, Vector6};
 
 use crate::estimation::joint::linearize::LocalEquations;
-use crate::estimation::robust::median;
+use crate::geometry::median::median;
 
 /// Variances of the pose_jitter that all views share: of the turn about each axis in rad², of the shift
 /// along each in m².

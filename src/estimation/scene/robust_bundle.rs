@@ -1,7 +1,7 @@
 //! Bundle adjustment with an unknown noise level and some observations that are wrong.
 
-use crate::estimation::robust::median;
 use crate::estimation::scene::bundle::{Bundle, BundleStop, SceneState};
+use crate::geometry::median::median;
 
 /// Observations further off than this, in standard deviations of their length, are wrong: of right
 /// ones one in 500.

@@ -9,6 +9,7 @@ use crate::estimation::two_view::fundamental::{
 use crate::estimation::two_view::ransac::{Consensus, RansacOptions, SampledModel, ransac};
 use crate::estimation::two_view::refinement::refine_fundamental;
 use crate::geometry::homography::Homography;
+use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
 
 /// What the matches of two images determine.
@@ -84,9 +85,7 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
 }
 
 fn median_displacement_px(pairs: &[PointPair]) -> f64 {
-    let mut moved: Vec<f64> = pairs.iter().map(|p| (p.second - p.first).norm()).collect();
-    moved.sort_by(f64::total_cmp);
-    moved.get(moved.len() / 2).copied().unwrap_or(0.0)
+    median(pairs.iter().map(|p| (p.second - p.first).norm()).collect()).unwrap_or(0.0)
 }
 
 /// The geometry of images between which nothing moved: F is any skew-symmetric matrix.
