@@ -1,14 +1,26 @@
 //! The live web page: three files, embedded.
 
+use std::sync::LazyLock;
+
 use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE};
 use axum::response::IntoResponse;
 
+use crate::geometry::lens::LensModel;
 use crate::http::problem::Problem;
 use crate::http::request::Address;
 
-const INDEX: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPT: &str = include_str!("page/script.js");
+
+/// The page, with a choice for every lens model.
+static INDEX: LazyLock<String> = LazyLock::new(|| {
+    let choice = |model: LensModel| {
+        let (name, summary) = (model.name(), model.facts().summary);
+        format!("<option value=\"{name}\">{name} ({summary})</option>")
+    };
+    let choices = LensModel::ALL.map(choice).join("\n          ");
+    include_str!("page/index.html").replace("<!-- lens models -->", &choices)
+});
 
 /// Everything from here, nothing from elsewhere.
 const POLICY: &str =
@@ -16,7 +28,10 @@ const POLICY: &str =
 
 /// The page.
 pub(super) async fn index() -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, POLICY)], INDEX)
+    (
+        [(CONTENT_TYPE, "text/html; charset=utf-8"), (CONTENT_SECURITY_POLICY, POLICY)],
+        INDEX.as_str(),
+    )
 }
 
 /// Its parts.
