@@ -22,6 +22,7 @@ mod rgbd_kinect;
 mod rgbd_time;
 mod rgbd_wrong;
 mod rig;
+mod rig_of_devices;
 mod running_estimate;
 mod seeded_camera;
 mod seeded_rgbd;
