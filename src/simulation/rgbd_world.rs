@@ -40,7 +40,9 @@ impl RgbdOptions {
     /// A stereo depth camera beside the color camera of `color`: 25 mm and a degree apart, 640 ×
     /// 480, with an error of some per cent; lens, pose and error follow from the seed.
     pub fn new(color: WorldOptions) -> Self {
-        let mut rng = stream(color.seed, Purpose::Rig, 0);
+        // Each camera of a rig is another device.
+        let number = color.seat.map_or(0, |seat| u64::from(seat.number));
+        let mut rng = stream(color.seed, Purpose::Rig, number);
         let size = ImageSize::new(640, 480);
         let mut around = |middle: f64, spread: f64| middle + rng.random_range(-spread..spread);
         let fx = around(575.0, 15.0);
@@ -147,24 +149,27 @@ impl RgbdWorld {
 
     /// The `index`-th images.
     pub fn frame(&mut self, index: u64) -> RgbdFrame {
-        // The infrared image's noise is another than the color image's.
-        const INFRARED: u64 = 1 << 40;
+        // The infrared image's noise is another than the color image's, and each camera's its own:
+        // a rig's cameras have numbers below 8, which begin at bit 40.
+        const INFRARED: [u64; 2] = [1 << 40, 1 << 50];
+        let number = self.options.color.seat.map_or(0, |seat| u64::from(seat.number));
+        let infrared_index = INFRARED[usize::from(number > 0)] + (number << 40) + index;
         let color = self.color.frame(index);
         let depth_from_color = self.options.color_from_depth.inverse();
         let start_s = color.truth.time_s + self.options.time_offset_s;
-        let walk = self.color.walk_mut();
+        let color_camera = &mut self.color;
         let exposure = exposed(&mut self.infrared, start_s, |time_s| {
-            depth_from_color * walk.camera_from_board(time_s)
+            depth_from_color * color_camera.camera_from_board(time_s)
         });
         let seed = self.options.color.seed;
-        let infrared = self.infrared.sensor().develop(&exposure.light, seed, INFRARED + index);
+        let infrared = self.infrared.sensor().develop(&exposure.light, seed, infrared_index);
         let pattern = self.infrared.pattern();
         let scene = DepthScene {
             pattern,
             depth_from_board: exposure.camera_from_board,
             wall: self.options.wall,
         };
-        let depth = self.depth.image(&scene, seed, index);
+        let depth = self.depth.image(&scene, seed, (number << 40) + index);
         let infrared_from_board = exposure.camera_from_board;
         RgbdFrame { color: color.image, infrared, depth, truth: color.truth, infrared_from_board }
     }
@@ -173,6 +178,28 @@ impl RgbdWorld {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_camera_of_a_rig_has_its_sensors_where_it_is() {
+        let size = ImageSize::new(320, 240);
+        let [left, right] = [0, 1].map(|seat| {
+            let options = RgbdOptions::new(WorldOptions::on_rig(4, size, seat));
+            (options.clone(), RgbdWorld::new(&options).frame(3))
+        });
+        let seat = right.0.color.seat.unwrap();
+        for (options, frame) in [&left, &right] {
+            let color_from_board = options.color_from_depth * frame.infrared_from_board;
+            let truth = frame.truth.camera_from_board;
+            let off_m = (color_from_board.translation() - truth.translation()).norm();
+            assert!(off_m < 1e-12 && color_from_board.angle_to(&truth) < 1e-7, "{off_m}");
+        }
+        let through = seat.camera_from_first * left.1.truth.camera_from_board;
+        let off_m = (through.translation() - right.1.truth.camera_from_board.translation()).norm();
+        assert!(off_m < 1e-12, "{off_m}");
+        assert_ne!(left.0.color_from_depth, right.0.color_from_depth, "another device");
+        assert_ne!(left.1.infrared, right.1.infrared);
+        assert_ne!(left.1.depth, right.1.depth);
+    }
 
     #[test]
     fn the_sensors_see_one_board_and_the_offset_is_time() {

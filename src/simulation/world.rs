@@ -184,9 +184,9 @@ impl World {
         index + self.seat.map_or(0, |seat| u64::from(seat.number) << 40)
     }
 
-    /// How the board is carried.
-    pub(super) fn walk_mut(&mut self) -> &mut Walk {
-        &mut self.walk
+    /// Where the board is at a time, before this camera.
+    pub(super) fn camera_from_board(&mut self, time_s: f64) -> Pose {
+        seen_from(self.seat, self.walk.camera_from_board(time_s))
     }
 
     /// Where the board's inner corners are in an image, row by row; `None` for those outside the
