@@ -11,6 +11,7 @@
 //!
 //! [store]
 //! path = "plumb-data"            # default; made if it is not there
+//! min_free_mb = 100              # default; with less of the disk free, sessions pause
 //!
 //! [calibration]
 //! auto_approve = true            # default; a `good` calibration becomes current by itself
@@ -42,6 +43,9 @@ use crate::config::source::WrittenSource;
 /// Where the daemon listens by default.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8600);
 
+/// What stays free of the disk by default, in millions of bytes: room to end what runs.
+const DEFAULT_MIN_FREE_MB: u32 = 100;
+
 /// A configuration that holds: what it names was there when it was checked.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -51,6 +55,8 @@ pub struct Config {
     pub token: Option<Token>,
     /// The folder of the database and the kept images. Default: `plumb-data`.
     pub store_path: PathBuf,
+    /// What stays free of the disk that it is on, in bytes. Default: 100 million.
+    pub least_free_bytes: u64,
     /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
     pub auto_approve: bool,
     /// The cameras, in the order of the file.
@@ -151,6 +157,7 @@ struct ServerTable {
 #[serde(deny_unknown_fields)]
 struct StoreTable {
     path: Option<PathBuf>,
+    min_free_mb: Option<u32>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -219,8 +226,10 @@ impl Written {
         }
         let rigs = check_rigs(&tables.rig, &cameras, &place)?;
         let store_path = tables.store.path.unwrap_or_else(|| PathBuf::from("plumb-data"));
+        let least_free_bytes =
+            1_000_000 * u64::from(tables.store.min_free_mb.unwrap_or(DEFAULT_MIN_FREE_MB));
         let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
-        Ok(Config { listen, token, store_path, auto_approve, cameras, rigs })
+        Ok(Config { listen, token, store_path, least_free_bytes, auto_approve, cameras, rigs })
     }
 }
 
@@ -342,6 +351,7 @@ mod tests {
             listen: "127.0.0.1:8600".parse().unwrap(),
             token: None,
             store_path: "plumb-data".into(),
+            least_free_bytes: 100_000_000,
             auto_approve: true,
             cameras: Vec::new(),
             rigs: Vec::new(),

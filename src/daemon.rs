@@ -58,7 +58,7 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let listener = runtime
         .block_on(TcpListener::bind(address))
         .map_err(|source| DaemonError::Listen { address, source })?;
-    let store = Arc::new(Store::open(&config.store_path)?);
+    let store = Arc::new(Store::open_with(&config.store_path, config.least_free_bytes)?);
     let plans = config.cameras.iter().map(plan_of).collect();
     let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
     let fleet = Arc::new(Fleet::start(plans, Arc::clone(&store), &options)?);
@@ -76,7 +76,7 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let token = config.token.as_ref().map(|token| token.reveal().to_owned());
     let service = Service { fleet: Arc::clone(&fleet), store, token };
     #[cfg(target_os = "linux")]
-    systemd::ready_and_alive(runtime, &fleet);
+    systemd::ready_and_alive(runtime, &fleet, listening);
     let served = runtime.block_on(http::serve(listener, service, stop));
     tracing::info!("stopping");
     #[cfg(target_os = "linux")]

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 
-use crate::pipeline::fleet::FleetError;
+use crate::pipeline::fleet_error::FleetError;
 use crate::store::StoreError;
 
 /// Why the daemon did not run.

@@ -10,8 +10,8 @@ use axum::http::{HeaderMap, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use crate::http::Shared;
 use crate::http::problem::Problem;
+use crate::http::shared::Shared;
 
 /// The cookie that a browser carries the token in.
 const COOKIE_NAME: &str = "plumb_token";
@@ -92,7 +92,7 @@ fn with_cookie(token: &str) -> Response {
     (StatusCode::SEE_OTHER, [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)]).into_response()
 }
 
-/// Compares in a time that does not tell how much was right.
+/// Compares in a time that does not reveal how much was right.
 fn is_same(given: &str, token: &str) -> bool {
     let (given, token) = (given.as_bytes(), token.as_bytes());
     given.len() == token.len()

@@ -18,7 +18,7 @@ use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 
 /// How a calibration is to be written.
 #[derive(utoipa::IntoParams)]

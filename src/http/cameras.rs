@@ -9,9 +9,9 @@ use crate::document::camera::{
     CameraDocument, CameraIdentityDocument, CameraSensorDocument, CameraStateName, CamerasDocument,
     FactoryDocument,
 };
-use crate::http::Shared;
 use crate::http::problem::Problem;
 use crate::http::request::Address;
+use crate::http::shared::Shared;
 use crate::pipeline::camera_status::{CameraState, CameraStatus, SensorStatus};
 
 /// Every configured camera, in the order of the configuration.

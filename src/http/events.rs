@@ -9,6 +9,7 @@ use axum::http::HeaderMap;
 use axum::response::sse::{Event as SentEvent, KeepAlive, Sse};
 use futures_util::{Stream, StreamExt};
 use serde::Serialize;
+use tokio::sync::OwnedSemaphorePermit;
 use utoipa::ToSchema;
 
 use crate::calibration::drift::Drift;
@@ -16,10 +17,10 @@ use crate::document::image_sensor::UncertaintyDocument;
 use crate::document::session::SessionDocument;
 use crate::document::time;
 use crate::document::verdict::GradeName;
-use crate::http::Shared;
 use crate::http::cameras::camera_document;
 use crate::http::problem::Problem;
 use crate::http::request::Parameters;
+use crate::http::shared::Shared;
 use crate::pipeline::event::{
     CalibrationEvent, DetectionEvent, Event, EventKind, EventStream, FrameEvent,
 };
@@ -40,6 +41,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
     responses(
         (status = 200, description = "an endless stream", body = String, content_type = "text/event-stream"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "too many follow", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn follow(
     State(shared): State<Arc<Shared>>,
@@ -56,10 +58,10 @@ pub(super) async fn follow(
     let last_seen =
         headers.get("last-event-id").and_then(|id| id.to_str().ok()?.trim().parse().ok());
     let stream = futures_util::stream::unfold(
-        shared.fleet.events(last_seen),
-        |mut stream: EventStream| async move {
+        (shared.fleet.events(last_seen), shared.stream_place()?),
+        |(mut stream, place): (EventStream, OwnedSemaphorePermit)| async move {
             let event = stream.next().await;
-            Some((event, stream))
+            Some((event, (stream, place)))
         },
     );
     let wanted = move |event: &Arc<Event>| {
@@ -91,7 +93,7 @@ fn json<T: Serialize>(document: &T) -> String {
     crate::document::reading::to_json(document).unwrap_or_default()
 }
 
-/// A frame set was looked at (`frame`).
+/// A frame set was taken (`frame`).
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct FrameEventDocument<'a> {
     /// The camera's name.
@@ -101,7 +103,7 @@ pub(super) struct FrameEventDocument<'a> {
     /// When the host received it.
     #[schema(value_type = String, format = DateTime)]
     received_at: jiff::Timestamp,
-    /// When the device took it, nanoseconds of its own clock; null where it does not tell.
+    /// When the device took it, nanoseconds of its own clock; null where it does not say.
     device_time_ns: Option<i64>,
     /// Frame sets lost so far.
     dropped_frames: u64,
@@ -122,7 +124,7 @@ fn frame_document<'a>(camera: &'a str, event: &FrameEvent) -> FrameEventDocument
 pub(super) struct DetectionEventDocument<'a> {
     /// The camera's name.
     camera: &'a str,
-    /// The session that looked.
+    /// The session that searched.
     session: &'a str,
     /// The frame set's number.
     sequence: u64,
@@ -202,7 +204,7 @@ pub(super) struct DriftEventDocument<'a> {
     /// What has changed and what to do.
     reason: &'a str,
     /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels;
-    /// null where the device told that it was moved, or its pictures have another size.
+    /// null where the device said that it was moved, or its pictures have another size.
     rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     expected_px: f64,

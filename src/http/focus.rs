@@ -7,9 +7,9 @@ use axum::extract::State;
 
 use crate::document::focus::FocusDocument;
 use crate::geometry::thin_lens::ThinLens;
-use crate::http::Shared;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
+use crate::http::shared::Shared;
 use crate::imaging::frame::SensorKind;
 
 /// What a lens keeps sharp, by the thin-lens model: depth of field, hyperfocal distance, and the
@@ -18,7 +18,7 @@ use crate::imaging::frame::SensorKind;
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
         ("f_number" = f64, Query, description = "focal length over the aperture's diameter, as in 2.8"),
-        ("pixel_um" = f64, Query, description = "the width of one pixel, in micrometres"),
+        ("pixel_um" = f64, Query, description = "the width of one pixel, in micrometers"),
         ("focal_mm" = Option<f64>, Query, description = "focal length, in millimeters; the current calibration's when left out"),
         ("focus_m" = Option<f64>, Query, description = "the distance in focus, in meters; infinity when left out"),
         ("blur_px" = Option<f64>, Query, description = "how wide a point may become and count as sharp; 1 when left out"),
@@ -27,7 +27,7 @@ use crate::imaging::frame::SensorKind;
     responses(
         (status = 200, description = "what is sharp", body = FocusDocument),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "no frame yet to tell the image's width", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "no frame yet to know the image's width by", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "a parameter that is missing or cannot be", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn focus(
@@ -56,7 +56,7 @@ pub(super) async fn focus(
         Some(cols) => {
             let unseen = || {
                 Problem::conflict(format!(
-                    "camera `{camera}` has given no frame yet to tell its width"
+                    "camera `{camera}` has given no frame yet to know its width by"
                 ))
             };
             Some((cols, color.ok_or_else(unseen)?.size.width))

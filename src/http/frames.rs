@@ -11,7 +11,7 @@ use futures_util::StreamExt;
 
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::preview::PreviewReceiver;
 use crate::pipeline::preview::drawing::Drawing;
@@ -22,7 +22,7 @@ const BOUNDARY: &str = "plumb-frame";
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 #[expect(dead_code, reason = "describes the query; Parameters reads it")]
-struct LookParameters {
+struct DrawingParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
     sensor: Option<String>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
@@ -39,7 +39,7 @@ struct LookParameters {
 
 /// The newest frame as JPEG.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/frame.jpg", tag = "cameras",
-    params(("camera" = String, Path, description = "its name in the configuration"), LookParameters),
+    params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
         (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
@@ -59,11 +59,12 @@ pub(super) async fn frame(
 
 /// The frames as they come, each drawn over with what was found, as multipart JPEG.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/preview.mjpg", tag = "cameras",
-    params(("camera" = String, Path, description = "its name in the configuration"), LookParameters),
+    params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
         (status = 200, description = "an endless picture", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "too many watch", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn preview(
     State(shared): State<Arc<Shared>>,
@@ -72,9 +73,10 @@ pub(super) async fn preview(
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, true)?;
     let frames = shared.fleet.preview(&camera, drawing)?;
-    let parts = futures_util::stream::unfold(frames, |mut frames| async move {
+    let place = shared.stream_place()?;
+    let parts = futures_util::stream::unfold((frames, place), |(mut frames, place)| async move {
         let part = next_part(&mut frames).await?;
-        Some((futures_util::stream::iter(part.map(Ok::<_, Infallible>)), frames))
+        Some((futures_util::stream::iter(part.map(Ok::<_, Infallible>)), (frames, place)))
     });
     let first = Bytes::from(format!("--{BOUNDARY}\r\n"));
     let first = futures_util::stream::once(std::future::ready(Ok(first)));

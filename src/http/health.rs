@@ -6,8 +6,8 @@ use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
-use crate::http::Shared;
 use crate::http::problem::Problem;
+use crate::http::shared::Shared;
 
 /// Whether the daemon is alive.
 #[utoipa::path(get, path = "/healthz", tag = "daemon", responses((status = 200, description = "alive", body = String, content_type = "text/plain")))]
@@ -15,14 +15,18 @@ pub(super) async fn healthz() -> &'static str {
     "ok\n"
 }
 
-/// Whether a camera is delivering.
+/// Whether a camera is delivering, and what sessions keep can be stored.
 #[utoipa::path(get, path = "/readyz", tag = "daemon", responses(
-    (status = 200, description = "at least one camera is delivering", body = String, content_type = "text/plain"),
-    (status = 503, description = "no camera is delivering, and why", body = Problem, content_type = "application/problem+json"),
+    (status = 200, description = "at least one camera is delivering, and no session is paused", body = String, content_type = "text/plain"),
+    (status = 503, description = "no camera is delivering, or a session is paused because what it keeps cannot be stored, and why", body = Problem, content_type = "application/problem+json"),
 ))]
 pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static str, Problem> {
     if shared.fleet.is_ready() {
         return Ok("ready\n");
+    }
+    let paused = shared.fleet.paused();
+    if !paused.is_empty() {
+        return Err(Problem::unavailable(paused.join("; ")));
     }
     let cameras = shared.fleet.cameras();
     let said = cameras.iter().map(|camera| match &camera.reason {

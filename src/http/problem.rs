@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
 use crate::document::reading::to_json;
-use crate::pipeline::fleet::ApproveError;
+use crate::pipeline::fleet_error::ApproveError;
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
@@ -171,7 +171,7 @@ impl From<StartError> for Problem {
                 Self::not_found(detail)
             }
             StartError::Busy { .. } => Self::conflict(detail),
-            StartError::Store { .. } => Self::broken(detail),
+            StartError::Store { .. } => Self::unavailable(detail),
             StartError::Stopping => Self::unavailable(detail),
         }
     }
@@ -183,7 +183,7 @@ impl From<EndError> for Problem {
         match error {
             EndError::UnknownSession { .. } => Self::not_found(detail),
             EndError::Over { .. } => Self::conflict(detail),
-            EndError::Store { .. } => Self::broken(detail),
+            EndError::Store { .. } => Self::unavailable(detail),
             EndError::Stopping => Self::unavailable(detail),
         }
     }

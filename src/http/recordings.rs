@@ -15,7 +15,7 @@ use crate::document::recording::{
 use crate::document::time;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, SMALL_BODY, document};
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 
 /// Records a camera to an MCAP file in the store's folder; frames are written as they came.

@@ -10,11 +10,11 @@ use crate::calibration::session_record::SessionRequest;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::rig::{RigDocument, RigsDocument};
 use crate::document::session::{SessionDocument, StartDocument};
-use crate::http::Shared;
 use crate::http::calibrations::{self, ExportParameters};
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
 use crate::http::sessions::created;
+use crate::http::shared::Shared;
 use crate::pipeline::RigStatus;
 
 /// Every configured rig, in the order of the configuration.

@@ -12,9 +12,10 @@ use tower_http::catch_panic::CatchPanicLayer;
 use utoipa_swagger_ui::SwaggerUi;
 
 use crate::http::problem::Problem;
+use crate::http::shared::Shared;
 use crate::http::{
-    Shared, access, calibrations, cameras, events, focus, frames, health, openapi, page,
-    recordings, rigs, sessions, solve, uncertainty, views,
+    access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, rigs,
+    sessions, solve, uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {

@@ -1,29 +1,37 @@
 //! Connections: how many, how slow, and how they end.
 
+use std::convert::Infallible;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::response::{IntoResponse, Response};
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use hyper_util::service::TowerToHyperService;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 
+use crate::http::connections::{Connections, WatchedStream};
+use crate::http::problem::Problem;
 use crate::http::router::router;
-use crate::http::{Service, Shared};
+use crate::http::shared::{Service, Shared};
 
-/// How many connections are open at once; more wait to be accepted.
-const CONNECTIONS: usize = 256;
 /// How many stateless solves run at once; more wait.
 const SOLVES: usize = 2;
+/// How many endless answers (previews, events) go out at once.
+const STREAMS: usize = 128;
 /// How long the head of a request may take to arrive, and a connection may idle.
-const HEAD_TIME: Duration = Duration::from_secs(30);
+const HEAD_TIME: Duration = Duration::from_secs(20);
 /// How long the answers in flight have when the daemon goes down.
 const FAREWELL: Duration = Duration::from_millis(800);
 /// The pause after an `accept` that failed, as when file descriptors have run out.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// What is answered however many others there are.
+const HEALTH: [&str; 3] = ["/healthz", "/readyz", "/metrics"];
 
 /// Serves on `listener` until `stop` resolves; then endless answers end, and the others have 0.8 s
 /// to finish.
@@ -39,32 +47,52 @@ pub async fn serve(
     let (stopping, watched) = watch::channel(false);
     let Service { fleet, store, token } = service;
     let solves = Semaphore::new(SOLVES);
-    let shared = Shared { fleet, store, token, solves, stopping: watched };
+    let streams = Arc::new(Semaphore::new(STREAMS));
+    let shared = Shared { fleet, store, token, solves, streams, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);
-    let open = Arc::new(Semaphore::new(CONNECTIONS));
+    let connections = Arc::new(Connections::new());
     let graceful = GracefulShutdown::new();
     let accepting = async {
         loop {
-            let Ok(place) = Arc::clone(&open).acquire_owned().await else { break };
-            let stream = match listener.accept().await {
-                Ok((stream, _)) => stream,
+            let (stream, client) = match listener.accept().await {
+                Ok(accepted) => accepted,
                 Err(error) => {
                     tracing::warn!(%error, "a connection could not be accepted");
                     tokio::time::sleep(ACCEPT_PAUSE).await;
                     continue;
                 }
             };
+            let Some(connection) = connections.admit(client) else { continue };
             // Events are small and wanted at once.
             let _ = stream.set_nodelay(true);
-            let connection =
-                graceful.watch(http.serve_connection(TokioIo::new(stream), service.clone()));
-            tokio::spawn(async move {
-                if let Err(error) = connection.await {
-                    tracing::debug!(%error, "a connection ended early");
+            let stream = WatchedStream::new(stream, Arc::clone(&connection));
+            let (service, answered) = (service.clone(), Arc::clone(&connection));
+            let answer = service_fn(move |request: hyper::Request<Incoming>| {
+                let (service, answered) = (service.clone(), Arc::clone(&answered));
+                async move {
+                    let _answering = answered.answering();
+                    if answered.is_crowded && !HEALTH.contains(&request.uri().path()) {
+                        return Ok::<Response, Infallible>(crowded());
+                    }
+                    service.call(request).await
                 }
-                drop(place);
+            });
+            let served = graceful.watch(http.serve_connection(TokioIo::new(stream), answer));
+            let connections = Arc::clone(&connections);
+            tokio::spawn(async move {
+                tokio::select! {
+                    ended = served => {
+                        if let Err(error) = ended {
+                            tracing::debug!(%error, "a connection ended early");
+                        }
+                    }
+                    () = connection.evicted() => {
+                        tracing::debug!("a silent connection made room for another one");
+                    }
+                }
+                connections.remove(&connection);
             });
         }
     };
@@ -78,4 +106,9 @@ pub async fn serve(
         tracing::info!("connections that were still busy are closed");
     }
     Ok(())
+}
+
+fn crowded() -> Response {
+    Problem::unavailable("too many connections are being answered; ask again in a moment")
+        .into_response()
 }

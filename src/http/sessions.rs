@@ -10,13 +10,13 @@ use axum::response::IntoResponse;
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::document::session::{SessionDocument, SessionsDocument, StartDocument};
-use crate::http::Shared;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
+use crate::http::shared::Shared;
 use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
-/// Starts a session: the camera looks for the board and keeps the views that teach something new.
+/// Starts a session: the camera searches for the board and keeps the views that teach something new.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", tag = "sessions",
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
@@ -76,7 +76,7 @@ pub(super) async fn one(
     Ok(Json((&session(&shared, &id).await?).into()))
 }
 
-/// Stops collecting and solves. Waits for the result unless told otherwise. Too few views: the
+/// Stops collecting and solves. Waits for the result unless `wait=false`. Too few views: the
 /// session's state is `failed`, its `reason` says why, and its views stay.
 #[utoipa::path(post, path = "/v1/sessions/{id}/stop", tag = "sessions",
     params(

@@ -15,7 +15,7 @@ use crate::document::time;
 use crate::estimation::problem::CameraProblem;
 use crate::http::problem::Problem;
 use crate::http::request::{BodyRefusals, LARGE_BODY, document};
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 
 /// Calibrates from given correspondences; nothing is stored.
 #[utoipa::path(post, path = "/v1/solve", tag = "calibrations", request_body = ProblemDocument,

@@ -14,7 +14,7 @@ use crate::estimation::uncertainty::Distance;
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, heat_map_png};
 
@@ -96,9 +96,7 @@ async fn asked(
 }
 
 fn unknown(id: &str) -> Problem {
-    Problem::not_found(format!(
-        "calibration {id} tells no covariance of this sensor; solve it again"
-    ))
+    Problem::not_found(format!("calibration {id} has no covariance of this sensor; solve it again"))
 }
 
 fn heat_map(sensor: &ImageCalibration, distance: Distance) -> Option<Vec<u8>> {

@@ -9,7 +9,7 @@ use axum::response::IntoResponse;
 
 use crate::calibration::result::{CalibratedView, Calibration, ImageCalibration};
 use crate::calibration::sensor::SensorId;
-use crate::calibration::view::View;
+use crate::detection::board_detection::Detection;
 use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
@@ -17,11 +17,11 @@ use crate::geometry::target::Target;
 use crate::http::problem::Problem;
 use crate::http::request::Address;
 use crate::http::sessions::session;
-use crate::http::{Shared, on_a_blocking_thread};
+use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::picture_file::frame_from_file;
-use crate::store::RigPlace;
+use crate::store::SensorView;
 
 const JPEG: &str = "image/jpeg";
 const JPEG_QUALITY: u8 = 90;
@@ -38,16 +38,24 @@ pub(super) async fn list(
     Address(id): Address<String>,
 ) -> Result<Json<SessionViewsDocument>, Problem> {
     let record = session(&shared, &id).await?;
-    let (views, places, calibration) = shared
+    let (mut views, calibration) = shared
         .stored(move |store| {
             let calibration =
                 record.calibration.as_deref().map(|id| store.calibration(id)).transpose()?;
-            Ok((store.views(&record.id)?, store.rig_places(&record.id)?, calibration.flatten()))
+            Ok((store.sensor_views(&record.id)?, calibration.flatten()))
         })
         .await?;
-    let view =
-        |view: &View| view_document(&id, view, &Place::of(view, &places), calibration.as_ref());
-    Ok(Json(SessionViewsDocument { views: views.iter().map(view).collect() }))
+    views.retain(|view| view.number.is_some());
+    views.sort_by_key(|view| view.number);
+    let documents = views.iter().filter_map(|view| {
+        // Which of its own camera's views it is.
+        let before = |other: &&SensorView| {
+            other.sensor.camera == view.sensor.camera && other.number < view.number
+        };
+        let place = views.iter().filter(before).count();
+        view_document(&id, view, place, calibration.as_ref())
+    });
+    Ok(Json(SessionViewsDocument { views: documents.collect() }))
 }
 
 /// The picture of a kept view, as JPEG.
@@ -86,72 +94,55 @@ fn to_jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
 }
 
-/// Which of a sensor's views a view is.
-struct Place<'a> {
-    /// Of a rig: the camera and the moment.
-    rig: Option<&'a RigPlace>,
-    /// Counts the views of the sensor, from 0.
-    number: usize,
+/// The sensor that a calibration has for a view.
+fn sensor_of<'a>(calibration: &'a Calibration, view: &SensorView) -> Option<&'a ImageCalibration> {
+    let Some(camera) = &view.sensor.camera else { return calibration.color() };
+    calibration.sensor(&SensorId::of(camera, SensorKind::Color))?.as_image()
 }
 
-impl<'a> Place<'a> {
-    fn of(view: &View, places: &'a [RigPlace]) -> Self {
-        let Some(place) = places.iter().find(|place| place.number == view.number) else {
-            return Self { rig: None, number: view.number as usize };
-        };
-        let before =
-            |other: &&RigPlace| other.camera == place.camera && other.number < place.number;
-        Self { rig: Some(place), number: places.iter().filter(before).count() }
-    }
-
-    /// The sensor that a calibration has for it.
-    fn sensor<'c>(&self, calibration: &'c Calibration) -> Option<&'c ImageCalibration> {
-        let Some(place) = self.rig else { return calibration.color() };
-        calibration.sensor(&SensorId::of(&place.camera, SensorKind::Color))?.as_image()
-    }
-}
-
+/// `place` counts the views of the same sensor.
 fn view_document(
     session_id: &str,
-    view: &View,
-    place: &Place<'_>,
+    view: &SensorView,
+    place: usize,
     calibration: Option<&Calibration>,
-) -> SessionViewDocument {
-    let sensor = calibration.and_then(|calibration| place.sensor(calibration));
-    let calibrated = sensor.and_then(|sensor| sensor.views.get(place.number));
+) -> Option<SessionViewDocument> {
+    let (n, detection) = (view.number?, view.detection.as_ref()?);
+    let sensor = calibration.and_then(|calibration| sensor_of(calibration, view));
+    let calibrated = sensor.and_then(|sensor| sensor.views.get(place));
     let target = calibration.and_then(|calibration| calibration.target);
     let residuals = sensor.zip(calibrated).zip(target);
-    let corners = || view.detection.corners.iter();
-    SessionViewDocument {
-        n: view.number,
-        camera: place.rig.map(|place| place.camera.clone()),
-        moment: place.rig.map(|place| place.moment),
+    let corners = || detection.corners.iter();
+    Some(SessionViewDocument {
+        n,
+        camera: view.sensor.camera.clone(),
+        moment: view.sensor.camera.is_some().then_some(view.frame_set),
         name: view.frame.display_name(),
         taken_at: time::from_utc_ns(view.frame.host_time_ns),
-        corners: view.detection.corners.len() as u32,
+        corners: detection.corners.len() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
         used: calibrated.map(|calibrated| calibrated.used),
         reason: calibrated.and_then(|calibrated| calibrated.reason.clone()),
         rms_px: calibrated.and_then(|calibrated| calibrated.rms_px),
         residuals_px: residuals.and_then(|((sensor, calibrated), target)| {
-            residuals_px(view, sensor, calibrated, target)
+            residuals_px(detection, sensor, calibrated, target)
         }),
         camera_from_board: calibrated
             .and_then(|calibrated| calibrated.camera_from_board.as_ref())
             .map(PoseDocument::from),
-        picture: format!("/v1/sessions/{session_id}/views/{}.jpg", view.number),
-    }
+        picture: format!("/v1/sessions/{session_id}/views/{n}.jpg"),
+    })
 }
 
 /// Seen minus predicted, corner by corner; `None` for a view without a pose.
 fn residuals_px(
-    view: &View,
+    detection: &Detection,
     sensor: &ImageCalibration,
     calibrated: &CalibratedView,
     target: Target,
 ) -> Option<Vec<[f64; 2]>> {
     let camera_from_board = calibrated.camera_from_board?;
-    let corners = view.detection.corners.iter();
+    let corners = detection.corners.iter();
     let residual = |corner: &crate::detection::board_detection::DetectedCorner| {
         let point_in_board = target.corner_at(corner.index.col, corner.index.row)?;
         let predicted = sensor.lens.pixel_from_point(&(camera_from_board * point_in_board))?;

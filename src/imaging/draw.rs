@@ -13,7 +13,7 @@ pub const FOUND: Color = Rgb([77, 255, 157]);
 /// The first corner.
 pub const FIRST: Color = Rgb([255, 93, 122]);
 /// Where the board should be.
-pub const WISHED: Color = Rgb([255, 216, 77]);
+pub const SUGGESTED: Color = Rgb([255, 216, 77]);
 
 /// From dark to bright in equal steps for the eye, also for one that sees no red or green (after
 /// "viridis").

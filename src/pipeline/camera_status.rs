@@ -43,7 +43,7 @@ pub struct SensorStatus {
     pub format: PixelFormat,
 }
 
-/// Which device it is, where the device tells.
+/// Which device it is, where the device says.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CameraIdentity {
     /// The device's own name.
@@ -73,7 +73,7 @@ pub struct CameraStatus {
     /// Frame sets received since the daemon started.
     pub frames: u64,
     /// Frame sets lost: gaps in the device's count, and those that a newer one replaced before they
-    /// were looked at.
+    /// were searched.
     pub dropped_frames: u64,
     /// Which device it is.
     pub identity: CameraIdentity,

@@ -5,7 +5,7 @@
 //!     └──needs a person──▶ failed (tried again, rarely)
 //! ```
 //!
-//! A replay that waits for its frames to be looked at begins anew with each session, so that every
+//! A replay that waits for its frames to be searched begins anew with each session, so that every
 //! session sees all of it; while none collects it is shown at its recorded pace, round and round.
 
 use std::sync::{Arc, PoisonError};
@@ -15,11 +15,12 @@ use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, Sourc
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::camera_status::{CameraIdentity, CameraState, SensorStatus};
+use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::frame_rate::FrameRate;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_camera::LiveCamera;
-use crate::pipeline::message::{Captured, CapturedFrame, Message};
-use crate::pipeline::search::Search;
+use crate::pipeline::message::Message;
+use crate::pipeline::search::CameraSearch;
 
 /// How a camera is watched over.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -53,7 +54,7 @@ impl Default for Supervision {
     }
 }
 
-/// The longest that a source may keep the thread from looking up.
+/// The longest that a source may keep the thread from checking whether to stop.
 const POLL: Duration = Duration::from_millis(200);
 /// How soon a waiting thread sees that a session began.
 const GLANCE: Duration = Duration::from_millis(20);
@@ -66,7 +67,7 @@ enum End {
     /// To be opened again at once.
     Again,
     /// Gave its last frame, for this session; `cut` says what ended it early.
-    Ended { search: Option<Arc<Search>>, waits: bool, cut: Option<String> },
+    Ended { search: Option<Arc<CameraSearch>>, waits: bool, cut: Option<String> },
     /// Gone; may come back.
     Lost(String),
     /// Needs a person.
@@ -137,10 +138,10 @@ impl Capture {
         &mut self,
         source: &mut dyn FrameSource,
         description: &SourceDescription,
-        opened_for: Option<&Arc<Search>>,
+        opened_for: Option<&Arc<CameraSearch>>,
     ) -> End {
         let opened = Instant::now();
-        let mut held_for: Option<Arc<Search>> = None;
+        let mut held_for: Option<Arc<CameraSearch>> = None;
         // When it was last known to stand as a session held it.
         let mut held: Option<Instant> = None;
         let mut pace = Pace::default();
@@ -173,7 +174,7 @@ impl Capture {
                     if search.is_none()
                         && held.is_some_and(|since| since.elapsed() >= self.supervision.moved_check)
                     {
-                        self.tell_moved(source);
+                        self.report_moved(source);
                         held = Some(Instant::now());
                     }
                     if description.waits
@@ -229,7 +230,7 @@ impl Capture {
     }
 
     /// Shows what has moved since the last session: the calibration may no longer hold.
-    fn tell_moved(&self, source: &dyn FrameSource) {
+    fn report_moved(&self, source: &dyn FrameSource) {
         let moved = source.moved_since_calibrating();
         let known = self.camera.status.borrow().reason == moved;
         self.camera.set_state(CameraState::Streaming, moved.as_deref());
@@ -259,7 +260,12 @@ impl Capture {
     }
 
     /// Hands a frame set to the detector; whether anyone still takes it.
-    fn pass_on(&mut self, frame_set: FrameSet, search: Option<Arc<Search>>, waits: bool) -> bool {
+    fn pass_on(
+        &mut self,
+        frame_set: FrameSet,
+        search: Option<Arc<CameraSearch>>,
+        waits: bool,
+    ) -> bool {
         let arrived = Instant::now();
         self.note(&frame_set, arrived);
         let frame_set = Arc::new(frame_set);
@@ -298,7 +304,9 @@ impl Capture {
         });
         if self.camera.status.borrow().state != CameraState::Streaming {
             self.camera.set_state(CameraState::Streaming, None);
-            let _ = self.camera.messages.blocking_send(Message::CameraBack);
+            if let Some(search) = self.camera.search.get() {
+                search.assembly.back(search.place);
+            }
         }
     }
 
@@ -306,14 +314,18 @@ impl Capture {
     fn wait_out(&self, state: CameraState, reason: &str, wait: Duration) {
         self.camera.status.send_modify(|status| status.fps = None);
         self.camera.set_state(state, Some(reason));
-        let _ = self.camera.messages.blocking_send(Message::CameraLost(reason.to_owned()));
+        if let Some(search) = self.camera.search.get() {
+            search.assembly.lost(search.place, reason);
+        }
         self.camera.stop.wait(wait);
-        let _ = self.camera.messages.try_send(Message::Waited(wait.as_secs_f64()));
+        if let Some(search) = self.camera.search.get() {
+            search.assembly.waited(search.place, wait.as_secs_f64());
+        }
     }
 
     /// After the last frame: waits for another session to begin; a replay that waits is also shown
     /// again when the session is over.
-    fn rest(&self, ended_for: Option<&Arc<Search>>, waits: bool, cut: Option<String>) {
+    fn rest(&self, ended_for: Option<&Arc<CameraSearch>>, waits: bool, cut: Option<String>) {
         let cut = cut.map(|cut| format!(": {cut}")).unwrap_or_default();
         let reason = format!("the recording has ended{cut}");
         let end = Captured::End { search: ended_for.cloned(), reason: reason.clone() };

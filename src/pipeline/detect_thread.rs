@@ -1,52 +1,59 @@
-//! Thread `detect-<camera>`: looks for the board while a session collects, and shows each frame
-//! with what was seen in it.
+//! Thread `detect-<camera>`: searches for the board while a session collects, shows each frame with
+//! what was seen in it, and passes it to the session by way of the instrument's assembly.
 //!
-//! Only luma is decoded, and only while someone looks for a board.
+//! Only luma is decoded, and only while a session collects.
 
 use std::sync::Arc;
-use std::time::Instant;
 
-use crate::pipeline::board_look::{BoardLook, Manner};
+use crate::pipeline::board_search::{BoardSearch, SearchManner};
+use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::event::{EventKind, FrameEvent};
 use crate::pipeline::live_camera::LiveCamera;
-use crate::pipeline::live_frame::{LiveFrame, Look};
-use crate::pipeline::message::{Captured, CapturedFrame, Message};
-use crate::pipeline::rig_inbox::Looked;
-use crate::pipeline::search::Search;
+use crate::pipeline::live_frame::{FrameDetection, LiveFrame};
+use crate::pipeline::search::CameraSearch;
+use crate::pipeline::seen::SeenFrame;
 
 pub(super) struct Detect {
     camera: Arc<LiveCamera>,
-    board_look: BoardLook,
+    board_search: BoardSearch,
 }
 
 impl Detect {
     pub(super) fn new(camera: Arc<LiveCamera>) -> Self {
-        Self { camera, board_look: BoardLook::default() }
+        Self { camera, board_search: BoardSearch::default() }
     }
 
     pub(super) fn run(mut self) {
         while let Some(captured) = self.camera.slot.take() {
-            let message = match captured {
-                Captured::Frame(captured) => self.look_at(captured),
-                Captured::End { search, reason } => Some(Message::Ended { search, reason }),
-            };
-            let message = message.and_then(hand_to_rig);
-            if let Some(message) = message
-                && self.camera.messages.blocking_send(message).is_err()
-            {
-                return;
+            match captured {
+                Captured::Frame(captured) => self.take(captured),
+                Captured::End { search: Some(search), reason } => {
+                    search.assembly.ended(search.place, &reason);
+                }
+                Captured::End { search: None, .. } => {}
             }
         }
     }
 
-    fn look_at(&mut self, captured: CapturedFrame) -> Option<Message> {
-        let look = captured.search.clone().map(|search| {
-            let look = self.look(&captured, &search);
-            (search, look)
-        });
-        let seen = look.as_ref().map(|(_, look)| look.clone());
-        let live = LiveFrame { frame_set: Arc::clone(&captured.frame_set), look: seen };
-        let live = Arc::new(live);
+    fn take(&mut self, captured: CapturedFrame) {
+        let detection = captured.search.as_ref().map(|search| self.detect(&captured, search));
+        self.show(&captured, detection.clone());
+        let (Some(search), Some(detection)) = (&captured.search, detection) else { return };
+        let seen = SeenFrame {
+            frame_set: captured.frame_set,
+            arrived: captured.arrived,
+            waits: captured.waits,
+            detection,
+            sensors: Vec::new(),
+        };
+        if !search.assembly.put(search.place, seen) {
+            self.camera.count_dropped("store", 1);
+        }
+    }
+
+    fn show(&self, captured: &CapturedFrame, detection: Option<FrameDetection>) {
+        let frame_set = Arc::clone(&captured.frame_set);
+        let live = Arc::new(LiveFrame { frame_set, detection });
         if self.camera.preview.offer(&live) {
             self.camera.metrics.previews_skipped.with_label_values(&[&self.camera.name]).inc();
         }
@@ -57,44 +64,22 @@ impl Detect {
             device_time_ns: captured.frame_set.device_time.map(|time| time.monotonic_ns),
             dropped_frames: self.camera.status.borrow().dropped_frames,
         }));
-        look.map(|(search, look)| Message::Looked { captured, search, look })
     }
 
-    /// A live frame is followed from the one before. A replay that waits for its frames has each
-    /// searched by itself, so that it gives the very bits that the same pictures give anywhere
+    /// A live frame is tracked from the one before. A replay that waits for its frames has each
+    /// searched by itself, so that it gives the very bits that the same images give anywhere
     /// else.
-    fn look(&mut self, captured: &CapturedFrame, search: &Search) -> Look {
-        let started = Instant::now();
-        let manner = if captured.waits { Manner::Searched } else { Manner::Followed };
-        let sighting = self.board_look.look(&captured.frame_set, &search.target, manner);
-        let elapsed = started.elapsed().as_secs_f64();
+    fn detect(&mut self, captured: &CapturedFrame, search: &CameraSearch) -> FrameDetection {
+        let manner = if captured.waits { SearchManner::Whole } else { SearchManner::Tracked };
+        let board = &search.assembly.board;
+        let detection = self.board_search.search(&captured.frame_set, board, manner);
         let (name, metrics) = (&self.camera.name, &self.camera.metrics);
-        metrics.detection_seconds.with_label_values(&[name]).observe(elapsed);
+        let elapsed_s = detection.elapsed_ms * 1e-3;
+        metrics.detection_seconds.with_label_values(&[name]).observe(elapsed_s);
         metrics.searched.with_label_values(&[name]).inc();
-        if sighting.is_ok() {
+        if detection.outcome.is_ok() {
             metrics.boards.with_label_values(&[name]).inc();
         }
-        Look::of(sighting, elapsed * 1e3)
-    }
-}
-
-/// Hands what a rig's session looks for to the rig; what is left is the camera's own.
-fn hand_to_rig(message: Message) -> Option<Message> {
-    match message {
-        Message::Looked { captured, search, look } => match &search.rig {
-            Some(seat) => {
-                seat.inbox.put(&search.session, seat.member, Looked { captured, look });
-                None
-            }
-            None => Some(Message::Looked { captured, search, look }),
-        },
-        Message::Ended { search: Some(search), reason } => match &search.rig {
-            Some(seat) => {
-                seat.inbox.end(&search.session, seat.member, &reason);
-                None
-            }
-            None => Some(Message::Ended { search: Some(search), reason }),
-        },
-        message => Some(message),
+        detection
     }
 }

@@ -1,34 +1,32 @@
-//! Tells that the camera's current calibration may not hold any more: the device was moved, or the
+//! Reports that the camera's current calibration may not hold any more: the device was moved, or the
 //! views that a session keeps do not agree with it.
 
 use crate::calibration::drift::{Drift, DriftWatch};
 use crate::calibration::result::ImageCalibration;
+use crate::calibration::session::KeptView;
 use crate::pipeline::event::EventKind;
 use crate::pipeline::session_thread::SessionThread;
 
 impl SessionThread {
     /// What to hold the views of a session against that begins now; `None` before there is a
-    /// calibration.
+    /// calibration, and for a rig.
     pub(super) fn drift_watch(&self) -> Option<DriftWatch> {
         let (id, sensor) = self.current_calibration()?;
         Some(DriftWatch::new(&id, &sensor))
     }
 
     /// Holds a kept view against the current calibration.
-    pub(super) fn look_for_drift(&mut self, number: u32) {
+    pub(super) fn check_drift(&mut self, kept: &KeptView) {
         let (Some(watch), Some(session)) = (&mut self.drift, &self.session) else { return };
-        let Some(view) = session.camera(0).and_then(|part| part.views().get(number as usize))
-        else {
-            return;
-        };
+        let Some(view) = session.view(kept) else { return };
         let seen = view.to_board_view(&session.record().request.target);
         if let Some(drift) = watch.see(&seen, view.frame.image_size) {
             self.publish_drift(drift);
         }
     }
 
-    /// The device tells that what a session held still is no longer as it was.
-    pub(super) fn tell_moved(&self, what: String) {
+    /// The device reports that what a session held still is no longer as it was.
+    pub(super) fn report_moved(&self, what: String) {
         if let Some((calibration, sensor)) = self.current_calibration() {
             self.publish_drift(Drift {
                 calibration,
@@ -41,15 +39,18 @@ impl SessionThread {
 
     fn publish_drift(&self, drift: Drift) {
         let Drift { calibration, reason, .. } = &drift;
-        tracing::warn!(camera = self.camera.name, calibration, "{reason}");
-        self.camera.publish(EventKind::Drift(drift));
+        tracing::warn!(camera = self.instrument.name, calibration, "{reason}");
+        self.instrument.publish(EventKind::Drift(drift));
     }
 
     fn current_calibration(&self) -> Option<(String, ImageCalibration)> {
-        let id = self.camera.status.borrow().calibration.clone()?;
+        let ([camera], false) = (self.instrument.cameras.as_slice(), self.instrument.is_rig) else {
+            return None;
+        };
+        let id = camera.status.borrow().calibration.clone()?;
         let calibration = self.store.calibration(&id).unwrap_or_else(|error| {
             tracing::error!(
-                camera = self.camera.name,
+                camera = camera.name,
                 calibration = id,
                 "drift is not watched: {error}"
             );

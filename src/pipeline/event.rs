@@ -12,8 +12,7 @@ use crate::calibration::result::{Calibration, Grade, ProjectionUncertainty};
 use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::camera_status::CameraStatus;
-use crate::pipeline::live_frame::Look;
-use crate::pipeline::message::CapturedFrame;
+use crate::pipeline::seen::SeenFrame;
 
 /// Something that happened to a camera.
 #[derive(Debug, Clone)]
@@ -29,7 +28,7 @@ pub struct Event {
 /// What happened.
 #[derive(Debug, Clone)]
 pub enum EventKind {
-    /// A frame set was looked at.
+    /// A frame set was taken.
     Frame(FrameEvent),
     /// A frame was searched for the board.
     Detection(DetectionEvent),
@@ -63,7 +62,7 @@ impl EventKind {
     }
 }
 
-/// A frame set that was looked at.
+/// A frame set that was taken.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameEvent {
     /// The frame set's number.
@@ -81,7 +80,7 @@ pub struct FrameEvent {
 pub struct DetectionEvent {
     /// The frame set's number.
     pub sequence: u64,
-    /// The session that looked.
+    /// The session that searched.
     pub session: String,
     /// Whether the board was found.
     pub found: bool,
@@ -99,23 +98,20 @@ pub struct DetectionEvent {
 }
 
 impl DetectionEvent {
-    /// What a session made of a frame that was looked at.
-    pub(super) fn of(
-        (captured, look): (&CapturedFrame, &Look),
-        session: &str,
-        admission: &Result<u32, Rejection>,
-    ) -> Self {
-        let corners = look.outcome.iter().flat_map(|detection| detection.corners.iter());
+    /// What a session made of a frame that was searched.
+    pub(super) fn of(seen: &SeenFrame, session: &str, admission: &Result<u32, Rejection>) -> Self {
+        let found = &seen.detection.outcome;
+        let corners = found.iter().flat_map(|detection| detection.corners.iter());
         let rejection = admission.as_ref().err();
         Self {
-            sequence: captured.frame_set.sequence,
+            sequence: seen.frame_set.sequence,
             session: session.to_owned(),
-            found: look.outcome.is_ok(),
+            found: found.is_ok(),
             corners_px: corners.map(|corner| corner.pixel).collect(),
             kept_view: admission.as_ref().ok().copied(),
             rejection: rejection.map(Rejection::kind),
             reason: rejection.map(ToString::to_string),
-            elapsed_ms: look.elapsed_ms,
+            elapsed_ms: seen.detection.elapsed_ms,
         }
     }
 }
@@ -138,7 +134,7 @@ pub struct CalibrationEvent {
 }
 
 impl CalibrationEvent {
-    /// What an event tells of `calibration`; of a rig, its least certain camera's figures. `None`
+    /// What an event says of `calibration`; of a rig, its least certain camera's figures. `None`
     /// if it has no picture sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
         let all = calibration.image_sensors().map(|(_, sensor)| sensor);

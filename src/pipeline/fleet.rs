@@ -1,112 +1,40 @@
-//! All cameras of the daemon as one live object: the only thing that the layers above talk to.
+//! All cameras and rigs of the daemon as one live object: the only thing that the layers above talk
+//! to. What concerns sessions is in `fleet_sessions`.
 
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
-use tokio::sync::{oneshot, watch};
+use tokio::sync::watch;
 
-use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::calibration::session_record::SessionRecord;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
-use crate::pipeline::camera_threads::{CameraPlan, FleetOptions, SharedParts, start_camera};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
-use crate::pipeline::fleet_rigs::RunningRig;
+use crate::pipeline::fleet_error::{ApproveError, FleetError};
+use crate::pipeline::instrument::{Instrument, RigPlan, RigStatus};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::LiveFrame;
-use crate::pipeline::live_rig::LiveRig;
-use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::preview::PreviewReceiver;
 use crate::pipeline::preview::drawing::{Drawing, EncodedFrame};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
-use crate::pipeline::rig_inbox::RigMessage;
-use crate::pipeline::session_request::{EndError, StartError};
-use crate::pipeline::unknown::UnknownCamera;
-use crate::store::{Store, StoreError};
+use crate::pipeline::running::{
+    CameraPlan, FleetOptions, RunningCamera, RunningInstrument, SharedParts, start_camera,
+    start_rig, stop, stop_and_wait,
+};
+use crate::pipeline::store_health::StoreHealth;
+use crate::pipeline::unknown::{UnknownCamera, UnknownRig};
+use crate::store::Store;
 
-/// Why the cameras were not set going.
-#[derive(Debug, thiserror::Error)]
-pub enum FleetError {
-    /// What an earlier run left could not be read.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// The system gives no more threads.
-    #[error("a thread for camera `{camera}` could not be started: {detail}")]
-    Thread {
-        /// The camera's name.
-        camera: String,
-        /// What the system said.
-        detail: String,
-    },
-    /// The counters could not be set up.
-    #[error("the metrics could not be set up: {detail}")]
-    Metrics {
-        /// What was wrong.
-        detail: String,
-    },
-}
-
-/// Why a calibration did not become current.
-#[derive(Debug, thiserror::Error)]
-pub enum ApproveError {
-    /// No such calibration.
-    #[error(
-        "there is no calibration `{id}`; see GET /v1/cameras/{{camera}}/calibrations for those there are"
-    )]
-    UnknownCalibration {
-        /// The id that was asked for.
-        id: String,
-    },
-    /// It is of no camera.
-    #[error("calibration {id} belongs to no camera")]
-    NoCamera {
-        /// The id that was asked for.
-        id: String,
-    },
-    /// It could not be read or written.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
-
-/// How long threads have to end.
-const LAST_WAIT: Duration = Duration::from_millis(700);
-const GLANCE: Duration = Duration::from_millis(2);
-
-/// All cameras, live. Reading never waits on a camera or a solve.
+/// All cameras and rigs, live. Reading never waits on a camera or a solve.
 #[derive(Debug)]
 pub struct Fleet {
     cameras: RwLock<Vec<RunningCamera>>,
-    pub(super) rigs: RwLock<Vec<RunningRig>>,
-    pub(super) shared: SharedParts,
-    pub(super) options: FleetOptions,
+    rigs: RwLock<Vec<RunningInstrument>>,
+    shared: SharedParts,
+    options: FleetOptions,
 }
-
-/// A camera with the threads that work for it.
-#[derive(Debug)]
-struct RunningCamera {
-    camera: Arc<LiveCamera>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-/// Whose a session is.
-enum Owner {
-    Camera(Arc<LiveCamera>),
-    Rig(Arc<LiveRig>),
-}
-
-impl Owner {
-    fn session(&self) -> &watch::Sender<Option<Arc<SessionRecord>>> {
-        match self {
-            Self::Camera(camera) => &camera.session,
-            Self::Rig(rig) => &rig.session,
-        }
-    }
-}
-
-type EndReply = oneshot::Sender<Result<SessionRecord, EndError>>;
 
 impl Fleet {
     /// Sets every camera going, and goes on with the sessions that an earlier run left unfinished.
@@ -120,11 +48,13 @@ impl Fleet {
     ) -> Result<Self, FleetError> {
         let metrics =
             Metrics::new().map_err(|error| FleetError::Metrics { detail: error.to_string() })?;
+        let metrics = Arc::new(metrics);
         // Microseconds: more than events ever come in, so that ids grow over restarts, and exact in
         // JavaScript.
         let events = Arc::new(EventLog::new((utc_now_ns() / 1000).max(0).unsigned_abs()));
         let maps = Arc::new(CalibrationMaps::new(Arc::clone(&store)));
-        let shared = SharedParts { events, metrics: Arc::new(metrics), store, maps };
+        let health = Arc::new(StoreHealth::new(Arc::clone(&metrics)));
+        let shared = SharedParts { events, metrics, store, health, maps };
         let fleet = Self {
             cameras: RwLock::default(),
             rigs: RwLock::default(),
@@ -133,7 +63,7 @@ impl Fleet {
         };
         // A fleet that is dropped half started ends the threads that it has.
         fleet.replace_cameras(&[], plans)?;
-        for (record, _) in fleet.shared.store.unfinished_sessions()? {
+        for record in fleet.shared.store.unfinished_sessions()? {
             if record.members.is_empty() && fleet.link(&record.camera).is_err() {
                 let SessionRecord { id, camera, .. } = record;
                 tracing::warn!(
@@ -160,30 +90,55 @@ impl Fleet {
         let (leaving, staying): (Vec<_>, Vec<_>) =
             cameras.drain(..).partition(|running| stopped.contains(&running.camera.name));
         *cameras = staying;
-        stop(&leaving);
+        stop(&[], &leaving);
         let mut unfinished = self.shared.store.unfinished_sessions()?;
         for plan in plans {
-            let left = unfinished.iter().rposition(|(record, _)| record.camera == plan.name);
-            let left = left.map(|at| unfinished.remove(at));
-            let (camera, threads) = start_camera(plan, left, &self.shared, &self.options)?;
-            cameras.push(RunningCamera { camera, threads });
+            let left = take_newest_of(&mut unfinished, &plan.name);
+            cameras.push(start_camera(plan, left, &self.shared, &self.options)?);
         }
         Ok(())
+    }
+
+    /// Sets rigs of the fleet's cameras going, with the sessions that were left unfinished.
+    ///
+    /// # Errors
+    /// [`FleetError`]; rigs before the one that failed are running then.
+    pub fn start_rigs(&self, plans: Vec<RigPlan>) -> Result<(), FleetError> {
+        let mut unfinished = self.shared.store.unfinished_sessions()?;
+        for RigPlan { name, cameras } in plans {
+            let left = take_newest_of(&mut unfinished, &name);
+            let link = |camera: &String| {
+                self.link(camera).map_err(|UnknownCamera { camera }| FleetError::NoCamera {
+                    rig: name.clone(),
+                    camera,
+                })
+            };
+            let cameras = cameras.iter().map(link).collect::<Result<_, _>>()?;
+            let rig = start_rig(name, cameras, left, &self.shared, &self.options)?;
+            self.rigs.write().unwrap_or_else(PoisonError::into_inner).push(rig);
+        }
+        Ok(())
+    }
+
+    /// Ends the rigs named `stopped` and gives their cameras back; a session that collects goes on
+    /// when a rig of that name is started again. Blocks until they have finished what they are
+    /// computing.
+    pub fn stop_rigs(&self, stopped: &[String]) {
+        let mut rigs = self.rigs.write().unwrap_or_else(PoisonError::into_inner);
+        let (leaving, staying): (Vec<_>, Vec<_>) =
+            rigs.drain(..).partition(|running| stopped.contains(&running.instrument.name));
+        *rigs = staying;
+        drop(rigs);
+        stop_and_wait(leaving);
     }
 
     /// Ends every thread; sessions stay as they are and go on with the next start. Blocks for less
     /// than a second: a thread that a driver does not let go is left behind.
     pub fn shutdown(&self) {
-        // Rigs first: a replay may wait for one.
         let rigs = std::mem::take(&mut *self.rigs.write().unwrap_or_else(PoisonError::into_inner));
-        rigs.iter().for_each(|running| running.rig.inbox.close());
-        let leaving =
+        let cameras =
             std::mem::take(&mut *self.cameras.write().unwrap_or_else(PoisonError::into_inner));
-        stop(&leaving);
-        let until = Instant::now() + LAST_WAIT;
-        while rigs.iter().any(|running| !running.thread.is_finished()) && Instant::now() < until {
-            std::thread::sleep(GLANCE);
-        }
+        stop(&rigs, &cameras);
     }
 
     /// Makes a calibration its camera's current one.
@@ -198,10 +153,8 @@ impl Fleet {
             .as_ref()
             .ok_or_else(|| ApproveError::NoCamera { id: id.to_owned() })?;
         self.shared.store.set_current(name, id)?;
-        if let Ok(camera) = self.link(name) {
-            camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
-        } else if let Ok(rig) = self.rig_link(name) {
-            rig.calibration.send_replace(Some(id.to_owned()));
+        if let Some(instrument) = self.instruments().iter().find(|known| known.name == *name) {
+            instrument.set_calibration(id);
         }
         if let Some(event) = CalibrationEvent::of(&calibration, true) {
             self.shared.events.publish(name, EventKind::Calibration(event));
@@ -268,11 +221,31 @@ impl Fleet {
         Ok(status)
     }
 
-    /// Whether any camera delivers.
+    /// Every rig, in the order of the configuration.
+    pub fn rigs(&self) -> Vec<RigStatus> {
+        self.running_rigs().iter().map(|running| running.instrument.rig_status()).collect()
+    }
+
+    /// One rig.
+    ///
+    /// # Errors
+    /// [`UnknownRig`].
+    pub fn rig(&self, name: &str) -> Result<RigStatus, UnknownRig> {
+        Ok(self.rig_link(name)?.rig_status())
+    }
+
+    /// Whether any camera delivers, and no session is paused.
     pub fn is_ready(&self) -> bool {
-        self.running()
-            .iter()
-            .any(|running| running.camera.status.borrow().state == CameraState::Streaming)
+        let delivers = |running: &RunningCamera| {
+            running.camera.status.borrow().state == CameraState::Streaming
+        };
+        self.running().iter().any(delivers) && self.paused().is_empty()
+    }
+
+    /// The sessions that are paused because the store does not take what they keep, and why, in
+    /// words.
+    pub fn paused(&self) -> Vec<String> {
+        self.shared.health.reasons()
     }
 
     /// A camera's newest frame with what was seen in it, now and as it changes; `None` before the
@@ -312,104 +285,9 @@ impl Fleet {
         Ok(camera.preview.encoded(&live, drawing, &camera.preview_state())?.0)
     }
 
-    /// The newest session of each camera and each rig since the daemon started, running or over.
-    /// Older ones are in the store.
-    pub fn live_sessions(&self) -> Vec<Arc<SessionRecord>> {
-        let of_rigs: Vec<_> = self
-            .running_rigs()
-            .iter()
-            .filter_map(|running| running.rig.session.borrow().clone())
-            .collect();
-        let of_cameras = self
-            .running()
-            .iter()
-            .filter_map(|running| running.camera.session.borrow().clone())
-            .collect();
-        [of_cameras, of_rigs].concat()
-    }
-
-    /// The session `id`, if it is the newest of its camera or rig since the daemon started. Older
-    /// ones are in the store.
-    pub fn live_session(&self, id: &str) -> Option<Arc<SessionRecord>> {
-        self.owner(id).and_then(|owner| owner.session().borrow().clone())
-    }
-
-    /// Starts a session on the camera `name`; it is stored when this returns.
-    ///
-    /// # Errors
-    /// [`StartError`].
-    pub async fn start_session(
-        &self,
-        name: &str,
-        request: SessionRequest,
-    ) -> Result<SessionRecord, StartError> {
-        let link = self
-            .link(name)
-            .map_err(|UnknownCamera { camera }| StartError::UnknownCamera { camera })?;
-        let (reply, answer) = oneshot::channel();
-        link.messages
-            .send(Message::Start(request, reply))
-            .await
-            .map_err(|_| StartError::Stopping)?;
-        answer.await.map_err(|_| StartError::Stopping)?
-    }
-
-    /// Ends the collecting of session `id` and begins to solve; returns without waiting for the
-    /// solve, see [`Self::session_over`]. A session that solves already is left to it.
-    ///
-    /// # Errors
-    /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
-    pub async fn stop_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Message::Stop, RigMessage::Stop).await
-    }
-
-    /// Gives session `id` up; its views stay stored.
-    ///
-    /// # Errors
-    /// [`EndError`]; a session that is not the newest of its camera counts as unknown here.
-    pub async fn abort_session(&self, id: &str) -> Result<SessionRecord, EndError> {
-        self.end_session(id, Message::Abort, RigMessage::Abort).await
-    }
-
-    /// Waits until session `id` has ended.
-    ///
-    /// # Errors
-    /// [`EndError::UnknownSession`] if it is not, or stops being, the newest of its camera;
-    /// [`EndError::Stopping`].
-    pub async fn session_over(&self, id: &str) -> Result<Arc<SessionRecord>, EndError> {
-        let unknown = || EndError::UnknownSession { id: id.to_owned() };
-        let mut session = self.owner(id).ok_or_else(unknown)?.session().subscribe();
-        let ended = |record: &Option<Arc<SessionRecord>>| {
-            record.as_ref().is_none_or(|record| record.id != id || record.state.is_over())
-        };
-        let record = session.wait_for(ended).await.map_err(|_| EndError::Stopping)?.clone();
-        record.filter(|record| record.id == id).ok_or_else(unknown)
-    }
-
     /// The events after `last_seen`; from now on, when `None`.
     pub fn events(&self, last_seen: Option<u64>) -> EventStream {
         self.shared.events.follow(last_seen)
-    }
-
-    async fn end_session(
-        &self,
-        id: &str,
-        of_camera: fn(String, EndReply) -> Message,
-        of_rig: fn(String, EndReply) -> RigMessage,
-    ) -> Result<SessionRecord, EndError> {
-        let (reply, answer) = oneshot::channel();
-        match self.owner(id).ok_or_else(|| EndError::UnknownSession { id: id.to_owned() })? {
-            Owner::Camera(camera) => {
-                camera
-                    .messages
-                    .send(of_camera(id.to_owned(), reply))
-                    .await
-                    .map_err(|_| EndError::Stopping)?;
-            }
-            // One that takes no more messages drops the reply, and so answers.
-            Owner::Rig(rig) => drop(rig.inbox.ask(of_rig(id.to_owned(), reply))),
-        }
-        answer.await.map_err(|_| EndError::Stopping)?
     }
 
     pub(super) fn link(&self, name: &str) -> Result<Arc<LiveCamera>, UnknownCamera> {
@@ -422,55 +300,41 @@ impl Fleet {
         found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
     }
 
-    /// Whose newest session `id` is.
-    fn owner(&self, id: &str) -> Option<Owner> {
-        let has = |session: &watch::Sender<Option<Arc<SessionRecord>>>| {
-            session.borrow().as_ref().is_some_and(|record| record.id == id)
-        };
-        let camera = self
-            .running()
-            .iter()
-            .map(|running| &running.camera)
-            .find(|camera| has(&camera.session))
-            .cloned();
-        let rig = || {
-            self.running_rigs()
-                .iter()
-                .map(|running| &running.rig)
-                .find(|rig| has(&rig.session))
-                .cloned()
-        };
-        camera.map(Owner::Camera).or_else(|| rig().map(Owner::Rig))
+    /// The camera `name` by itself.
+    pub(super) fn own_link(&self, name: &str) -> Result<Arc<Instrument>, UnknownCamera> {
+        let running = self.running();
+        let found = running.iter().find(|running| running.camera.name == name);
+        let found = found.map(|running| Arc::clone(&running.own.instrument));
+        found.ok_or_else(|| UnknownCamera { camera: name.to_owned() })
+    }
+
+    pub(super) fn rig_link(&self, name: &str) -> Result<Arc<Instrument>, UnknownRig> {
+        let running = self.running_rigs();
+        let found = running.iter().find(|running| running.instrument.name == name);
+        let found = found.map(|running| Arc::clone(&running.instrument));
+        found.ok_or_else(|| UnknownRig { rig: name.to_owned() })
+    }
+
+    /// Every camera by itself, then every rig.
+    pub(super) fn instruments(&self) -> Vec<Arc<Instrument>> {
+        let own = self.running().iter().map(|r| Arc::clone(&r.own.instrument)).collect::<Vec<_>>();
+        let rigs = self.running_rigs().iter().map(|r| Arc::clone(&r.instrument)).collect();
+        [own, rigs].concat()
     }
 
     fn running(&self) -> RwLockReadGuard<'_, Vec<RunningCamera>> {
         self.cameras.read().unwrap_or_else(PoisonError::into_inner)
     }
+
+    fn running_rigs(&self) -> RwLockReadGuard<'_, Vec<RunningInstrument>> {
+        self.rigs.read().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
-/// Ends the threads of `cameras`, all at once.
-fn stop(cameras: &[RunningCamera]) {
-    for RunningCamera { camera, .. } in cameras {
-        camera.stop.set();
-        camera.slot.close();
-        camera.preview.slot.close();
-        // A full queue wakes its thread anyway.
-        let _ = camera.messages.try_send(Message::Wake);
-    }
-    let until = Instant::now() + LAST_WAIT;
-    let mut threads = cameras.iter().flat_map(|running| &running.threads);
-    while threads.clone().any(|thread| !thread.is_finished()) && Instant::now() < until {
-        std::thread::sleep(GLANCE);
-    }
-    for RunningCamera { camera, .. } in cameras {
-        camera.recorder.finish();
-    }
-    if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
-        tracing::warn!(
-            "thread {} is stuck and left behind",
-            stuck.thread().name().unwrap_or("without a name")
-        );
-    }
+/// The newest of `unfinished` that is of the camera or rig `name`.
+fn take_newest_of(unfinished: &mut Vec<SessionRecord>, name: &str) -> Option<SessionRecord> {
+    let at = unfinished.iter().rposition(|record| record.camera == name)?;
+    Some(unfinished.remove(at))
 }
 
 impl Drop for Fleet {

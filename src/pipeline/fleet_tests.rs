@@ -9,8 +9,11 @@ use crate::calibration::result::{
     CalibratedSensor, Calibration, Checks, Grade, ImageCalibration, ProjectionUncertainty, Verdict,
 };
 use crate::calibration::sensor::SensorId;
+use crate::calibration::session_record::SessionRequest;
 use crate::calibration::session_record::SessionState;
-use crate::capture::{CaptureError, FrameSource, SourceDescription};
+use crate::capture::{
+    CaptureError, FrameSource, Pace, Simulated, SimulatedClock, SourceDescription,
+};
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::{Lens, LensModel};
@@ -19,6 +22,8 @@ use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::timestamp::HostTime;
 use crate::pipeline::Supervision;
 use crate::pipeline::event::Event;
+use crate::pipeline::session_request::{EndError, StartError};
+use crate::simulation::WorldOptions;
 
 /// A test that hangs has failed.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -26,6 +31,8 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// What a scripted device does next.
 enum Step {
     Frame,
+    /// A frame that was taken so many milliseconds after the epoch.
+    At(i64),
     Fail(CaptureError),
     Panic,
     /// Somebody turned its focus ring.
@@ -63,6 +70,11 @@ impl FrameSource for Scripted {
             Ok(Step::Frame) => {
                 self.sequence += 1;
                 Ok(gray_frame(self.sequence - 1))
+            }
+            Ok(Step::At(ms)) => {
+                self.sequence += 1;
+                let host_time = HostTime { utc_ns: ms * 1_000_000 };
+                Ok(FrameSet { host_time, ..gray_frame(self.sequence - 1) })
             }
             Ok(Step::Fail(error)) => Err(error),
             Ok(Step::Panic) => panic!("the driver's binding broke"),
@@ -118,7 +130,7 @@ fn scripted(name: &str) -> (CameraPlan, Script) {
     (plan, Script { openings })
 }
 
-/// A fleet that retries at once and has patience with silence unless told otherwise.
+/// A fleet that retries at once and has patience with silence, `stall` says how much.
 fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration) -> Fleet {
     let soon = Duration::from_millis(1);
     let supervision = Supervision {
@@ -286,7 +298,7 @@ async fn two_cameras_never_hold_each_other_up() {
     drop(release);
 }
 
-/// A replay of `frames` frames that waits for each to be looked at.
+/// A replay of `frames` frames that waits for each to be searched.
 fn replay(frames: u64) -> CameraPlan {
     let open = move || {
         let (feed, steps) = channel();
@@ -334,6 +346,147 @@ async fn an_unfinished_session_goes_on_under_its_id() {
         unknown.to_string(),
         "there is no session `other`; see GET /v1/sessions for those there are"
     );
+}
+
+/// A fleet of scripted cameras that are one rig, `head`, with the script of each.
+fn rig_of(names: &[&str], folder: &tempfile::TempDir) -> (Fleet, Vec<Script>) {
+    let (plans, scripts): (Vec<_>, Vec<_>) = names.iter().map(|name| scripted(name)).unzip();
+    let fleet = fleet_of(plans, folder, PATIENCE);
+    let cameras = names.iter().map(|name| (*name).to_owned()).collect();
+    fleet.start_rigs(vec![RigPlan { name: "head".to_owned(), cameras }]).unwrap();
+    (fleet, scripts)
+}
+
+/// Waits until each of these cameras has shown its frame of this sequence number.
+async fn until_frames(events: &mut EventStream, wanted: &[(&str, u64)]) {
+    let mut open = wanted.to_vec();
+    until(events, |event| {
+        if let EventKind::Frame(frame) = &event.kind {
+            open.retain(|wanted| *wanted != (event.camera.as_str(), frame.sequence));
+        }
+        open.is_empty().then_some(())
+    })
+    .await;
+}
+
+fn count(fleet: &Fleet, metric: &str) -> u64 {
+    let text = fleet.metrics_text();
+    let line = text.lines().find_map(|line| line.strip_prefix(metric));
+    line.map_or(0, |value| value.trim().parse().unwrap())
+}
+
+/// A rig of which one camera gives every third frame, then none, then is unplugged: the session goes
+/// on with what the others give, says what it waits for, and ends when it is asked to.
+#[tokio::test]
+async fn a_rig_goes_on_without_the_camera_that_does_not() {
+    const COMPLETE: &str = "plumb_rig_frame_sets_total{complete=\"true\",rig=\"head\"}";
+    const INCOMPLETE: &str = "plumb_rig_frame_sets_total{complete=\"false\",rig=\"head\"}";
+    let folder = tempfile::tempdir().unwrap();
+    let (fleet, scripts) = rig_of(&["left", "right"], &folder);
+    let feeds: Vec<Sender<Step>> = scripts.iter().map(Script::plug_in).collect();
+    let mut events = fleet.events(Some(0));
+    for (feed, name) in feeds.iter().zip(["left", "right"]) {
+        feed.send(Step::At(0)).unwrap();
+        until_state(&mut events, name, CameraState::Streaming).await;
+    }
+    let id = fleet.start_rig_session("head", request()).await.unwrap().id;
+    let busy = fleet.start_session("right", request()).await.unwrap_err();
+    assert_eq!(busy, StartError::Busy { camera: "right".to_owned(), session: id.clone() });
+    // A frame that was asked for before the session began is nobody's.
+    feeds.iter().for_each(|feed| feed.send(Step::At(1)).unwrap());
+    until_frames(&mut events, &[("left", 1), ("right", 1)]).await;
+    let seen = |record: &SessionRecord, place: usize| record.members[place].frames_seen;
+    for k in 1..=30 {
+        feeds[0].send(Step::At(100 * k)).unwrap();
+        let mut sent = vec![("left", 1 + k as u64)];
+        if k % 3 == 0 {
+            feeds[1].send(Step::At(100 * k)).unwrap();
+            sent.push(("right", 1 + k as u64 / 3));
+        }
+        until_frames(&mut events, &sent).await;
+    }
+    until(&mut events, |_| (count(&fleet, COMPLETE) >= 10).then_some(())).await;
+    // Stalled: half a second later the other one is gone on with, and nothing piles up.
+    for k in 31..=80 {
+        feeds[0].send(Step::At(100 * k)).unwrap();
+        until_frames(&mut events, &[("left", 1 + k as u64)]).await;
+    }
+    let before = count(&fleet, INCOMPLETE);
+    assert!((20 + 50 - 17..=20 + 50).contains(&before), "{before}");
+    // Unplugged: it is not waited for at all.
+    feeds[1].send(Step::Fail(lost("unplugged"))).unwrap();
+    until_session(&mut events, |record| {
+        record.id == id
+            && record.reason.as_deref()
+                == Some("waits for camera `right`: camera 7 was lost: unplugged")
+    })
+    .await;
+    feeds[0].send(Step::At(100 * 81)).unwrap();
+    until(&mut events, |event| {
+        matches!(&event.kind, EventKind::Detection(found) if found.session == id
+            && event.camera == "left" && seen(&fleet.live_session(&id).unwrap(), 0) >= 81)
+        .then_some(())
+    })
+    .await;
+    let record = fleet.live_session(&id).unwrap();
+    assert!((10..=11).contains(&seen(&record, 1)), "{}", seen(&record, 1));
+    let ended = fleet.stop_session(&id).await.unwrap();
+    assert_eq!(ended.state, SessionState::Failed, "{ended:?}");
+    assert!(ended.reason.unwrap().starts_with("views kept: left 0, right 0; two cameras need"));
+    assert!(fleet.camera("left").unwrap().session.is_none());
+    let own = fleet.start_session("left", request()).await.unwrap();
+    fleet.abort_session(&own.id).await.unwrap();
+}
+
+/// A simulated camera that gives each frame as soon as it is taken.
+fn walking() -> CameraPlan {
+    let open = || {
+        let options = WorldOptions::new(3, ImageSize::new(320, 240));
+        let source = Simulated::new(&options, Pace::Fastest, SimulatedClock::Own);
+        Ok(Box::new(source) as Box<dyn FrameSource>)
+    };
+    CameraPlan {
+        name: "front".to_owned(),
+        kind: "simulator".to_owned(),
+        open: Box::new(open),
+        may_stall: false,
+    }
+}
+
+/// SQLite says that the disk is full: the session pauses, says so everywhere, and nothing that was
+/// announced is missing; with room again it goes on by itself.
+#[tokio::test]
+async fn a_session_pauses_while_it_cannot_be_stored_and_goes_on_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Arc::new(Store::open(folder.path()).unwrap());
+    let fleet =
+        Fleet::start(vec![walking()], Arc::clone(&store), &FleetOptions::default()).unwrap();
+    let mut events = fleet.events(Some(0));
+    let id = fleet.start_session("front", request()).await.unwrap().id;
+    until_session(&mut events, |record| record.views_kept >= 1).await;
+    store.limit_growth(Some(2));
+    let paused = until_session(&mut events, |record| record.reason.is_some()).await;
+    let reason = paused.reason.clone().unwrap();
+    assert!(reason.starts_with("paused: store ") && reason.contains("full"), "{reason}");
+    assert_eq!(paused.state, SessionState::Collecting);
+    let stored = store.sensor_views(&id).unwrap().len();
+    assert_eq!(paused.views_kept as usize, stored, "what was announced is stored");
+    assert_eq!(fleet.live_session(&id).unwrap().views_kept, paused.views_kept);
+    assert!(!fleet.is_ready() && fleet.paused()[0].starts_with("front is paused: "));
+    assert_eq!(count(&fleet, "plumb_sessions_paused"), 1);
+    let refused = fleet.stop_session(&id).await.unwrap_err();
+    assert!(matches!(refused, EndError::Store { .. }), "{refused}");
+
+    store.limit_growth(None);
+    let views = paused.views_kept + 2;
+    let record = until_session(&mut events, |record| record.views_kept >= views).await;
+    assert_eq!((record.reason, count(&fleet, "plumb_sessions_paused")), (None, 0));
+    assert!(fleet.paused().is_empty());
+    fleet.abort_session(&id).await.unwrap();
+    let kept = fleet.live_session(&id).unwrap().views_kept as usize;
+    let numbers: Vec<u32> =
+        store.sensor_views(&id).unwrap().iter().filter_map(|view| view.number).collect();
+    assert_eq!(numbers, (0..kept as u32).collect::<Vec<_>>(), "none is lost, none twice");
 }
 
 /// A calibration of camera `front` that is current.
@@ -418,8 +571,8 @@ impl FrameSource for Flood {
     }
 }
 
-/// A search takes far longer than the next picture: what is not looked at is counted, the last one
-/// always is looked at.
+/// A search takes far longer than the next picture: what is not searched is counted, the last one
+/// always is searched.
 #[tokio::test]
 async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     const FRAMES: u64 = 200;
@@ -443,18 +596,18 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     let mut events = fleet.events(Some(0));
     let id = fleet.start_session("front", request()).await.unwrap().id;
     (0..FRAMES).for_each(|_| flood.send(()).unwrap());
-    let (mut taken, mut looked_at) = (0, Vec::new());
+    let (mut taken, mut searched_frames) = (0, Vec::new());
     until(&mut events, |event| {
         taken += u64::from(matches!(event.kind, EventKind::Frame(_)));
         let EventKind::Detection(detection) = &event.kind else { return None };
-        looked_at.push(detection.sequence);
+        searched_frames.push(detection.sequence);
         (detection.sequence == FRAMES - 1).then_some(())
     })
     .await;
-    let searched = looked_at.len() as u64;
-    assert!(looked_at.is_sorted() && searched < FRAMES / 4, "{looked_at:?}");
+    let searched = searched_frames.len() as u64;
+    assert!(searched_frames.is_sorted() && searched < FRAMES / 4, "{searched_frames:?}");
     // The first picture may have been asked for before the session began: it is taken, but no board
-    // is looked for.
+    // is searched for.
     assert!((searched..=searched + 1).contains(&taken), "{taken} taken, {searched} searched");
     // A frame that takes another's place is counted once it has; the detector may be done with it
     // by then.
@@ -467,8 +620,9 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     assert_eq!(taken + dropped, FRAMES);
     assert_eq!(fleet.abort_session(&id).await.unwrap().frames_seen, searched);
     let metrics = fleet.metrics_text();
-    let told = format!("plumb_frames_dropped_total{{camera=\"front\",why=\"overload\"}} {dropped}");
-    assert!(metrics.contains(&told), "{metrics}");
+    let counted =
+        format!("plumb_frames_dropped_total{{camera=\"front\",why=\"overload\"}} {dropped}");
+    assert!(metrics.contains(&counted), "{metrics}");
     assert!(
         metrics
             .contains(&format!("plumb_frame_latency_seconds_count{{camera=\"front\"}} {searched}")),

@@ -1,5 +1,5 @@
 //! The one place between a camera and its detector. A live camera's newest frame wins: whatever the
-//! detector has not taken is replaced, so that it never looks at an old one. A replay that must not
+//! detector has not taken is replaced, so that it never searches an old one. A replay that must not
 //! skip waits for the place instead.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -80,7 +80,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_wins_and_the_replaced_one_is_told() {
+    fn the_newest_wins_and_the_replaced_one_is_reported() {
         let slot = FrameSlot::new();
         assert_eq!(slot.put_newest(1), Ok(None));
         assert_eq!(slot.put_newest(2), Ok(Some(1)));

@@ -4,14 +4,14 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
-use crate::calibration::session_record::SessionRecord;
 use crate::geometry::pixel::Pixel;
-use crate::imaging::factory::FactoryCalibration;
+use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
+use crate::pipeline::captured::Captured;
 use crate::pipeline::event::{EventKind, EventLog};
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
-use crate::pipeline::message::{Captured, Message};
+use crate::pipeline::message::Message;
 use crate::pipeline::metrics::Metrics;
 use crate::pipeline::preview::{Preview, PreviewState};
 use crate::pipeline::recorder::RecorderLink;
@@ -24,16 +24,16 @@ pub(super) struct LiveCamera {
     pub(super) name: String,
     pub(super) status: watch::Sender<CameraStatus>,
     pub(super) frames: watch::Sender<Option<Arc<LiveFrame>>>,
-    pub(super) session: watch::Sender<Option<Arc<SessionRecord>>>,
     pub(super) search: CurrentSearch,
     pub(super) slot: FrameSlot<Captured>,
+    /// To the thread that owns the session of the camera by itself.
     pub(super) messages: mpsc::Sender<Message>,
     pub(super) events: Arc<EventLog>,
     pub(super) metrics: Arc<Metrics>,
     pub(super) stop: StopSignal,
     pub(super) recorder: RecorderLink,
     /// What the device that is open states of its own sensors.
-    pub(super) factory: Mutex<FactoryCalibration>,
+    pub(super) factory: SharedFactory,
     pub(super) preview: Preview,
     /// The outline of the board at the pose that the running session suggests.
     pub(super) outline_px: Mutex<Vec<Pixel>>,

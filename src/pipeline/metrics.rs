@@ -1,7 +1,8 @@
 //! What the daemon counts, in Prometheus's words.
 
 use prometheus::{
-    Encoder, HistogramOpts, HistogramVec, IntCounterVec, IntGaugeVec, Opts, Registry, TextEncoder,
+    Encoder, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts,
+    Registry, TextEncoder,
 };
 
 use crate::pipeline::camera_status::CameraState;
@@ -13,7 +14,7 @@ pub(super) struct Metrics {
     /// Frame sets received.
     pub(super) frames: IntCounterVec,
     /// Frame sets lost, and why: `device` (a gap in its count), `damaged`, `overload` (replaced by
-    /// a newer one unseen).
+    /// a newer one unseen), `store` (while the session was paused).
     pub(super) dropped: IntCounterVec,
     /// Frames searched for a board.
     pub(super) searched: IntCounterVec,
@@ -33,10 +34,18 @@ pub(super) struct Metrics {
     pub(super) previews: IntCounterVec,
     /// Frames that a newer one replaced before they were drawn.
     pub(super) previews_skipped: IntCounterVec,
+    /// Frame sets that a rig's session observed, and whether every camera gave a frame.
+    pub(super) frame_sets: IntCounterVec,
+    /// Depth of kept views that is in memory, in bytes.
+    pub(super) kept_depth_bytes: IntGaugeVec,
+    /// Sessions that are paused because what they keep cannot be stored.
+    pub(super) paused: IntGauge,
+    /// Times that something could not be stored.
+    pub(super) store_failures: IntCounter,
     state: IntGaugeVec,
     /// Decoding and detection of one frame, in seconds.
     pub(super) detection_seconds: HistogramVec,
-    /// From taking a frame from its source to telling what was seen in it, in seconds.
+    /// From taking a frame from its source to announcing what was seen in it, in seconds.
     pub(super) latency_seconds: HistogramVec,
     /// A final solve, in seconds.
     pub(super) solve_seconds: HistogramVec,
@@ -67,6 +76,21 @@ impl Metrics {
             &["camera", "state"],
         )?;
         registry.register(Box::new(state.clone()))?;
+        let kept_depth_bytes = IntGaugeVec::new(
+            Opts::new("plumb_kept_depth_bytes", "depth of kept views that is in memory"),
+            &["camera"],
+        )?;
+        registry.register(Box::new(kept_depth_bytes.clone()))?;
+        let paused = IntGauge::new(
+            "plumb_sessions_paused",
+            "sessions that are paused because what they keep cannot be stored",
+        )?;
+        registry.register(Box::new(paused.clone()))?;
+        let store_failures = IntCounter::new(
+            "plumb_store_failures_total",
+            "times that something could not be stored",
+        )?;
+        registry.register(Box::new(store_failures.clone()))?;
         Ok(Self {
             frames: counter("plumb_frames_total", "frame sets received", &["camera"])?,
             dropped: counter(
@@ -105,6 +129,14 @@ impl Metrics {
                 "times that the camera was lost",
                 &["camera"],
             )?,
+            frame_sets: counter(
+                "plumb_rig_frame_sets_total",
+                "frame sets of a rig's session, and whether every camera gave a frame",
+                &["rig", "complete"],
+            )?,
+            kept_depth_bytes,
+            paused,
+            store_failures,
             previews: counter(
                 "plumb_previews_drawn_total",
                 "frames drawn and encoded for all who watch them",
@@ -145,7 +177,7 @@ impl Metrics {
         ] {
             counter.with_label_values(&[camera]);
         }
-        for why in ["device", "damaged", "overload"] {
+        for why in ["device", "damaged", "overload", "store"] {
             self.dropped.with_label_values(&[camera, why]);
         }
         self.set_state(camera, CameraState::Starting);

@@ -1,51 +1,60 @@
 //! Where it becomes live: threads, channels, clocks. Uses every layer below.
 //!
-//! One camera is three threads and two links. `capture-<camera>` owns the device and puts each
+//! A frame's way is one, whatever the instrument: `capture-<camera>` owns the device and puts each
 //! frame set into a newest-wins slot (in a replay at full speed, a slot that waits instead);
-//! `detect-<camera>` takes it from there, looks for the board while a session collects, shows the
-//! frame with what was seen to the previews (which `preview-<camera>` draws, once for all who watch),
-//! and passes the outcome to `session-<camera>`, which
-//! owns the session, performs its actions and answers requests. Solves run beside them on
-//! `solve-<camera>`, so that no frame waits for one.
+//! `detect-<camera>` takes it from there, searches for the board while a session collects, shows
+//! the frame with what was seen (`preview-<camera>` draws it, once for all who watch), and puts it
+//! into the session's `assembly`, where frames of several cameras meet and what may be kept is
+//! searched in full, with every other sensor; `session-<instrument>` owns the session, stores what
+//! it keeps, announces it, and answers requests. Solves run beside them on `solve-<instrument>`, so
+//! that no frame waits for one.
 //!
-//! A rig of cameras is one more thread, `rig-<name>`: while its session collects, the detect
-//! threads of its cameras hand over to it what they see, and it puts together what was seen at one
-//! moment.
+//! Each camera is an instrument, and each rig is one more, with cameras that it acquires while its
+//! session collects. Every queue has a bound, and every drop a count in the metrics.
 //!
 //! [`fleet::Fleet`] is the one object that the layers above talk to.
 
-mod board_look;
+mod assembly;
+mod auxiliary;
+mod board_search;
 pub mod camera_status;
-mod camera_threads;
 mod capture_thread;
+mod captured;
 mod clock;
-mod companions;
+mod collecting;
 mod detect_thread;
 mod drift;
 pub mod event;
 pub mod fleet;
-mod fleet_rigs;
+pub mod fleet_error;
+mod fleet_sessions;
 mod frame_rate;
 mod frame_slot;
 mod guarded;
+mod instrument;
+mod jobs;
 mod live_camera;
 pub mod live_frame;
-mod live_rig;
 mod message;
 mod metrics;
+mod observations;
+mod pausing;
 pub mod preview;
 mod preview_thread;
 pub mod recorder;
-mod rig_inbox;
-mod rig_thread;
+mod running;
 mod search;
+mod seen;
 pub mod session_request;
 mod session_thread;
+mod solve_job;
 mod solve_thread;
 mod stop_signal;
+mod store_health;
 pub mod unknown;
+mod unstored;
 mod view_picture;
 
-pub use camera_threads::{CameraPlan, FleetOptions};
 pub use capture_thread::Supervision;
-pub use live_rig::{RigPlan, RigStatus};
+pub use instrument::{RigPlan, RigStatus};
+pub use running::{CameraPlan, FleetOptions};

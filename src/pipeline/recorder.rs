@@ -145,10 +145,10 @@ impl RecorderLink {
         };
         let shown = Arc::new(Mutex::new(status.clone()));
         let (frames, waiting) = sync_channel(QUEUE);
-        let told = Arc::clone(&shown);
+        let written = Arc::clone(&shown);
         let thread = std::thread::Builder::new()
             .name(format!("record-{camera}"))
-            .spawn(move || write_all(&waiting, writer, limits, &told))
+            .spawn(move || write_all(&waiting, writer, limits, &written))
             .map_err(|e| failed(format!("no thread for it: {e}")))?;
         *link = Some(Recorder { frames: Some(frames), status: shown, thread: Some(thread) });
         Ok(status)
@@ -327,7 +327,7 @@ mod tests {
     /// `/dev/full` answers as a full disk does.
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_full_disk_ends_it_and_is_told() {
+    fn a_full_disk_ends_it_and_is_reported() {
         let path = PathBuf::from("/dev/full");
         let writer = McapWriter::create(&path, "front").unwrap();
         let status = Mutex::new(RecordingStatus {
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_is_told() {
+    fn a_folder_that_cannot_be_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();

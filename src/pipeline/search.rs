@@ -1,34 +1,76 @@
-//! What a camera's frames are searched for at the moment: the only thing that a session tells the
-//! threads before it.
+//! What a camera's frames are searched for at the moment, and which session has the camera.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::geometry::target::Target;
-use crate::pipeline::rig_inbox::RigSeat;
+use crate::pipeline::assembly::Assembly;
 
-/// One session's wish: look for this board, and say so in its name.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Search {
-    /// The session that looks; each begins a search of its own.
-    pub(super) session: String,
-    /// What it looks for.
-    pub(super) target: Target,
-    /// For a rig's session: where what is seen is handed over.
-    pub(super) rig: Option<RigSeat>,
+/// One session's search on one camera: what is found is put into the assembly.
+#[derive(Debug)]
+pub(super) struct CameraSearch {
+    pub(super) assembly: Arc<Assembly>,
+    /// The camera's place in the instrument.
+    pub(super) place: usize,
+}
+
+impl PartialEq for CameraSearch {
+    /// Each session's search is another one.
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.assembly, &other.assembly) && self.place == other.place
+    }
 }
 
 /// The search of the moment, read with every frame.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub(super) struct CurrentSearch {
-    search: Arc<Mutex<Option<Arc<Search>>>>,
+    state: Mutex<SearchState>,
+}
+
+#[derive(Debug, Default)]
+struct SearchState {
+    /// The session that has the camera.
+    owner: Option<String>,
+    search: Option<Arc<CameraSearch>>,
 }
 
 impl CurrentSearch {
-    pub(super) fn set(&self, search: Option<Search>) {
-        *self.search.lock().unwrap_or_else(PoisonError::into_inner) = search.map(Arc::new);
+    /// Gives the camera to a session.
+    ///
+    /// # Errors
+    /// The session that has it.
+    pub(super) fn acquire(&self, session: &str) -> Result<(), String> {
+        let mut state = self.lock();
+        match &state.owner {
+            Some(owner) => Err(owner.clone()),
+            None => {
+                state.owner = Some(session.to_owned());
+                Ok(())
+            }
+        }
     }
 
-    pub(super) fn get(&self) -> Option<Arc<Search>> {
-        self.search.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    /// Searches from now on; `None` does not any more. Only for the session that has the camera.
+    pub(super) fn set(&self, session: &str, search: Option<Arc<CameraSearch>>) {
+        let mut state = self.lock();
+        if state.owner.as_deref() == Some(session) {
+            state.search = search;
+        }
+    }
+
+    /// Takes the camera back from a session; whether it had it.
+    pub(super) fn release(&self, session: &str) -> bool {
+        let mut state = self.lock();
+        let had = state.owner.as_deref() == Some(session);
+        if had {
+            *state = SearchState::default();
+        }
+        had
+    }
+
+    pub(super) fn get(&self) -> Option<Arc<CameraSearch>> {
+        self.lock().search.clone()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, SearchState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,4 +1,4 @@
-//! How threads are told to end, also those that are waiting.
+//! How threads are asked to end, also those that are waiting.
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};

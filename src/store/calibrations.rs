@@ -1,11 +1,13 @@
 //! The tables of calibrations and of those that hold now.
 
-use rusqlite::{OptionalExtension, ToSql, params};
+use rusqlite::{Connection, OptionalExtension, ToSql, params};
 
 use crate::calibration::result::Calibration;
+use crate::calibration::session_record::SessionRecord;
 use crate::document::calibration::CalibrationDocument;
+use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::{Store, json};
+use crate::store::{json, sessions};
 
 impl Store {
     /// Writes a new calibration down; it never changes after that.
@@ -14,18 +16,31 @@ impl Store {
     /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`] for one with a
     /// number that is none.
     pub fn append_calibration(&self, calibration: &Calibration) -> Result<(), StoreError> {
-        let document =
-            json::write(&CalibrationDocument::from(calibration), || row_name(&calibration.id))?;
-        let row = params![
-            calibration.id,
-            calibration.camera,
-            calibration.session,
-            calibration.created_at_ns,
-            document
-        ];
-        let sql = "INSERT INTO calibrations (id, camera, session, created_at_ns, document) VALUES (?1, ?2, ?3, ?4, ?5)";
-        self.connection().execute(sql, row).map_err(|e| self.failed(&e))?;
-        Ok(())
+        let document = column(calibration)?;
+        insert(&self.connection(), calibration, &document).map_err(|e| self.failed(&e))
+    }
+
+    /// Writes down how a session ended, and the calibration that it led to, both or none.
+    ///
+    /// # Errors
+    /// As [`Store::append_calibration`] and [`Store::save_session`].
+    pub fn finish_session(
+        &self,
+        record: &SessionRecord,
+        calibration: &Calibration,
+    ) -> Result<(), StoreError> {
+        let (document, session) = (column(calibration)?, sessions::document(record)?);
+        let mut connection = self.connection();
+        let mut write = || {
+            let transaction = connection.transaction()?;
+            insert(&transaction, calibration, &document)?;
+            let updated = sessions::update_session(&transaction, record, &session)?;
+            if updated > 0 {
+                transaction.commit()?;
+            }
+            Ok(updated)
+        };
+        self.saved(record, write())
     }
 
     /// The calibration `id`.
@@ -91,6 +106,26 @@ impl Store {
     }
 }
 
+fn column(calibration: &Calibration) -> Result<String, StoreError> {
+    json::write(&CalibrationDocument::from(calibration), || row_name(&calibration.id))
+}
+
+fn insert(
+    connection: &Connection,
+    calibration: &Calibration,
+    document: &str,
+) -> Result<(), rusqlite::Error> {
+    let row = params![
+        calibration.id,
+        calibration.camera,
+        calibration.session,
+        calibration.created_at_ns,
+        document
+    ];
+    let sql = "INSERT INTO calibrations (id, camera, session, created_at_ns, document) VALUES (?1, ?2, ?3, ?4, ?5)";
+    connection.execute(sql, row).map(drop)
+}
+
 fn row_name(id: &str) -> String {
     format!("calibration {id}")
 }
@@ -102,14 +137,9 @@ fn read(id: &str, document: &str) -> Result<Calibration, StoreError> {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use crate::document::calibration::tests::example;
-
-    /// A calibration with every field filled in.
-    pub(in crate::store) fn calibration(id: &str, created_at_ns: i64) -> Calibration {
-        Calibration { id: id.into(), created_at_ns, ..example() }
-    }
+    use crate::store::example_tests::calibration;
 
     #[test]
     fn calibrations_come_back_to_the_bit_newest_first() {

@@ -62,6 +62,19 @@ pub enum StoreError {
         /// What was asked for.
         row: String,
     },
+    /// The disk is fuller than it may become.
+    #[error(
+        "store {}: {free_mb} MB are free and {least_mb} MB are to stay free; make room, or give less as `min_free_mb` in [store]",
+        path.display()
+    )]
+    NoRoom {
+        /// The folder.
+        path: PathBuf,
+        /// What is free, in millions of bytes.
+        free_mb: u64,
+        /// What is to stay free.
+        least_mb: u64,
+    },
     /// The database failed.
     #[error("store {}: {detail}; is the disk full or read-only?", path.display())]
     Failed {

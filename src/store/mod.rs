@@ -7,149 +7,16 @@
 //! refused. Rows are added and sessions updated; a calibration never changes.
 
 mod calibrations;
-pub mod companions;
+mod database;
 pub mod error;
 mod json;
-mod rig_views;
 mod sessions;
 mod upgrades;
 mod views;
 
-use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
-use rusqlite::{Connection, ErrorCode};
-
-pub use crate::store::companions::Companion;
+pub use crate::store::database::Store;
 pub use crate::store::error::StoreError;
-pub use crate::store::rig_views::RigPlace;
 pub use crate::store::views::{Picture, SensorView};
 
-/// The database's name in the store's folder.
-const FILE_NAME: &str = "plumb.sqlite";
-
-/// An open store; may be used from several threads.
-#[derive(Debug)]
-pub struct Store {
-    path: PathBuf,
-    connection: Mutex<Connection>,
-}
-
-impl Store {
-    /// Opens the store in `folder`, makes it if it is not there, and brings an older one up to
-    /// date.
-    ///
-    /// # Errors
-    /// [`StoreError::Folder`], [`StoreError::InUse`], [`StoreError::Newer`],
-    /// [`StoreError::Damaged`].
-    pub fn open(folder: &Path) -> Result<Self, StoreError> {
-        let unusable = |detail: String| StoreError::Folder { path: folder.to_owned(), detail };
-        std::fs::create_dir_all(folder).map_err(|e| unusable(e.to_string()))?;
-        let path = folder.join(FILE_NAME);
-        let mut connection = Connection::open(&path).map_err(|e| unusable(e.to_string()))?;
-        prepare(&connection).map_err(|e| opening(&path, &e))?;
-        upgrades::bring_up_to_date(&mut connection, &path)?;
-        Ok(Self { path, connection: Mutex::new(connection) })
-    }
-
-    /// The folder that it was opened in.
-    pub fn folder(&self) -> &Path {
-        self.path.parent().unwrap_or(&self.path)
-    }
-
-    fn connection(&self) -> MutexGuard<'_, Connection> {
-        self.connection.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn failed(&self, error: &rusqlite::Error) -> StoreError {
-        match error.sqlite_error_code() {
-            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-                StoreError::Damaged { path: self.path.clone(), detail: error.to_string() }
-            }
-            _ => StoreError::Failed { path: self.path.clone(), detail: error.to_string() },
-        }
-    }
-}
-
-/// One process at a time, and every commit on disk before it returns.
-fn prepare(connection: &Connection) -> Result<(), rusqlite::Error> {
-    connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
-    connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
-    connection.pragma_update(None, "synchronous", "FULL")?;
-    connection.pragma_update(None, "foreign_keys", true)?;
-    // Takes the lock now, and not with the first write.
-    connection.execute_batch("BEGIN IMMEDIATE; COMMIT;")
-}
-
-fn opening(path: &Path, error: &rusqlite::Error) -> StoreError {
-    let path = path.to_owned();
-    match error.sqlite_error_code() {
-        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => StoreError::InUse { path },
-        Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-            StoreError::Damaged { path, detail: error.to_string() }
-        }
-        _ => StoreError::Folder { path, detail: error.to_string() },
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn refusal(prepare: impl FnOnce(&Path)) -> String {
-        let folder = tempfile::tempdir().unwrap();
-        prepare(&folder.path().join(FILE_NAME));
-        let text = Store::open(folder.path()).unwrap_err().to_string();
-        assert!(!text.contains('\n'), "{text}");
-        text.replace(&folder.path().display().to_string(), "DIR")
-    }
-
-    #[test]
-    fn what_is_not_a_store_is_refused_in_one_line() {
-        let garbage = refusal(|path| std::fs::write(path, vec![7; 10_000]).unwrap());
-        assert_eq!(
-            garbage,
-            "store DIR/plumb.sqlite: damaged or not a plumb store: file is not a database; move it away, or restore it from a copy"
-        );
-        let foreign = refusal(|path| {
-            Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap();
-        });
-        assert!(
-            foreign.contains("not a plumb store: it is another program's database"),
-            "{foreign}"
-        );
-        let newer = refusal(|path| {
-            drop(Store::open(path.parent().unwrap()).unwrap());
-            Connection::open(path).unwrap().pragma_update(None, "user_version", 1000).unwrap();
-        });
-        assert!(newer.contains("has schema 1000, this program knows up to"), "{newer}");
-    }
-
-    #[test]
-    fn a_damaged_page_is_noticed() {
-        let text = refusal(|path| {
-            drop(Store::open(path.parent().unwrap()).unwrap());
-            let mut bytes = std::fs::read(path).unwrap();
-            bytes[4096..].fill(0x5a);
-            std::fs::write(path, bytes).unwrap();
-        });
-        assert!(text.contains("damaged"), "{text}");
-    }
-
-    #[test]
-    fn a_folder_that_cannot_be_is_refused() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("file");
-        std::fs::write(&file, "").unwrap();
-        assert!(matches!(Store::open(&file.join("store")), Err(StoreError::Folder { .. })));
-    }
-
-    #[test]
-    fn a_second_process_is_refused_and_a_later_one_is_not() {
-        let folder = tempfile::tempdir().unwrap();
-        let first = Store::open(folder.path()).unwrap();
-        assert!(matches!(Store::open(folder.path()), Err(StoreError::InUse { .. })));
-        drop(first);
-        assert!(Store::open(folder.path()).is_ok());
-    }
-}
+mod example_tests;

@@ -1,12 +1,12 @@
 //! The table of sessions.
 
-use rusqlite::{OptionalExtension, Row, params};
+use rusqlite::{Connection, OptionalExtension, Row, params};
 
 use crate::calibration::session_record::{SessionRecord, SessionState};
-use crate::calibration::view::View;
 use crate::document::session::SessionDocument;
+use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::{Store, json};
+use crate::store::json;
 
 const COLUMNS: &str = "SELECT id, collecting_s, document FROM sessions";
 
@@ -14,8 +14,9 @@ impl Store {
     /// Writes a new session down.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`].
+    /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`].
     pub fn begin_session(&self, record: &SessionRecord) -> Result<(), StoreError> {
+        self.has_room(0)?;
         let row = params![
             record.id,
             record.camera,
@@ -36,9 +37,18 @@ impl Store {
     /// [`StoreError::Missing`] for one that was never begun; [`StoreError::Failed`],
     /// [`StoreError::Unstorable`].
     pub fn save_session(&self, record: &SessionRecord) -> Result<(), StoreError> {
-        let row = params![record.id, record.state.name(), record.collecting_s, document(record)?];
-        let sql = "UPDATE sessions SET state = ?2, collecting_s = ?3, document = ?4 WHERE id = ?1";
-        match self.connection().execute(sql, row).map_err(|e| self.failed(&e))? {
+        let document = document(record)?;
+        let saved = update_session(&self.connection(), record, &document);
+        self.saved(record, saved)
+    }
+
+    /// Whether there was a session to update.
+    pub(super) fn saved(
+        &self,
+        record: &SessionRecord,
+        updated: Result<usize, rusqlite::Error>,
+    ) -> Result<(), StoreError> {
+        match updated.map_err(|e| self.failed(&e))? {
             0 => Err(StoreError::Missing { row: format!("session {}", record.id) }),
             _ => Ok(()),
         }
@@ -65,23 +75,17 @@ impl Store {
         self.select_sessions(&format!("{COLUMNS} ORDER BY started_at_ns DESC, id DESC"))
     }
 
-    /// The sessions that were collecting or solving, oldest first, each with its views in order:
-    /// what a process that was killed goes on with.
+    /// The sessions that were collecting or solving, oldest first: what a process that was killed
+    /// goes on with.
     ///
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
-    pub fn unfinished_sessions(&self) -> Result<Vec<(SessionRecord, Vec<View>)>, StoreError> {
-        let records = self.select_sessions(&format!(
+    pub fn unfinished_sessions(&self) -> Result<Vec<SessionRecord>, StoreError> {
+        self.select_sessions(&format!(
             "{COLUMNS} WHERE state IN ('{}', '{}') ORDER BY started_at_ns, id",
             SessionState::Collecting.name(),
             SessionState::Solving.name()
-        ))?;
-        let with_views = |record: SessionRecord| Ok((self.views(&record.id)?, record));
-        records
-            .into_iter()
-            .map(with_views)
-            .map(|pair| pair.map(|(views, record)| (record, views)))
-            .collect()
+        ))
     }
 
     fn select_sessions(&self, sql: &str) -> Result<Vec<SessionRecord>, StoreError> {
@@ -96,7 +100,19 @@ impl Store {
     }
 }
 
-fn document(record: &SessionRecord) -> Result<String, StoreError> {
+/// Writes down where a session stands; how many sessions have its id.
+pub(super) fn update_session(
+    connection: &Connection,
+    record: &SessionRecord,
+    document: &str,
+) -> Result<usize, rusqlite::Error> {
+    let row = params![record.id, record.state.name(), record.collecting_s, document];
+    let sql = "UPDATE sessions SET state = ?2, collecting_s = ?3, document = ?4 WHERE id = ?1";
+    connection.execute(sql, row)
+}
+
+/// A session as its column has it.
+pub(super) fn document(record: &SessionRecord) -> Result<String, StoreError> {
     json::write(&SessionDocument::from(record), || format!("session {}", record.id))
 }
 
@@ -120,62 +136,9 @@ impl StoredSession {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use crate::calibration::admission::Rejections;
-    use crate::calibration::coverage::Coverage;
-    use crate::calibration::guidance::Guidance;
-    use crate::calibration::result::ProjectionUncertainty;
-    use crate::calibration::session_record::{Finish, RunningEstimate, SessionRequest};
-    use crate::document::lens_model::LensRequest;
-    use crate::document::reading::from_json;
-    use crate::geometry::lens::{Lens, LensModel};
-    use crate::geometry::pixel::Pixel;
-    use crate::geometry::target::chessboard;
-
-    /// A session in the middle of its work, with every field filled in.
-    pub(in crate::store) fn record(id: &str) -> SessionRecord {
-        let third = 1.0 / 3.0;
-        let lens = Lens::from_parameters(
-            LensModel::Radial,
-            &[500.0 + third, 501.0, 320.0, 240.0, 0.0, -0.1 * third],
-        );
-        SessionRecord {
-            id: id.into(),
-            camera: "front".into(),
-            members: Vec::new(),
-            request: SessionRequest {
-                target: chessboard(9, 6, 0.1 * third).unwrap(),
-                lens: from_json::<LensRequest>(b"\"brown\"").unwrap().into(),
-                finish: Some(Finish {
-                    uncertainty_px: Some(third),
-                    min_views: Some(12),
-                    max_seconds: None,
-                }),
-            },
-            state: SessionState::Collecting,
-            reason: None,
-            started_at_ns: 1_770_000_000_123_456_789,
-            finished_at_ns: None,
-            frames_seen: 100,
-            boards_seen: 50,
-            views_kept: 1,
-            rejected: Rejections::from_counts([("blurred", 3), ("too_similar", 46)]),
-            collecting_s: 10.0 * third,
-            coverage: Coverage::from_cells(vec![vec![0, 1], vec![2, 3]]).unwrap(),
-            guidance: Guidance {
-                message: "tilt it".into(),
-                outline_px: vec![Pixel::new(third, 2.0 * third)],
-            },
-            estimate: Some(RunningEstimate {
-                lens: lens.unwrap(),
-                rms_px: third,
-                uncertainty_px: ProjectionUncertainty { center: 0.1, median: third, worst: 1.0 },
-                views: 1,
-            }),
-            calibration: None,
-        }
-    }
+    use crate::store::example_tests::record;
 
     #[test]
     fn a_session_comes_back_as_it_was_over_a_restart() {
@@ -190,7 +153,7 @@ pub(super) mod tests {
         }
         let store = Store::open(folder.path()).unwrap();
         assert_eq!(store.session("s1").unwrap(), Some(session.clone()));
-        assert_eq!(store.unfinished_sessions().unwrap(), [(session, vec![])]);
+        assert_eq!(store.unfinished_sessions().unwrap(), [session]);
         assert_eq!(store.session("s2").unwrap(), None);
     }
 
@@ -207,9 +170,7 @@ pub(super) mod tests {
         let ids = |records: Vec<SessionRecord>| {
             records.into_iter().map(|record| record.id).collect::<Vec<_>>()
         };
-        let unfinished =
-            store.unfinished_sessions().unwrap().into_iter().map(|(record, _)| record).collect();
-        assert_eq!(ids(unfinished), ["collecting", "solving"]);
+        assert_eq!(ids(store.unfinished_sessions().unwrap()), ["collecting", "solving"]);
         assert_eq!(
             ids(store.sessions().unwrap()),
             ["aborted", "failed", "finished", "solving", "collecting"]

@@ -65,18 +65,16 @@ fn upgrade(connection: &mut Connection, found: i64) -> Result<(), rusqlite::Erro
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::pixel::ImageSize;
+    use crate::calibration::sensor::SensorId;
     use crate::imaging::frame::SensorKind;
-    use crate::store::calibrations::tests::calibration;
-    use crate::store::sessions::tests::record;
-    use crate::store::views::tests::view;
-    use crate::store::{Companion, Picture, RigPlace, Store};
+    use crate::store::example_tests::{calibration, keep, numbered, record, view, views};
+    use crate::store::{Picture, SensorView, Store};
 
     /// The views of versions 1 to 4.
     const OLD_VIEWS: &str = "INSERT INTO older.views SELECT session, number, sequence, name, host_time_ns, device_time_ns,
         width, height, detection, media_type, picture FROM main.views WHERE number IS NOT NULL";
     /// The depth and infrared of versions 3 and 4.
-    const OLD_COMPANIONS: &str =
+    const OLD_AUXILIARY: &str =
         "INSERT INTO older.companions SELECT session, frame_set, sensor, width, height, unit_m,
         detection, media_type, picture FROM main.views WHERE number IS NULL";
     /// The rigs of version 4.
@@ -84,32 +82,30 @@ mod tests {
         "INSERT INTO older.rig_views SELECT session, number, camera, frame_set FROM main.views
         WHERE camera <> ''";
 
-    /// What a session of a rig and one of a depth camera hold.
-    fn held(store: &Store) -> (Vec<Companion>, Vec<RigPlace>) {
-        (store.companions("s1").unwrap(), store.rig_places("s2").unwrap())
+    /// What a session of a depth camera and one of a rig hold.
+    fn held(store: &Store) -> [Vec<SensorView>; 2] {
+        ["s1", "s2"].map(|session| store.sensor_views(session).unwrap())
     }
 
     /// A store at an older version, with sessions, views and a calibration in it.
-    fn older_store(folder: &Path, version: usize) -> (Vec<Companion>, Vec<RigPlace>) {
+    fn older_store(folder: &Path, version: usize) -> [Vec<SensorView>; 2] {
         let store = Store::open(folder).unwrap();
         store.begin_session(&record("s1")).unwrap();
-        store.append_view("s1", &view(0), "image/jpeg", b"jpeg").unwrap();
+        keep(&store, "s1", &view(0), ("image/jpeg", b"jpeg")).unwrap();
         let picture = Picture { media_type: "image/png".to_owned(), bytes: vec![5; 5] };
-        let depth = Companion {
-            number: 0,
-            sensor: SensorKind::Depth,
-            image_size: ImageSize::new(64, 48),
+        let depth = SensorView {
+            number: None,
             unit_m: Some(0.1 / 3.0),
             detection: None,
-            picture: picture.clone(),
+            ..numbered(&view(0), 0, SensorId::own(SensorKind::Depth))
         };
-        store.append_companions("s1", &[depth]).unwrap();
+        store.keep_views(&record("s1"), &[(depth, picture.clone())]).unwrap();
         if version >= 4 {
             store.begin_session(&record("s2")).unwrap();
-            for (number, camera) in ["left", "right"].into_iter().enumerate() {
-                let number = number as u32;
-                let place = RigPlace { number, camera: camera.to_owned(), moment: 7 };
-                store.append_rig_view("s2", &place, &view(number), &picture).unwrap();
+            for (number, camera) in [(0, "left"), (1, "right")] {
+                let color = SensorId::of(camera, SensorKind::Color);
+                let view = (numbered(&view(number), 7, color), picture.clone());
+                store.keep_views(&record("s2"), &[view]).unwrap();
             }
         }
         store.append_calibration(&calibration("c1", 5)).unwrap();
@@ -129,14 +125,17 @@ mod tests {
                 .execute_batch(&format!("INSERT INTO older.{table} SELECT * FROM main.{table}"))
                 .unwrap();
         }
-        let from = [(1, OLD_VIEWS), (3, OLD_COMPANIONS), (4, OLD_RIGS)];
+        let from = [(1, OLD_VIEWS), (3, OLD_AUXILIARY), (4, OLD_RIGS)];
         for (_, copy) in from.into_iter().filter(|(first, _)| version >= *first) {
             newest.execute_batch(copy).unwrap();
         }
         newest.execute_batch("DETACH older").unwrap();
         drop(newest);
         std::fs::rename(folder.join("older.sqlite"), folder.join("plumb.sqlite")).unwrap();
-        (if version >= 3 { held.0 } else { Vec::new() }, held.1)
+        let [mut of_camera, of_rig] = held;
+        // Before there was depth.
+        of_camera.retain(|view| version >= 3 || view.number.is_some());
+        [of_camera, of_rig]
     }
 
     #[test]
@@ -146,7 +145,8 @@ mod tests {
             let expected = older_store(folder.path(), version);
             let store = Store::open(folder.path()).unwrap();
             let unfinished = store.unfinished_sessions().unwrap();
-            assert_eq!(unfinished[0], (record("s1"), vec![view(0)]));
+            assert_eq!(unfinished[0], record("s1"));
+            assert_eq!(views(&store, "s1"), [view(0)]);
             assert_eq!(held(&store), expected, "from version {version}");
             assert_eq!(store.picture("s1", 0).unwrap().unwrap().bytes, b"jpeg");
             assert_eq!(store.calibration("c1").unwrap(), Some(calibration("c1", 5)));

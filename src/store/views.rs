@@ -5,13 +5,15 @@ use rusqlite::{Connection, OptionalExtension, Row, params};
 
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session::KeptView;
+use crate::calibration::session_record::SessionRecord;
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 use crate::document::detection::DetectionDocument;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
+use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::{Store, json};
+use crate::store::{json, sessions};
 
 /// A kept picture, as it was given.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -29,7 +31,7 @@ pub struct SensorView {
     pub frame_set: u32,
     /// The sensor.
     pub sensor: SensorId,
-    /// Its number among the session's views, for the sensor of a camera that the board is looked
+    /// Its number among the session's views, for the sensor of a camera that boards are searched
     /// for in; `None` for the camera's others.
     pub number: Option<u32>,
     /// The frame, with the size of this sensor's image.
@@ -42,7 +44,7 @@ pub struct SensorView {
 
 impl SensorView {
     /// The view of a camera as its session goes on with it; `camera` is the camera's place in the
-    /// instrument. `None` for a sensor that the board is not looked for in.
+    /// instrument. `None` for a sensor that boards are not searched for in.
     pub fn to_kept(&self, camera: usize) -> Option<(KeptView, View)> {
         let (number, detection) = (self.number?, self.detection.clone()?);
         let kept = KeptView { number, camera, frame_set: self.frame_set, view: 0 };
@@ -51,28 +53,35 @@ impl SensorView {
 }
 
 impl Store {
-    /// Writes down what sensors gave in a frame set with their pictures, all or none; all are on
-    /// disk when this returns.
+    /// Writes down what sensors gave in a frame set that a session keeps, with their images, and
+    /// where the session stands with them, all or none; all are on disk when this returns.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], also for a session that was never begun, or a number or place that
-    /// is taken; [`StoreError::Unstorable`] for a detection with a number that is none.
-    pub fn append_sensor_views(
+    /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also for a number or place that is taken;
+    /// [`StoreError::Missing`] for a session that was never begun; [`StoreError::Unstorable`] for a
+    /// detection with a number that is none.
+    pub fn keep_views(
         &self,
-        session_id: &str,
+        record: &SessionRecord,
         views: &[(SensorView, Picture)],
     ) -> Result<(), StoreError> {
-        let stored = |(view, _): &(SensorView, Picture)| detection_column(session_id, view);
+        let stored = |(view, _): &(SensorView, Picture)| detection_column(&record.id, view);
         let detections = views.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
+        let session = sessions::document(record)?;
+        self.has_room(views.iter().map(|(_, picture)| picture.bytes.len() as u64).sum())?;
         let mut connection = self.connection();
         let mut insert = || {
             let transaction = connection.transaction()?;
-            for ((view, picture), detection) in views.iter().zip(&detections) {
-                insert_view(&transaction, session_id, (view, picture, detection))?;
+            let updated = sessions::update_session(&transaction, record, &session)?;
+            if updated > 0 {
+                for ((view, picture), detection) in views.iter().zip(&detections) {
+                    insert_view(&transaction, &record.id, (view, picture, detection))?;
+                }
+                transaction.commit()?;
             }
-            transaction.commit()
+            Ok(updated)
         };
-        insert().map_err(|e| self.failed(&e))
+        self.saved(record, insert())
     }
 
     /// What every sensor gave in the frame sets of a session, frame set by frame set, the sensors
@@ -116,33 +125,6 @@ impl Store {
         self.select_picture("number = ?2", params![session_id, number])
     }
 
-    /// The numbered views of a session in the order they were kept.
-    ///
-    /// # Errors
-    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
-    pub fn views(&self, session_id: &str) -> Result<Vec<View>, StoreError> {
-        let all = self.sensor_views(session_id)?;
-        let mut views: Vec<View> = all.iter().filter_map(|view| Some(view.to_kept(0)?.1)).collect();
-        views.sort_by_key(|view| view.number);
-        Ok(views)
-    }
-
-    /// Writes a kept view of an instrument that is one camera down with its picture.
-    ///
-    /// # Errors
-    /// As [`Store::append_sensor_views`].
-    pub fn append_view(
-        &self,
-        session_id: &str,
-        view: &View,
-        media_type: &str,
-        picture: &[u8],
-    ) -> Result<(), StoreError> {
-        let sensor_view = numbered(view, view.number, SensorId::own(SensorKind::Color));
-        let picture = Picture { media_type: media_type.to_owned(), bytes: picture.to_vec() };
-        self.append_sensor_views(session_id, &[(sensor_view, picture)])
-    }
-
     fn select_picture(
         &self,
         place: &str,
@@ -156,13 +138,6 @@ impl Store {
             .optional()
             .map_err(|e| self.failed(&e))
     }
-}
-
-/// A view of the sensor that the board is looked for in.
-pub(super) fn numbered(view: &View, frame_set: u32, sensor: SensorId) -> SensorView {
-    let detection = Some(view.detection.clone());
-    let (number, frame) = (Some(view.number), view.frame.clone());
-    SensorView { frame_set, sensor, number, frame, unit_m: None, detection }
 }
 
 /// A camera's name as the column has it.
@@ -257,22 +232,9 @@ impl StoredView {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+mod tests {
     use super::*;
-    use crate::document::detection::tests::example;
-    use crate::store::sessions::tests::record;
-
-    /// A view whose numbers have no short decimals.
-    pub(in crate::store) fn view(number: u32) -> View {
-        let frame = FrameFacts {
-            sequence: u64::MAX - u64::from(number),
-            name: (number == 0).then(|| "left01.jpg".to_owned()),
-            host_time_ns: 1_770_000_000_123_456_789,
-            device_time_ns: Some(i64::MIN),
-            image_size: ImageSize::new(640, 480),
-        };
-        View { number, frame, detection: example() }
-    }
+    use crate::store::example_tests::{keep, numbered, record, view, views};
 
     #[test]
     fn views_come_back_to_the_bit_over_a_restart() {
@@ -280,18 +242,18 @@ pub(super) mod tests {
         {
             let store = Store::open(folder.path()).unwrap();
             store.begin_session(&record("s1")).unwrap();
-            store.append_view("s1", &view(0), "image/jpeg", b"first").unwrap();
-            store.append_view("s1", &view(1), "image/png", b"second").unwrap();
+            keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
+            keep(&store, "s1", &view(1), ("image/png", b"second")).unwrap();
         }
         let store = Store::open(folder.path()).unwrap();
-        assert_eq!(store.views("s1").unwrap(), [view(0), view(1)]);
+        assert_eq!(views(&store, "s1"), [view(0), view(1)]);
         let picture = store.picture("s1", 1).unwrap().unwrap();
         assert_eq!(
             (picture.media_type.as_str(), picture.bytes.as_slice()),
             ("image/png", b"second".as_slice())
         );
         assert_eq!(store.picture("s1", 2).unwrap(), None);
-        assert_eq!(store.views("s2").unwrap(), []);
+        assert_eq!(views(&store, "s2"), []);
     }
 
     #[test]
@@ -315,10 +277,10 @@ pub(super) mod tests {
             (view, Picture { media_type: "image/png".to_owned(), bytes })
         };
         let (left, right) = (of("left", 0).map(picture), of("right", 1).map(picture));
-        store.append_sensor_views("s1", &left).unwrap();
-        store.append_sensor_views("s1", &right).unwrap();
+        store.keep_views(&record("s1"), &left).unwrap();
+        store.keep_views(&record("s1"), &right).unwrap();
         let again = [right[1].clone(), left[0].clone()];
-        assert!(store.append_sensor_views("s1", &again).is_err(), "their places are taken");
+        assert!(store.keep_views(&record("s1"), &again).is_err(), "their places are taken");
         let expected = [&left[0], &right[0], &left[1], &right[1]].map(|(view, _)| view.clone());
         assert_eq!(store.sensor_views("s1").unwrap(), expected);
         let (depth, picture) = &right[1];
@@ -333,14 +295,15 @@ pub(super) mod tests {
         let copy = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         store.begin_session(&record("s1")).unwrap();
-        store.append_view("s1", &view(0), "image/jpeg", b"first").unwrap();
+        keep(&store, "s1", &view(0), ("image/jpeg", b"first")).unwrap();
         // The files as a kill would leave them.
         for file in std::fs::read_dir(folder.path()).unwrap() {
             let file = file.unwrap();
             std::fs::copy(file.path(), copy.path().join(file.file_name())).unwrap();
         }
-        let found = Store::open(copy.path()).unwrap().unfinished_sessions().unwrap();
-        assert_eq!(found, [(record("s1"), vec![view(0)])]);
+        let store = Store::open(copy.path()).unwrap();
+        assert_eq!(store.unfinished_sessions().unwrap(), [record("s1")]);
+        assert_eq!(views(&store, "s1"), [view(0)]);
     }
 
     #[test]
@@ -348,19 +311,19 @@ pub(super) mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).unwrap();
         assert!(matches!(
-            store.append_view("s1", &view(0), "image/jpeg", b""),
-            Err(StoreError::Failed { .. })
+            keep(&store, "s1", &view(0), ("image/jpeg", b"")),
+            Err(StoreError::Missing { .. })
         ));
         store.begin_session(&record("s1")).unwrap();
         let mut nan = view(0);
         nan.detection.corners[0].std_px = f64::NAN;
         assert!(matches!(
-            store.append_view("s1", &nan, "image/jpeg", b""),
+            keep(&store, "s1", &nan, ("image/jpeg", b"")),
             Err(StoreError::Unstorable { .. })
         ));
-        store.append_view("s1", &view(0), "image/jpeg", b"").unwrap();
+        keep(&store, "s1", &view(0), ("image/jpeg", b"")).unwrap();
         assert!(matches!(
-            store.append_view("s1", &view(0), "image/jpeg", b""),
+            keep(&store, "s1", &view(0), ("image/jpeg", b"")),
             Err(StoreError::Failed { .. })
         ));
     }

@@ -79,6 +79,11 @@ impl CameraPart {
         self.views.first().map(|view| view.frame.image_size)
     }
 
+    /// How the board was held in each view.
+    pub(super) fn placements(&self) -> &[Placement] {
+        &self.placements
+    }
+
     /// What the newest estimate left for the next one to go on from.
     pub fn going_on(&self) -> Option<&GoingOn> {
         self.going_on.as_ref()

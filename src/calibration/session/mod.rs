@@ -14,6 +14,7 @@
 mod action;
 pub mod camera;
 mod ending;
+pub mod gate;
 mod together;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};

@@ -42,7 +42,7 @@ impl Drawing {
 
 /// A camera at the time of a frame, as far as a drawing needs it.
 #[derive(Debug)]
-pub(super) struct Scene<'a> {
+pub(super) struct DrawnScene<'a> {
     pub(super) camera: &'a str,
     pub(super) calibration: Option<&'a str>,
     /// The outline of the board at its suggested pose.
@@ -56,7 +56,7 @@ pub(super) struct Scene<'a> {
 pub(super) fn encoded(
     live: &LiveFrame,
     drawing: Drawing,
-    scene: &Scene<'_>,
+    scene: &DrawnScene<'_>,
     maps: &CalibrationMaps,
 ) -> Result<EncodedFrame, PreviewError> {
     let Drawing { sensor, overlay, .. } = drawing;
@@ -79,7 +79,7 @@ pub(super) fn encoded(
     if sensor == SensorKind::Depth {
         return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
     }
-    let seen = live.look.as_ref().and_then(|look| look.outcome.as_ref().ok());
+    let seen = live.detection.as_ref().and_then(|found| found.outcome.as_ref().ok());
     let seen = seen.filter(|_| overlay && sensor == SensorKind::Color);
     let outline_px = if drawing.has_guidance() { scene.outline_px } else { &[] };
     let is_plain = seen.is_none() && outline_px.is_empty() && undistortion.is_none();
@@ -87,7 +87,7 @@ pub(super) fn encoded(
         return Ok(Arc::clone(&frame.bytes));
     }
     let mut image = decode::rgb(frame)?;
-    let pen = Pen::fitting(&image, draw::WISHED);
+    let pen = Pen::fitting(&image, draw::SUGGESTED);
     draw::draw_polygon(&mut image, outline_px, Pen { width_px: 2.0 * pen.width_px, ..pen });
     if let Some(detection) = seen {
         let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
-use crate::pipeline::preview::drawing::{Drawing, EncodedFrame, Scene, encoded};
+use crate::pipeline::preview::drawing::{Drawing, DrawnScene, EncodedFrame, encoded};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
 
@@ -146,7 +146,7 @@ impl Preview {
         if let Some(known) = drawn.iter().find(is_same) {
             return Ok((Arc::clone(&known.jpeg), false));
         }
-        let scene = Scene {
+        let scene = DrawnScene {
             camera: &state.camera,
             calibration: state.calibration.as_deref(),
             outline_px: &state.outline_px,
@@ -212,7 +212,7 @@ mod tests {
         let host_time = HostTime { utc_ns: 0 };
         let frame_set =
             FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] };
-        Arc::new(LiveFrame { frame_set: Arc::new(frame_set), look: None })
+        Arc::new(LiveFrame { frame_set: Arc::new(frame_set), detection: None })
     }
 
     fn state() -> PreviewState {

@@ -1,0 +1,84 @@
+//! Whether a frame set may bring a view, decided before the session itself observes it: what is
+//! costly (the full search of a tracked board, the other sensors' images) is done for these alone.
+//!
+//! A gate knows the views that the session had kept a while ago. Views are only ever added, and each
+//! view that is kept turns more frames away, so that a gate lets through all that the session will
+//! keep, and little else.
+
+use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
+use crate::calibration::placement::Placement;
+use crate::calibration::session::Session;
+use crate::calibration::session::action::CameraFrame;
+use crate::geometry::pixel::ImageSize;
+
+/// What a session has kept, camera by camera, as far as admission depends on it.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct KeptSoFar {
+    cameras: Vec<KeptOfCamera>,
+}
+
+#[derive(Debug, Clone, PartialEq, Default)]
+struct KeptOfCamera {
+    image_size: Option<ImageSize>,
+    placements: Vec<Placement>,
+}
+
+impl KeptSoFar {
+    /// What `session` has kept by now.
+    pub fn of(session: &Session) -> Self {
+        let of_camera = |place: usize| {
+            let part = session.camera(place)?;
+            Some(KeptOfCamera {
+                image_size: part.image_size(),
+                placements: part.placements().to_vec(),
+            })
+        };
+        Self { cameras: (0..).map_while(of_camera).collect() }
+    }
+}
+
+/// Decides, frame set by frame set in their order.
+#[derive(Debug, Clone)]
+pub struct Gate {
+    options: AdmissionOptions,
+    /// The frame before of each camera, with a board in it.
+    before: Vec<Option<SeenBefore>>,
+}
+
+impl Gate {
+    /// A gate of a session that begins, or goes on, with its next frame set.
+    pub fn new(cameras: usize, options: &AdmissionOptions) -> Self {
+        Self { options: *options, before: vec![None; cameras] }
+    }
+
+    /// Whether the session may keep something of this frame set, as far as `kept` says.
+    pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptSoFar) -> bool {
+        let each = self.before.iter().zip(frame_set).enumerate();
+        each.into_iter().any(|(place, (before, frame))| {
+            let Some(CameraFrame { frame, seen: Ok(detection) }) = frame else { return false };
+            let none = KeptOfCamera::default();
+            let kept = kept.cameras.get(place).unwrap_or(&none);
+            kept.image_size.is_none_or(|expected| expected == frame.image_size)
+                && admit(detection, frame, before.as_ref(), &kept.placements, &self.options).is_ok()
+        })
+    }
+
+    /// Takes what the session will observe next.
+    pub fn take(&mut self, frame_set: &[Option<CameraFrame>]) {
+        for (before, frame) in self.before.iter_mut().zip(frame_set) {
+            let Some(CameraFrame { frame, seen }) = frame else { continue };
+            *before = seen.as_ref().ok().map(|detection| SeenBefore {
+                time_ns: frame.time_ns(),
+                detection: detection.clone(),
+            });
+        }
+    }
+
+    /// The camera at this place gives no frames: what comes next is not compared with what came
+    /// before.
+    pub fn lost(&mut self, camera: usize) {
+        if let Some(before) = self.before.get_mut(camera) {
+            *before = None;
+        }
+    }
+}

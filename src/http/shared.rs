@@ -1,0 +1,76 @@
+//! What every route shares.
+
+use std::sync::Arc;
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+
+use crate::http::problem::Problem;
+use crate::pipeline::fleet::Fleet;
+use crate::store::{Store, StoreError};
+
+/// What is served.
+#[derive(Debug, Clone)]
+pub struct Service {
+    /// The cameras and their sessions.
+    pub fleet: Arc<Fleet>,
+    /// What has been stored.
+    pub store: Arc<Store>,
+    /// The secret that every request must carry; `None` lets everyone in who reaches the address,
+    /// which must then be a loopback one.
+    pub token: Option<String>,
+}
+
+/// What every route shares.
+#[derive(Debug)]
+pub(super) struct Shared {
+    pub(super) fleet: Arc<Fleet>,
+    pub(super) store: Arc<Store>,
+    pub(super) token: Option<String>,
+    /// How many stateless solves may run at once.
+    pub(super) solves: Semaphore,
+    /// How many endless answers may go out at once.
+    pub(super) streams: Arc<Semaphore>,
+    /// Becomes true when the daemon goes down: endless answers end.
+    pub(super) stopping: watch::Receiver<bool>,
+}
+
+impl Shared {
+    /// Asks the store on a thread that may wait for the disk.
+    pub(super) async fn stored<T: Send + 'static>(
+        &self,
+        ask: impl FnOnce(&Store) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, Problem> {
+        let store = Arc::clone(&self.store);
+        Ok(on_a_blocking_thread(move || ask(&store)).await??)
+    }
+
+    /// A place among those whom an endless answer goes to.
+    ///
+    /// # Errors
+    /// 503 where all are taken.
+    pub(super) fn stream_place(&self) -> Result<OwnedSemaphorePermit, Problem> {
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
+            Problem::unavailable(
+                "too many previews and event streams are open; close one, and ask again",
+            )
+        })
+    }
+
+    /// Resolves when the daemon goes down.
+    pub(super) fn stopped(&self) -> impl Future<Output = ()> + Send + use<> {
+        let mut stopping = self.stopping.clone();
+        async move {
+            // A sender that is gone means the same.
+            let _ = stopping.wait_for(|stopping| *stopping).await;
+        }
+    }
+}
+
+/// Computes on a thread that may take its time.
+pub(super) async fn on_a_blocking_thread<T: Send + 'static>(
+    compute: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(compute)
+        .await
+        .map_err(|_| Problem::broken("the computation failed"))
+}

@@ -1,0 +1,343 @@
+//! Where the frames of an instrument's cameras meet while a session collects: frames taken at about
+//! the same time become one frame set, and what of it may be kept is searched in full before the
+//! session gets it. An instrument of one camera passes through.
+//!
+//! It works on the threads of its cameras' detection: whichever of them completes a frame set
+//! finishes it, so that nothing waits here but frames that miss a partner, and of those each camera
+//! has [`LIMIT`] at most. A live camera never waits for another one: one that is lost is not
+//! waited for, one that gives nothing for a while is gone on without. Replays that must not skip
+//! wait for each other, so that they come out the same every time.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+
+use crate::calibration::admission::AdmissionOptions;
+use crate::calibration::session::CameraFrame;
+use crate::calibration::session::gate::{Gate, KeptSoFar};
+use crate::geometry::target::Target;
+use crate::imaging::factory::FactoryCalibration;
+use crate::imaging::frame::SensorKind;
+use crate::pipeline::board_search::BoardSearch;
+use crate::pipeline::message::{Message, SeenFrameSet};
+use crate::pipeline::metrics::Metrics;
+use crate::pipeline::seen::SeenFrame;
+
+/// Frames of one camera that may wait for the others'; with more, the others are gone on without.
+/// Half a second at 30 frames a second.
+const LIMIT: usize = 16;
+/// Images further apart in time are not of one frame set, in nanoseconds: a little more than lies
+/// between frames at 30 a second.
+const TOGETHER_NS: i64 = 40_000_000;
+/// Images nearer in time than this are of one frame set, whatever comes next, in nanoseconds.
+const SAME_TIME_NS: i64 = 500_000;
+/// How long a replay waits for another camera.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Where the frames of a session's cameras meet.
+#[derive(Debug)]
+pub(super) struct Assembly {
+    /// The session that they are for.
+    pub(super) session: String,
+    /// What is searched for.
+    pub(super) board: Target,
+    instrument: String,
+    messages: mpsc::Sender<Message>,
+    metrics: Arc<Metrics>,
+    queues: Mutex<Queues>,
+    changed: Condvar,
+    /// Held by the one thread that finishes frame sets, so that they stay in order.
+    finishing: Mutex<Finishing>,
+    kept: Mutex<Arc<KeptSoFar>>,
+}
+
+#[derive(Debug)]
+struct Finishing {
+    gate: Gate,
+    search: BoardSearch,
+    /// What each camera's device states of its sensors.
+    factories: Vec<SharedFactory>,
+}
+
+/// What a device states of its sensors, as of when it was opened last.
+pub(super) type SharedFactory = Arc<Mutex<FactoryCalibration>>;
+
+/// What waits.
+#[derive(Debug)]
+struct Queues {
+    cameras: Vec<CameraQueue>,
+    /// Live frames are not taken at the moment.
+    held: bool,
+    closed: bool,
+}
+
+#[derive(Debug, Default)]
+struct CameraQueue {
+    frames: VecDeque<SeenFrame>,
+    /// Why there will be no more.
+    ended: Option<String>,
+    /// Why there are none at the moment.
+    lost: Option<String>,
+}
+
+/// For which session frames meet.
+#[derive(Debug)]
+pub(super) struct AssemblyPlan {
+    pub(super) session: String,
+    pub(super) board: Target,
+    pub(super) instrument: String,
+    /// What each camera's device states of its sensors, in the instrument's order.
+    pub(super) factories: Vec<SharedFactory>,
+    pub(super) admission: AdmissionOptions,
+}
+
+impl Assembly {
+    pub(super) fn new(
+        plan: AssemblyPlan,
+        messages: mpsc::Sender<Message>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
+        let AssemblyPlan { session, board, instrument, factories, admission } = plan;
+        let cameras = factories.len();
+        let mut queues = Vec::new();
+        queues.resize_with(cameras, CameraQueue::default);
+        let gate = Gate::new(cameras, &admission);
+        Self {
+            session,
+            board,
+            instrument,
+            messages,
+            metrics,
+            queues: Mutex::new(Queues { cameras: queues, held: false, closed: false }),
+            changed: Condvar::new(),
+            finishing: Mutex::new(Finishing { gate, search: BoardSearch::default(), factories }),
+            kept: Mutex::default(),
+        }
+    }
+
+    /// Takes a frame of the camera at `place`, and passes on what it completes. A frame whose source
+    /// waits for it waits for room.
+    ///
+    /// Whether it was taken: live frames are not while the session is held.
+    pub(super) fn put(&self, place: usize, frame: SeenFrame) -> bool {
+        {
+            let mut queues = self.lock();
+            if frame.waits {
+                queues = self.wait_for_room(queues, place);
+            }
+            if queues.held && !frame.waits {
+                return false;
+            }
+            if let Some(queue) = queues.open_queue(place) {
+                queue.frames.push_back(frame);
+            }
+        }
+        self.pass_on();
+        true
+    }
+
+    /// The camera at `place` has given its last frame.
+    pub(super) fn ended(&self, place: usize, reason: &str) {
+        if let Some(queue) = self.lock().open_queue(place) {
+            queue.ended = Some(reason.to_owned());
+        }
+        self.pass_on();
+    }
+
+    /// The camera at `place` gives no frames at the moment.
+    pub(super) fn lost(&self, place: usize, reason: &str) {
+        if let Some(queue) = self.lock().open_queue(place) {
+            queue.lost = Some(reason.to_owned());
+        }
+        self.pass_on();
+        lock(&self.finishing).gate.lost(place);
+        self.send(Message::CameraLost { place, reason: reason.to_owned() });
+    }
+
+    /// The camera at `place` gives frames again.
+    pub(super) fn back(&self, place: usize) {
+        let mut queues = self.lock();
+        if let Some(queue) = queues.open_queue(place) {
+            queue.lost = None;
+        }
+        let other = queues.cameras.iter().enumerate();
+        let other = other.filter_map(|(place, queue)| Some((place, queue.lost.clone()?))).next();
+        drop(queues);
+        self.send(match other {
+            Some((place, reason)) => Message::CameraLost { place, reason },
+            None => Message::CamerasBack,
+        });
+    }
+
+    /// So many seconds went by without a frame of the camera at `place`; they are the session's own
+    /// where no camera gives any.
+    pub(super) fn waited(&self, place: usize, seconds: f64) {
+        let all_lost = self.lock().cameras.iter().all(|queue| queue.lost.is_some());
+        if place == 0 && all_lost {
+            // Time that is not counted because so much else happens is no loss.
+            let _ = self.messages.try_send(Message::Waited(seconds));
+        }
+    }
+
+    /// What the session has kept by now.
+    pub(super) fn set_kept(&self, kept: KeptSoFar) {
+        *lock(&self.kept) = Arc::new(kept);
+    }
+
+    /// Takes no live frames, and lets replays wait, until it is called with `false`.
+    pub(super) fn hold(&self, held: bool) {
+        self.lock().held = held;
+        self.changed.notify_all();
+    }
+
+    /// Takes nothing any more, and lets everyone go who waits.
+    pub(super) fn close(&self) {
+        let mut queues = self.lock();
+        queues.closed = true;
+        queues.cameras.iter_mut().for_each(|queue| queue.frames.clear());
+        self.changed.notify_all();
+    }
+
+    fn wait_for_room<'a>(
+        &self,
+        mut queues: MutexGuard<'a, Queues>,
+        place: usize,
+    ) -> MutexGuard<'a, Queues> {
+        while queues.held && !queues.closed {
+            queues = self.changed.wait(queues).unwrap_or_else(PoisonError::into_inner);
+        }
+        let full = |queues: &mut Queues| {
+            queues.open_queue(place).is_some_and(|queue| queue.frames.len() >= LIMIT)
+        };
+        let waited = self.changed.wait_timeout_while(queues, PATIENCE, full);
+        waited.unwrap_or_else(PoisonError::into_inner).0
+    }
+
+    /// Finishes what is complete, in order.
+    fn pass_on(&self) {
+        let mut finishing = lock(&self.finishing);
+        loop {
+            let Some(frames) = self.lock().take_frame_set() else { break };
+            self.changed.notify_all();
+            if frames.len() > 1 {
+                let is_whole = frames.iter().all(Option::is_some).to_string();
+                let labels = [self.instrument.as_str(), is_whole.as_str()];
+                self.metrics.frame_sets.with_label_values(&labels).inc();
+            }
+            let kept = Arc::clone(&lock(&self.kept));
+            let seen = finishing.finish(frames, &self.board, &kept);
+            self.send(Message::Seen(Box::new(seen), self.session.clone()));
+        }
+        let end = self.lock().take_end();
+        if let Some(reason) = end {
+            self.send(Message::Ended { session: self.session.clone(), reason });
+        }
+    }
+
+    fn send(&self, message: Message) {
+        if self.messages.blocking_send(message).is_err() {
+            self.close();
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Queues> {
+        lock(&self.queues)
+    }
+}
+
+impl Finishing {
+    /// Searches all of a frame set that the session may keep.
+    fn finish(
+        &mut self,
+        mut frames: Vec<Option<SeenFrame>>,
+        board: &Target,
+        kept: &KeptSoFar,
+    ) -> SeenFrameSet {
+        let mut observed = observed(&frames);
+        if self.gate.may_keep(&observed, kept) {
+            for (seen, factory) in frames.iter_mut().zip(&self.factories) {
+                let stated = lock(factory).sensor(SensorKind::Depth).cloned();
+                let unit_m = stated.and_then(|stated| stated.depth_unit_m);
+                if let Some(seen) = seen.as_mut().filter(|seen| seen.detection.outcome.is_ok()) {
+                    self.search.observe_all(seen, board, unit_m);
+                }
+            }
+            observed = self::observed(&frames);
+        }
+        self.gate.take(&observed);
+        SeenFrameSet { frames, observed }
+    }
+}
+
+fn observed(frames: &[Option<SeenFrame>]) -> Vec<Option<CameraFrame>> {
+    frames.iter().map(|seen| seen.as_ref().map(SeenFrame::to_camera_frame)).collect()
+}
+
+impl Queues {
+    fn open_queue(&mut self, place: usize) -> Option<&mut CameraQueue> {
+        if self.closed { None } else { self.cameras.get_mut(place) }
+    }
+
+    /// The oldest frame of all, and of each other camera the frame that was taken with it.
+    fn take_frame_set(&mut self) -> Option<Vec<Option<SeenFrame>>> {
+        let is_full = self.cameras.iter().any(|queue| queue.frames.len() > LIMIT);
+        if !is_full && self.cameras.iter().any(CameraQueue::is_waited_for) {
+            return None;
+        }
+        let first_ns = |queue: &CameraQueue| queue.frames.front().map(SeenFrame::host_time_ns);
+        let fronts = self.cameras.iter().enumerate();
+        let fronts = fronts.filter_map(|(place, queue)| Some((place, first_ns(queue)?)));
+        let (oldest, start_ns) = fronts.min_by_key(|(_, ns)| *ns)?;
+        let following_ns = self.cameras[oldest].frames.get(1).map(SeenFrame::host_time_ns);
+        let between = |queue: &CameraQueue| {
+            first_ns(queue)
+                .is_some_and(|ns| (SAME_TIME_NS + 1..=TOGETHER_NS).contains(&(ns - start_ns)))
+        };
+        let may_follow = following_ns.is_none() && self.cameras[oldest].goes_on();
+        if !is_full && may_follow && self.cameras.iter().any(between) {
+            // Whether what was taken in between is nearer to the next frame is not known yet.
+            return None;
+        }
+        let belongs = |ns: i64| {
+            let is_nearer =
+                following_ns.is_none_or(|following_ns| ns - start_ns <= (following_ns - ns).abs());
+            ns - start_ns <= TOGETHER_NS && is_nearer
+        };
+        let take = |queue: &mut CameraQueue| match first_ns(queue) {
+            Some(ns) if belongs(ns) => queue.frames.pop_front(),
+            _ => None,
+        };
+        Some(self.cameras.iter_mut().map(take).collect())
+    }
+
+    /// Why all cameras have ended, once.
+    fn take_end(&mut self) -> Option<String> {
+        let has_ended = |queue: &CameraQueue| queue.ended.is_some() && queue.frames.is_empty();
+        if self.closed || !self.cameras.iter().all(has_ended) {
+            return None;
+        }
+        self.closed = true;
+        self.cameras.first_mut().and_then(|queue| queue.ended.take())
+    }
+}
+
+impl CameraQueue {
+    /// Whether more frames are expected.
+    fn goes_on(&self) -> bool {
+        self.ended.is_none() && self.lost.is_none()
+    }
+
+    fn is_waited_for(&self) -> bool {
+        self.frames.is_empty() && self.goes_on()
+    }
+}
+
+fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
+    shared.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+#[path = "assembly_tests.rs"]
+mod tests;

@@ -1,0 +1,180 @@
+//! The search for the board in a camera's images: decoded to luma, then searched, or tracked from
+//! the frame before; and what every sensor of a frame set gives that may be kept.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::detection::board_detection::DetectOptions;
+use crate::detection::finder::TargetFinder;
+use crate::detection::tracking::TrackedBoard;
+use crate::geometry::target::Target;
+use crate::imaging::decode;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::{Frame, FrameSet, SensorKind};
+use crate::imaging::gray::GrayImage;
+use crate::pipeline::guarded::guarded;
+use crate::pipeline::live_frame::{FrameDetection, NoDetection};
+use crate::pipeline::seen::{SeenFrame, SensorObservation, searched_frame};
+use crate::pipeline::view_picture::view_picture;
+use crate::store::Picture;
+
+/// How a frame is searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SearchManner {
+    /// By itself: the answer is the image's alone, as exact as it can be.
+    Whole,
+    /// Where the board was before, else by itself: a fraction of the time, and corners that are
+    /// good enough to decide on.
+    Tracked,
+}
+
+/// Searches for boards; its buffers are kept from frame to frame.
+#[derive(Default)]
+pub(super) struct BoardSearch {
+    finder: Option<TargetFinder>,
+    luma: GrayImage,
+}
+
+impl std::fmt::Debug for BoardSearch {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("BoardSearch").finish_non_exhaustive()
+    }
+}
+
+impl BoardSearch {
+    /// The board in the image of a frame set that boards are searched for in.
+    pub(super) fn search(
+        &mut self,
+        frame_set: &FrameSet,
+        board: &Target,
+        manner: SearchManner,
+    ) -> FrameDetection {
+        let started = Instant::now();
+        let found = match searched_frame(frame_set) {
+            Some(frame) => self.search_frame(frame, board, manner),
+            None => Err(unreadable("there is none in this frame set".to_owned())),
+        };
+        let tracked = found.as_ref().is_ok_and(|found| found.followed);
+        FrameDetection {
+            outcome: found.map(|found| Arc::new(found.detection)),
+            elapsed_ms: started.elapsed().as_secs_f64() * 1e3,
+            tracked,
+        }
+    }
+
+    /// Searches all of a frame set that may be kept: a board that was tracked is searched for by
+    /// itself, and every other sensor's image is searched, or decoded, too. `unit_m` is the unit of
+    /// depth, where the device states it. A sensor whose image is damaged is left out.
+    pub(super) fn observe_all(
+        &mut self,
+        seen: &mut SeenFrame,
+        board: &Target,
+        unit_m: Option<f64>,
+    ) {
+        let frame_set = Arc::clone(&seen.frame_set);
+        if seen.detection.tracked {
+            let elapsed_ms = seen.detection.elapsed_ms;
+            let detection = self.search(&frame_set, board, SearchManner::Whole);
+            seen.detection = FrameDetection { elapsed_ms, ..detection };
+        }
+        let Some(searched) = searched_frame(&frame_set) else { return };
+        seen.sensors = vec![SensorObservation {
+            sensor: searched.sensor,
+            image_size: searched.size,
+            unit_m: None,
+            detection: None,
+            depth: None,
+            picture: picture_of(searched).unwrap_or_else(no_picture),
+        }];
+        let others = frame_set.frames.iter().filter(|frame| frame.sensor != searched.sensor);
+        for frame in others {
+            let observed = guarded(|| self.observe_sensor(frame, board, unit_m));
+            match observed {
+                Ok(observed) => seen.sensors.extend(observed),
+                Err(fault) => {
+                    tracing::error!("{}: {fault}", frame.sensor.name());
+                    self.finder = None;
+                }
+            }
+        }
+    }
+
+    fn observe_sensor(
+        &mut self,
+        frame: &Frame,
+        board: &Target,
+        unit_m: Option<f64>,
+    ) -> Option<SensorObservation> {
+        let sensor = frame.sensor;
+        if sensor == SensorKind::Depth {
+            let depth = DepthImage::from_frame(frame).ok()?;
+            let picture = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
+            let (image_size, depth) = (depth.size(), Some(Arc::new(depth)));
+            return Some(SensorObservation {
+                sensor,
+                image_size,
+                unit_m,
+                detection: None,
+                depth,
+                picture,
+            });
+        }
+        let picture = picture_of(frame)?;
+        let found = self.search_frame(frame, board, SearchManner::Whole);
+        Some(SensorObservation {
+            sensor,
+            image_size: frame.size,
+            unit_m: None,
+            detection: found.ok().map(|found| found.detection),
+            depth: None,
+            picture,
+        })
+    }
+
+    fn search_frame(
+        &mut self,
+        frame: &Frame,
+        board: &Target,
+        manner: SearchManner,
+    ) -> Result<TrackedBoard, NoDetection> {
+        guarded(|| self.try_search(frame, board, manner)).unwrap_or_else(|detail| {
+            // What it was doing when it broke off is not to be trusted.
+            self.finder = None;
+            Err(unreadable(detail))
+        })
+    }
+
+    fn try_search(
+        &mut self,
+        frame: &Frame,
+        board: &Target,
+        manner: SearchManner,
+    ) -> Result<TrackedBoard, NoDetection> {
+        decode::luma(frame, &mut self.luma).map_err(|error| unreadable(error.to_string()))?;
+        let finder = match &mut self.finder {
+            Some(finder) if finder.target() == board => finder,
+            other => other.insert(TargetFinder::new(board)),
+        };
+        let (image, options) = (self.luma.view(), DetectOptions::default());
+        Ok(match manner {
+            SearchManner::Whole => {
+                TrackedBoard { detection: finder.find(image, &options)?, followed: false }
+            }
+            SearchManner::Tracked => finder.track(image, &options)?,
+        })
+    }
+}
+
+fn unreadable(detail: String) -> NoDetection {
+    NoDetection::Unreadable { detail }
+}
+
+fn picture_of(frame: &Frame) -> Option<Picture> {
+    let (media_type, bytes) = view_picture(frame)?;
+    Some(Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() })
+}
+
+/// A view whose image could not be decoded again is kept for its corners.
+fn no_picture() -> Picture {
+    Picture { media_type: "image/jpeg".to_owned(), bytes: Vec::new() }
+}

@@ -1,0 +1,32 @@
+//! From capture to detection.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::imaging::frame::FrameSet;
+use crate::pipeline::search::CameraSearch;
+
+/// What the capture thread passes on.
+#[derive(Debug)]
+pub(super) enum Captured {
+    /// A frame set, and what it is to be searched for.
+    Frame(CapturedFrame),
+    /// There are no more.
+    End {
+        /// What the frames were searched for.
+        search: Option<Arc<CameraSearch>>,
+        /// In words.
+        reason: String,
+    },
+}
+
+/// A frame set on its way.
+#[derive(Debug)]
+pub(super) struct CapturedFrame {
+    pub(super) frame_set: Arc<FrameSet>,
+    pub(super) search: Option<Arc<CameraSearch>>,
+    /// When it came from its source.
+    pub(super) arrived: Instant,
+    /// Its source waits for it to be searched.
+    pub(super) waits: bool,
+}

@@ -1,0 +1,183 @@
+//! How a session begins and ends: the cameras that it has, and where their frames meet.
+
+use std::sync::Arc;
+
+use ulid::Ulid;
+
+use crate::calibration::session::gate::KeptSoFar;
+use crate::calibration::session::{Action, KeptView, Session, SessionOver};
+use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
+use crate::calibration::view::View;
+use crate::pipeline::assembly::{Assembly, AssemblyPlan};
+use crate::pipeline::auxiliary::AuxiliaryViews;
+use crate::pipeline::clock::utc_now_ns;
+use crate::pipeline::live_camera::LiveCamera;
+use crate::pipeline::search::CameraSearch;
+use crate::pipeline::session_request::{EndError, StartError};
+use crate::pipeline::session_thread::SessionThread;
+use crate::pipeline::unstored::Unstored;
+use crate::store::SensorView;
+
+impl SessionThread {
+    /// Goes on with a session that an earlier run of the daemon left.
+    pub(super) fn resume(&mut self, record: SessionRecord) {
+        let name = self.instrument.name.clone();
+        let stored = self.store.sensor_views(&record.id).unwrap_or_else(|error| {
+            tracing::error!(instrument = name, "kept views are left out: {error}");
+            Vec::new()
+        });
+        let views = self.kept_views(&stored);
+        tracing::info!(
+            instrument = name,
+            session = record.id,
+            views = views.len(),
+            "session goes on"
+        );
+        let members = self.instrument.member_names();
+        let (session, actions) = Session::resume(record, &members, &views, &self.admission);
+        self.auxiliary = AuxiliaryViews::of_stored(&stored);
+        self.drift = self.drift_watch();
+        let record = session.record().clone();
+        let needs_cameras = record.state == SessionState::Collecting || !self.instrument.is_rig;
+        if needs_cameras && let Err(error) = self.acquire(&record.id) {
+            tracing::error!(instrument = name, "the session is without cameras: {error}");
+        }
+        self.session = Some(session);
+        if record.state == SessionState::Collecting {
+            self.collect(&record);
+        }
+        self.perform(actions);
+        self.show();
+    }
+
+    /// The stored views as the session goes on with them, in the order they were kept.
+    fn kept_views(&self, stored: &[SensorView]) -> Vec<(KeptView, View)> {
+        let members = self.instrument.member_names();
+        let place = |view: &SensorView| match &view.sensor.camera {
+            Some(camera) => members.iter().position(|name| name == camera),
+            None => Some(0),
+        };
+        let kept =
+            |view: &SensorView| view.to_kept(place(view).unwrap_or(self.instrument.cameras.len()));
+        let mut views: Vec<(KeptView, View)> = stored.iter().filter_map(kept).collect();
+        views.sort_by_key(|(kept, _)| kept.number);
+        views
+    }
+
+    /// Begins a session; it is stored when this returns.
+    pub(super) fn start(&mut self, request: SessionRequest) -> Result<SessionRecord, StartError> {
+        let instrument = Arc::clone(&self.instrument);
+        let running = self.session.as_ref().map(Session::record);
+        if let Some(running) = running.filter(|record| !record.state.is_over()) {
+            let (camera, session) = (instrument.name.clone(), running.id.clone());
+            return Err(StartError::Busy { camera, session });
+        }
+        if let Some(unstored) = &self.unstored {
+            return Err(StartError::Store { detail: unstored.reason().to_owned() });
+        }
+        let id = Ulid::generate().to_string();
+        let record = SessionRecord::begin(&id, &instrument.name, request, utc_now_ns());
+        let session = Session::begin(record, &instrument.member_names(), &self.admission);
+        let record = session.record().clone();
+        self.acquire(&id)?;
+        if let Err(error) = self.store.begin_session(&record) {
+            self.release(&id);
+            return Err(StartError::Store { detail: error.to_string() });
+        }
+        tracing::info!(instrument = instrument.name, session = id, "session begins");
+        self.session = Some(session);
+        self.auxiliary = AuxiliaryViews::default();
+        self.drift = self.drift_watch();
+        self.collect(&record);
+        self.show();
+        self.publish_session();
+        instrument.cameras.iter().for_each(|camera| camera.announce());
+        Ok(record)
+    }
+
+    /// Has every camera for the session, or none of them.
+    fn acquire(&self, session: &str) -> Result<(), StartError> {
+        let cameras = &self.instrument.cameras;
+        for (place, camera) in cameras.iter().enumerate() {
+            if let Err(owner) = camera.search.acquire(session) {
+                cameras[..place].iter().for_each(|camera| give_back(camera, session));
+                return Err(StartError::Busy { camera: camera.name.clone(), session: owner });
+            }
+            camera.status.send_modify(|status| status.session = Some(session.to_owned()));
+        }
+        Ok(())
+    }
+
+    /// Has every camera search for the session's board from now on.
+    fn collect(&mut self, record: &SessionRecord) {
+        let instrument = &self.instrument;
+        let plan = AssemblyPlan {
+            session: record.id.clone(),
+            board: record.request.target,
+            instrument: instrument.name.clone(),
+            factories: instrument.cameras.iter().map(|c| Arc::clone(&c.factory)).collect(),
+            admission: self.admission,
+        };
+        let metrics = Arc::clone(&instrument.metrics);
+        let assembly = Arc::new(Assembly::new(plan, instrument.messages.clone(), metrics));
+        if let Some(session) = &self.session {
+            assembly.set_kept(KeptSoFar::of(session));
+        }
+        for (place, camera) in instrument.cameras.iter().enumerate() {
+            let search = CameraSearch { assembly: Arc::clone(&assembly), place };
+            camera.search.set(&record.id, Some(Arc::new(search)));
+        }
+        self.assembly = Some(assembly);
+    }
+
+    /// No camera searches any more.
+    pub(super) fn stop_collecting(&mut self, session: &str) {
+        for camera in &self.instrument.cameras {
+            camera.search.set(session, None);
+            camera.suggest(&[]);
+        }
+        if let Some(assembly) = self.assembly.take() {
+            assembly.close();
+        }
+        self.waiting.clear();
+    }
+
+    /// Gives the cameras back.
+    pub(super) fn release(&mut self, session: &str) {
+        self.stop_collecting(session);
+        self.instrument.cameras.iter().for_each(|camera| give_back(camera, session));
+    }
+
+    /// Ends the session by request. It is stored before it is so.
+    pub(super) fn end(
+        &mut self,
+        id: &str,
+        how: fn(&mut Session, i64) -> Result<Vec<Action>, SessionOver>,
+    ) -> Result<SessionRecord, EndError> {
+        if !self.is_current(id) {
+            return Err(EndError::UnknownSession { id: id.to_owned() });
+        }
+        if let Some(reason) = self.unstored.as_ref().map(Unstored::reason) {
+            return Err(EndError::Store { detail: reason.to_owned() });
+        }
+        let unknown = || EndError::UnknownSession { id: id.to_owned() };
+        let mut ended = self.session.clone().ok_or_else(unknown)?;
+        let actions = how(&mut ended, utc_now_ns())
+            .map_err(|over| EndError::Over { id: id.to_owned(), state: over.state })?;
+        self.store
+            .save_session(ended.record())
+            .map_err(|error| EndError::Store { detail: error.to_string() })?;
+        let record = ended.record().clone();
+        self.session = Some(ended);
+        self.perform_stored(actions);
+        self.show();
+        Ok(record)
+    }
+}
+
+fn give_back(camera: &LiveCamera, session: &str) {
+    if camera.search.release(session) {
+        camera.status.send_modify(|status| status.session = None);
+        camera.announce();
+    }
+}

@@ -1,0 +1,55 @@
+//! Why a fleet refuses.
+
+use crate::store::StoreError;
+
+/// Why cameras or rigs were not set going.
+#[derive(Debug, thiserror::Error)]
+pub enum FleetError {
+    /// What an earlier run left could not be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The system gives no more threads.
+    #[error("a thread for `{name}` could not be started: {detail}")]
+    Thread {
+        /// The camera's or rig's name.
+        name: String,
+        /// What the system said.
+        detail: String,
+    },
+    /// A rig's camera is not running.
+    #[error("rig `{rig}`: its camera `{camera}` is not running; see GET /v1/cameras")]
+    NoCamera {
+        /// The rig's name.
+        rig: String,
+        /// The camera's.
+        camera: String,
+    },
+    /// The counters could not be set up.
+    #[error("the metrics could not be set up: {detail}")]
+    Metrics {
+        /// What was wrong.
+        detail: String,
+    },
+}
+
+/// Why a calibration did not become current.
+#[derive(Debug, thiserror::Error)]
+pub enum ApproveError {
+    /// No such calibration.
+    #[error(
+        "there is no calibration `{id}`; see GET /v1/cameras/{{camera}}/calibrations for those there are"
+    )]
+    UnknownCalibration {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It is of no camera.
+    #[error("calibration {id} belongs to no camera")]
+    NoCamera {
+        /// The id that was asked for.
+        id: String,
+    },
+    /// It could not be read or written.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}

@@ -1,0 +1,92 @@
+//! Cameras that are calibrated together, one or more, as seen from outside, and the link to the
+//! threads that work for them. Each camera is an instrument; a rig is one more.
+
+use std::sync::Arc;
+
+use tokio::sync::{mpsc, watch};
+
+use crate::calibration::session_record::SessionRecord;
+use crate::pipeline::event::{EventKind, EventLog};
+use crate::pipeline::jobs::Jobs;
+use crate::pipeline::live_camera::LiveCamera;
+use crate::pipeline::message::Message;
+use crate::pipeline::metrics::Metrics;
+use crate::pipeline::stop_signal::StopSignal;
+
+/// A rig to set going: cameras that are fixed to each other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RigPlan {
+    /// Its name in the configuration.
+    pub name: String,
+    /// The names of its cameras; the first is the rig's own frame.
+    pub cameras: Vec<String>,
+}
+
+/// A rig and what it is doing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RigStatus {
+    /// Its name in the configuration.
+    pub name: String,
+    /// The names of its cameras.
+    pub cameras: Vec<String>,
+    /// The running session, if there is one.
+    pub session: Option<String>,
+    /// The current approved calibration, if there is one.
+    pub calibration: Option<String>,
+}
+
+/// One instrument, as its threads and its readers see it.
+#[derive(Debug)]
+pub(super) struct Instrument {
+    pub(super) name: String,
+    /// In the instrument's order.
+    pub(super) cameras: Vec<Arc<LiveCamera>>,
+    pub(super) is_rig: bool,
+    pub(super) session: watch::Sender<Option<Arc<SessionRecord>>>,
+    pub(super) calibration: watch::Sender<Option<String>>,
+    pub(super) messages: mpsc::Sender<Message>,
+    pub(super) jobs: Jobs,
+    pub(super) events: Arc<EventLog>,
+    pub(super) metrics: Arc<Metrics>,
+    pub(super) stop: StopSignal,
+}
+
+impl Instrument {
+    /// The names that a session of it has for its cameras: none for an instrument that is one
+    /// camera.
+    pub(super) fn member_names(&self) -> Vec<String> {
+        let cameras = if self.is_rig { self.cameras.as_slice() } else { &[] };
+        cameras.iter().map(|camera| camera.name.clone()).collect()
+    }
+
+    /// Shows the calibration that holds from now on.
+    pub(super) fn set_calibration(&self, id: &str) {
+        self.calibration.send_replace(Some(id.to_owned()));
+        if let ([camera], false) = (self.cameras.as_slice(), self.is_rig) {
+            camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+        }
+    }
+
+    pub(super) fn publish(&self, kind: EventKind) {
+        self.events.publish(&self.name, kind);
+    }
+
+    pub(super) fn rig_status(&self) -> RigStatus {
+        let session = self.session.borrow();
+        let running = session.as_ref().filter(|record| !record.state.is_over());
+        RigStatus {
+            name: self.name.clone(),
+            cameras: self.cameras.iter().map(|camera| camera.name.clone()).collect(),
+            session: running.map(|record| record.id.clone()),
+            calibration: self.calibration.borrow().clone(),
+        }
+    }
+
+    /// Asks its threads to end.
+    pub(super) fn ask_to_stop(&self) {
+        self.stop.set();
+        self.jobs.close();
+        // A full queue wakes its thread anyway.
+        let _ = self.messages.try_send(Message::Wake);
+    }
+}

@@ -1,0 +1,78 @@
+//! What an instrument's solve thread is to compute: one place for the result, and one for a running
+//! estimate of each camera. A newer job takes the place of an older one, which nobody waits for any
+//! more, so that there are never more than that.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use crate::pipeline::solve_job::{EstimateJob, SolveJob};
+
+/// What is computed next.
+#[derive(Debug)]
+pub(super) enum Job {
+    /// The result.
+    Solve(Box<SolveJob>),
+    /// How far a camera's views are.
+    Estimate(Box<EstimateJob>),
+}
+
+/// The jobs that wait.
+#[derive(Debug, Default)]
+pub(super) struct Jobs {
+    state: Mutex<WaitingJobs>,
+    changed: Condvar,
+}
+
+#[derive(Debug, Default)]
+struct WaitingJobs {
+    solve: Option<Box<SolveJob>>,
+    /// By the camera's place.
+    estimates: Vec<Option<Box<EstimateJob>>>,
+    closed: bool,
+}
+
+impl Jobs {
+    pub(super) fn solve(&self, job: SolveJob) {
+        let mut state = self.lock();
+        state.solve = Some(Box::new(job));
+        // Its session takes no estimate any more.
+        state.estimates.clear();
+        self.changed.notify_all();
+    }
+
+    pub(super) fn estimate(&self, job: EstimateJob) {
+        let mut state = self.lock();
+        let place = job.place;
+        if state.estimates.len() <= place {
+            state.estimates.resize_with(place + 1, || None);
+        }
+        state.estimates[place] = Some(Box::new(job));
+        self.changed.notify_all();
+    }
+
+    /// Waits for a job, the result before any estimate; `None` once closed.
+    pub(super) fn take(&self) -> Option<Job> {
+        let mut state = self.lock();
+        loop {
+            if state.closed {
+                return None;
+            }
+            if let Some(job) = state.solve.take() {
+                return Some(Job::Solve(job));
+            }
+            if let Some(job) = state.estimates.iter_mut().find_map(Option::take) {
+                return Some(Job::Estimate(job));
+            }
+            state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// Ends the thread that takes them.
+    pub(super) fn close(&self) {
+        self.lock().closed = true;
+        self.changed.notify_all();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, WaitingJobs> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

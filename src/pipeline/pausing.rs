@@ -1,0 +1,256 @@
+//! Store first, announce then: how what a session keeps gets to the disk, and what becomes of the
+//! session while it does not. Such a session is paused and says why; it takes no frames, and goes on
+//! by itself as soon as what waits is stored.
+
+use std::sync::Arc;
+
+use tokio::sync::mpsc;
+use ulid::Ulid;
+
+use crate::calibration::result::{Calibration, Grade};
+use crate::calibration::sensor::SensorId;
+use crate::calibration::session::{Action, KeptView, Session};
+use crate::calibration::session_record::{SessionRecord, SessionState};
+use crate::calibration::view::FrameFacts;
+use crate::imaging::frame::SensorKind;
+use crate::pipeline::clock::utc_now_ns;
+use crate::pipeline::event::{CalibrationEvent, EventKind};
+use crate::pipeline::message::{Message, SeenFrameSet};
+use crate::pipeline::session_thread::SessionThread;
+use crate::pipeline::unstored::{Unstored, UnstoredWork};
+use crate::store::{Picture, SensorView, StoreError};
+
+impl SessionThread {
+    /// What comes next; what could not be stored is tried again meanwhile.
+    pub(super) fn next_message(
+        &mut self,
+        messages: &mut mpsc::Receiver<Message>,
+    ) -> Option<Message> {
+        loop {
+            let Some(retry_at) = self.unstored.as_ref().map(Unstored::retry_at) else {
+                return messages.blocking_recv();
+            };
+            let clock = tokio::runtime::Builder::new_current_thread().enable_time().build();
+            let Ok(clock) = clock else { return messages.blocking_recv() };
+            let next =
+                clock.block_on(async { tokio::time::timeout_at(retry_at, messages.recv()).await });
+            match next {
+                Ok(message) => return message,
+                Err(_) => self.try_again(),
+            }
+        }
+    }
+
+    /// A kept frame set's views as the store has them, those of the other sensors too; what is
+    /// needed of these to solve stays in memory.
+    pub(super) fn views_to_store(
+        &mut self,
+        seen: &SeenFrameSet,
+        kept: &[KeptView],
+    ) -> Vec<(SensorView, Picture)> {
+        let Some(session) = &self.session else { return Vec::new() };
+        let members = self.instrument.member_names();
+        let mut rows = Vec::new();
+        for place in kept {
+            let Some((view, frame)) =
+                session.view(place).zip(seen.frames.get(place.camera).and_then(Option::as_ref))
+            else {
+                continue;
+            };
+            let camera = members.get(place.camera);
+            // The sensor that is searched counts as color, whichever it is.
+            let sensor = |kind: SensorKind| match camera {
+                Some(camera) => SensorId::of(camera, kind),
+                None => SensorId::own(kind),
+            };
+            for (index, observation) in frame.sensors.iter().enumerate() {
+                let is_searched = index == 0;
+                let kind = if is_searched { SensorKind::Color } else { observation.sensor };
+                let image_size = observation.image_size;
+                let detection = if is_searched {
+                    Some(view.detection.clone())
+                } else {
+                    self.auxiliary.add(
+                        place.number,
+                        (place.frame_set, camera.map(String::as_str)),
+                        observation,
+                    );
+                    observation.detection.clone()
+                };
+                let sensor_view = SensorView {
+                    frame_set: place.frame_set,
+                    sensor: sensor(kind),
+                    number: is_searched.then_some(place.number),
+                    frame: FrameFacts { image_size, ..view.frame.clone() },
+                    unit_m: observation.unit_m,
+                    detection,
+                };
+                rows.push((sensor_view, observation.picture.clone()));
+            }
+        }
+        self.show_memory();
+        rows
+    }
+
+    /// Stores the session as it is, then performs `actions`.
+    pub(super) fn store_actions(&mut self, actions: Vec<Action>) {
+        match &mut self.unstored {
+            Some(unstored) => unstored.then(actions),
+            None => self.store_or_pause(Unstored::new(UnstoredWork::Actions(actions))),
+        }
+    }
+
+    /// Names and stores the calibration, ends the session with it, and announces both.
+    pub(super) fn finish(&mut self, solved: Result<Box<Calibration>, String>) {
+        let Some(record) = self.session.as_ref().map(Session::record) else { return };
+        if record.state != SessionState::Solving || self.unstored.is_some() {
+            return;
+        }
+        let now_ns = utc_now_ns();
+        match solved {
+            Ok(solved) => {
+                let calibration = Calibration {
+                    id: Ulid::generate().to_string(),
+                    camera: Some(self.instrument.name.clone()),
+                    created_at_ns: now_ns,
+                    ..*solved
+                };
+                self.store_or_pause(Unstored::new(UnstoredWork::Calibration(Box::new(
+                    calibration,
+                ))));
+            }
+            Err(reason) => {
+                let session = self.session.as_mut();
+                let actions =
+                    session.map_or_else(Vec::new, |session| session.solved(Err(reason), now_ns));
+                self.perform(actions);
+            }
+        }
+    }
+
+    /// Keeps a frame set of a replay until the session goes on; a live one is dropped.
+    pub(super) fn set_aside(&mut self, seen: SeenFrameSet) {
+        if seen.frames.iter().flatten().any(|frame| frame.waits) {
+            // No more than were in the queue when the assembly was held.
+            self.waiting.push_back(seen);
+            return;
+        }
+        for (camera, frame) in self.instrument.cameras.iter().zip(&seen.frames) {
+            if frame.is_some() {
+                camera.count_dropped("store", 1);
+            }
+        }
+    }
+
+    fn try_again(&mut self) {
+        if let Some(unstored) = self.unstored.take() {
+            self.store_or_pause(unstored);
+        }
+    }
+
+    pub(super) fn store_or_pause(&mut self, mut unstored: Unstored) {
+        if let Err(error) = self.store(&unstored.what) {
+            self.pause(unstored, &error);
+            return;
+        }
+        self.go_on();
+        let then = unstored.take_then();
+        self.after(unstored.what);
+        if !then.is_empty() {
+            self.perform(then);
+        }
+        // What came meanwhile, unless that cannot be stored either.
+        while self.unstored.is_none()
+            && let Some(seen) = self.waiting.pop_front()
+        {
+            self.observe(seen);
+        }
+    }
+
+    fn store(&self, what: &UnstoredWork) -> Result<(), StoreError> {
+        let Some(session) = &self.session else { return Ok(()) };
+        match what {
+            UnstoredWork::Views(kept) => self.store.keep_views(session.record(), &kept.views),
+            UnstoredWork::Actions(_) => self.store.save_session(session.record()),
+            UnstoredWork::Calibration(calibration) => {
+                let mut finished = session.clone();
+                finished.solved(Ok(calibration.id.clone()), calibration.created_at_ns);
+                self.store.finish_session(finished.record(), calibration)
+            }
+        }
+    }
+
+    /// What follows once it is stored.
+    fn after(&mut self, what: UnstoredWork) {
+        match what {
+            UnstoredWork::Views(kept) => self.announce_observed(&kept.seen, kept.observed),
+            UnstoredWork::Actions(actions) => {
+                self.perform_stored(actions);
+                self.show();
+            }
+            UnstoredWork::Calibration(calibration) => {
+                self.announce_calibration(&calibration);
+                let (id, now_ns) = (calibration.id.clone(), calibration.created_at_ns);
+                let session = self.session.as_mut();
+                let actions =
+                    session.map_or_else(Vec::new, |session| session.solved(Ok(id), now_ns));
+                self.perform_stored(actions);
+                self.show();
+            }
+        }
+    }
+
+    /// Makes the calibration current if it may be, and announces it.
+    fn announce_calibration(&self, calibration: &Calibration) {
+        let name = &self.instrument.name;
+        let mut current = self.auto_approve && calibration.verdict.grade == Grade::Good;
+        if current && let Err(error) = self.store.set_current(name, &calibration.id) {
+            tracing::error!(
+                instrument = name,
+                "the calibration is stored but not approved: {error}"
+            );
+            current = false;
+        }
+        if current {
+            self.instrument.set_calibration(&calibration.id);
+        }
+        if let Some(event) = CalibrationEvent::of(calibration, current) {
+            self.instrument.publish(EventKind::Calibration(event));
+        }
+    }
+
+    /// Takes no frames any more, and says why.
+    fn pause(&mut self, mut unstored: Unstored, error: &StoreError) {
+        let reason = format!("paused: {error}");
+        let is_new = self.health.pause(&self.instrument.name, &reason);
+        unstored.failed(&reason);
+        self.unstored = Some(unstored);
+        if let Some(assembly) = &self.assembly {
+            assembly.hold(true);
+        }
+        if !is_new {
+            return;
+        }
+        tracing::error!(instrument = self.instrument.name, "{reason}");
+        // Readers see the session as it was stored last, and why it does not go on.
+        let shown = self.instrument.session.borrow().clone();
+        let session = self.session.as_ref().map(Session::record);
+        if let (Some(shown), Some(record)) = (shown, session)
+            && shown.id == record.id
+        {
+            let paused = SessionRecord { reason: Some(reason), ..shown.as_ref().clone() };
+            self.instrument.session.send_replace(Some(Arc::new(paused.clone())));
+            self.instrument.publish(EventKind::Session(Box::new(paused)));
+        }
+    }
+
+    fn go_on(&mut self) {
+        if !self.health.go_on(&self.instrument.name) {
+            return;
+        }
+        tracing::info!(instrument = self.instrument.name, "what waited is stored; it goes on");
+        if let Some(assembly) = &self.assembly {
+            assembly.hold(false);
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Sets one camera or rig going: its threads and what links them; and ends them.
+
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{mpsc, watch};
+
+use crate::calibration::admission::AdmissionOptions;
+use crate::calibration::session_record::SessionRecord;
+use crate::capture::SourceOpener;
+use crate::pipeline::camera_status::CameraStatus;
+use crate::pipeline::capture_thread::{Capture, Supervision};
+use crate::pipeline::detect_thread::Detect;
+use crate::pipeline::event::EventLog;
+use crate::pipeline::fleet_error::FleetError;
+use crate::pipeline::frame_rate::FrameRate;
+use crate::pipeline::frame_slot::FrameSlot;
+use crate::pipeline::instrument::Instrument;
+use crate::pipeline::jobs::Jobs;
+use crate::pipeline::live_camera::LiveCamera;
+use crate::pipeline::message::Message;
+use crate::pipeline::metrics::Metrics;
+use crate::pipeline::preview::Preview;
+use crate::pipeline::preview::maps::CalibrationMaps;
+use crate::pipeline::preview_thread;
+use crate::pipeline::recorder::RecorderLink;
+use crate::pipeline::search::CurrentSearch;
+use crate::pipeline::session_thread::SessionThread;
+use crate::pipeline::solve_thread;
+use crate::pipeline::stop_signal::StopSignal;
+use crate::pipeline::store_health::StoreHealth;
+use crate::store::Store;
+
+/// A camera to set going.
+pub struct CameraPlan {
+    /// Its name in the configuration.
+    pub name: String,
+    /// The kind of its source, as in the configuration.
+    pub kind: String,
+    /// Opens the source.
+    pub open: Box<dyn SourceOpener>,
+    /// Whether silence means that the device is lost; not so for frames on disk.
+    pub may_stall: bool,
+}
+
+/// How the cameras run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FleetOptions {
+    /// Whether a `good` calibration becomes current by itself. Default: true.
+    pub auto_approve: bool,
+    /// How sources are watched over.
+    pub supervision: Supervision,
+    /// What a detection must be to become a view.
+    pub admission: AdmissionOptions,
+}
+
+impl Default for FleetOptions {
+    fn default() -> Self {
+        Self {
+            auto_approve: true,
+            supervision: Supervision::default(),
+            admission: AdmissionOptions::default(),
+        }
+    }
+}
+
+/// Frame sets on their way to the session thread; more would only be old ones.
+const QUEUE: usize = 4;
+/// How long threads have to end.
+const LAST_WAIT: Duration = Duration::from_millis(700);
+const GLANCE: Duration = Duration::from_millis(2);
+
+/// What all cameras and rigs share.
+#[derive(Debug)]
+pub(super) struct SharedParts {
+    pub(super) events: Arc<EventLog>,
+    pub(super) metrics: Arc<Metrics>,
+    pub(super) store: Arc<Store>,
+    pub(super) health: Arc<StoreHealth>,
+    pub(super) maps: Arc<CalibrationMaps>,
+}
+
+/// A camera or rig with the thread that owns its session.
+#[derive(Debug)]
+pub(super) struct RunningInstrument {
+    pub(super) instrument: Arc<Instrument>,
+    thread: JoinHandle<()>,
+}
+
+/// A camera with the threads that work for it.
+#[derive(Debug)]
+pub(super) struct RunningCamera {
+    pub(super) camera: Arc<LiveCamera>,
+    /// The camera by itself.
+    pub(super) own: RunningInstrument,
+    threads: Vec<JoinHandle<()>>,
+}
+
+/// Starts a camera's threads, with the session that an earlier run left unfinished.
+pub(super) fn start_camera(
+    plan: CameraPlan,
+    unfinished: Option<SessionRecord>,
+    shared: &SharedParts,
+    options: &FleetOptions,
+) -> Result<RunningCamera, FleetError> {
+    let CameraPlan { name, kind, open, may_stall } = plan;
+    let (messages, received) = mpsc::channel(QUEUE);
+    let mut status = CameraStatus::starting(&name, &kind);
+    status.calibration = shared.store.current_calibration_id(&name)?;
+    shared.metrics.introduce(&name);
+    let camera = Arc::new(LiveCamera {
+        status: watch::Sender::new(status),
+        frames: watch::Sender::new(None),
+        search: CurrentSearch::default(),
+        slot: FrameSlot::new(),
+        messages: messages.clone(),
+        events: Arc::clone(&shared.events),
+        metrics: Arc::clone(&shared.metrics),
+        recorder: RecorderLink::default(),
+        stop: StopSignal::default(),
+        factory: Arc::default(),
+        preview: Preview::new(Arc::clone(&shared.maps)),
+        outline_px: Mutex::default(),
+        name: name.clone(),
+    });
+    let instrument = Instrument {
+        calibration: watch::Sender::new(camera.status.borrow().calibration.clone()),
+        cameras: vec![Arc::clone(&camera)],
+        is_rig: false,
+        session: watch::Sender::new(None),
+        messages,
+        jobs: Jobs::default(),
+        events: Arc::clone(&shared.events),
+        metrics: Arc::clone(&shared.metrics),
+        stop: camera.stop.clone(),
+        name,
+    };
+    // Before the first frame, so that a replay begins with what is to be searched for.
+    let own = start_instrument(instrument, received, unfinished, shared, options)?;
+    let capture = Capture {
+        camera: Arc::clone(&camera),
+        open,
+        supervision: options.supervision,
+        may_stall,
+        rate: FrameRate::default(),
+        retry: options.supervision.first_retry,
+    };
+    let detect = Detect::new(Arc::clone(&camera));
+    let shown = Arc::clone(&camera);
+    let threads = vec![
+        spawn("preview", &camera.name, move || preview_thread::run(&shown))?,
+        spawn("detect", &camera.name, move || detect.run())?,
+        spawn("capture", &camera.name, move || capture.run())?,
+    ];
+    Ok(RunningCamera { camera, own, threads })
+}
+
+/// Starts a rig's threads, with the session that an earlier run left unfinished.
+pub(super) fn start_rig(
+    name: String,
+    cameras: Vec<Arc<LiveCamera>>,
+    unfinished: Option<SessionRecord>,
+    shared: &SharedParts,
+    options: &FleetOptions,
+) -> Result<RunningInstrument, FleetError> {
+    let (messages, received) = mpsc::channel(QUEUE);
+    let instrument = Instrument {
+        calibration: watch::Sender::new(shared.store.current_calibration_id(&name)?),
+        cameras,
+        is_rig: true,
+        session: watch::Sender::new(None),
+        messages,
+        jobs: Jobs::default(),
+        events: Arc::clone(&shared.events),
+        metrics: Arc::clone(&shared.metrics),
+        stop: StopSignal::default(),
+        name,
+    };
+    start_instrument(instrument, received, unfinished, shared, options)
+}
+
+fn start_instrument(
+    instrument: Instrument,
+    received: mpsc::Receiver<Message>,
+    unfinished: Option<SessionRecord>,
+    shared: &SharedParts,
+    options: &FleetOptions,
+) -> Result<RunningInstrument, FleetError> {
+    let instrument = Arc::new(instrument);
+    let stored = (Arc::clone(&shared.store), Arc::clone(&shared.health));
+    let mut session = SessionThread::new(
+        Arc::clone(&instrument),
+        stored,
+        options.auto_approve,
+        options.admission,
+    );
+    if let Some(record) = unfinished {
+        session.resume(record);
+    }
+    let solver = Arc::clone(&instrument);
+    // Nobody waits for the solve thread: a solve that is cut short is begun again with the next
+    // start.
+    spawn("solve", &instrument.name, move || solve_thread::run(&solver))?;
+    let thread = spawn("session", &instrument.name, move || session.run(received))?;
+    Ok(RunningInstrument { instrument, thread })
+}
+
+fn spawn(
+    work: &str,
+    name: &str,
+    run: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, FleetError> {
+    let thread = thread::Builder::new().name(format!("{work}-{name}")).spawn(run);
+    thread.map_err(|error| FleetError::Thread { name: name.to_owned(), detail: error.to_string() })
+}
+
+/// Ends the threads of `rigs` and `cameras`, all at once; one that a driver does not let go is left
+/// behind.
+pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
+    for rig in rigs {
+        rig.instrument.ask_to_stop();
+    }
+    for RunningCamera { camera, own, .. } in cameras {
+        own.instrument.ask_to_stop();
+        camera.slot.close();
+        camera.preview.slot.close();
+    }
+    let until = Instant::now() + LAST_WAIT;
+    let of_cameras =
+        cameras.iter().flat_map(|running| running.threads.iter().chain([&running.own.thread]));
+    let mut threads = rigs.iter().map(|rig| &rig.thread).chain(of_cameras);
+    while threads.clone().any(|thread| !thread.is_finished()) && Instant::now() < until {
+        thread::sleep(GLANCE);
+    }
+    for RunningCamera { camera, .. } in cameras {
+        camera.recorder.finish();
+    }
+    if let Some(stuck) = threads.find(|thread| !thread.is_finished()) {
+        tracing::warn!(
+            "thread {} is stuck and left behind",
+            stuck.thread().name().unwrap_or("without a name")
+        );
+    }
+}
+
+/// Ends the threads of `rigs`, whose sessions stay as they are; blocks until they have.
+pub(super) fn stop_and_wait(rigs: Vec<RunningInstrument>) {
+    rigs.iter().for_each(|rig| rig.instrument.ask_to_stop());
+    for RunningInstrument { instrument, thread } in rigs {
+        if thread.join().is_err() {
+            tracing::error!(rig = instrument.name, "its thread had ended by a fault");
+        }
+    }
+}

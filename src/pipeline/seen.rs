@@ -1,0 +1,76 @@
+//! A frame set of one camera with what was seen in it, on its way to the session.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use crate::calibration::admission::Rejection;
+use crate::calibration::session::CameraFrame;
+use crate::calibration::view::FrameFacts;
+use crate::detection::board_detection::Detection;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::{Frame, FrameSet, SensorKind};
+use crate::pipeline::live_frame::{FrameDetection, NoDetection};
+use crate::store::Picture;
+
+/// A frame set that was searched.
+#[derive(Debug)]
+pub(super) struct SeenFrame {
+    pub(super) frame_set: Arc<FrameSet>,
+    /// When it came from its source.
+    pub(super) arrived: Instant,
+    /// Its source waits for it.
+    pub(super) waits: bool,
+    pub(super) detection: FrameDetection,
+    /// What each of the camera's sensors gave, the searched one first; empty where nothing of it
+    /// can become a view.
+    pub(super) sensors: Vec<SensorObservation>,
+}
+
+/// What one sensor gave in a frame set that may be kept.
+#[derive(Debug, Clone)]
+pub(super) struct SensorObservation {
+    pub(super) sensor: SensorKind,
+    pub(super) image_size: ImageSize,
+    /// Meters per unit of depth, where the device states it.
+    pub(super) unit_m: Option<f64>,
+    /// The board in it, where it was found; the searched sensor's is the frame's.
+    pub(super) detection: Option<Detection>,
+    pub(super) depth: Option<Arc<DepthImage>>,
+    /// Its image as a file.
+    pub(super) picture: Picture,
+}
+
+impl SeenFrame {
+    /// What the session observes of it.
+    pub(super) fn to_camera_frame(&self) -> CameraFrame {
+        let seen = match &self.detection.outcome {
+            Ok(detection) => Ok(detection.as_ref().clone()),
+            Err(NoDetection::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
+            Err(NoDetection::Unreadable { detail }) => {
+                Err(Rejection::Unreadable { detail: detail.clone() })
+            }
+        };
+        CameraFrame { frame: frame_facts(&self.frame_set), seen }
+    }
+
+    /// When the host received it, in nanoseconds since the Unix epoch.
+    pub(super) fn host_time_ns(&self) -> i64 {
+        self.frame_set.host_time.utc_ns
+    }
+}
+
+/// The frame that boards are searched for in.
+pub(super) fn searched_frame(frame_set: &FrameSet) -> Option<&Frame> {
+    frame_set.frame(SensorKind::Color).or_else(|| frame_set.frame(SensorKind::Infrared))
+}
+
+fn frame_facts(frame_set: &FrameSet) -> FrameFacts {
+    FrameFacts {
+        sequence: frame_set.sequence,
+        name: frame_set.name.clone(),
+        host_time_ns: frame_set.host_time.utc_ns,
+        device_time_ns: frame_set.device_time.map(|time| time.monotonic_ns),
+        image_size: searched_frame(frame_set).map_or(ImageSize::new(0, 0), |frame| frame.size),
+    }
+}

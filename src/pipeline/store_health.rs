@@ -1,0 +1,45 @@
+//! Which sessions are paused because the store does not take what they keep.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::pipeline::metrics::Metrics;
+
+/// By instrument, why its session is paused.
+#[derive(Debug)]
+pub(super) struct StoreHealth {
+    paused: Mutex<BTreeMap<String, String>>,
+    metrics: Arc<Metrics>,
+}
+
+impl StoreHealth {
+    pub(super) fn new(metrics: Arc<Metrics>) -> Self {
+        Self { paused: Mutex::default(), metrics }
+    }
+
+    /// A session of `instrument` could not store what it keeps; whether that was not known yet.
+    pub(super) fn pause(&self, instrument: &str, reason: &str) -> bool {
+        self.metrics.store_failures.inc();
+        let mut paused = self.lock();
+        let before = paused.insert(instrument.to_owned(), reason.to_owned());
+        self.metrics.paused.set(i64::try_from(paused.len()).unwrap_or(i64::MAX));
+        before.as_deref() != Some(reason)
+    }
+
+    /// What waited is stored; whether anything did.
+    pub(super) fn go_on(&self, instrument: &str) -> bool {
+        let mut paused = self.lock();
+        let was_paused = paused.remove(instrument).is_some();
+        self.metrics.paused.set(i64::try_from(paused.len()).unwrap_or(i64::MAX));
+        was_paused
+    }
+
+    /// What is paused, and why, in words; empty while all is well.
+    pub(super) fn reasons(&self) -> Vec<String> {
+        self.lock().iter().map(|(instrument, reason)| format!("{instrument} is {reason}")).collect()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
+        self.paused.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
