@@ -4,9 +4,11 @@ use crate::calibration::admission::Rejections;
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
 use crate::calibration::result::ProjectionUncertainty;
+use crate::calibration::sensor::SensorId;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
+use crate::imaging::frame::SensorKind;
 
 /// What a session is asked to do.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,6 +19,17 @@ pub struct SessionRequest {
     pub lens: LensChoice,
     /// When it is enough; `None` runs until it is stopped.
     pub finish: Option<Finish>,
+    /// Lenses of a rig that are known, and held as they are.
+    pub given: Vec<HeldLens>,
+}
+
+/// A lens that is held as it is.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldLens {
+    /// Whose.
+    pub sensor: SensorId,
+    /// The lens.
+    pub lens: Lens,
 }
 
 /// When a session has enough and solves by itself: as soon as every goal that is given is reached,
@@ -167,6 +180,14 @@ pub struct SessionRecord {
     pub estimate: Option<RunningEstimate>,
     /// The id of its calibration, once finished.
     pub calibration: Option<String>,
+}
+
+impl SessionRequest {
+    /// The lens of a rig's camera that is held.
+    pub fn held(&self, camera: &str) -> Option<Lens> {
+        let color = SensorId::of(camera, SensorKind::Color);
+        self.given.iter().find(|held| held.sensor == color).map(|held| held.lens)
+    }
 }
 
 impl SessionRecord {

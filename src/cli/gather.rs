@@ -151,8 +151,12 @@ impl Gathered {
             self.end_recording();
         }
         let (_, session) = self.session.get_or_insert_with(|| {
-            let request =
-                SessionRequest { target: self.target, lens: LensChoice::Auto, finish: None };
+            let request = SessionRequest {
+                target: self.target,
+                lens: LensChoice::Auto,
+                finish: None,
+                given: Vec::new(),
+            };
             let record = SessionRecord::begin("", "", request, looked.frame.host_time_ns);
             (path.to_owned(), Session::begin(record, &[], &AdmissionOptions::default()))
         });

@@ -201,7 +201,8 @@ fn kept(
     let mut kept: Vec<Vec<(usize, usize)>> = vec![Vec::new(); cameras.len()];
     let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
     let is_timed = searched.iter().flatten().any(|frame| frame.recording.is_some());
-    let request = SessionRequest { target, lens: LensChoice::Auto, finish: None };
+    let request =
+        SessionRequest { target, lens: LensChoice::Auto, finish: None, given: Vec::new() };
     let record = SessionRecord::begin("", "", request, 0);
     let mut session = Session::begin(record, &names, &AdmissionOptions::default());
     for (number, frames) in frame_sets.iter().enumerate() {

@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::calibration::sensor::SensorId;
 use crate::calibration::session_record::{
-    Finish, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
+    Finish, HeldLens, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
 };
 use crate::document::error::DocumentError;
+use crate::document::lens::LensDocument;
 use crate::document::lens_model::LensRequest;
 use crate::document::pose::PoseDocument;
 use crate::document::session_member::SessionMemberDocument;
@@ -17,7 +19,9 @@ use crate::document::session_progress::{
 };
 use crate::document::target::TargetDocument;
 use crate::document::time;
+use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
+use crate::imaging::frame::SensorKind;
 
 /// What starts a session.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -31,6 +35,10 @@ pub struct StartDocument {
     /// When to stop by itself; when left out it runs till it is stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub finish: Option<FinishDocument>,
+    /// Lenses of a rig that are known and held as they are, by `CAMERA.color`; as `lens` in
+    /// calibrations.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub given: BTreeMap<String, LensDocument>,
 }
 
 impl From<&SessionRequest> for StartDocument {
@@ -39,6 +47,7 @@ impl From<&SessionRequest> for StartDocument {
             target: request.target.into(),
             lens: request.lens.into(),
             finish: request.finish.map(FinishDocument::from),
+            given: given_document(&request.given),
         }
     }
 }
@@ -54,8 +63,34 @@ impl TryFrom<&StartDocument> for SessionRequest {
                 .map(Finish::try_from)
                 .transpose()
                 .map_err(|e| e.inside("finish"))?,
+            given: document
+                .given
+                .iter()
+                .map(|(name, lens)| held(name, lens).map_err(|e| e.inside("given")))
+                .collect::<Result<_, _>>()?,
         })
     }
+}
+
+fn given_document(given: &[HeldLens]) -> BTreeMap<String, LensDocument> {
+    let name = |sensor: &SensorId| {
+        let camera = sensor.camera.as_deref().unwrap_or_default();
+        format!("{camera}.{}", sensor.kind.name())
+    };
+    given.iter().map(|held| (name(&held.sensor), (&held.lens).into())).collect()
+}
+
+/// The lens that is held under `name`, as in `left.color`.
+fn held(name: &str, lens: &LensDocument) -> Result<HeldLens, DocumentError> {
+    let wrong = || {
+        DocumentError::field(name, "is no color lens of a rig's camera; write it as `left.color`")
+    };
+    let (camera, kind) = name.rsplit_once('.').ok_or_else(wrong)?;
+    if camera.is_empty() || SensorKind::from_name(kind) != Some(SensorKind::Color) {
+        return Err(wrong());
+    }
+    let lens = Lens::try_from(lens).map_err(|e| e.inside(name))?;
+    Ok(HeldLens { sensor: SensorId::of(camera, SensorKind::Color), lens })
 }
 
 /// When a session stops by itself: as soon as every goal that is given is reached, or the time is
@@ -167,6 +202,9 @@ pub struct SessionDocument {
     pub lens: LensRequest,
     /// When it stops by itself; empty when it runs till it is stopped.
     pub finish: FinishDocument,
+    /// Lenses of a rig that are held as they are; left out where there are none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub given: BTreeMap<String, LensDocument>,
     /// Frames looked at.
     pub frames_seen: u64,
     /// Frames in which the board was found.
@@ -198,6 +236,7 @@ impl From<&SessionRecord> for SessionDocument {
             target: record.request.target.into(),
             lens: record.request.lens.into(),
             finish: record.request.finish.map(FinishDocument::from).unwrap_or_default(),
+            given: given_document(&record.request.given),
             frames_seen: record.frames_seen,
             boards_seen: record.boards_seen,
             views_kept: record.views_kept,
@@ -222,7 +261,8 @@ impl SessionDocument {
     /// [`DocumentError::Field`] naming the field that cannot be.
     pub fn to_record(&self, collecting_s: f64) -> Result<SessionRecord, DocumentError> {
         let finish = Some(self.finish).filter(|finish| *finish != FinishDocument::default());
-        let start = StartDocument { target: self.target.clone(), lens: self.lens, finish };
+        let (target, lens, given) = (self.target.clone(), self.lens, self.given.clone());
+        let start = StartDocument { target, lens, finish, given };
         let estimate = self.estimate.as_ref().map(RunningEstimate::try_from).transpose();
         Ok(SessionRecord {
             id: self.id.clone(),
@@ -316,6 +356,12 @@ mod tests {
             (
                 format!(r#"{{{target},"finish":{{"uncertainty_px":-1}}}}"#),
                 "finish.uncertainty_px: -1 cannot be reached; give a positive number",
+            ),
+            (
+                format!(
+                    r#"{{{target},"given":{{"left.depth":{{"model":"pinhole","fx":1,"fy":1,"cx":0,"cy":0}}}}}}"#
+                ),
+                "given.left.depth: is no color lens of a rig's camera; write it as `left.color`",
             ),
         ];
         for (json, expected) in table {

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::response::{IntoResponse, Response};
 
-use crate::calibration::session_record::SessionRequest;
+use crate::calibration::session_record::{HeldLens, SessionRequest};
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::rig::{RigDocument, RigsDocument};
 use crate::document::session::{SessionDocument, StartDocument};
@@ -54,9 +54,18 @@ pub(super) async fn start(
     Address(rig): Address<String>,
     request: Request,
 ) -> Result<impl IntoResponse, Problem> {
-    shared.fleet.rig(&rig)?;
+    let cameras = shared.fleet.rig(&rig)?.cameras;
     let start: StartDocument = document(request, SMALL_BODY).await?;
-    Ok(created(&shared.fleet.start_rig_session(&rig, SessionRequest::try_from(&start)?).await?))
+    let request = SessionRequest::try_from(&start)?;
+    let is_foreign = |held: &&HeldLens| {
+        held.sensor.camera.as_ref().is_none_or(|camera| !cameras.contains(camera))
+    };
+    if let Some(HeldLens { sensor, .. }) = request.given.iter().find(is_foreign) {
+        let camera = sensor.camera.as_deref().unwrap_or_default();
+        let problem = format!("the rig has {}", cameras.join(", "));
+        return Err(Problem::field(&format!("given.{camera}.color"), &problem));
+    }
+    Ok(created(&shared.fleet.start_rig_session(&rig, request).await?))
 }
 
 /// The rig's current calibration: the one that was approved last.

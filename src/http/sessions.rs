@@ -34,7 +34,12 @@ pub(super) async fn start(
 ) -> Result<impl IntoResponse, Problem> {
     shared.fleet.camera(&camera)?;
     let start: StartDocument = document(request, SMALL_BODY).await?;
-    Ok(created(&shared.fleet.start_session(&camera, SessionRequest::try_from(&start)?).await?))
+    let request = SessionRequest::try_from(&start)?;
+    if !request.given.is_empty() {
+        let problem = "only lenses of a rig can be held; start the session on the rig";
+        return Err(Problem::field("given", problem));
+    }
+    Ok(created(&shared.fleet.start_session(&camera, request).await?))
 }
 
 /// A session that was begun.

@@ -147,7 +147,12 @@ fn fleet_of(plans: Vec<CameraPlan>, folder: &tempfile::TempDir, stall: Duration)
 
 fn request() -> SessionRequest {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
-    SessionRequest { target: target.into(), lens: LensChoice::Auto, finish: None }
+    SessionRequest {
+        target: target.into(),
+        lens: LensChoice::Auto,
+        finish: None,
+        given: Vec::new(),
+    }
 }
 
 async fn until<T>(events: &mut EventStream, mut wanted: impl FnMut(&Event) -> Option<T>) -> T {

@@ -6,7 +6,7 @@ use crate::calibration::guidance::Guidance;
 use crate::calibration::result::{Calibration, ProjectionUncertainty};
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session_record::{
-    Finish, RunningEstimate, SessionRecord, SessionRequest, SessionState,
+    Finish, HeldLens, RunningEstimate, SessionRecord, SessionRequest, SessionState,
 };
 use crate::calibration::view::{FrameFacts, View};
 use crate::document::lens_model::LensRequest;
@@ -41,6 +41,10 @@ pub(super) fn record(id: &str) -> SessionRecord {
                 min_views: Some(12),
                 max_seconds: None,
             }),
+            given: vec![HeldLens {
+                sensor: SensorId::of("left", SensorKind::Color),
+                lens: lens.unwrap(),
+            }],
         },
         state: SessionState::Collecting,
         reason: None,

@@ -287,8 +287,12 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let mut events = fleet.events(Some(0));
     until_state(&mut events, CameraState::Streaming).await;
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap();
-    let request =
-        SessionRequest { target, lens: LensChoice::Model(LensModel::Brown), finish: None };
+    let request = SessionRequest {
+        target,
+        lens: LensChoice::Model(LensModel::Brown),
+        finish: None,
+        given: Vec::new(),
+    };
     let id = fleet.start_session("front", request).await.unwrap().id;
     until_views(&mut events, 4).await;
     assert_eq!(showing.option(Rs2Option::EmitterOnOff), 1.0, "while the board is searched for");

@@ -54,8 +54,12 @@ fn left_from(camera: &str) -> plumb::geometry::pose::Pose {
 
 /// Runs a session over the recordings; the finished session.
 fn calibrate(served: &Served) -> Value {
+    calibrate_with(served, &request())
+}
+
+fn calibrate_with(served: &Served, request: &Value) -> Value {
     let mut events = served.events("?camera=head", Some("0"));
-    let started = served.post("/v1/rigs/head/sessions", &request());
+    let started = served.post("/v1/rigs/head/sessions", request);
     assert_eq!(started.status, 201, "{}", started.text());
     let id = started.json()["id"].as_str().unwrap().to_owned();
     assert_eq!(started.location, Some(format!("/v1/sessions/{id}")));
@@ -165,6 +169,33 @@ fn two_recordings_without_names_are_refused_with_the_command_to_write() {
     assert!(ran.stderr.contains("plumb calibrate --rig left="), "{}", ran.stderr);
     let ran = plumb(rig_arguments(&CAMERAS[..1]));
     assert_eq!(ran.code, Some(2), "{}", ran.stderr);
+}
+
+#[test]
+fn a_lens_that_is_given_is_held() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration());
+    let lens = truth_of("right")["sensors"]["color"]["lens"].clone();
+    let with = |name: &str| {
+        let mut request = request();
+        request["given"] = json!({ name: lens });
+        request
+    };
+    let refused = served.post("/v1/rigs/head/sessions", &with("tail.color"));
+    assert_eq!((refused.status, refused.json()["field"].as_str()), (422, Some("given.tail.color")));
+    assert_eq!(served.post("/v1/rigs/head/sessions", &with("right.depth")).status, 422);
+    assert_eq!(served.post("/v1/cameras/right/sessions", &with("right.color")).status, 422);
+    let session = calibrate_with(&served, &with("right.color"));
+    assert_eq!(session["given"]["right.color"], lens);
+    let calibration = served
+        .get(&format!("/v1/calibrations/{}", session["calibration"].as_str().unwrap()))
+        .json();
+    assert_eq!(calibration["cameras"][1]["name"], "right");
+    let found = &calibration["cameras"][1]["sensors"]["color"]["lens"];
+    for parameter in ["fx", "fy", "cx", "cy", "k1", "k2"] {
+        assert_eq!(found[parameter], lens[parameter], "{parameter}");
+    }
+    extrinsics_are_true(&calibration);
 }
 
 #[test]

@@ -135,7 +135,7 @@ impl Session {
             Some(RigCameraInput {
                 name: part.summary().camera.clone(),
                 image_size: part.image_size()?,
-                given: None,
+                given: self.record.request.held(&part.summary().camera),
                 views: views.filter_map(view).collect(),
             })
         };
@@ -330,7 +330,12 @@ impl Session {
                 )
             });
         }
-        if self.cameras.iter().filter(|camera| camera.has_enough()).count() >= 2 {
+        // A lens that is held needs no views of its own: one says where the camera is.
+        let is_enough = |camera: &&CameraPart| {
+            let is_held = self.record.request.held(&camera.summary().camera).is_some();
+            camera.has_enough() || (is_held && !camera.views().is_empty())
+        };
+        if self.cameras.iter().filter(is_enough).count() >= 2 {
             return Ok(());
         }
         let kept: Vec<String> = (self.cameras.iter())

@@ -12,7 +12,8 @@ const NOW_NS: i64 = 9_000_000_000;
 
 fn session(cameras: &[&str], finish: Option<Finish>) -> Session {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
-    let request = SessionRequest { target: target.into(), lens: LensChoice::Auto, finish };
+    let request =
+        SessionRequest { target: target.into(), lens: LensChoice::Auto, finish, given: Vec::new() };
     let cameras: Vec<String> = cameras.iter().map(|camera| (*camera).to_owned()).collect();
     Session::begin(
         SessionRecord::begin("01", "pair", request, 1_000_000_000),

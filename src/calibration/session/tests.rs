@@ -17,7 +17,8 @@ const NOW_NS: i64 = 9_000_000_000;
 
 fn session(finish: Option<Finish>) -> Session {
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
-    let request = SessionRequest { target: target.into(), lens: LensChoice::Auto, finish };
+    let request =
+        SessionRequest { target: target.into(), lens: LensChoice::Auto, finish, given: Vec::new() };
     Session::begin(
         SessionRecord::begin("01", "front", request, 1_000_000_000),
         &[],
