@@ -38,7 +38,7 @@ pub struct RigCameraInput {
     pub image_size: ImageSize,
     /// Its lens, where that is known and held.
     pub given: Option<Lens>,
-    /// What it saw, and at which moment: those of the same number were seen together.
+    /// What it saw, and in which frame set: those of the same number were seen together.
     pub views: Vec<(usize, BoardView)>,
 }
 
@@ -116,7 +116,7 @@ pub enum RigError {
         /// Why not.
         source: EstimationError,
     },
-    /// No two cameras saw the board at one moment.
+    /// No two cameras saw the board in one frame set.
     #[error(
         "no two cameras saw the whole board at the same moment: hold it still where two of them see all of it"
     )]
@@ -230,13 +230,16 @@ fn shifted_list(alone: &[Alone<'_>]) -> Option<RigError> {
     })
 }
 
-/// Which cameras share moments, directly or through others; each group in order, and the groups by
-/// their first camera.
+/// Which cameras share frame sets, directly or through others; each group in order, and the groups
+/// by their first camera.
 fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
-    let moments =
-        |one: &Alone<'_>| one.poses().into_iter().map(|(moment, _)| moment).collect::<Vec<_>>();
-    let moments: Vec<Vec<usize>> = alone.iter().map(moments).collect();
-    let share = |a: usize, b: usize| moments[a].iter().any(|moment| moments[b].contains(moment));
+    let frame_sets = |one: &Alone<'_>| {
+        one.poses().into_iter().map(|(frame_set, _)| frame_set).collect::<Vec<_>>()
+    };
+    let frame_sets: Vec<Vec<usize>> = alone.iter().map(frame_sets).collect();
+    let share = |a: usize, b: usize| {
+        frame_sets[a].iter().any(|frame_set| frame_sets[b].contains(frame_set))
+    };
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for camera in 0..alone.len() {
         let (joined, apart): (Vec<_>, Vec<_>) =
@@ -252,14 +255,14 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
 }
 
 impl Alone<'_> {
-    /// The pose of every view that took part, with its moment.
+    /// The pose of every view that took part, with its frame set.
     fn poses(&self) -> SensorPoses {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
-        let pose = |((moment, _), view): (
+        let pose = |((frame_set, _), view): (
             &(usize, BoardView),
             &crate::estimation::camera::ViewEstimate,
         )| {
-            Some((*moment, view.camera_from_board.filter(|_| view.fault.is_none())?))
+            Some((*frame_set, view.camera_from_board.filter(|_| view.fault.is_none())?))
         };
         views.filter_map(pose).collect()
     }
@@ -274,13 +277,13 @@ impl Alone<'_> {
             .map(|view| view.fault.is_none() && view.camera_from_board.is_some());
         let mut chosen = chosen.iter();
         let views = self.input.views.iter().zip(good);
-        let turned = |((moment, view), good): (&(usize, BoardView), bool)| {
+        let turned = |((frame_set, view), good): (&(usize, BoardView), bool)| {
             let turn = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
             let mut view = view.clone();
             for corner in &mut view.correspondences {
                 corner.point_in_board = board_from_labels[turn] * corner.point_in_board;
             }
-            (*moment, view)
+            (*frame_set, view)
         };
         views.map(turned).collect()
     }
@@ -313,9 +316,12 @@ impl Joint {
             },
         };
         let sensors: Vec<RigSensor> = group.iter().zip(&chosen).map(sensor).collect();
-        let instants =
-            sensors.iter().flat_map(|sensor| &sensor.views).map(|(moment, _)| moment + 1).max();
-        let problem = RigProblem { sensors, frame_sets: instants.unwrap_or(0) };
+        let end = sensors
+            .iter()
+            .flat_map(|sensor| &sensor.views)
+            .map(|(frame_set, _)| frame_set + 1)
+            .max();
+        let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
         let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
         let reference = &group[0].input.name;
         let placed = group.iter().zip(&estimate.places).skip(1);

@@ -27,7 +27,7 @@ fn camera_from_first() -> [Pose; 3] {
 }
 
 /// What three cameras see of a board that each may take for turned; `sees` tells which camera looks
-/// at which moment.
+/// in which frame set.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let middle =
@@ -44,7 +44,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let turns = board.symmetries();
     let camera = |(camera, from_first): (usize, Pose)| {
         let mut views = Vec::new();
-        for (moment, first_from_board) in first_from_board.iter().enumerate() {
+        for (frame_set, first_from_board) in first_from_board.iter().enumerate() {
             let labelled = turns[(random(0.0, 1.0) * turns.len() as f64) as usize % turns.len()];
             let pixels = board.corners_in_board().into_iter().map(|point| {
                 let pixel = lens(520.0 + 20.0 * camera as f64)
@@ -56,7 +56,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
                 SIZE.contains(noisy).then_some((labelled.inverse() * point, noisy))
             });
             let seen: Option<Vec<_>> = pixels.collect();
-            if let Some(seen) = seen.filter(|_| sees(camera, moment)) {
+            if let Some(seen) = seen.filter(|_| sees(camera, frame_set)) {
                 let correspondences = seen
                     .into_iter()
                     .map(|(point_in_board, pixel)| Correspondence {
@@ -65,7 +65,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
                         std_px: NOISE_PX,
                     })
                     .collect();
-                views.push((moment, BoardView { name: moment.to_string(), correspondences }));
+                views.push((frame_set, BoardView { name: frame_set.to_string(), correspondences }));
             }
         }
         RigCameraInput {
@@ -111,10 +111,12 @@ fn within_prediction(known: &RigPose, target_from_source: &Pose) {
 fn boards_that_look_the_same_turned_place_cameras_through_others() {
     for size in [BoardSize::new(8, 6).unwrap(), BoardSize::new(6, 6).unwrap()] {
         let board = Chessboard::new(size, 0.03).unwrap();
-        // The far camera shares moments with the right one only.
-        let solved =
-            solve_rig(&input(board, |camera, moment| camera != [2, 9, 0][moment % 3]), &options())
-                .unwrap();
+        // The far camera shares frame sets with the right one only.
+        let solved = solve_rig(
+            &input(board, |camera, frame_set| camera != [2, 9, 0][frame_set % 3]),
+            &options(),
+        )
+        .unwrap();
         let names: Vec<String> = solved.extrinsics.iter().map(RigPose::name).collect();
         assert_eq!(names, ["left_from_right", "left_from_far"]);
         for (known, truth) in solved.extrinsics.iter().zip(&camera_from_first()[1..]) {
@@ -128,14 +130,14 @@ fn boards_that_look_the_same_turned_place_cameras_through_others() {
 fn a_camera_that_shares_nothing_costs_the_others_nothing() {
     let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
     let solved =
-        solve_rig(&input(board, |camera, moment| (camera == 2) == (moment < 12)), &options())
+        solve_rig(&input(board, |camera, frame_set| (camera == 2) == (frame_set < 12)), &options())
             .unwrap();
     assert_eq!(solved.extrinsics.len(), 1);
     assert_eq!(solved.cameras.len(), 3);
     let told =
         solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
     assert!(told && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);
-    let nothing =
-        solve_rig(&input(board, |camera, moment| moment % 3 == camera), &options()).unwrap_err();
+    let nothing = solve_rig(&input(board, |camera, frame_set| frame_set % 3 == camera), &options())
+        .unwrap_err();
     assert_eq!(nothing, RigError::NothingShared);
 }

@@ -5,25 +5,26 @@
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// The poses that each sensor found of the board by itself, with the moment (counted from 0) of
+/// The poses that each sensor found of the board by itself, with the frame set (counted from 0) of
 /// each.
 pub type SensorPoses = Vec<(usize, Pose)>;
 
 /// For each view of each sensor, which of `board_from_turned` to apply: `sensor_from_board ·
 /// board_from_turned` is where the board is when its corners are labelled as the sensor that was
 /// placed first labelled them. These are the turns that the board looks the same after; the
-/// identity is among them. Sensors are placed one after the other, those with the most moments in
-/// common first; a view that no other sensor shares keeps its labels.
+/// identity is among them. Sensors are placed one after the other, those with the most frame sets
+/// in common first; a view that no other sensor shares keeps its labels.
 pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> Vec<Vec<usize>> {
-    let moments = sensors.iter().flatten().map(|(moment, _)| moment + 1).max().unwrap_or(0);
+    let frame_sets =
+        sensors.iter().flatten().map(|(frame_set, _)| frame_set + 1).max().unwrap_or(0);
     let mut chosen: Vec<Vec<usize>> = sensors.iter().map(|views| vec![0; views.len()]).collect();
-    let mut reference_from_board: Vec<Option<Pose>> = vec![None; moments];
+    let mut reference_from_board: Vec<Option<Pose>> = vec![None; frame_sets];
     let mut left: Vec<usize> = (0..sensors.len()).collect();
     while !left.is_empty() {
         let shared = |sensor: &usize| {
             sensors[*sensor]
                 .iter()
-                .filter(|(moment, _)| reference_from_board[*moment].is_some())
+                .filter(|(frame_set, _)| reference_from_board[*frame_set].is_some())
                 .count()
         };
         // The first of those with the most in common.
@@ -36,12 +37,12 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
         let sensor = left.remove(next);
         let sensor_from_reference =
             agreed(&sensors[sensor], &reference_from_board, board_from_turned);
-        for (view, (moment, sensor_from_board)) in sensors[sensor].iter().enumerate() {
+        for (view, (frame_set, sensor_from_board)) in sensors[sensor].iter().enumerate() {
             let Some(sensor_from_reference) = sensor_from_reference else {
-                reference_from_board[*moment].get_or_insert(*sensor_from_board);
+                reference_from_board[*frame_set].get_or_insert(*sensor_from_board);
                 continue;
             };
-            if let Some(known) = reference_from_board[*moment] {
+            if let Some(known) = reference_from_board[*frame_set] {
                 chosen[sensor][view] = nearest_turn(
                     sensor_from_board,
                     &(sensor_from_reference * known),
@@ -49,7 +50,7 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
                 )
                 .0;
             } else {
-                reference_from_board[*moment] =
+                reference_from_board[*frame_set] =
                     Some(sensor_from_reference.inverse() * *sensor_from_board);
             }
         }
@@ -57,7 +58,7 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
     chosen
 }
 
-/// The relative pose that most shared moments can be turned to; `None` for a sensor that shares
+/// The relative pose that most shared frame sets can be turned to; `None` for a sensor that shares
 /// none.
 fn agreed(
     views: &SensorPoses,
@@ -66,7 +67,7 @@ fn agreed(
 ) -> Option<Pose> {
     let shared: Vec<(Pose, Pose)> = views
         .iter()
-        .filter_map(|(moment, pose)| Some((*pose, reference_from_board[*moment]?)))
+        .filter_map(|(frame_set, pose)| Some((*pose, reference_from_board[*frame_set]?)))
         .collect();
     let candidates = shared.iter().flat_map(|(pose, reference)| {
         board_from_turned.iter().map(move |turn| *pose * *turn * reference.inverse())
@@ -127,27 +128,27 @@ mod tests {
             })
             .collect();
         let mut applied = Vec::new();
-        let mut seen = |sensor: usize, moments: std::ops::Range<usize>| -> SensorPoses {
-            let view = |moment: usize| {
+        let mut seen = |sensor: usize, frame_sets: std::ops::Range<usize>| -> SensorPoses {
+            let view = |frame_set: usize| {
                 let turn = rng.random_range(0..turns.len());
-                applied.push((sensor, moment, turn));
-                (moment, sensor_from_rig[sensor] * rig_from_board[moment] * turns[turn])
+                applied.push((sensor, frame_set, turn));
+                (frame_set, sensor_from_rig[sensor] * rig_from_board[frame_set] * turns[turn])
             };
-            moments.map(view).collect()
+            frame_sets.map(view).collect()
         };
         // The last sees the board together with the second only.
         let sensors = [seen(0, 0..7), seen(1, 2..12), seen(2, 7..12)];
         let chosen = consistent_turns(&sensors, &turns);
-        for moment in 0..12 {
+        for frame_set in 0..12 {
             let views = sensors.iter().zip(&chosen).zip(&sensor_from_rig).filter_map(
                 |((views, chosen), from_rig)| {
-                    let at = views.iter().position(|(seen, _)| *seen == moment)?;
+                    let at = views.iter().position(|(seen, _)| *seen == frame_set)?;
                     Some(from_rig.inverse() * views[at].1 * turns[chosen[at]])
                 },
             );
             let first_from_board: Vec<Pose> = views.collect();
             for other in &first_from_board[1..] {
-                assert!(first_from_board[0].angle_to(other) < 1e-9, "moment {moment}");
+                assert!(first_from_board[0].angle_to(other) < 1e-9, "frame set {frame_set}");
             }
         }
         assert!(applied.iter().any(|(_, _, turn)| *turn > 0), "the test means to turn some");

@@ -14,14 +14,14 @@ use crate::recording::{RecordingError, natural_order};
 /// any of them.
 #[derive(Debug)]
 pub struct Folder {
-    moments: Vec<Moment>,
+    frame_sets: Vec<FolderFrameSet>,
     next: usize,
     interval_ns: f64,
 }
 
 /// The files of one frame set.
 #[derive(Debug)]
-struct Moment {
+struct FolderFrameSet {
     name: String,
     files: Vec<(SensorKind, PathBuf)>,
 }
@@ -34,26 +34,26 @@ impl Folder {
     pub fn open(path: &Path, fps: f64) -> Result<Self, RecordingError> {
         let sensors: Vec<_> =
             SensorKind::ALL.into_iter().filter(|s| path.join(s.name()).is_dir()).collect();
-        let moments = if sensors.is_empty() {
+        let frame_sets = if sensors.is_empty() {
             let files = pictures_in(path)?;
-            files.into_iter().map(|file| Moment::of_picture(path.join(file))).collect()
+            files.into_iter().map(|file| FolderFrameSet::of_picture(path.join(file))).collect()
         } else {
-            moments_of_sensors(path, &sensors)?
+            frame_sets_of_sensors(path, &sensors)?
         };
-        if moments.is_empty() {
+        if frame_sets.is_empty() {
             return Err(RecordingError::NoPictures { path: path.to_owned() });
         }
-        Ok(Self::new(moments, fps))
+        Ok(Self::new(frame_sets, fps))
     }
 
     /// The pictures `files`, in the order given, as the frames of one color sensor, `fps` a
     /// second.
     pub fn from_files(files: Vec<PathBuf>, fps: f64) -> Self {
-        Self::new(files.into_iter().map(Moment::of_picture).collect(), fps)
+        Self::new(files.into_iter().map(FolderFrameSet::of_picture).collect(), fps)
     }
 
-    fn new(moments: Vec<Moment>, fps: f64) -> Self {
-        Self { moments, next: 0, interval_ns: 1e9 / fps }
+    fn new(frame_sets: Vec<FolderFrameSet>, fps: f64) -> Self {
+        Self { frame_sets, next: 0, interval_ns: 1e9 / fps }
     }
 
     /// Reads the next files; `None` after the last.
@@ -62,11 +62,11 @@ impl Folder {
     /// [`RecordingError::Io`] for a file that cannot be read; the next call goes on with the one
     /// after it.
     pub fn next_frame_set(&mut self) -> Result<Option<FrameSet>, RecordingError> {
-        let Some(moment) = self.moments.get(self.next) else { return Ok(None) };
+        let Some(frame_set) = self.frame_sets.get(self.next) else { return Ok(None) };
         let sequence = self.next;
         self.next += 1;
-        let mut frames = Vec::with_capacity(moment.files.len());
-        for (sensor, path) in &moment.files {
+        let mut frames = Vec::with_capacity(frame_set.files.len());
+        for (sensor, path) in &frame_set.files {
             let bytes = fs::read(path)
                 .map_err(|source| RecordingError::Io { path: path.clone(), source })?;
             frames.push(frame_from_file(*sensor, bytes));
@@ -76,7 +76,7 @@ impl Folder {
             sequence: sequence as u64,
             host_time: HostTime { utc_ns },
             device_time: None,
-            name: Some(moment.name.clone()),
+            name: Some(frame_set.name.clone()),
             frames,
         }))
     }
@@ -88,11 +88,11 @@ impl Folder {
 
     /// How many frame sets there are.
     pub fn frame_set_count(&self) -> usize {
-        self.moments.len()
+        self.frame_sets.len()
     }
 }
 
-impl Moment {
+impl FolderFrameSet {
     fn of_picture(path: PathBuf) -> Self {
         Self { name: path.display().to_string(), files: vec![(SensorKind::Color, path)] }
     }
@@ -104,7 +104,10 @@ pub(super) fn holds_images(path: &Path) -> bool {
         || pictures_in(path).is_ok_and(|names| !names.is_empty())
 }
 
-fn moments_of_sensors(path: &Path, sensors: &[SensorKind]) -> Result<Vec<Moment>, RecordingError> {
+fn frame_sets_of_sensors(
+    path: &Path,
+    sensors: &[SensorKind],
+) -> Result<Vec<FolderFrameSet>, RecordingError> {
     let mut by_stem: BTreeMap<String, Vec<(SensorKind, PathBuf)>> = BTreeMap::new();
     for sensor in sensors {
         let folder = path.join(sensor.name());
@@ -114,10 +117,10 @@ fn moments_of_sensors(path: &Path, sensors: &[SensorKind]) -> Result<Vec<Moment>
             by_stem.entry(stem).or_default().push((*sensor, folder.join(file)));
         }
     }
-    let mut moments: Vec<_> =
-        by_stem.into_iter().map(|(name, files)| Moment { name, files }).collect();
-    moments.sort_by(|a, b| natural_order(&a.name, &b.name));
-    Ok(moments)
+    let mut frame_sets: Vec<_> =
+        by_stem.into_iter().map(|(name, files)| FolderFrameSet { name, files }).collect();
+    frame_sets.sort_by(|a, b| natural_order(&a.name, &b.name));
+    Ok(frame_sets)
 }
 
 /// The names of the pictures in `folder`, in natural order.

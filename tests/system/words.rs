@@ -71,7 +71,6 @@ const TYPES_NOT_YET: &[&str] = &[
     "Look",
     "Layout",
     "Looked",
-    "Moment",
     "Opened",
     "Pace",
     "Place",
