@@ -299,4 +299,34 @@ mod tests {
             .unwrap_err();
         assert_eq!(unknown.path(), Some("model"));
     }
+
+    #[test]
+    fn parameters_are_those_of_some_model_and_each_is_given_once() {
+        let base = r#""fx":500,"fy":500,"cx":320,"cy":240"#;
+        let read = |rest: &str| {
+            from_json::<LensDocument>(format!("{{{base},{rest}}}").as_bytes())
+                .map_err(|error| error.to_string())
+        };
+        for (rest, named) in [
+            (r#""model":"pinhole","k9":0"#, "k9"),
+            (r#""model":"radial","k1":0,"k1":0"#, "k1"),
+            (r#""model":"radial","k1":"0""#, "k1"),
+            (r#""k1":0"#, "model"),
+        ] {
+            let error = read(rest).unwrap_err();
+            assert!(error.contains(named), "{rest}: {error}");
+        }
+        let without = read(r#""model":"pinhole","k1":null"#).unwrap();
+        assert_eq!(
+            Lens::try_from(&without).unwrap().parameters(),
+            [500.0, 500.0, 320.0, 240.0, 0.0]
+        );
+        assert_eq!(read(r#""model":"pinhole","skew":0"#), Ok(without));
+        let schema = serde_json::to_value(LensDocument::schema()).unwrap();
+        for model in LensModel::ALL {
+            for name in Lens::parameter_names(model) {
+                assert!(schema["properties"][name].is_object(), "{name}");
+            }
+        }
+    }
 }
