@@ -2,7 +2,7 @@ use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 
 use super::*;
-use crate::calibration::observations::SeenFrameSet;
+use crate::calibration::observations::ObservedFrameSet;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -28,7 +28,7 @@ fn options() -> SolveOptions {
 }
 
 /// A board that is turned and carried about before color and, 75 mm beside it, another sensor.
-fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<SeenFrameSet> {
+fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<ObservedFrameSet> {
     let board = board();
     let mut noise = rand_chacha::ChaCha8Rng::seed_from_u64(5);
     let mut seen = |lens: &Lens, camera_from_board: Pose| -> Vec<Correspondence> {
@@ -51,7 +51,7 @@ fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<SeenFrameSet> {
         let color_from_board = Pose::from_axis_angle(turn, shift);
         let color = seen(&lens(600.0), color_from_board);
         let beside = seen(&lens(575.0), color_from_other.inverse() * color_from_board);
-        SeenFrameSet {
+        ObservedFrameSet {
             number,
             name: number.to_string(),
             time_s: None,
@@ -66,7 +66,7 @@ fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<SeenFrameSet> {
 fn camera(
     name: Option<&str>,
     kinds: &[SensorKind],
-    frame_sets: Vec<SeenFrameSet>,
+    frame_sets: Vec<ObservedFrameSet>,
 ) -> CameraFrameSets {
     CameraFrameSets {
         name: name.map(str::to_owned),
@@ -133,9 +133,9 @@ fn a_rig_is_placed_by_what_its_cameras_saw_together() {
     let truth = beside();
     let seen = frame_sets(SensorKind::Infrared2, truth);
     let of = |place: usize| {
-        let view = |seen: &SeenFrameSet| {
+        let view = |seen: &ObservedFrameSet| {
             let correspondences = seen.corners[place].1.clone();
-            SeenFrameSet::of_view((
+            ObservedFrameSet::of_view((
                 seen.number,
                 BoardView { name: seen.name.clone(), correspondences },
             ))

@@ -35,4 +35,6 @@ pub(crate) mod verdict;
 pub mod view;
 
 pub use crate::calibration::instrument::{InstrumentError, SolveOptions, UnsolvedDepth, solve};
-pub use crate::calibration::observations::{CameraFrameSets, InstrumentObservations, SeenFrameSet};
+pub use crate::calibration::observations::{
+    CameraFrameSets, InstrumentObservations, ObservedFrameSet,
+};

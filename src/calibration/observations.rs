@@ -32,12 +32,12 @@ pub struct CameraFrameSets {
     /// What is known of its depth sensor; `None` without one.
     pub depth: Option<DepthSensor>,
     /// What was seen, in the order of time.
-    pub frame_sets: Vec<SeenFrameSet>,
+    pub frame_sets: Vec<ObservedFrameSet>,
 }
 
 /// What was seen in the frames of one frame set.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SeenFrameSet {
+pub struct ObservedFrameSet {
     /// The frame set: other cameras' of the same number were taken together with it.
     pub number: usize,
     /// Its path or sequence number.
@@ -53,7 +53,7 @@ pub struct SeenFrameSet {
     pub depth: Option<DepthImage>,
 }
 
-impl SeenFrameSet {
+impl ObservedFrameSet {
     /// A view of color alone.
     pub fn of_view((number, view): (usize, BoardView)) -> Self {
         Self {
@@ -91,7 +91,7 @@ impl InstrumentObservations {
             image_sensors: vec![(SensorKind::Color, problem.image_size)],
             given: None,
             depth: None,
-            frame_sets: views.map(SeenFrameSet::of_view).collect(),
+            frame_sets: views.map(ObservedFrameSet::of_view).collect(),
         };
         Self::of_camera(board, camera)
     }
@@ -123,7 +123,7 @@ impl CameraFrameSets {
     }
 
     /// The frame sets that are views.
-    pub(super) fn views(&self) -> impl Iterator<Item = &SeenFrameSet> {
+    pub(super) fn views(&self) -> impl Iterator<Item = &ObservedFrameSet> {
         self.frame_sets.iter().filter(|seen| seen.is_view)
     }
 
@@ -142,7 +142,7 @@ impl CameraFrameSets {
         &self,
         name: &str,
         sensor: SensorKind,
-        number_of: impl Fn(usize, &SeenFrameSet) -> usize,
+        number_of: impl Fn(usize, &ObservedFrameSet) -> usize,
     ) -> RigCameraInput {
         let seen = self.views().enumerate();
         let seen = seen.filter(|(_, seen)| !seen.corners(sensor).is_empty());
@@ -158,7 +158,7 @@ impl CameraFrameSets {
 
     /// The joint problem of color, infrared and depth; `None` without depth.
     pub(super) fn with_depth(&self, board: Target) -> Option<RgbdInput> {
-        let capture = |seen: &SeenFrameSet| RgbdCapture {
+        let capture = |seen: &ObservedFrameSet| RgbdCapture {
             name: seen.name.clone(),
             time_s: seen.time_s,
             is_view: seen.is_view,

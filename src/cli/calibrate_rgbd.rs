@@ -12,7 +12,7 @@ use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View};
 use crate::calibration::{
-    CameraFrameSets, InstrumentObservations, SeenFrameSet, SolveOptions, solve,
+    CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use crate::cli::calibration_output::named;
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
@@ -137,7 +137,7 @@ struct Gathered<'a> {
     image: GrayImage,
     sizes: BTreeMap<SensorKind, ImageSize>,
     session: Option<Session>,
-    frame_sets: Vec<SeenFrameSet>,
+    frame_sets: Vec<ObservedFrameSet>,
     first_reason: Option<String>,
     looked: usize,
 }
@@ -197,7 +197,7 @@ impl<'a> Gathered<'a> {
         };
         if corners.iter().any(seen_with_depth) || (is_view && depth.is_some()) {
             let number = self.frame_sets.len();
-            self.frame_sets.push(SeenFrameSet {
+            self.frame_sets.push(ObservedFrameSet {
                 number,
                 name: path,
                 time_s,
@@ -287,7 +287,7 @@ impl<'a> Gathered<'a> {
     }
 
     fn finish(self, depth: DepthSensor) -> Result<CameraFrameSets, Failure> {
-        let saw = |seen: &SeenFrameSet| !seen.corners(SensorKind::Color).is_empty();
+        let saw = |seen: &ObservedFrameSet| !seen.corners(SensorKind::Color).is_empty();
         match self.sizes.get(&SensorKind::Color).copied() {
             Some(_) if self.frame_sets.iter().any(saw) => Ok(CameraFrameSets {
                 name: None,

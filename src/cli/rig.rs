@@ -11,7 +11,7 @@ use crate::calibration::session::{CameraFrame, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
 use crate::calibration::{
-    CameraFrameSets, InstrumentObservations, SeenFrameSet, SolveOptions, solve,
+    CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use crate::cli::calibrate_rgbd;
 use crate::cli::estimated::GivenLens;
@@ -269,7 +269,7 @@ fn observations(
         image_sensors: vec![(SensorKind::Color, searched[0].frame.image_size)],
         given,
         depth: None,
-        frame_sets: views.into_iter().map(SeenFrameSet::of_view).collect(),
+        frame_sets: views.into_iter().map(ObservedFrameSet::of_view).collect(),
     })
 }
 

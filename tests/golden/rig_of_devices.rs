@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use plumb::calibration::sensor::SensorId;
 use plumb::calibration::solve_rgbd::RgbdInput;
 use plumb::calibration::{
-    CameraFrameSets, InstrumentObservations, SeenFrameSet, SolveOptions, solve,
+    CameraFrameSets, InstrumentObservations, ObservedFrameSet, SolveOptions, solve,
 };
 use plumb::geometry::pose::Pose;
 use plumb::imaging::frame::SensorKind;
@@ -18,8 +18,8 @@ const VIEWS: usize = 12;
 
 /// A camera's sensors as they saw the board.
 fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets {
-    let seen =
-        |(number, capture): (usize, plumb::calibration::solve_rgbd::RgbdCapture)| SeenFrameSet {
+    let seen = |(number, capture): (usize, plumb::calibration::solve_rgbd::RgbdCapture)| {
+        ObservedFrameSet {
             number,
             name: capture.name,
             time_s: capture.time_s,
@@ -29,7 +29,8 @@ fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets 
                 (SensorKind::Infrared, capture.infrared),
             ],
             depth: capture.depth,
-        };
+        }
+    };
     CameraFrameSets {
         name: Some(name.to_owned()),
         image_sensors: vec![

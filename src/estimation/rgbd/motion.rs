@@ -153,8 +153,10 @@ pub fn time_offset(
     moments: &[SeenByBoth],
     (center, radius): (Vector3<f64>, f64),
 ) -> Option<TimeOffset> {
-    let rows: Vec<Moment> =
-        moments.iter().map(|seen| Moment::of(second_from_first, seen, &center, radius)).collect();
+    let rows: Vec<OffsetRow> = moments
+        .iter()
+        .map(|seen| OffsetRow::of(second_from_first, seen, &center, radius))
+        .collect();
     let mut weights = vec![1.0; rows.len()];
     let mut fit = solve(&rows, &weights)?;
     for _ in 0..20 {
@@ -169,8 +171,8 @@ pub fn time_offset(
             / MEDIAN_OF_SIX)
             .sqrt();
         let usual_speed = median(rows.iter().map(|row| row.speed).collect())?;
-        let explained = |row: &Moment| fit.0[6].abs() * (row.speed + usual_speed);
-        let wrong = |(row, length): (&Moment, &f64)| {
+        let explained = |row: &OffsetRow| fit.0[6].abs() * (row.speed + usual_speed);
+        let wrong = |(row, length): (&OffsetRow, &f64)| {
             *length > LIMIT[0] * usual * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
         };
         weights =
@@ -200,7 +202,7 @@ pub fn time_offset(
 
 /// How far apart the two sensors see the board at one moment, in meters (turns times the radius),
 /// and by what.
-struct Moment {
+struct OffsetRow {
     apart: SVector<f64, 6>,
     /// By a turn and a shift of the sensors' pose, and by time.
     by: SMatrix<f64, 6, 7>,
@@ -208,7 +210,7 @@ struct Moment {
     speed: f64,
 }
 
-impl Moment {
+impl OffsetRow {
     fn of(second_from_first: &Pose, seen: &SeenByBoth, center: &Vector3<f64>, radius: f64) -> Self {
         let expected = *second_from_first * seen.first_from_board;
         let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * *center;
@@ -235,7 +237,7 @@ impl Moment {
     }
 }
 
-fn solve(rows: &[Moment], weights: &[f64]) -> Option<(SVector<f64, 7>, SMatrix<f64, 7, 7>)> {
+fn solve(rows: &[OffsetRow], weights: &[f64]) -> Option<(SVector<f64, 7>, SMatrix<f64, 7, 7>)> {
     let (mut square, mut right) = (SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
     for (row, weight) in rows.iter().zip(weights) {
         square += row.by.transpose() * row.by * *weight;
