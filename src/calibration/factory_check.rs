@@ -1,14 +1,17 @@
 //! What the factory says of a depth camera, beside what was found: which of the two is closer to
 //! the board on views that the latter was not fitted to.
 //!
-//! The board's planes are color's alone, so that they lean to neither. Every view is judged by
-//! what the other half of the views gives; the factory's is given by none. Color's own lens, which
+//! The board's planes are the corners' alone, so that they lean to neither; depth that was found in
+//! half of the views is judged by planes of that half's lens. Every view is judged by what the other
+//! half of the views gives; the factory's is given by none. Color's own lens, which
 //! may be off by what its corners leave open, scales all of its planes alike: what was found
 //! follows that, so that it must be better by more.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
+use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
+use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::lens::Lens;
@@ -59,10 +62,17 @@ impl FactoryCheck {
         for (held_out, fitted) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
             let views = fitted.iter().map(|index| problem.views[*index].clone()).collect();
             let half = calibrate_rgbd(&RgbdProblem { views, ..problem.clone() }).ok();
-            for view in held_out.iter().map(|index| &problem.views[*index]) {
-                factory.add(view, (&camera, &color_from_depth));
-                match &half {
-                    Some(half) => own.add(view, (&half.depth, &half.color_from_depth)),
+            for index in held_out {
+                let view = &problem.views[*index];
+                // The factory's depth against where the joint solve has the board; what the other
+                // half found against where its own lens has it.
+                let board = estimate.color_from_board[*index];
+                factory.add((view, &board), (&camera, &color_from_depth));
+                match half.as_ref().map(|half| (half, board_under(&half.color, view))) {
+                    Some((half, Some(board))) => {
+                        own.add((view, &board), (&half.depth, &half.color_from_depth));
+                    }
+                    Some((_, None)) => {}
                     None => own.sum = f64::INFINITY,
                 }
             }
@@ -108,7 +118,7 @@ struct Squares {
 }
 
 impl Squares {
-    fn add(&mut self, view: &RgbdView, (camera, color_from_depth): (&DepthCamera, &Pose)) {
+    fn add(&mut self, view: (&RgbdView, &Pose), (camera, color_from_depth): (&DepthCamera, &Pose)) {
         for (tile, plane) in planes(view, &camera.lens, color_from_depth) {
             let measured = tile.inverse_depth;
             let corrected = camera
@@ -126,13 +136,19 @@ impl Squares {
     }
 }
 
-/// Each patch of the board with the 1/z that color's plane has there.
+/// Where a view's corners have the board under `lens`.
+fn board_under(lens: &Lens, view: &RgbdView) -> Option<Pose> {
+    let view = BoardView { name: view.name.clone(), correspondences: view.color.clone() };
+    board_poses(lens, &view).ok()?.first().map(|found| found.camera_from_board)
+}
+
+/// Each patch of the board with the 1/z that its plane has there.
 fn planes<'a>(
-    view: &'a RgbdView,
+    (view, color_from_board): (&'a RgbdView, &Pose),
     lens: &'a Lens,
     color_from_depth: &Pose,
 ) -> impl Iterator<Item = (&'a DepthTile, f64)> + use<'a> {
-    let depth_from_board = color_from_depth.inverse() * view.color_from_board;
+    let depth_from_board = color_from_depth.inverse() * *color_from_board;
     let normal = depth_from_board * Vector3::z();
     let distance = normal.dot(&depth_from_board.translation());
     view.tiles.iter().filter_map(move |tile| {
@@ -147,16 +163,17 @@ fn as_the_factory_has_it(
     estimate: &RgbdEstimate,
     (camera, color_from_depth): (DepthCamera, Pose),
 ) -> RgbdEstimate {
-    let judged = |view: &RgbdView| {
+    let judged = |(view, color_from_board): (&RgbdView, &Pose)| {
+        let seen = (view, color_from_board);
         let judged =
-            planes(view, &camera.lens, &color_from_depth).map(|(tile, plane)| JudgedTile {
+            planes(seen, &camera.lens, &color_from_depth).map(|(tile, plane)| JudgedTile {
                 tile: *tile,
                 plane,
                 inverse_std: 1.0 / tile.reading_std.max(f64::MIN_POSITIVE),
             });
         judged.collect()
     };
-    let judged = problem.views.iter().map(judged).collect();
+    let judged = problem.views.iter().zip(&estimate.color_from_board).map(judged).collect();
     let count = camera.lens.parameters().len();
     RgbdEstimate {
         depth: camera,

@@ -8,9 +8,17 @@ use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd};
+use crate::calibration::solve::{SolvedCamera, uncertainty_over};
+use crate::calibration::solve_rgbd::{RgbdCapture, RgbdInput, SolvedRgbd};
+use crate::estimation::board_pose::board_poses;
+use crate::estimation::depth_error::JudgedTile;
+use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::RgbdEstimate;
+use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// `calibration`, which holds what color gave by itself, with everything that the joint solve adds
@@ -34,21 +42,30 @@ pub fn with_depth(
             translation_std_m: translation_std.into(),
         }
     };
+    let seen = JointViews { input, solved };
     if let Some(color) = calibration.image_mut(SensorKind::Color) {
         set_lens(color, joint.color, &joint.color_covariance);
+        seen.place(color, &solved.color, SensorKind::Color);
     }
+    // What views that were held out of color's own solve say is not said of this one.
+    calibration.checks.held_out_rms_px = None;
     calibration.extrinsics = vec![extrinsics(SensorKind::Depth, of_depth)];
     if let Some(mut infrared) = solved.infrared.clone() {
         set_lens(&mut infrared.sensor, joint.depth.lens, &joint.depth_covariance);
+        let alone = infrared.clone();
+        seen.place(&mut infrared.sensor, &alone, SensorKind::Infrared);
         let id = SensorId::own(SensorKind::Infrared);
         calibration.add_sensor(CalibratedSensor::image(id, infrared.sensor));
         calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
-    if let Some(reason) = without_color(input) {
+    let lowering =
+        [without_color(input), without_depth_picture(input), scale_doubt(joint, &input.board)];
+    for reason in lowering.into_iter().flatten() {
         calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
         calibration.verdict.reasons.push(reason);
     }
+    calibration.verdict.reasons.extend(depth_not_used(solved, views_with_depth));
     calibration.verdict.reasons.extend(weak_place(of_depth));
     if !joint.not_together.is_empty() {
         calibration.verdict.reasons.push(not_together(joint));
@@ -93,8 +110,132 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
+/// Views whose depth picture is missing.
+fn without_depth_picture(input: &RgbdInput) -> Option<String> {
+    let views =
+        || input.captures.iter().filter(|capture| capture.is_view && !capture.color.is_empty());
+    let missing = || views().filter(|capture| capture.depth.is_none());
+    let first = &missing().next()?.name;
+    Some(format!(
+        "{} of {} views have no depth picture, the first `{first}`: check that none is lost, and that names are equal",
+        missing().count(),
+        views().count()
+    ))
+}
+
+/// Views whose depth picture did not serve, and why the first of them did not.
+fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
+    let (name, reason) = solved.without_depth.first()?;
+    let count = solved.without_depth.len();
+    Some(format!(
+        "the depth picture of {count} of {views} views was not used; view `{name}`: {reason}"
+    ))
+}
+
+/// A factor between depth and the board that differs from 1 by more than this is worth telling of:
+/// depth cameras err by 1 or 2 parts in a hundred.
+const WORTH_TELLING: f64 = 0.03;
+
+/// A unit, or a square, that is not the one stated is the same factor in every view, to this part of
+/// what it differs from 1 by.
+const SAME_FACTOR: f64 = 0.3;
+
+/// That depth is off the board by one factor in all views, which a wrong unit of depth would do, and
+/// a wrong square too.
+fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
+    let DepthReading::Metric { unit_m } = joint.depth.reading else { return None };
+    let factor_of = |view: &Vec<JudgedTile>| {
+        median(view.iter().map(|judged| judged.plane / judged.tile.inverse_depth).collect())
+    };
+    let of_views: Vec<f64> = joint.judged.iter().filter_map(factor_of).collect();
+    let factor = median(of_views.clone())?;
+    let off = (factor - 1.0).abs();
+    let spread = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
+    if off < WORTH_TELLING || spread > SAME_FACTOR * off {
+        return None;
+    }
+    let percent = 100.0 * (factor - 1.0);
+    let (what, length_m) = match board {
+        Target::Chessboard(board) => ("square", board.square_m),
+        Target::Charuco(board) => ("square", board.square_m),
+        Target::AprilGrid(board) => ("tag", board.tag_m),
+    };
+    let [stated_mm, fitting_mm] = [length_m, length_m * factor].map(|m| 1e3 * m);
+    Some(format!(
+        "depth reads {percent:+.1} % off the board in every view: either a unit of depth is {:.3e} m and not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm and not {stated_mm:.2} mm; measure a {what} with a ruler, which tells them apart: a wrong one scales the distance between the sensors too",
+        unit_m / factor
+    ))
+}
+
+/// Where the joint solve has the board, for one document that holds together: its lenses project
+/// its corners, at its poses, as far off as it says.
+struct JointViews<'a> {
+    input: &'a RgbdInput,
+    solved: &'a SolvedRgbd,
+}
+
+impl JointViews<'_> {
+    /// Puts poses and errors of `sensor`, which `alone` was solved for by itself, where the joint
+    /// solve has them.
+    fn place(&self, sensor: &mut ImageCalibration, alone: &SolvedCamera, kind: SensorKind) {
+        let (mut squares, mut count) = (0.0, 0.0);
+        for (view, estimate) in sensor.views.iter_mut().zip(&alone.estimate.views) {
+            let capture = self.input.captures.iter().find(|capture| capture.name == view.name);
+            let Some(capture) = capture else { continue };
+            let corners =
+                if kind == SensorKind::Color { &capture.color } else { &capture.infrared };
+            let Some(pose) = self.pose(capture, (&sensor.lens, corners), kind) else { continue };
+            let (mut of_view, mut seen) = (0.0, 0.0);
+            for (corner, used) in corners.iter().zip(&estimate.used) {
+                let pixel = sensor.lens.pixel_from_point(&(pose * corner.point_in_board));
+                if let (Some(pixel), true) = (pixel, *used || !view.used) {
+                    of_view += pixel.distance_px(corner.pixel).powi(2);
+                    seen += 1.0;
+                }
+            }
+            view.camera_from_board = Some(pose);
+            view.rms_px = (seen > 0.0).then(|| f64::sqrt(of_view / seen));
+            if view.used {
+                (squares, count) = (squares + of_view, count + seen);
+            }
+        }
+        if count > 0.0 {
+            sensor.rms_px = f64::sqrt(squares / count);
+        }
+    }
+
+    /// Where the board is in the frame of a sensor. Infrared that was taken at another moment saw
+    /// the board elsewhere: where its own corners say.
+    fn pose(
+        &self,
+        capture: &RgbdCapture,
+        (lens, corners): (&Lens, &[Correspondence]),
+        kind: SensorKind,
+    ) -> Option<Pose> {
+        let SolvedRgbd { joint, captures, .. } = self.solved;
+        let place =
+            captures.iter().position(|index| self.input.captures[*index].name == capture.name)?;
+        let color_from_board = joint.color_from_board[place];
+        if kind == SensorKind::Color {
+            return Some(color_from_board);
+        }
+        let expected = joint.color_from_depth.inverse() * color_from_board;
+        if joint.time_offset.is_none() && !joint.not_together.contains(&place) {
+            return Some(expected);
+        }
+        let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
+        let poses = board_poses(lens, &view).ok()?;
+        let turned = |pose: &Pose| pose.angle_to(&expected);
+        poses
+            .iter()
+            .map(|found| found.camera_from_board)
+            .min_by(|a, b| turned(a).total_cmp(&turned(b)))
+    }
+}
+
 fn set_lens(sensor: &mut ImageCalibration, lens: Lens, covariance: &DMatrix<f64>) {
     sensor.lens = lens;
+    sensor.uncertainty_px = uncertainty_over(&lens, covariance, sensor.image_size);
     sensor.lens_covariance =
         covariance.row_iter().map(|row| row.iter().copied().collect()).collect();
     sensor.lens_std =

@@ -327,7 +327,7 @@ impl Guess {
         let pair = |(capture, pose): (&RgbdCapture, &Option<Pose>)| {
             let point = self.depth_from_color * ((*pose)? * middle);
             let pixel = self.lens.pixel_from_point(&point)?;
-            let picture = capture.depth.as_ref()?;
+            let picture = capture.depth.as_ref().filter(|d| d.only_reading().is_none())?;
             let (x, y) = (pixel.x.round(), pixel.y.round());
             let inside = picture
                 .size()

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use crate::calibration::result::{Calibration, ImageCalibration};
+use crate::calibration::depth_calibration::DepthCalibration;
+use crate::calibration::result::{Calibration, Extrinsics, ImageCalibration};
 use crate::calibration::rounded::value_with_std;
 use crate::cli::export::FormatName;
 use crate::cli::files::write_file;
@@ -90,10 +91,68 @@ fn summary(calibration: &Calibration) -> String {
     for (id, sensor) in calibration.image_sensors() {
         lines.extend(sensor_lines(&calibration.name_of(id), sensor));
     }
+    for sensor in &calibration.sensors {
+        if let Some(depth) = sensor.as_depth() {
+            lines.extend(depth_lines(&calibration.name_of(&sensor.id), depth));
+        }
+    }
+    lines.extend(calibration.extrinsics.iter().map(|known| place_line(calibration, known)));
     let verdict = &calibration.verdict;
     lines.push(format!("verdict: {}", verdict.grade.name()));
     lines.extend(verdict.reasons.iter().map(|reason| format!("  {reason}")));
     lines.join("\n") + "\n"
+}
+
+/// Where one sensor is relative to another.
+fn place_line(calibration: &Calibration, known: &Extrinsics) -> String {
+    let [target, source] = [&known.target, &known.source].map(|id| calibration.name_of(id));
+    let pose = &known.target_from_source;
+    let shift: Vec<String> = pose
+        .translation()
+        .iter()
+        .zip(known.translation_std_m)
+        .map(|(value, std)| value_with_std(1e3 * value, 1e3 * std))
+        .collect();
+    let turn = pose.rotation().scaled_axis();
+    let turn: Vec<String> = turn
+        .iter()
+        .zip(known.rotation_std)
+        .map(|(value, std)| value_with_std(value.to_degrees(), std.to_degrees()))
+        .collect();
+    format!(
+        "{target} from {source}: shifted by {} mm, turned by {} degrees about x, y, z",
+        shift.join(", "),
+        turn.join(", ")
+    )
+}
+
+fn depth_lines(name: &str, depth: &DepthCalibration) -> Vec<String> {
+    let (camera, model) = (&depth.camera, depth.camera.lens.model());
+    let mut lines = vec![format!("{name}: {model} lens for {} images", camera.image_size)];
+    let parameters = camera.lens.parameters();
+    for ((name, value), std) in
+        Lens::parameter_names(model).iter().zip(parameters).zip(&depth.lens_std)
+    {
+        if *std > 0.0 || value != 0.0 {
+            lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}"));
+        }
+    }
+    if let (Some(first), Some(last)) = (depth.bias.first(), depth.bias.last()) {
+        lines.push(format!(
+            "  off the board, measured less true, seen from {:.2} to {:.2} m:",
+            first.from_m, last.to_m
+        ));
+    }
+    for range in &depth.bias {
+        let [before, after, rms] =
+            [range.before_m, range.after_m, range.rms_after_m].map(|meters| 1e3 * meters);
+        let std = rms / f64::from(range.patches.max(1)).sqrt();
+        lines.push(format!(
+            "  {:.2} to {:.2} m: {before:.1} mm as the device gives it, {after:.2} ± {std:.2} mm corrected ({rms:.1} mm rms over {} patches)",
+            range.from_m, range.to_m, range.patches
+        ));
+    }
+    lines
 }
 
 fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {

@@ -16,6 +16,7 @@ use crate::cli::target_args::ShapeArgs;
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
 use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
 
@@ -23,6 +24,10 @@ use crate::geometry::target::Target;
 const LIMIT_SIGMAS: f64 = 3.0;
 /// No change below this is told from the pictures' own imperfections, in pixels.
 const LEAST_LIMIT_PX: f64 = 0.1;
+/// Pictures that show a change only where it is this many times what is allowed tell little.
+const VISIBLE: f64 = 3.0;
+/// Columns of the grid that uncertainty is summed up over.
+const COLUMNS: u32 = 12;
 /// The board's square where the calibration does not tell it: its size has no influence on the
 /// answer.
 const ANY_SQUARE_M: f64 = 0.025;
@@ -50,6 +55,9 @@ struct Verified {
     moved_px: f64,
     /// The most that the calibration's own uncertainty allows.
     limit_px: f64,
+    /// The least change of the lens that these pictures show, over the whole picture; null where
+    /// they show none.
+    visible_px: Option<f64>,
     /// The error of these pictures with the lens as calibrated.
     rms_px: f64,
     /// The same with the lens that fits them best; null where they do not determine one.
@@ -84,8 +92,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     if args.json {
         return output::print_json(&verified);
     }
-    let Verified { holds, moved_px, limit_px, rms_px, views, reasons, .. } = verified;
-    let answer = if holds { "holds" } else { "does not hold" };
+    let Verified { holds, moved_px, limit_px, visible_px, rms_px, views, reasons, .. } = verified;
+    let answer = match (holds, visible_px) {
+        (false, _) => "does not hold",
+        (true, Some(visible)) if visible <= VISIBLE * limit_px => "holds",
+        (true, _) => "holds as far as can be seen",
+    };
     output::print_line(&format!(
         "{file} {answer}: {views} views, rms {rms_px:.3} px, projections off by {moved_px:.3} px, {limit_px:.3} px allowed"
     ))?;
@@ -115,20 +127,40 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
             "the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned(),
         );
     }
+    let visible_px = best.as_ref().and_then(visible_px);
     let (kept, all) = (used_corners(&fixed), best.as_ref().map_or(corners(problem), used_corners));
     if 10 * kept < 9 * all {
         reasons.push(format!("{kept} of {all} corners fit the calibrated lens: calibrate again"));
     }
     let views = fixed.views.iter().filter(|view| view.fault.is_none()).count();
+    let holds = reasons.is_empty();
+    match visible_px {
+        Some(visible) if visible > VISIBLE * limit_px => reasons.push(format!(
+            "these {views} views would show a change of the lens from {visible:.1} px on: show the board in more places, tilted"
+        )),
+        None => reasons.push(format!(
+            "these {views} views determine no lens by themselves, so that most of what may have changed cannot be seen: show the board in at least 3 places, tilted"
+        )),
+        Some(_) => {}
+    }
     Ok(Verified {
-        holds: reasons.is_empty(),
+        holds,
         moved_px,
         limit_px,
+        visible_px,
         rms_px: fixed.rms_px,
         best_rms_px: best.map(|best| best.rms_px),
         views,
         reasons,
     })
+}
+
+/// The change of projections that a lens fitted to these views alone would show, in the median over
+/// the picture.
+fn visible_px(best: &CameraEstimate) -> Option<f64> {
+    let grid = PixelGrid::over(best.image_size, COLUMNS);
+    let map = projection_uncertainty(&best.lens, &best.lens_covariance, grid, Distance::Infinity)?;
+    Some(LIMIT_SIGMAS * map.median_and_worst()?.0)
 }
 
 fn used_corners(estimate: &CameraEstimate) -> usize {

@@ -16,9 +16,13 @@ pub const FILE_NAME: &str = "sensors.toml";
 
 /// What a folder's depth pictures are.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SensorsFile {
     /// The depth sensor.
     pub depth: StatedDepth,
+    /// The color sensor, where anything is stated of it. Its lens is always estimated: corners tell
+    /// it better than any factory.
+    pub color: Option<StatedPicture>,
     /// The infrared sensor, where anything is stated of it.
     pub infrared: Option<StatedPicture>,
     /// Where the sensors are relative to each other, as the factory says.
@@ -28,6 +32,7 @@ pub struct SensorsFile {
 
 /// What is stated of the depth sensor.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct StatedDepth {
     /// Distances or disparities.
     pub kind: DepthKind,
@@ -43,6 +48,7 @@ pub struct StatedDepth {
 
 /// What is stated of a picture sensor.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct StatedPicture {
     /// The factory's lens.
     pub lens: Option<LensDocument>,
@@ -50,6 +56,7 @@ pub struct StatedPicture {
 
 /// Where one sensor is relative to another.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct StatedExtrinsics {
     /// What it maps, as in `color_from_depth`.
     pub name: String,
@@ -133,6 +140,8 @@ mod tests {
             ("[depth]\nkind = \"depth\"", "unit_m"),
             ("[depth]\nkind = \"meters\"", "meters"),
             ("[color]", "depth"),
+            ("[depth]\nkind = \"disparity\"\ninavlid = 2047", "inavlid"),
+            ("[depth]\nkind = \"disparity\"\n[dept]", "dept"),
         ] {
             let line = SensorsFile::from_toml(text).unwrap_err().to_string();
             assert!(line.contains(word) && !line.contains('\n'), "{line}");

@@ -40,9 +40,7 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
 /// # Errors
 /// [`DecodeError`], never a panic, whatever the bytes; `luma` then holds nothing of use.
 pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
-    if frame.bytes.is_empty() {
-        return Err(DecodeError::Empty);
-    }
+    check_bytes(frame)?;
     match frame.format {
         PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
         PixelFormat::Png => luma_from_picture(&png::decode(&frame.bytes)?, luma),
@@ -66,9 +64,7 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
 /// # Errors
 /// As [`luma`].
 pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
-    if frame.bytes.is_empty() {
-        return Err(DecodeError::Empty);
-    }
+    check_bytes(frame)?;
     match frame.format {
         PixelFormat::Jpeg => {
             let header = jpeg::Header::read(&frame.bytes)?;
@@ -123,6 +119,19 @@ fn encode(pixels: &[u8], size: ImageSize, color: image::ExtendedColorType, quali
         bytes.clear();
     }
     bytes
+}
+
+/// Refuses a frame without bytes, and a portable map that could not be unpacked.
+pub(super) fn check_bytes(frame: &Frame) -> Result<(), DecodeError> {
+    if frame.bytes.is_empty() {
+        return Err(DecodeError::Empty);
+    }
+    let is_map = frame.bytes.starts_with(b"P5") || frame.bytes.starts_with(b"P6");
+    if is_map && frame.size == ImageSize::new(0, 0) {
+        let format = "portable map (PGM or PPM)";
+        return Err(DecodeError::Truncated { format, bytes: frame.bytes.len() });
+    }
+    Ok(())
 }
 
 fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {

@@ -1,7 +1,7 @@
 //! Depth images: 16-bit readings per pixel, as the device gave them.
 
 use crate::geometry::pixel::ImageSize;
-use crate::imaging::decode::DecodeError;
+use crate::imaging::decode::{DecodeError, check_bytes};
 use crate::imaging::frame::{Frame, PixelFormat};
 use crate::imaging::pixel_format::buffer_length;
 use crate::imaging::png;
@@ -26,9 +26,7 @@ impl DepthImage {
     /// # Errors
     /// [`DecodeError`] for what is no 16-bit image, or a damaged one.
     pub fn from_frame(frame: &Frame) -> Result<Self, DecodeError> {
-        if frame.bytes.is_empty() {
-            return Err(DecodeError::Empty);
-        }
+        check_bytes(frame)?;
         let wrong = DecodeError::WrongKind { format: frame.format.name(), wanted: "16-bit depth" };
         match frame.format {
             PixelFormat::Png => match png::decode(&frame.bytes)? {
@@ -95,6 +93,12 @@ impl DepthImage {
     /// All readings, row by row.
     pub fn readings(&self) -> &[u16] {
         &self.readings
+    }
+
+    /// The reading that every pixel has, where all have the same.
+    pub fn only_reading(&self) -> Option<u16> {
+        let first = *self.readings.first()?;
+        self.readings.iter().all(|reading| *reading == first).then_some(first)
     }
 }
 

@@ -33,10 +33,13 @@ pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
         stride: 0,
         bytes: Arc::from(bytes),
     };
-    if bytes.first() == Some(&b'P')
-        && let Some(frame) = frame_from_pnm(sensor, &bytes)
-    {
-        return frame;
+    if matches!(bytes.get(..2), Some(b"P5" | b"P6")) {
+        let unreadable = |bytes| {
+            let format =
+                if sensor == SensorKind::Depth { PixelFormat::Depth16 } else { PixelFormat::Mono8 };
+            as_it_came(format, ImageSize::new(0, 0), bytes)
+        };
+        return frame_from_pnm(sensor, &bytes).unwrap_or_else(|| unreadable(bytes));
     }
     if let Some(frame) = frame_from_unpacked(sensor, &bytes) {
         return frame;
@@ -200,6 +203,7 @@ mod tests {
             let mut luma = crate::imaging::gray::GrayImage::default();
             let line = crate::imaging::decode::luma(&frame, &mut luma).unwrap_err().to_string();
             assert!(!line.is_empty() && !line.contains('\n'), "{line}");
+            assert_eq!(frame.bytes.starts_with(b"P5"), line.contains("PGM"), "{line}");
         }
     }
 }

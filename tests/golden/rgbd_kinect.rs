@@ -233,6 +233,36 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
     assert!(told.contains("fx is known to") && told.contains("stands back"), "{told}");
 }
 
+/// Lens and poses of one document are of one solve: they project the board's corners to where they
+/// were seen, as far off as the document says.
+#[test]
+fn the_document_reprojects_as_it_says() {
+    let Some(data) = shared_data("kinect1-herrera") else { return };
+    let calibration = calibrated(&data);
+    let color = calibration.color().unwrap();
+    let board = Chessboard::new(BoardSize::new(8, 6).unwrap(), 0.04).unwrap();
+    let (mut squares, mut count) = (0.0, 0.0);
+    for (number, capture) in captures(&data, &board) {
+        let view = color.views.iter().find(|view| view.name.contains(&format!("{number:04}")));
+        let Some(view) = view.filter(|view| view.used) else { continue };
+        let pose = view.camera_from_board.unwrap();
+        let (mut of_view, mut corners) = (0.0, 0.0);
+        for corner in &capture.color {
+            let pixel = color.lens.pixel_from_point(&(pose * corner.point_in_board)).unwrap();
+            let off_px = pixel.distance_px(corner.pixel);
+            // Corners that took no part are not in the figure; which these are it does not say.
+            if off_px < 5.0 * view.rms_px.unwrap() {
+                (of_view, corners) = (of_view + off_px * off_px, corners + 1.0);
+            }
+        }
+        let ratio = f64::sqrt(of_view / corners) / view.rms_px.unwrap();
+        assert!((0.8..1.25).contains(&ratio), "view {number}: {ratio} times what it says");
+        (squares, count) = (squares + of_view, count + corners);
+    }
+    let ratio = f64::sqrt(squares / count) / color.rms_px;
+    assert!(count > 500.0 && (0.9..1.1).contains(&ratio), "{ratio} of {count} corners");
+}
+
 /// Everything that was taken with color and depth, by view.
 fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
     let (mut detector, mut image) = (Detector::new(board.size), GrayImage::default());

@@ -45,6 +45,10 @@ enum Change {
     DepthOfOtherMoments,
     Swapped,
     ColorInHalf,
+    /// Every second depth picture is missing.
+    DepthInHalf,
+    /// The fourth depth picture has zeros only.
+    OneBlank,
     Stated(&'static str),
 }
 
@@ -60,6 +64,7 @@ fn write(folder: &Path, sets: &[Taken], change: Change, with_infrared: bool) {
         };
         let depth = match change {
             Change::Depth(changed) => changed(&set.depth),
+            Change::OneBlank if index == 3 => zeros(&set.depth),
             Change::DepthOfOtherMoments => sets[(index + 5) % sets.len()].depth.clone(),
             _ => set.depth.clone(),
         };
@@ -69,6 +74,7 @@ fn write(folder: &Path, sets: &[Taken], change: Change, with_infrared: bool) {
                 put("depth", "jpg", &set.color);
             }
             Change::ColorInHalf if index % 2 == 1 => put("depth", "png", &depth.to_png()),
+            Change::DepthInHalf if index % 2 == 1 => put("color", "jpg", &set.color),
             _ => {
                 put("color", "jpg", &set.color);
                 put("depth", "png", &depth.to_png());
@@ -162,6 +168,30 @@ fn each_wrong_thing_is_one_clear_line() {
                 finished.stderr
             );
         }
+    }
+}
+
+/// Units that are 8 % too large.
+const LARGE_UNITS: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.00108\n";
+
+#[test]
+fn what_is_missing_blank_or_of_another_scale_is_told() {
+    let sets = taken();
+    let table: [(Change, [&str; 2]); 3] = [
+        (Change::DepthInHalf, ["have no depth picture", "01"]),
+        (Change::OneBlank, ["reads 0 everywhere", "03"]),
+        (Change::Stated(LARGE_UNITS), ["off the board in every view", "a square is"]),
+    ];
+    for (change, words) in table {
+        let finished = calibrated(&sets, change, true);
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        let document: Value = serde_json::from_str(&finished.stdout).unwrap();
+        let told = document["verdict"]["reasons"].to_string();
+        assert!(words.iter().all(|word| told.contains(word)), "{words:?}: {told}");
+        let right = calibrated(&sets, Change::Nothing, true);
+        let right: Value = serde_json::from_str(&right.stdout).unwrap();
+        let told = right["verdict"]["reasons"].to_string();
+        assert!(!told.contains(words[0]), "{told}");
     }
 }
 

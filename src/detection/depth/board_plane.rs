@@ -33,6 +33,14 @@ impl Default for PlaneOptions {
 /// Why no surface was measured.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum NoPlane {
+    /// Every reading is the same.
+    #[error(
+        "its depth picture reads {reading} everywhere: it was lost or not yet there, and takes no part"
+    )]
+    Blank {
+        /// Which.
+        reading: u16,
+    },
     /// The outline is almost entirely outside the image.
     #[error("the board is outside the depth picture")]
     Outside,
@@ -61,13 +69,16 @@ const TRIM: f64 = 3.5;
 /// through `lens`.
 ///
 /// # Errors
-/// [`NoPlane`]: outside the image, holes, not flat.
+/// [`NoPlane`]: blank, outside the image, holes, not flat.
 pub fn find_board_plane(
     image: &DepthImage,
     (reading, lens): (DepthReading, &Lens),
     outline: &[Pixel],
     options: &PlaneOptions,
 ) -> Result<Vec<DepthTile>, NoPlane> {
+    if let Some(reading) = image.only_reading() {
+        return Err(NoPlane::Blank { reading });
+    }
     let spans = spans_inside(outline, image);
     let area: usize = spans.iter().map(|span| span.end - span.start).sum();
     if area < 100 {
