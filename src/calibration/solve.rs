@@ -4,7 +4,7 @@ use nalgebra::DMatrix;
 
 use crate::calibration::coverage::Coverage;
 use crate::calibration::result::{
-    CalibratedSensor, CalibratedView, Calibration, Checks, ComparedLens, ImageCalibration,
+    CalibratedSensor, CalibratedView, Calibration, Checks, ComparedLens, Grade, ImageCalibration,
     ProjectionUncertainty, Verdict,
 };
 use crate::calibration::sensor::SensorId;
@@ -64,7 +64,11 @@ pub fn solve_views(
     };
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);
     let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
-    let verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
+    let mut verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
+    if let Some(doubt) = verdict::square_pixels(&estimate, options) {
+        verdict.grade = verdict.grade.min(Grade::Usable);
+        verdict.reasons.push(doubt);
+    }
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
 

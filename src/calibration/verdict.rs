@@ -3,7 +3,7 @@
 use crate::calibration::coverage::Coverage;
 use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
-use crate::estimation::camera::CameraEstimate;
+use crate::estimation::camera::{CameraEstimate, CameraOptions};
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
 
@@ -38,7 +38,8 @@ pub(crate) fn judge(
     // first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
-    findings.extend(self::uncertainty(uncertainty, estimate.variance_inflation.sqrt()));
+    let factor = if findings.is_empty() { 1.0 } else { estimate.variance_inflation.sqrt() };
+    findings.extend(self::uncertainty(uncertainty, factor));
     findings.extend(rejected_views(estimate));
     findings.extend(rejected_corners(estimate));
     findings.extend(missing_area(coverage));
@@ -47,6 +48,22 @@ pub(crate) fn judge(
     let grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
     findings.sort_by_key(|(grade, _)| *grade);
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
+}
+
+/// A board whose length along x and y differs by more than this part is no print as printers make
+/// them: half a millimeter over a meter.
+const ASPECT: f64 = 5e-4;
+
+/// That a board seems longer one way where pixels were taken as square, which pixels that are not
+/// would look like.
+pub(crate) fn square_pixels(estimate: &CameraEstimate, options: &CameraOptions) -> Option<String> {
+    let shape = estimate.board_shape.as_ref().filter(|_| options.square_pixels)?;
+    let percent = 100.0 * shape.aspect();
+    (percent.abs() > 100.0 * ASPECT).then(|| {
+        format!(
+            "with square pixels the board is {percent:+.2} % longer along its rows than along its columns: measure it, or leave --square-pixels out, since pixels that are not square look the same"
+        )
+    })
 }
 
 /// The grade of a figure that should be low: `Good` up to the first limit, `Usable` up to the
@@ -65,7 +82,7 @@ fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
     (grade != Grade::Good).then_some((grade, reason))
 }
 
-/// How much of the image is known well enough, where views that are off as a whole make it `factor`
+/// How much of the image is known well enough, where a model that does not fit makes it `factor`
 /// times as uncertain.
 fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, String)> {
     let worst_px = map.and_then(UncertaintyMap::median_and_worst).map(|(_, worst_px)| worst_px);

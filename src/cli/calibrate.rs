@@ -48,7 +48,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
-    args.estimated.add_to(&mut options);
+    args.estimated.add_to(&mut options)?;
     let target = args.target.read()?;
     if !args.rig.is_empty() {
         args.choose.refuse("those of a rig")?;
@@ -68,6 +68,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         && calibrate_rgbd::has_depth(source, &args.search.reading)
     {
         args.choose.refuse("color with depth")?;
+        args.estimated.check_no_measured_board()?;
         let detect = args.search.detect_options();
         let (calibration, elapsed_ms) =
             calibrate_rgbd::calibrate((source, &args.search.reading), target, &options, detect)?;

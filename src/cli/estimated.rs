@@ -1,19 +1,21 @@
 //! What a solve estimates beyond the lens model, and what it takes as given: the same for every
 //! command that solves.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::cli::Failure;
+use crate::cli::files::read_calibration;
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::problem::{BoardShape, Shutter};
 use crate::imaging::frame::SensorKind;
 
-/// The names of [`BoardShape`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum BoardShapeName {
-    Auto,
-    Flat,
-    Free,
+/// What is known of the board's shape.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum BoardShapeArgument {
+    Named(BoardShape),
+    /// As the calibration in this file measured it.
+    Measured(PathBuf),
 }
 
 /// The names of [`Shutter`].
@@ -38,9 +40,10 @@ pub struct EstimatedArgs {
     #[arg(long, value_name = "NAME=VALUE", value_parser = given)]
     given: Vec<GivenArgument>,
     /// What shape the board has: as stated unless the views show otherwise (auto), as stated
-    /// (flat), or estimated whatever they show (free).
-    #[arg(long, value_name = "SHAPE", default_value = "auto")]
-    board_shape: BoardShapeName,
+    /// (flat), estimated whatever they show (free), or as the calibration document in FILE measured
+    /// it.
+    #[arg(long, value_name = "auto|flat|free|FILE", default_value = "auto", value_parser = board_shape)]
+    board_shape: BoardShapeArgument,
     /// The same as --board-shape free.
     #[arg(long, hide = true)]
     warp: bool,
@@ -52,14 +55,19 @@ pub struct EstimatedArgs {
 
 impl EstimatedArgs {
     /// Asks for it on top of what `options` ask for.
-    pub fn add_to(&self, options: &mut CameraOptions) {
+    ///
+    /// # Errors
+    /// When the file with a measured board cannot be read, or has none.
+    pub fn add_to(&self, options: &mut CameraOptions) -> Result<(), Failure> {
         options.square_pixels |= self.square_pixels;
         options.skew |= self.skew;
-        match self.board_shape {
+        match &self.board_shape {
             _ if self.warp => options.board_shape = BoardShape::Free,
-            BoardShapeName::Auto => {}
-            BoardShapeName::Flat => options.board_shape = BoardShape::Flat,
-            BoardShapeName::Free => options.board_shape = BoardShape::Free,
+            BoardShapeArgument::Named(BoardShape::Auto) => {}
+            BoardShapeArgument::Named(shape) => options.board_shape = *shape,
+            BoardShapeArgument::Measured(file) => {
+                options.measured_board = Some(measured_board(file)?);
+            }
         }
         match self.shutter {
             ShutterName::Auto => {}
@@ -71,6 +79,21 @@ impl EstimatedArgs {
             GivenArgument::Lens(_) => None,
         });
         options.given.extend(parameters);
+        Ok(())
+    }
+
+    /// Refuses a measured board where it would not be used.
+    ///
+    /// # Errors
+    /// When one is given.
+    pub fn check_no_measured_board(&self) -> Result<(), Failure> {
+        match &self.board_shape {
+            BoardShapeArgument::Named(_) => Ok(()),
+            BoardShapeArgument::Measured(file) => Err(Failure::usage(format!(
+                "--board-shape {}: color and depth together take the board as stated; leave it out",
+                file.display()
+            ))),
+        }
     }
 
     /// The lenses of a rig's cameras that are known.
@@ -129,6 +152,30 @@ fn given(text: &str) -> Result<GivenArgument, String> {
         .ok_or_else(|| format!("`{sensor}` is no sensor; write CAMERA.SENSOR, as left.color"))?;
     let calibration = PathBuf::from(file);
     Ok(GivenArgument::Lens(GivenLens { camera: camera.to_owned(), sensor: kind, calibration }))
+}
+
+fn board_shape(text: &str) -> Result<BoardShapeArgument, String> {
+    let named =
+        [("auto", BoardShape::Auto), ("flat", BoardShape::Flat), ("free", BoardShape::Free)];
+    if let Some((_, shape)) = named.into_iter().find(|(name, _)| *name == text) {
+        return Ok(BoardShapeArgument::Named(shape));
+    }
+    let file = PathBuf::from(text);
+    file.is_file().then_some(BoardShapeArgument::Measured(file)).ok_or_else(|| {
+        "write auto, flat, free, or the file of a calibration that measured the board".to_owned()
+    })
+}
+
+/// The board that a calibration measured.
+fn measured_board(file: &Path) -> Result<MeasuredBoard, Failure> {
+    let calibration = read_calibration(file)?;
+    let mut shapes = calibration.image_sensors().filter_map(|(_, s)| s.board_shape.clone());
+    shapes.next().ok_or_else(|| {
+        Failure::failed(format!(
+            "{}: it has measured no board; calibrate with --board-shape free to have it measured",
+            file.display()
+        ))
+    })
 }
 
 /// Reads `NAME=VALUE`.

@@ -8,6 +8,7 @@
 //! A new command is a file, a variant of `Command`, and an arm of `dispatch`.
 
 pub mod autocalibrate;
+pub mod board;
 pub mod calibrate;
 mod calibrate_rgbd;
 pub mod calibration_output;
@@ -63,6 +64,7 @@ struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     Autocalibrate(autocalibrate::Args),
+    Board(board::Args),
     Detect(detect::Args),
     Calibrate(calibrate::Args),
     Correct(correct::Args),
@@ -82,6 +84,7 @@ enum Command {
 fn dispatch(command: Command) -> Result<(), Failure> {
     match command {
         Command::Autocalibrate(args) => autocalibrate::run(&args),
+        Command::Board(args) => board::run(&args),
         Command::Detect(args) => detect::run(&args),
         Command::Calibrate(args) => calibrate::run(&args),
         Command::Correct(args) => correct::run(&args),

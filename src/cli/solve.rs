@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let mut options = document.options();
     options.lens = args.lens.map_or(options.lens, LensChoice::from);
     args.estimated.check_no_lens()?;
-    args.estimated.add_to(&mut options);
+    args.estimated.add_to(&mut options)?;
     let started = Instant::now();
     let solved = match document.method {
         Method::Calibrate => {

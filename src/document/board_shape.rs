@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::document::error::DocumentError;
-use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 
 /// A board's shape as a solve measured it, relative to the one that was stated; a rigid motion is
 /// no shape, and the mean scale is the stated one. All in meters, in the board frame.

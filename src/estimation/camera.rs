@@ -4,6 +4,7 @@
 pub use crate::estimation::camera_estimate::{CameraEstimate, ViewEstimate};
 use crate::estimation::camera_estimate::{Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
+use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::lens_choice;
@@ -37,7 +38,7 @@ pub fn calibrate_and_check(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
-    let check = ModelCheck::of(&fit, &estimate);
+    let check = ModelCheck::of(&fit, &estimate, options);
     Ok((estimate, check))
 }
 
@@ -66,6 +67,9 @@ fn solve_weighted(
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let problem = &*with_noise_floor(problem, noise_floor_px);
     let mut prepared = Prepared::of(problem);
+    if let Some(board) = &options.measured_board {
+        prepared.place_on(board)?;
+    }
     let (fit, compared) = match options.lens {
         LensChoice::Model(model) => (fit_camera(&mut prepared, model, options)?, Vec::new()),
         LensChoice::Auto => lens_choice::choose_lens(&mut prepared, options)?,
@@ -75,7 +79,7 @@ fn solve_weighted(
         CameraEstimate {
             noise_floor_px,
             compared,
-            ..assemble(problem, &prepared, &fit, Part::WHOLE)?
+            ..assemble(problem, &prepared, (&fit, FitCovariance::of(&fit).as_ref()), Part::WHOLE)?
         },
         fit,
     ))

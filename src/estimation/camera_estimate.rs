@@ -4,14 +4,14 @@
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::camera_fit::{CameraFit, LEAST_NOISE, OPEN_FOCAL, rms};
-use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
+use crate::estimation::clustered_covariance::{Clustered, FitCovariance};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::normal::chain;
 use crate::estimation::lens_choice::LensTrial;
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::estimation::problem::{CameraProblem, CameraStart};
 use crate::estimation::start::Prepared;
-use crate::estimation::variance_inflation::variance_inflation;
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -112,7 +112,7 @@ impl Part {
 pub(crate) fn assemble(
     problem: &CameraProblem,
     prepared: &Prepared,
-    fit: &CameraFit,
+    (fit, covariance): (&CameraFit, Option<&FitCovariance>),
     part: Part,
 ) -> Result<CameraEstimate, EstimationError> {
     let Minimum { state, equations, .. } = &fit.robust.minimum;
@@ -128,17 +128,19 @@ pub(crate) fn assemble(
     let camera_from_board: Vec<Pose> =
         good.iter().map(|observation| pose_of(*observation)).collect();
     let open = |parameter, std| undetermined(prepared, &camera_from_board, &lens, (parameter, std));
-    let unit = equations.global_covariance().ok_or_else(|| open(0, f64::INFINITY))?;
-    let variance_inflation =
-        variance_inflation(fit, &unit, at.lens_at..at.lens_at + at.lens.free.len());
-    let variance_inflation = fit.effects.as_ref().map_or(variance_inflation, |e| e.inflation);
+    let covariance = covariance.ok_or_else(|| open(0, f64::INFINITY))?;
+    let unit = &covariance.unit;
+    let of_lens = match &fit.effects {
+        Some(effects) => {
+            Clustered { covariance: effects.lens_covariance.clone(), factor: effects.inflation }
+        }
+        None => covariance.block(at.lens_at..at.lens_at + at.lens.free.len()),
+    };
+    let variance_inflation = of_lens.factor;
     let variance = noise2 * variance_inflation;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
+    let lens_covariance = &spread * of_lens.covariance * spread.transpose();
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
-    let lens_covariance = match &fit.effects {
-        Some(effects) => &spread * &effects.lens_covariance * spread.transpose(),
-        None => &spread * of_lens * spread.transpose() * variance,
-    };
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.
         let of_unit_noise = spread.row(axis) * of_lens * spread.row(axis).transpose();
@@ -160,7 +162,7 @@ pub(crate) fn assemble(
         });
         let known = fault.is_none();
         let covariance = known
-            .then(|| equations.pose_covariance(observation.frame_set, &unit, chained))
+            .then(|| equations.pose_covariance(observation.frame_set, unit, chained))
             .flatten();
         ViewEstimate {
             name: problem.views[index - part.first_observation].name.clone(),

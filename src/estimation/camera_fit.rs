@@ -8,7 +8,7 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::{Loss, median_scale};
-use crate::estimation::robust_fit::{RobustFit, robust_fit};
+use crate::estimation::robust_fit::{ROUNDING, RobustFit, robust_fit};
 use crate::estimation::start::{self, Prepared};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
@@ -52,6 +52,11 @@ impl CameraFit {
         let frame_sets = self.robust.minimum.equations.seen_frame_sets();
         let freedom = (2 * used) as f64 - (self.layout.len + 6 * frame_sets) as f64;
         self.robust.minimum.equations.cost / freedom.max(1.0)
+    }
+
+    /// Whether the corners are exact: of rounding errors nothing can be told.
+    pub(crate) fn is_exact(&self) -> bool {
+        self.noise_square() < ROUNDING * ROUNDING
     }
 
     /// The covariance of its first camera's lens parameters, as if no corner were seen better than

@@ -1,35 +1,52 @@
-//! The covariance of a lens when the corners of a view err together. The covariance of a
+//! The covariance of parameters when the corners of a view err together. The covariance of a
 //! least-squares estimate takes every corner's error for its own; where something that is not in the
-//! model moves a whole view, estimates from other views differ by more.
+//! model moves a whole view (a lens that the model cannot follow, a board that is not as it is
+//! stated), views differ by more than their corners' scatter explains, and so do estimates from
+//! other views.
 //!
-//! Each view has an influence on the estimate, δ = C s (its score s, with the covariance C for unit
-//! noise); C A C is the covariance that this has if corners err by themselves, A being the view's
-//! information. The sum of δ δᵀ, each corrected for its leverage, is the clustered covariance (K.-Y.
-//! Liang, S. L. Zeger, *Longitudinal data analysis using generalized linear models*, 1986, in the
-//! form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife over views, to first order). With
-//! few views it is itself uncertain, so it counts the more the better the influences show that
-//! views differ at all.
+//! Each view (of a rig: what all sensors saw at one frame set) asks for a step of the parameters, δ
+//! = C s (its score s, its pose eliminated, with the covariance C for unit noise), whose covariance
+//! is C A C if corners err by themselves, A being the view's part of the information. Without the
+//! view the estimate would move by (1 − C A)⁻¹ δ. The spread of these over the views is the
+//! clustered covariance (K.-Y. Liang, S. L. Zeger, *Longitudinal data analysis using generalized
+//! linear models*, 1986, in the form CR3 of R. M. Bell and D. F. McCaffrey, 2002: the jackknife over
+//! views, to first order). With few views it is itself uncertain, so it counts the more the better
+//! the steps show that views differ at all, and not at all where chance would explain them.
+
+use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
+
+use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::joint::apart::together;
+use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::robust_fit::ROUNDING;
 
 /// Fewer views tell nothing of how they differ.
 const MIN_VIEWS: usize = 5;
 
-/// Where influences exceed what corners by themselves explain by this many standard deviations, the
-/// clustered covariance and the model's count the same.
+/// Squares of steps within this many standard deviations of what corners by themselves make are
+/// chance: of a sum of a few dozen squares, three or four times in a thousand.
+const CHANCE: f64 = 3.0;
+
+/// This many standard deviations beyond chance, the clustered covariance and the model's count the
+/// same.
 const EVEN_ODDS: f64 = 2.0;
 
-/// A view's influence is corrected for its leverage by this factor at most: beyond, without the view
+/// A view's step is corrected for its leverage by this factor at most: beyond, without the view
 /// there would be no estimate.
 const LARGEST_CORRECTION: f64 = 5.0;
 
-/// What one view does to the lens.
+/// What one view does to the parameters.
 #[derive(Debug, Clone)]
 pub(crate) struct Influence {
     /// The step of the parameters that the view asks for.
     pub(crate) step: DVector<f64>,
-    /// The covariance of that step for unit noise, if corners err by themselves.
+    /// The covariance of `step` for unit noise, if corners err by themselves and the estimate did
+    /// not follow them.
     pub(crate) expected: DMatrix<f64>,
+    /// How much of that the estimate took up.
+    pub(crate) taken_up: DMatrix<f64>,
 }
 
 /// A covariance, and how much larger its influences are than those of corners by themselves.
@@ -40,54 +57,169 @@ pub(crate) struct Clustered {
     pub(crate) factor: f64,
 }
 
-/// The covariance of parameters whose covariance for unit noise is `unit`; `views` is the number of
-/// views, of which `influences` may be a part.
+impl Influence {
+    /// Of a view whose step is `step` and has this covariance, where parameters have a covariance
+    /// the inverse of which is `inverse`.
+    pub(crate) fn of(step: DVector<f64>, expected: DMatrix<f64>, inverse: &DMatrix<f64>) -> Self {
+        let taken_up = &expected * inverse * &expected;
+        Self { step, expected, taken_up }
+    }
+
+    /// By how much the estimate would move without the view: (1 − C A)⁻¹ δ.
+    fn without(&self, inverse: &DMatrix<f64>) -> DVector<f64> {
+        let size = self.step.len();
+        let rest = DMatrix::identity(size, size) - &self.expected * inverse;
+        rest.lu().solve(&self.step).unwrap_or_else(|| self.step.clone())
+    }
+
+    fn block(&self, block: &Range<usize>) -> Self {
+        let (at, size) = (block.start, block.len());
+        let of = |m: &DMatrix<f64>| m.view((at, at), (size, size)).into_owned();
+        Self {
+            step: self.step.rows(at, size).into_owned(),
+            expected: of(&self.expected),
+            taken_up: of(&self.taken_up),
+        }
+    }
+}
+
+/// The covariance of all global parameters of a fit, with what each of its views does to them.
+#[derive(Debug, Clone)]
+pub(crate) struct FitCovariance {
+    /// For unit noise.
+    pub(crate) unit: DMatrix<f64>,
+    /// In units of the parameters' own deviations, `scale`.
+    influences: Vec<Influence>,
+    scale: DVector<f64>,
+    noise_square: f64,
+    frame_sets: usize,
+}
+
+impl FitCovariance {
+    /// `None` where the views leave parameters open.
+    pub(crate) fn of(fit: &CameraFit) -> Option<Self> {
+        let equations = &fit.robust.minimum.equations;
+        let unit = equations.global_covariance()?;
+        // Parameters differ by orders of magnitude: in units of their own deviations.
+        let scale = unit.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+        // What was found beyond lens and poses has a covariance of its own.
+        let influences = if fit.effects.is_some() || fit.is_exact() || unit.is_empty() {
+            Vec::new()
+        } else {
+            influences(fit, &unit, &scale).unwrap_or_default()
+        };
+        let (noise_square, frame_sets) = (fit.noise_square(), equations.seen_frame_sets());
+        Some(Self { unit, influences, scale, noise_square, frame_sets })
+    }
+
+    /// That of the parameters in `block`.
+    pub(crate) fn block(&self, block: Range<usize>) -> Clustered {
+        let size = block.len();
+        let all = in_units(&self.unit, &self.scale);
+        let unit = all.view((block.start, block.start), (size, size)).into_owned();
+        let of_block: Vec<Influence> =
+            self.influences.iter().map(|influence| influence.block(&block)).collect();
+        let without = || {
+            let inverse = all.clone().cholesky()?.inverse();
+            let of = |influence: &Influence| {
+                influence.without(&inverse).rows(block.start, size).into_owned()
+            };
+            Some(self.influences.iter().map(of).collect())
+        };
+        let views = (of_block.as_slice(), self.frame_sets);
+        let Clustered { mut covariance, factor } =
+            clustered(&unit, self.noise_square, views, without);
+        for (i, j) in (0..size).flat_map(|i| (0..size).map(move |j| (i, j))) {
+            covariance[(i, j)] *= self.scale[block.start + i] * self.scale[block.start + j];
+        }
+        Clustered { covariance, factor }
+    }
+}
+
+fn in_units(m: &DMatrix<f64>, scale: &DVector<f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] / (scale[i] * scale[j]))
+}
+
+/// What each view of a fit (or enough of them) does to all its global parameters, whose covariance
+/// for unit noise is `unit`, in units of `scale`.
+fn influences(
+    fit: &CameraFit,
+    unit: &DMatrix<f64>,
+    scale: &DVector<f64>,
+) -> Option<Vec<Influence>> {
+    let Minimum { state, equations, .. } = &fit.robust.minimum;
+    let size = unit.nrows();
+    let scaled = in_units(unit, scale);
+    let inverse = scaled.clone().cholesky()?.inverse();
+    let of_frame_set = |observations: Vec<usize>| {
+        let parts = observations.iter().map(|observation| (*observation, 0));
+        let alone = together(&equations.apart, (&fit.layout, state), &fit.observations, (parts, 1));
+        let (information, score) = alone.reduced(0)?;
+        let information =
+            DMatrix::from_fn(size, size, |i, j| information[(i, j)] * scale[i] * scale[j]);
+        let step = -(&scaled * score.component_mul(scale));
+        Some(Influence::of(step, &scaled * information * &scaled, &inverse))
+    };
+    Some(fit.some_frame_sets().into_iter().filter_map(of_frame_set).collect())
+}
+
+/// The covariance of parameters whose covariance for unit noise is `unit`, from what some of the
+/// views do to them and how many views there are; `without` tells by how much the estimate would
+/// move without each of those, and is asked only where it counts. All in units of the parameters'
+/// own deviations.
 pub(crate) fn clustered(
     unit: &DMatrix<f64>,
     noise_square: f64,
-    influences: &[Influence],
-    views: usize,
+    (influences, views): (&[Influence], usize),
+    without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Clustered {
     let plain = Clustered { covariance: unit * noise_square, factor: 1.0 };
-    if influences.len() < MIN_VIEWS || unit.is_empty() {
+    let exact = noise_square < ROUNDING * ROUNDING;
+    if exact || influences.len() < MIN_VIEWS || unit.is_empty() {
         return plain;
     }
-    combined(unit, noise_square, influences, views).unwrap_or(plain)
+    combined(unit, noise_square, (influences, views), without).unwrap_or(plain)
 }
 
+/// `None` where nothing tells that views differ, or chance would explain it.
 fn combined(
     unit: &DMatrix<f64>,
     noise_square: f64,
-    influences: &[Influence],
-    views: usize,
+    (influences, views): (&[Influence], usize),
+    without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Option<Clustered> {
-    let size = unit.nrows();
-    // Parameters differ by orders of magnitude: in units of their own deviations.
-    let scale = unit.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
-    let scaled =
-        |m: &DMatrix<f64>| DMatrix::from_fn(size, size, |i, j| m[(i, j)] * scale[i] * scale[j]);
-    let inverse = scaled(unit).cholesky()?.inverse();
-    let identity = DMatrix::<f64>::identity(size, size);
+    let inverse = unit.clone().cholesky()?.inverse();
     let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
-    let mut corrected: Vec<DVector<f64>> = Vec::with_capacity(influences.len());
     for influence in influences {
-        let step = influence.step.component_mul(&scale);
-        let leverage = scaled(&influence.expected) * &inverse;
-        let square = leverage.dot(&leverage.transpose());
-        seen += step.dot(&(&inverse * &step));
-        expected += leverage.trace() - square;
-        variance += 2.0 * square;
-        let alone = (&identity - &leverage).lu().solve(&step).unwrap_or_else(|| step.clone());
-        let growth = alone.norm() / step.norm().max(f64::MIN_POSITIVE);
-        corrected.push(alone * (LARGEST_CORRECTION / growth).min(1.0));
+        let leverage = &influence.expected * &inverse;
+        seen += influence.step.dot(&(&inverse * &influence.step));
+        expected += leverage.trace() - influence.taken_up.dot(&inverse);
+        variance += 2.0 * leverage.dot(&leverage.transpose());
     }
-    let factor = seen / (noise_square * expected);
-    if !(factor > 1.0) {
+    let excess = seen / (noise_square * expected) - 1.0;
+    let std = variance.sqrt() / expected;
+    if !(excess > CHANCE * std) {
         return None;
     }
-    let excess = factor - 1.0;
-    let weight = excess / (excess + EVEN_ODDS * variance.sqrt() / expected);
-    let count = corrected.len() as f64;
+    let beyond = excess - CHANCE * std;
+    let weight = beyond / (beyond + EVEN_ODDS * std);
+    let factor = 1.0 + excess * weight;
+    let by_views = spread(influences, &without()?, views);
+    let covariance = unit * ((1.0 - weight) * factor * noise_square) + by_views * weight;
+    covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor })
+}
+
+/// The jackknife covariance.
+fn spread(influences: &[Influence], without: &[DVector<f64>], views: usize) -> DMatrix<f64> {
+    let corrected: Vec<DVector<f64>> = influences
+        .iter()
+        .zip(without)
+        .map(|(influence, without)| {
+            let growth = without.norm() / influence.step.norm().max(f64::MIN_POSITIVE);
+            without * (LARGEST_CORRECTION / growth).min(1.0)
+        })
+        .collect();
+    let (count, size) = (corrected.len() as f64, corrected[0].len());
     let mean = corrected.iter().sum::<DVector<f64>>() / count;
     let mut spread = DMatrix::zeros(size, size);
     for step in &corrected {
@@ -95,13 +227,7 @@ fn combined(
         spread += &off * off.transpose();
     }
     // Each of all the views moves the estimate as those that were looked at do.
-    spread *= (count - 1.0) / count * (views as f64 / count);
-    let inflation = 1.0 + (factor - 1.0) * weight;
-    let covariance = DMatrix::from_fn(size, size, |i, j| {
-        let by_views = spread[(i, j)] / (scale[i] * scale[j]);
-        (1.0 - weight) * inflation * noise_square * unit[(i, j)] + weight * by_views
-    });
-    covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor: inflation })
+    spread * ((count - 1.0) / count * (views as f64 / count))
 }
 
 #[cfg(test)]
@@ -120,9 +246,12 @@ mod tests {
             })
             .collect();
         let mean = raw.iter().sum::<f64>() * unit;
-        let influence = |sum: &f64| Influence {
-            step: DVector::from_element(1, (sum - f64::from(each) * mean) * unit),
-            expected: DMatrix::from_element(1, 1, f64::from(each) * unit * unit),
+        let influence = |sum: &f64| {
+            Influence::of(
+                DVector::from_element(1, (sum - f64::from(each) * mean) * unit),
+                DMatrix::from_element(1, 1, f64::from(each) * unit * unit),
+                &DMatrix::from_element(1, 1, 1.0 / unit),
+            )
         };
         raw.iter().map(influence).collect()
     }
@@ -130,11 +259,24 @@ mod tests {
     #[test]
     fn groups_that_differ_widen_the_covariance_and_others_do_not() {
         let unit = DMatrix::from_element(1, 1, 1.0 / 240.0);
-        let of = |offset: f64| clustered(&unit, 1.0, &group_means(offset), 12).covariance[(0, 0)];
-        let alone = of(0.0) * 240.0;
-        assert!((0.6..1.6).contains(&alone), "{alone}");
+        let of = |offset: f64| {
+            let influences = group_means(offset);
+            let inverse = DMatrix::from_element(1, 1, 240.0);
+            let without = || Some(influences.iter().map(|one| one.without(&inverse)).collect());
+            clustered(&unit, 1.0, (&influences, 12), without).covariance[(0, 0)]
+        };
+        assert_eq!(of(0.0) * 240.0, 1.0);
         // Offsets of variance 1 leave a mean over twelve groups uncertain by 1/12.
         let together = of(1.0) * 12.0;
         assert!((0.6..1.6).contains(&together), "{together}");
+    }
+
+    #[test]
+    fn without_a_view_a_mean_moves_by_its_own_part_of_the_rest() {
+        for influence in group_means(1.0) {
+            let expected = influence.step[0] / (1.0 - 1.0 / 12.0);
+            let without = influence.without(&DMatrix::from_element(1, 1, 240.0));
+            assert!((without[0] - expected).abs() < 1e-12);
+        }
     }
 }

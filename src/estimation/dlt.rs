@@ -8,6 +8,7 @@ use nalgebra::{DMatrix, Matrix3, Matrix3x4, Matrix4, Point3, Vector3};
 
 use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
 use crate::estimation::camera_fit::CameraFit;
+use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, State};
@@ -161,7 +162,9 @@ pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationE
     let minimum = minimum.descend(&layout, &prepared.observations, loss, Stop::default());
     let robust = RobustFit { minimum, limit: f64::INFINITY };
     let fit = CameraFit::new(layout, robust, prepared.observations.clone(), vec![None]);
-    Ok(DltEstimate { projection, camera: assemble(problem, &prepared, &fit, Part::WHOLE)? })
+    let known = FitCovariance::of(&fit);
+    let camera = assemble(problem, &prepared, (&fit, known.as_ref()), Part::WHOLE)?;
+    Ok(DltEstimate { projection, camera })
 }
 
 #[cfg(test)]

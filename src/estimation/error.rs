@@ -97,6 +97,16 @@ pub enum EstimationError {
         /// What to do.
         remedy: &'static str,
     },
+    /// A measured board without one of the corners that were seen.
+    #[error(
+        "the measured board has no corner at ({x_m:.4}, {y_m:.4}) m: give the measurement of this board, of the same corners and the same square"
+    )]
+    OtherBoard {
+        /// Where the corner is stated, in the board frame, in meters.
+        x_m: f64,
+        /// The same along y.
+        y_m: f64,
+    },
     /// A view that determines no pose.
     #[error("view `{view}` determines no pose: {reason}")]
     NoPose {

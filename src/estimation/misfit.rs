@@ -10,6 +10,7 @@ use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::linearize::cross;
+use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::geometry::pixel::Pixel;
 
 /// What seems to be wrong.
@@ -47,7 +48,12 @@ enum Read {
 
 impl Misfit {
     /// Looks for the causes in `views` of a fitted camera by itself.
-    pub(crate) fn of(fit: &CameraFit, views: &[usize], size: [f64; 2]) -> Self {
+    /// What the solve itself has looked for, as `options` ask, it has found or refuted already.
+    pub(crate) fn of(
+        fit: &CameraFit,
+        views: &[usize],
+        (size, options): ([f64; 2], &CameraOptions),
+    ) -> Self {
         let is_flat =
             views.iter().flat_map(|view| &fit.observations[*view].points).all(|p| p.z == 0.0);
         if fit.layout.warp.is_some() || fit.layout.sensors.len() > 1 {
@@ -56,7 +62,9 @@ impl Misfit {
         let score = |read, shape| Score::of(fit, views, Extra { size, read, shape });
         let shape = is_flat.then(|| score(Read::AtOnce, SHAPE)).flatten();
         let without_motion = shape.as_ref().map_or(fit.noise_square(), Score::variance_left);
-        let rows = score(Read::ByRows, 0)
+        let rows = (options.shutter == Shutter::Global)
+            .then(|| score(Read::ByRows, 0))
+            .flatten()
             .filter(|rows| rows.variance_left() < MOTION_LEFT * without_motion);
         let is_motion = |rows: &Score| {
             let by_columns = || {
@@ -73,7 +81,10 @@ impl Misfit {
             score.decrease > UNEVEN_GAIN[0] * score.cost
                 && score.decrease > UNEVEN_GAIN[1] * fit.noise_square()
         };
-        let unevenness_m = shape.filter(is_uneven).map(|score| score.unevenness_m(fit, views));
+        let unevenness_m = shape
+            .filter(|_| options.board_shape == BoardShape::Flat)
+            .filter(is_uneven)
+            .map(|score| score.unevenness_m(fit, views));
         Self { rolling_shutter: None, unevenness_m }
     }
 }

@@ -11,7 +11,7 @@
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], `misfit` |
-//! | whether the corners of a view err together | `variance_inflation` |
+//! | whether the corners of a view err together | `clustered_covariance` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
@@ -25,10 +25,11 @@ pub(crate) mod camera_fit;
 mod clustered_covariance;
 pub mod depth_error;
 pub mod dlt;
-pub mod effects;
+mod effects;
 pub mod error;
 mod joint;
 pub mod lens_choice;
+pub mod measured_board;
 mod misfit;
 pub mod model_check;
 mod model_error;
@@ -42,6 +43,5 @@ pub mod scene;
 mod start;
 pub mod two_view;
 pub mod uncertainty;
-mod variance_inflation;
 pub mod view_fault;
 pub mod zhang;

@@ -10,6 +10,7 @@ use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::lens_choice::{refit, squares_under};
 use crate::estimation::misfit::Misfit;
+use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -56,7 +57,15 @@ impl ModelCheck {
     /// Fewer views have no halves that determine a lens each.
     pub const MIN_VIEWS: usize = 6;
 
-    pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate) -> Self {
+    pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate, options: &CameraOptions) -> Self {
+        if fit.is_exact() {
+            // Halves agree to rounding, and nothing is left that could tell of anything.
+            return Self {
+                split_half_ratio: Some(0.0).filter(|_| some_views(fit).len() >= Self::MIN_VIEWS),
+                held_out_rms_px: Some(estimate.rms_px),
+                ..Self::default()
+            };
+        }
         let halves = Self::halves(fit, estimate).unwrap_or_default();
         let residual_correlation = residual_correlation(estimate);
         let suspicious = halves.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
@@ -65,11 +74,13 @@ impl ModelCheck {
         let views = some_views(fit);
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let look = suspicious && views.len() >= Self::MIN_VIEWS;
-        let misfit = if look { Misfit::of(fit, &views, size) } else { Misfit::default() };
+        let misfit =
+            if look { Misfit::of(fit, &views, (size, options)) } else { Misfit::default() };
         // A bow leaves smooth residuals: where neighbors go apart rather than together, none is
         // worth looking for.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
-        let bow_m = if smooth { bow_m(fit) } else { None };
+        let looked_for = options.board_shape != BoardShape::Flat;
+        let bow_m = if smooth && !looked_for { bow_m(fit) } else { None };
         Self { bow_m, residual_correlation, misfit, ..halves }
     }
 
@@ -194,21 +205,30 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
     enough.then(|| [step.global[step.global.len() - 2], step.global[step.global.len() - 1]])
 }
 
-/// The covariance of the lens that one half gives, with the noise of the whole and what its views'
-/// corners share.
+/// The covariance of the lens that one half gives: what its own views determine, as much wider as
+/// that of the whole is than corners that err by themselves would make it.
 fn lens_covariance(
     fit: &CameraFit,
     half: &Minimum,
     estimate: &CameraEstimate,
 ) -> Option<DMatrix<f64>> {
-    let free = &fit.layout.sensors[0].lens;
-    let unit = half.equations.global_covariance()?;
-    let spread = free.spread(&estimate.lens);
-    let unit = unit.view((0, 0), (free.free.len(), free.free.len())).into_owned();
-    Some(
-        &spread
-            * unit
-            * spread.transpose()
-            * (estimate.noise.powi(2) * estimate.variance_inflation),
-    )
+    let lens = &fit.layout.sensors[0].lens;
+    let (free, size) = (&lens.free, lens.free.len());
+    let of = |minimum: &Minimum| -> Option<DMatrix<f64>> {
+        Some(minimum.equations.global_covariance()?.view((0, 0), (size, size)).into_owned())
+    };
+    let unit = of(&fit.robust.minimum)?;
+    // Parameters differ by orders of magnitude: in units of their own deviations.
+    let scale: Vec<f64> = unit.diagonal().iter().map(|v| v.sqrt()).collect();
+    let scaled = |m: &dyn Fn(usize, usize) -> f64| {
+        DMatrix::from_fn(size, size, |i, j| m(i, j) / (scale[i] * scale[j]))
+    };
+    let stated = scaled(&|i, j| estimate.lens_covariance[(free[i], free[j])]);
+    let from = scaled(&|i, j| unit[(i, j)]).cholesky()?.unpack();
+    let widened = stated.cholesky()?.unpack() * from.try_inverse()?;
+    let half = of(half)?;
+    let half = &widened * scaled(&|i, j| half[(i, j)]) * widened.transpose();
+    let half = DMatrix::from_fn(size, size, |i, j| half[(i, j)] * scale[i] * scale[j]);
+    let spread = lens.spread(&estimate.lens);
+    Some(&spread * half * spread.transpose())
 }

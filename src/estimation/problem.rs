@@ -4,6 +4,7 @@
 use nalgebra::Point3;
 
 use crate::estimation::error::EstimationError;
+use crate::estimation::measured_board::MeasuredBoard;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
@@ -82,6 +83,9 @@ pub struct CameraOptions {
     pub square_pixels: bool,
     /// What shape the board may have. Default: found out.
     pub board_shape: BoardShape,
+    /// The board as it was measured before: its corners are where that says, and its shape is not
+    /// estimated again. Default: none.
+    pub measured_board: Option<MeasuredBoard>,
     /// How the sensor reads its rows. Default: found out.
     pub shutter: Shutter,
     /// Lens parameters that are known, by name, with their values. Default: none.
@@ -105,6 +109,7 @@ impl Default for CameraOptions {
             skew: false,
             square_pixels: false,
             board_shape: BoardShape::Auto,
+            measured_board: None,
             shutter: Shutter::Auto,
             given: Vec::new(),
             start: None,

@@ -6,13 +6,13 @@ use nalgebra::Matrix6;
 
 use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
+use crate::estimation::clustered_covariance::{Clustered, FitCovariance};
 use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
 use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::start::{Prepared, mean_point};
-use crate::estimation::variance_inflation::variance_inflation;
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
 use crate::geometry::pixel::ImageSize;
@@ -76,6 +76,9 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
     let mut alone = Vec::new();
     for (sensor, camera) in problem.sensors.iter().zip(&cameras) {
         let mut prepared = Prepared::about(camera, center);
+        if let Some(board) = &sensor.options.measured_board {
+            prepared.place_on(board)?;
+        }
         let fit = match sensor.options.lens {
             LensChoice::Model(model) => fit_camera(&mut prepared, model, &sensor.options)?,
             LensChoice::Auto => choose_lens(&mut prepared, &sensor.options)?.0,
@@ -83,16 +86,16 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         alone.push((prepared, fit));
     }
     let fit = fit_jointly(problem, &alone)?;
-    let unit = fit.robust.minimum.equations.global_covariance().ok_or(EstimationError::NoFit)?;
+    let known = FitCovariance::of(&fit).ok_or(EstimationError::NoFit)?;
     let (mut estimates, mut places, mut first_observation) = (Vec::new(), Vec::new(), 0);
     for (sensor, camera) in cameras.iter().enumerate() {
         let (prepared, own) = &alone[sensor];
         let part = Part { sensor, first_observation, noise: own_noise(own) };
-        estimates.push(assemble(camera, prepared, &fit, part)?);
+        estimates.push(assemble(camera, prepared, (&fit, Some(&known)), part)?);
         let (covariance, variance_inflation) = match fit.layout.sensors[sensor].pose_at {
             Some(at) => {
-                let shared = variance_inflation(&fit, &unit, at..at + 6);
-                (unit.fixed_view::<6, 6>(at, at) * (fit.noise_square() * shared), shared)
+                let Clustered { covariance, factor } = known.block(at..at + 6);
+                (covariance.fixed_view::<6, 6>(0, 0).into_owned(), factor)
             }
             None => (Matrix6::zeros(), 1.0),
         };

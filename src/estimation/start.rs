@@ -3,7 +3,9 @@
 
 use nalgebra::{Point2, Point3, Vector3};
 
+use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, State};
+use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
 use crate::estimation::problem::{CameraProblem, CameraStart};
 use crate::estimation::view_fault::{ViewFault, mislabelling};
@@ -70,6 +72,20 @@ impl Prepared {
         name_mislabelled(&observations, &mut views);
         let names = problem.views.iter().map(|view| view.name.clone()).collect();
         Self { image_size: problem.image_size, names, center_in_board, observations, views }
+    }
+
+    /// Puts the corners where a measurement of the board has them. What views say by themselves
+    /// stays that of the stated board, which is near enough for a start.
+    ///
+    /// # Errors
+    /// [`EstimationError::OtherBoard`] for a corner that was not measured.
+    pub(crate) fn place_on(&mut self, board: &MeasuredBoard) -> Result<(), EstimationError> {
+        for point in self.observations.iter_mut().flat_map(|observation| &mut observation.points) {
+            let stated = *point + self.center_in_board;
+            let offset = board.offset_at(&stated);
+            *point += offset.ok_or(EstimationError::OtherBoard { x_m: stated.x, y_m: stated.y })?;
+        }
+        Ok(())
     }
 
     /// What is known against each view.

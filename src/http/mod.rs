@@ -6,6 +6,7 @@
 //! too many, never fatal.
 
 mod access;
+mod board;
 mod calibrations;
 mod cameras;
 mod connections;

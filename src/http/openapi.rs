@@ -3,7 +3,7 @@
 use utoipa::OpenApi;
 
 use crate::http::{
-    calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve,
+    board, calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve,
     uncertainty, views,
 };
 
@@ -42,6 +42,7 @@ use crate::http::{
         calibrations::approve,
         uncertainty::numbers,
         uncertainty::picture,
+        board::picture,
         solve::solve,
         recordings::start,
         recordings::list,

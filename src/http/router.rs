@@ -14,8 +14,8 @@ use utoipa_swagger_ui::SwaggerUi;
 use crate::http::problem::Problem;
 use crate::http::shared::Shared;
 use crate::http::{
-    access, calibrations, cameras, events, focus, frames, health, openapi, page, recordings, rigs,
-    sessions, solve, uncertainty, views,
+    access, board, calibrations, cameras, events, focus, frames, health, openapi, page, recordings,
+    rigs, sessions, solve, uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -47,6 +47,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/calibrations/{id}", get(calibrations::one))
         .route("/v1/calibrations/{id}/uncertainty", get(uncertainty::numbers))
         .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::picture))
+        .route("/v1/calibrations/{id}/board.png", get(board::picture))
         .route("/v1/calibrations/{id}/approve", post(calibrations::approve))
         .route("/v1/solve", post(solve::solve))
         .route("/v1/cameras/{camera}/recordings", post(recordings::start))

@@ -1,6 +1,7 @@
 //! Images and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod bayer;
+pub mod board_picture;
 mod color_view;
 pub mod decode;
 mod decode_error;

@@ -76,14 +76,16 @@ fn a_compact_camera() {
 
 #[test]
 fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
-    let table = [
-        ("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm", "uneven"),
-        ("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm", "uneven"),
-        ("photon-lifecam/480", "*.png", "10x10", "1in", "rolling shutter"),
-        ("photon-lifecam/1280", "*.png", "10x10", "1in", "rolling shutter"),
-        ("boofcv-sony-chess", "*.jpg", "4x6", "30mm", "uneven"),
+    // Nobody knows what the webcam did: its rows were read one after another, or it is said that
+    // the model does not fit.
+    let table: [(&str, &str, &str, &str, &[&str]); 5] = [
+        ("opencv-samples", "left[0-9]*.jpg", "9x6", "30mm", &["uneven"]),
+        ("opencv-samples", "right[0-9]*.jpg", "9x6", "30mm", &["uneven"]),
+        ("photon-lifecam/480", "*.png", "10x10", "1in", &["rolling shutter", "does not fit"]),
+        ("photon-lifecam/1280", "*.png", "10x10", "1in", &["rolling shutter", "does not fit"]),
+        ("boofcv-sony-chess", "*.jpg", "4x6", "30mm", &["uneven"]),
     ];
-    for (name, pattern, board, square, cause) in table {
+    for (name, pattern, board, square, causes) in table {
         let Some(calibration) = calibration(name, pattern, board, square) else { return };
         let ratio = calibration["checks"]["split_half_ratio"].as_f64().unwrap();
         let reasons = calibration["verdict"]["reasons"].as_array().unwrap();
@@ -93,6 +95,9 @@ fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
             ratio < 2.5 || says("two halves of the views differ"),
             "{name}: {ratio}, {reasons:?}"
         );
-        assert!(ratio < 3.0 && says(cause), "{name}: {ratio}, {reasons:?}");
+        assert!(
+            ratio < 3.0 && causes.iter().any(|cause| says(cause)),
+            "{name}: {ratio}, {reasons:?}"
+        );
     }
 }

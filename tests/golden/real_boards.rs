@@ -2,10 +2,15 @@
 
 use std::path::{Path, PathBuf};
 
+use plumb::calibration::solve::solve_views;
+use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use plumb::detection::detector::Detector;
-use plumb::geometry::board::BoardSize;
-use plumb::geometry::pixel::Pixel;
+use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::geometry::board::{BoardSize, Chessboard};
+use plumb::geometry::lens::LensModel;
+use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::imaging::decode::luma;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
@@ -93,6 +98,55 @@ fn assert_all_whole(folder: &str, count: usize, board: &str) {
 #[test]
 fn every_board_in_a_full_fisheye_is_found_whole() {
     assert_all_whole("boofcv-fisheye-chess", 26, "4x6");
+}
+
+/// The spread of the estimates without each view in turn is what the stated deviations mean.
+#[test]
+fn stated_deviations_are_those_of_leaving_views_out() {
+    let Some(paths) = pictures("opencv-samples", 28) else { return };
+    let board = Chessboard::new("9x6".parse().unwrap(), 0.03).unwrap();
+    let mut detector = Detector::new(board.size);
+    let is_right = |path: &&PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        name.starts_with("right0") || name.starts_with("right1")
+    };
+    let views: Vec<_> = paths
+        .iter()
+        .filter(is_right)
+        .map(|path| {
+            let detection = search(&mut detector, path, false).unwrap();
+            let frame = FrameFacts {
+                sequence: 0,
+                name: Some(path.display().to_string()),
+                host_time_ns: 0,
+                device_time_ns: None,
+                image_size: ImageSize::new(640, 480),
+            };
+            View { number: 0, frame, detection }.to_board_view(&board.into())
+        })
+        .collect();
+    let lens = LensChoice::Model(LensModel::Brown);
+    let options = CameraOptions { lens, ..CameraOptions::default() };
+    let solved = |views: Vec<_>| {
+        let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
+        solve_views(&problem, &options).unwrap()
+    };
+    let whole = solved(views.clone());
+    let left_out: Vec<Vec<f64>> = (0..views.len())
+        .map(|out| {
+            let mut rest = views.clone();
+            rest.remove(out);
+            solved(rest).estimate.lens.parameters()
+        })
+        .collect();
+    let count = views.len() as f64;
+    for (k, stated) in whole.estimate.lens_std().iter().take(4).enumerate() {
+        let mean = left_out.iter().map(|one| one[k]).sum::<f64>() / count;
+        let squares = left_out.iter().map(|one| (one[k] - mean).powi(2)).sum::<f64>();
+        let ratio = (squares * (count - 1.0) / count).sqrt() / stated;
+        assert!((0.7..1.4).contains(&ratio), "parameter {k}: {ratio}");
+    }
+    assert!(!whole.verdict.reasons.iter().any(|reason| reason.contains("does not fit")));
 }
 
 /// Some are as sharp as pixels can show, with edges midway between two rows of them.

@@ -14,6 +14,7 @@ const COMMANDS: &[&str] = &[
     "verify",
     "focus",
     "uncertainty",
+    "board",
     "target",
 ];
 

@@ -205,6 +205,34 @@ fn a_calibration_is_exported_for_a_part_of_its_pictures_and_for_other_sizes() {
 }
 
 #[test]
+fn a_measured_board_is_drawn_and_given_to_the_next_solve() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = written(&folder, &problem(0.001)).display().to_string();
+    let [calibration, png] =
+        ["camera.json", "board.png"].map(|name| folder.path().join(name).display().to_string());
+    let solve = ["solve", "--board-shape", "free", "--out", &calibration, &file];
+    assert_eq!(plumb(solve).code, Some(0));
+    let drawn = plumb(["board", "--calibration", &calibration, "--out", &png]);
+    assert_eq!(drawn.code, Some(0), "{}", drawn.stderr);
+    assert!(drawn.stdout.contains("the board is uneven by 0.3"), "{}", drawn.stdout);
+    assert_eq!(image::open(&png).unwrap().width(), 800);
+
+    let again = plumb(["solve", "--json", "--board-shape", &calibration, &file]);
+    assert_eq!(again.code, Some(0), "{}", again.stderr);
+    let solved: Value = serde_json::from_str(&again.stdout).unwrap();
+    let sensor = &solved["sensors"]["color"];
+    assert!((sensor["lens"]["fx"].as_f64().unwrap() - CAMERA[0]).abs() < 0.01, "{sensor}");
+    assert!(sensor["rms_px"].as_f64().unwrap() < 0.01, "{}", sensor["rms_px"]);
+
+    let flat = written(&folder, &problem(0.0)).display().to_string();
+    let of_flat = folder.path().join("flat.json").display().to_string();
+    assert_eq!(plumb(["solve", "--out", &of_flat, &flat]).code, Some(0));
+    let none = plumb(["board", "--calibration", &of_flat, "--out", &png]);
+    assert_eq!(none.code, Some(1));
+    assert!(none.stderr.contains("measured no board"), "{}", none.stderr);
+}
+
+#[test]
 fn its_uncertainty_is_told_in_numbers_and_as_a_picture() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(&folder, &problem(0.0));

@@ -9,7 +9,7 @@ pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
 
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
-use crate::estimation::effects::measured::{MeasuredBoard, RollingShutter};
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;

@@ -6,21 +6,18 @@ use crate::estimation::effects::fit::fit_effects;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
-use crate::estimation::robust_fit::ROUNDING;
 use crate::geometry::pixel::ImageSize;
 
 /// A fit of one camera carried on with what the views show of the board's shape and motion; as it
 /// was where they show none.
 pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOptions) -> CameraFit {
     let wanted = Wanted {
-        shape: options.board_shape != BoardShape::Flat,
+        shape: options.board_shape != BoardShape::Flat && options.measured_board.is_none(),
         motion: options.shutter != Shutter::Global,
         shape_for_certain: options.board_shape == BoardShape::Free,
         motion_for_certain: options.shutter == Shutter::Rolling,
     };
-    // Of rounding errors nothing can be told.
-    let exact = fit.noise_square() < ROUNDING * ROUNDING;
-    if exact || fit.layout.sensors.len() > 1 || !(wanted.shape || wanted.motion) {
+    if fit.is_exact() || fit.layout.sensors.len() > 1 || !(wanted.shape || wanted.motion) {
         return fit;
     }
     carried_on(&fit, [size.width, size.height].map(f64::from), wanted).unwrap_or(fit)

@@ -27,6 +27,9 @@ const LEAST_REST: f64 = 1e-4;
 /// Points closer than this part of the board's extent are one.
 const SAME_POINT: f64 = 1e-5;
 
+/// Points further off their plane than this part of the board's extent are no board.
+const LARGEST_HEIGHT: f64 = 0.05;
+
 /// The distinct points of a flat board, and the functions on them.
 #[derive(Debug, Clone)]
 pub(crate) struct BoardBasis {
@@ -46,15 +49,15 @@ pub(crate) struct BoardBasis {
 }
 
 impl BoardBasis {
-    /// `None` where the points do not lie on one plane z = const, or are too few.
+    /// `None` where the points do not lie near one plane z = const, or are too few.
     /// `in_detail` in place of whether there is a shape at all.
     pub(crate) fn of(observations: &[BoardObservation], in_detail: bool) -> Option<Self> {
         let all = || observations.iter().flat_map(|observation| &observation.points);
-        let z = all().next()?.z;
         let half_extent =
             [0, 1].map(|axis| all().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
         let cell = SAME_POINT * half_extent[0].max(half_extent[1]);
-        if all().any(|p| (p.z - z).abs() > cell) {
+        let extent = half_extent[0].max(half_extent[1]);
+        if all().any(|p| p.z.abs() > LARGEST_HEIGHT * extent) {
             return None;
         }
         let key = |p: &Point3<f64>| [p.x, p.y].map(|v| (v / cell).round() as i64);

@@ -238,8 +238,9 @@ impl<'a> Reduced<'a> {
         }
     }
 
-    /// The logarithm of the evidence, without the posterior.
-    pub(super) fn log_evidence(&self, state: &EffectsState) -> f64 {
+    /// The noise's variance at the mode, and how many residuals more than unknowns tell of it,
+    /// without the posterior.
+    fn noise(&self, state: &EffectsState) -> (f64, f64) {
         // Through the factor alone: gᵀ S⁻¹ g = |L⁻¹ g|².
         let scaled = self.gradient.component_mul(&self.scale);
         let decrease = self.factor.half_square(&scaled);
@@ -250,7 +251,17 @@ impl<'a> Reduced<'a> {
             - decrease;
         let views = self.system.views.len();
         let freedom = (self.system.residual_count as f64 - (self.lens + 6 * views) as f64).max(1.0);
-        let noise_square = (cost / freedom).max(f64::MIN_POSITIVE);
+        ((cost / freedom).max(f64::MIN_POSITIVE), freedom)
+    }
+
+    /// The noise's variance at the mode.
+    pub(super) fn noise_square(&self, state: &EffectsState) -> f64 {
+        self.noise(state).0
+    }
+
+    /// The logarithm of the evidence, without the posterior.
+    pub(super) fn log_evidence(&self, state: &EffectsState) -> f64 {
+        let (noise_square, freedom) = self.noise(state);
         let log_determinants = self.factor.log_determinant()
             - 2.0 * self.scale.iter().map(|s| s.ln()).sum::<f64>()
             - self.active.lambda[self.lens..].iter().map(|l| l.ln()).sum::<f64>()
@@ -287,6 +298,17 @@ const LEAST_LAMBDA: f64 = 1e-10;
 const LARGEST_CHANGE: f64 = 1e4;
 
 impl Posterior {
+    /// Of all globals, for noise of unit variance: 0 for those that are not in the model.
+    pub(super) fn whole_covariance(&self, globals: usize) -> DMatrix<f64> {
+        let mut whole = DMatrix::zeros(globals, globals);
+        for (j, column) in self.index.iter().enumerate() {
+            for (i, row) in self.index.iter().enumerate() {
+                whole[(*row, *column)] = self.covariance[(i, j)];
+            }
+        }
+        whole
+    }
+
     /// L⁻ᵀ of the `k`-th view's motion; `None` where nothing moves.
     pub(super) fn motion_up(&self, k: usize) -> Option<Matrix6<f64>> {
         self.ups.get(k).copied()

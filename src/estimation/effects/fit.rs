@@ -1,14 +1,15 @@
 //! The walk to the posterior's mode, with variances updated on the way, and the choice of effects.
 
-use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::clustered_covariance::clustered;
+use crate::estimation::clustered_covariance::{Clustered, Influence, clustered};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
 use crate::estimation::effects::hints;
+use crate::estimation::effects::influence::view_jacobians;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, Layout, State};
@@ -17,7 +18,7 @@ use crate::estimation::view_fault::ViewFault;
 
 /// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
 /// model: chance alone does once in a hundred times (χ² of the few variances that each has).
-const LEAST_GROUP_GAIN: f64 = 4.0;
+pub(super) const LEAST_GROUP_GAIN: f64 = 4.0;
 
 /// Likewise for one kind of shape or of motion where others of its group are in the model.
 const LEAST_GAIN: f64 = 1.5;
@@ -25,15 +26,7 @@ const LEAST_GAIN: f64 = 1.5;
 /// Steps before effects that nothing shows are taken out; the rest is quicker without them.
 const FIRST_STEPS: usize = 3;
 
-/// A rolling shutter must raise the logarithm of the evidence by this per residual, as it does
-/// where it leaves three quarters of the residuals' variance: twelve unknowns a view always explain
-/// something of whatever else is wrong, and views that differ widen the covariance instead.
-const LEAST_SHUTTER_GAIN: f64 = 0.14;
-
-/// Reading by rows must beat reading by columns by this part of what it explains.
-const ROWS_AGAINST_COLUMNS: f64 = 0.02;
-
-const MAX_STEPS: usize = 5;
+pub(super) const MAX_STEPS: usize = 5;
 
 /// The corners as they were chosen at the end.
 pub(crate) struct Corners {
@@ -74,30 +67,15 @@ pub(crate) fn fit_effects(
         let observations = &corners.observations;
         let scene =
             Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
-        let mut next = match walk.take() {
+        let start = |wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
+        let next = match walk.take() {
             Some(walk) => walk.again(scene)?,
-            None => EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted)?,
+            None => start(wanted)?,
         };
-        next.settle(scene, FIRST_STEPS)?;
-        while next.drop_idle(scene, wanted)? {
-            if next.variances.0.is_empty() {
-                return None;
-            }
-            next.settle(scene, MAX_STEPS)?;
-        }
+        let mut next = next.settled(scene, wanted)?;
         if !wanted.motion_for_certain && next.moves() && next.is_no_shutter(scene, width)? {
             let wanted = Wanted { motion: false, ..wanted };
-            next = EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted)?;
-            if next.variances.0.is_empty() {
-                return None;
-            }
-            next.settle(scene, FIRST_STEPS)?;
-            while next.drop_idle(scene, wanted)? {
-                if next.variances.0.is_empty() {
-                    return None;
-                }
-                next.settle(scene, MAX_STEPS)?;
-            }
+            next = start(wanted)?.settled(scene, wanted)?;
         }
         let residuals = std::mem::take(&mut next.system.residuals);
         walk = Some(next);
@@ -137,12 +115,12 @@ fn pose_covariances(
     all
 }
 
-struct EffectSearch {
-    state: EffectsState,
-    system: System,
-    variances: Variances,
+pub(super) struct EffectSearch {
+    pub(super) state: EffectsState,
+    pub(super) system: System,
+    pub(super) variances: Variances,
     /// Of each effect, how far it raises the logarithm of the evidence.
-    gains: Vec<f64>,
+    pub(super) gains: Vec<f64>,
 }
 
 impl EffectSearch {
@@ -162,6 +140,21 @@ impl EffectSearch {
         Some(Self { state, system, variances, gains: Vec::new() })
     }
 
+    /// At the minimum, with the effects that are missed without; `None` where there are none.
+    fn settled(mut self, scene: Scene<'_>, wanted: Wanted) -> Option<Self> {
+        let mut steps = FIRST_STEPS;
+        loop {
+            if self.variances.0.is_empty() {
+                return None;
+            }
+            self.settle(scene, steps)?;
+            if !self.drop_idle(scene, wanted)? {
+                return Some(self);
+            }
+            steps = MAX_STEPS;
+        }
+    }
+
     /// The same with corners chosen anew.
     fn again(self, scene: Scene<'_>) -> Option<Self> {
         Some(Self { system: System::at(scene, &self.state)?, ..self })
@@ -171,29 +164,7 @@ impl EffectSearch {
         self.variances.0.iter().any(|(effect, _)| effect.is_motion())
     }
 
-    /// Whether reading by columns explains nearly as much as reading by rows, as it does of
-    /// everything that is no shutter.
-    fn is_no_shutter(&self, scene: Scene<'_>, width: f64) -> Option<bool> {
-        let motions: Vec<Effect> =
-            self.variances.0.iter().map(|(e, _)| *e).filter(|e| e.is_motion()).collect();
-        let rows = self.log_evidence(scene, &self.variances)?;
-        let none = self.log_evidence(scene, &self.variances.held(&motions))?;
-        let scene = Scene { by_columns: Some(width), ..scene };
-        let mut control =
-            Self { variances: self.variances.clone(), gains: Vec::new(), ..self.copy(scene)? };
-        motions.iter().for_each(|effect| control.state.clear(*effect, scene.basis));
-        control.system = System::at(scene, &control.state)?;
-        control.settle(scene, MAX_STEPS)?;
-        let columns = control.log_evidence(scene, &control.variances)?;
-        let explained = rows - none;
-        let visible = LEAST_SHUTTER_GAIN * self.system.residual_count as f64;
-        Some(
-            explained < visible
-                || rows - columns < LEAST_GROUP_GAIN + ROWS_AGAINST_COLUMNS * explained,
-        )
-    }
-
-    fn copy(&self, scene: Scene<'_>) -> Option<Self> {
+    pub(super) fn copy(&self, scene: Scene<'_>) -> Option<Self> {
         let state = self.state.clone();
         let system = System::at(scene, &state)?;
         Some(Self { state, system, variances: self.variances.clone(), gains: Vec::new() })
@@ -216,28 +187,44 @@ impl EffectSearch {
                 }
             }
         }
-        let influences = System::influences(scene, &self.state, &with_lens, of_motion);
-        let unit = posterior.covariance.view((0, 0), (lens, lens)).into_owned();
-        let clustered = clustered(&unit, noise_square, &influences, scene.good.len());
+        // Parameters differ by orders of magnitude: in units of their own deviations.
+        let scale = posterior.covariance.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+        for (mut column, scale) in with_lens.column_iter_mut().zip(&scale) {
+            column /= *scale;
+        }
+        let unit = DMatrix::from_fn(lens, lens, |i, j| with_lens[(i, j)] / scale[i]);
+        let inverse = unit.clone().cholesky()?.inverse();
+        let views = view_jacobians(scene, &self.state, of_motion);
+        let influences: Vec<Influence> =
+            views.iter().map(|view| view.influence(&with_lens, &inverse)).collect();
+        let without = || {
+            let all = posterior.whole_covariance(scene.global_len());
+            let in_units = |moved: DVector<f64>| DVector::from_fn(lens, |k, _| moved[k] / scale[k]);
+            Some(views.iter().map(|view| in_units(view.without(&all))).collect())
+        };
+        let Clustered { covariance, factor } =
+            clustered(&unit, noise_square, (&influences, scene.good.len()), without);
         Some(EffectsFit {
             noise_square,
-            lens_covariance: clustered.covariance,
-            inflation: clustered.factor,
+            lens_covariance: DMatrix::from_fn(lens, lens, |i, j| {
+                covariance[(i, j)] * scale[i] * scale[j]
+            }),
+            inflation: factor,
             pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),
-            shape_covariance,
+            shape_covariance: shape_covariance * factor,
             state: self.state,
             variances: self.variances,
             basis: basis.clone(),
         })
     }
 
-    fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
+    pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
         let of = (scene.basis, scene.layout.len);
         Some(Reduced::of(&self.system, &self.state, of, &self.variances)?.posterior(&self.state))
     }
 
     /// Steps until neither state nor variances move.
-    fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
+    pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
         let of = (scene.basis, scene.layout.len);
         for _ in 0..max_steps {
             let posterior = self.posterior(scene)?;
@@ -342,7 +329,7 @@ impl EffectSearch {
         Some(!idle.is_empty())
     }
 
-    fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
+    pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
         let of = (scene.basis, scene.layout.len);
         Some(Reduced::of(&self.system, &self.state, of, variances)?.log_evidence(&self.state))
     }

@@ -4,34 +4,7 @@
 use nalgebra::{DMatrix, DVector, Point3, Vector3};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
-
-/// A board's shape as a solve measured it, relative to the one that was stated. A rigid motion is
-/// no shape, and the mean scale is the stated one.
-#[derive(Debug, Clone, PartialEq)]
-pub struct MeasuredBoard {
-    /// The stated points, in the board frame, in meters.
-    pub points: Vec<Point3<f64>>,
-    /// How far each is from where it was stated, in meters.
-    pub offsets_m: Vec<Vector3<f64>>,
-    /// Standard deviation of each offset per axis, in meters.
-    pub std_m: Vec<Vector3<f64>>,
-    /// Root mean square length of the offsets, in meters.
-    pub unevenness_m: f64,
-    /// Its standard deviation, in meters.
-    pub unevenness_std_m: f64,
-    /// How far the board is bowed at its middle along x and y, in meters: the parabolas that fit
-    /// its heights best.
-    pub bow_m: [f64; 2],
-}
-
-/// Motion while the rows of an image were read, over the views.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct RollingShutter {
-    /// Root mean square translation of the board from the first row to the last, in meters.
-    pub translation_m: f64,
-    /// Root mean square rotation likewise, in radians.
-    pub rotation_rad: f64,
-}
+use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 
 impl MeasuredBoard {
     /// `None` where the board's shape is not in the model; `center` is that of the problem's points.

@@ -13,6 +13,8 @@
 //! | the walk to the minimum, and which effects stay | `fit` |
 //! | what was found | `effects_fit` |
 //! | whether it is worth looking at all | `hints` |
+//! | whether motion is a rolling shutter's | `shutter` |
+//! | what each view does to the lens | `influence` |
 //! | dense factors | `dense` |
 
 pub(crate) mod apply;
@@ -23,6 +25,8 @@ pub(crate) mod effects_fit;
 pub(crate) mod evidence;
 pub(crate) mod fit;
 mod hints;
-pub mod measured;
+mod influence;
+mod measured;
+mod shutter;
 pub(crate) mod state;
 mod system;

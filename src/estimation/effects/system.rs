@@ -5,9 +5,8 @@
 //! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
 //! apart because their variance is still to be found.
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 
-use crate::estimation::clustered_covariance::Influence;
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::linearize::{
@@ -45,9 +44,6 @@ pub(super) struct System {
     /// Per observation: (projected − observed) / std.
     pub(super) residuals: Vec<Vec<[f64; 2]>>,
 }
-
-/// Views whose influence is looked at, at most.
-const MAX_INFLUENCES: usize = 60;
 
 /// Room that is used again from view to view.
 #[derive(Default)]
@@ -107,34 +103,6 @@ impl System {
         Some(())
     }
 
-    /// What each view does to the lens, given the covariance of all globals with those of the lens
-    /// (globals × lens) and the λ of a motion where there is one.
-    pub(super) fn influences(
-        scene: Scene<'_>,
-        state: &EffectsState,
-        with_lens: &DMatrix<f64>,
-        of_motion: Option<Vector6<f64>>,
-    ) -> Vec<Influence> {
-        let offsets = scene.basis.offsets(&state.shape);
-        let mut room = Room::default();
-        let some = scene.good.iter().step_by(scene.good.len().div_ceil(MAX_INFLUENCES).max(1));
-        let of_view = |index: &usize| {
-            let seen = state.moved_observation(scene, &offsets, *index);
-            let mut residuals = vec![[0.0; 2]; seen.points.len()];
-            let results = (residuals.as_mut_slice(), &mut room.local);
-            let at = (scene.layout, &state.fixed);
-            if !linearize_observation(at, &seen, Loss::Squares, &mut room.columns, results) {
-                return None;
-            }
-            let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
-            let columns = ViewColumns::of(scene, &seen, *index);
-            let in_plane = columns.fill(&rotation, &seen, room.columns.values(), &mut room.values);
-            let pull = of_motion.unwrap_or_default().component_mul(&state.motions[*index]);
-            columns.influence(&room.values, &in_plane, with_lens, (of_motion, pull))
-        };
-        some.filter_map(of_view).collect()
-    }
-
     /// Takes from the global block what the poses explain, all views in one product.
     fn eliminate_poses(&mut self) {
         let globals = self.gradient.len();
@@ -171,16 +139,16 @@ impl ViewPart {
 
 /// Where the columns of one view's Jacobian lie: lens, smooth shapes, motion, pose, residual; each
 /// all corners' x, then all corners' y.
-struct ViewColumns<'a> {
+pub(super) struct ViewColumns<'a> {
     scene: Scene<'a>,
     lens: usize,
     smooth: usize,
-    rows: usize,
+    pub(super) rows: usize,
     point_of: &'a [usize],
 }
 
 impl<'a> ViewColumns<'a> {
-    fn of(scene: Scene<'a>, seen: &BoardObservation, index: usize) -> Self {
+    pub(super) fn of(scene: Scene<'a>, seen: &BoardObservation, index: usize) -> Self {
         Self {
             scene,
             lens: scene.layout.len,
@@ -190,66 +158,35 @@ impl<'a> ViewColumns<'a> {
         }
     }
 
-    /// See [`System::influences`].
-    fn influence(
-        &self,
-        values: &[f64],
-        in_plane: &[Vec<f64>; 2],
-        with_lens: &DMatrix<f64>,
-        (of_motion, prior_pull): (Option<Vector6<f64>>, Vector6<f64>),
-    ) -> Option<Influence> {
-        let (rows, dense) = (self.rows, self.motion());
-        let columns = DMatrixView::from_slice(values, rows, self.count());
-        // Each residual's part in the step of the lens.
-        let mut parts = columns.columns(0, dense) * with_lens.rows(0, dense);
-        let own = if self.scene.basis.has_own { self.point_of } else { &[] };
-        for (corner, point) in own.iter().enumerate() {
-            for row in [corner, corner + rows / 2] {
-                for (axis, by) in in_plane.iter().enumerate() {
-                    let part = with_lens.row(dense + 2 * point + axis) * by[row];
-                    let mut target = parts.row_mut(row);
-                    target += part;
-                }
-            }
-        }
-        let first = if of_motion.is_some() { self.motion() } else { self.pose() };
-        let locals = columns.columns(first, self.residual() - first);
-        let mut square = locals.transpose() * locals;
-        for (k, lambda) in of_motion.iter().flat_map(|lambda| lambda.iter()).enumerate() {
-            square[(k, k)] += lambda;
-        }
-        let coupling = locals.transpose() * &parts;
-        let eliminated = square.cholesky()?.solve(&coupling);
-        let residual = columns.column(self.residual());
-        let mut own_gradient = locals.transpose() * residual;
-        for (k, pull) in prior_pull.iter().enumerate().take(own_gradient.len() - 6) {
-            own_gradient[k] += pull;
-        }
-        Some(Influence {
-            step: eliminated.transpose() * own_gradient - parts.transpose() * residual,
-            expected: parts.transpose() * &parts - coupling.transpose() * eliminated,
-        })
-    }
-
-    fn motion(&self) -> usize {
+    pub(super) fn motion(&self) -> usize {
         self.lens + self.smooth
     }
 
-    fn pose(&self) -> usize {
+    pub(super) fn pose(&self) -> usize {
         self.motion() + 6
     }
 
-    fn residual(&self) -> usize {
+    pub(super) fn residual(&self) -> usize {
         self.pose() + 6
     }
 
-    fn count(&self) -> usize {
+    pub(super) fn count(&self) -> usize {
         self.residual() + 1
+    }
+
+    /// How many globals there are.
+    pub(super) fn globals(&self) -> usize {
+        self.scene.global_len()
+    }
+
+    /// The points that have offsets of their own, corner by corner.
+    pub(super) fn own(&self) -> &'a [usize] {
+        if self.scene.basis.has_own { self.point_of } else { &[] }
     }
 
     /// Fills `values` from the columns (lens, pose, residual) of the plain problem; answers the
     /// derivatives by a shift along the board's x and y.
-    fn fill(
+    pub(super) fn fill(
         &self,
         camera_from_board: &nalgebra::Matrix3<f64>,
         seen: &BoardObservation,
@@ -336,8 +273,7 @@ impl<'a> ViewColumns<'a> {
             }
         }
         let (rows, half) = (self.rows, self.rows / 2);
-        let own = if self.scene.basis.has_own { self.point_of } else { &[] };
-        for (corner, point) in own.iter().enumerate() {
+        for (corner, point) in self.own().iter().enumerate() {
             let with = |axis: usize, column: usize| {
                 let by = &in_plane[axis];
                 let column = &values[column * rows..][..rows];

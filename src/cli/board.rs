@@ -1,0 +1,54 @@
+//! `plumb board`: a board as a calibration measured it, as a picture.
+
+use std::path::PathBuf;
+
+use crate::calibration::result::ImageCalibration;
+use crate::calibration::rounded::value_with_std;
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::{Failure, output};
+use crate::document::board_shape::BoardShapeDocument;
+use crate::imaging::board_picture::{BoardOffsets, board_png};
+
+/// Draws the board as a calibration measured it: its heights, and how far its corners are off.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
+    #[arg(long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// Which sensor: color, infrared, infrared2, or a rig's camera; the first that measured the
+    /// board unless given.
+    #[arg(long, value_name = "NAME")]
+    sensor: Option<String>,
+    /// Where to write the picture, as PNG.
+    #[arg(long, value_name = "FILE.png")]
+    out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the calibration cannot be read, or has measured no board.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let calibration = read_calibration(&args.calibration)?;
+    let file = args.calibration.display();
+    let is_asked = |name: &str| args.sensor.as_ref().is_none_or(|asked| asked == name);
+    let measured = |(id, sensor): (_, &ImageCalibration)| {
+        let name = calibration.name_of(id);
+        is_asked(&name).then(|| sensor.board_shape.clone()).flatten().map(|shape| (name, shape))
+    };
+    let (name, shape) = calibration.image_sensors().find_map(measured).ok_or_else(|| {
+        Failure::failed(format!(
+            "{file}: it has measured no board: its views show none that is uneven; calibrate with --board-shape free to have it measured for all that"
+        ))
+    })?;
+    let drawn = BoardShapeDocument::from(&shape);
+    let offsets = BoardOffsets { points: &drawn.points, offsets_m: &drawn.offsets_m };
+    let png = board_png(offsets)
+        .ok_or_else(|| Failure::failed(format!("{file}: its board has no extent to draw")))?;
+    write_file(&args.out, &png)?;
+    let [rms, std] = [shape.unevenness_m, shape.unevenness_std_m].map(|m| m * 1000.0);
+    output::print_line(&format!(
+        "{name}: the board is uneven by {} mm (rms)",
+        value_with_std(rms, std)
+    ))
+}

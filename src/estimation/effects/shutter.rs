@@ -1,0 +1,74 @@
+//! Whether motion that was found is a rolling shutter's: twelve unknowns a view always explain
+//! something of whatever else is wrong.
+
+use nalgebra::Matrix6;
+
+use crate::estimation::effects::evidence::Reduced;
+use crate::estimation::effects::fit::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
+use crate::estimation::effects::state::Scene;
+use crate::estimation::effects::system::{System, ViewPart};
+use crate::geometry::median::median;
+
+/// Views agree where their mean is this many of its standard deviations from 0: less than three
+/// times in a thousand by chance, with fifteen views.
+const AGREED: f64 = 3.0;
+
+/// A view counts for this many times what views usually do at most: one whose motion has not
+/// settled must not decide.
+const MOST: f64 = 5.0;
+
+impl EffectSearch {
+    /// Whether views do not agree that they were read by rows rather than by columns, which explains
+    /// nearly as much of everything that is no shutter (Q. H. Vuong, *Likelihood ratio tests for
+    /// model selection and non-nested hypotheses*, 1989: the views are what is independent, not
+    /// their corners).
+    pub(super) fn is_no_shutter(&self, scene: Scene<'_>, width: f64) -> Option<bool> {
+        let by_columns = Scene { by_columns: Some(width), ..scene };
+        let mut control =
+            Self { variances: self.variances.clone(), gains: Vec::new(), ..self.copy(by_columns)? };
+        for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
+            control.state.clear(*effect, scene.basis);
+        }
+        control.system = System::at(by_columns, &control.state)?;
+        control.settle(by_columns, MAX_STEPS)?;
+        let rows = self.log_evidence(scene, &self.variances)?;
+        let columns = control.log_evidence(by_columns, &control.variances)?;
+        let of_views: Vec<f64> = self
+            .view_evidences(scene)?
+            .iter()
+            .zip(control.view_evidences(by_columns)?)
+            .map(|(rows, columns)| rows - columns)
+            .collect();
+        let usual = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
+        let of_views: Vec<f64> =
+            of_views.iter().map(|one| one.clamp(-MOST * usual, MOST * usual)).collect();
+        let count = of_views.len() as f64;
+        let mean = of_views.iter().sum::<f64>() / count;
+        let squares = of_views.iter().map(|one| (one - mean).powi(2)).sum::<f64>();
+        let std = (squares / (count - 1.0).max(1.0) / count).sqrt();
+        Some(rows - columns < LEAST_GROUP_GAIN || mean < AGREED * std)
+    }
+
+    /// What each view adds to the logarithm of the evidence, the globals as they are.
+    fn view_evidences(&self, scene: Scene<'_>) -> Option<Vec<f64>> {
+        let of = (scene.basis, scene.layout.len);
+        let reduced = Reduced::of(&self.system, &self.state, of, &self.variances)?;
+        let noise_square = reduced.noise_square(&self.state);
+        let lambda = self.variances.of_motion(&self.system);
+        let of_view = |view: &ViewPart| {
+            let observation = &scene.observations[view.observation];
+            let motion = &self.state.motions[view.observation];
+            let used = self.system.residuals[view.observation]
+                .iter()
+                .zip(&observation.used)
+                .filter(|(_, used)| **used);
+            let (cost, count) = used
+                .fold((0.0, 0.0), |(cost, count), ([x, y], _)| (cost + x * x + y * y, count + 2.0));
+            let penalty = lambda.component_mul(motion).dot(motion);
+            let block = (view.motion + Matrix6::from_diagonal(&lambda)).cholesky()?.unpack();
+            let determinant: f64 = (0..6).map(|k| 2.0 * block[(k, k)].ln() - lambda[k].ln()).sum();
+            Some(-0.5 * ((cost + penalty) / noise_square + determinant + count * noise_square.ln()))
+        };
+        self.system.views.iter().map(of_view).collect()
+    }
+}
