@@ -102,7 +102,8 @@ fn refuses_what_it_cannot_see(lens: &Lens) {
     for pixel in [Pixel::new(nan, 0.0), Pixel::new(0.0, nan), Pixel::new(f64::INFINITY, 0.0)] {
         assert!(lens.bearing_from_pixel(pixel).is_none(), "{pixel:?} gives a direction");
     }
-    if lens.model() != LensModel::KannalaBrandt {
+    let fisheyes = [LensModel::KannalaBrandt, LensModel::Eucm, LensModel::DoubleSphere];
+    if !fisheyes.contains(&lens.model()) {
         for point in [[0.1, 0.1, -1.0], [0.1, 0.0, 0.0], [0.0, 0.0, -2.0]] {
             assert!(
                 lens.pixel_from_point(&Point3::from(point)).is_none(),
@@ -298,5 +299,11 @@ conforms! {
     rational: Rational [520.0, 522.0, 321.0, 238.0, 0.0, 8.1, 4.3, 0.0003, -0.0002, 0.2, 8.4, 6.9, 1.1], sees_all = true;
     rational_with_a_pole: Rational [400.0, 400.0, 320.0, 240.0, 0.0, -0.6, 0.1, 0.001, 0.0, 0.0, -0.3, 0.0, 0.0], sees_all = false;
     fisheye: KannalaBrandt [205.0, 206.0, 319.0, 241.0, 0.0, -0.012, 0.004, -0.002, 0.0003], sees_all = true;
+    eucm: Eucm [250.0, 251.0, 319.0, 241.0, 0.0, 0.6, 1.1], sees_all = true;
+    eucm_nearly_straight: Eucm [530.0, 535.0, 318.0, 242.0, 0.0, 0.2, 0.9], sees_all = true;
+    eucm_that_ends: Eucm [120.0, 121.0, 320.0, 240.0, 0.0, 0.7, 1.2], sees_all = false;
+    double_sphere: DoubleSphere [200.0, 201.0, 319.0, 241.0, 0.0, -0.1, 0.55], sees_all = true;
+    double_sphere_ahead: DoubleSphere [330.0, 331.0, 319.0, 241.0, 0.0, 0.3, 0.4], sees_all = true;
+    double_sphere_that_ends: DoubleSphere [157.0, 157.0, 320.0, 240.0, 0.0, -0.18, 0.59], sees_all = false;
     fisheye_that_folds: KannalaBrandt [160.0, 160.0, 320.0, 240.0, 0.0, -0.09, -0.01, 0.0, 0.0], sees_all = false;
 }

@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 const LENS_MODELS: &[(&str, &str)] = &[
     ("Pinhole", "pinhole"),
     ("Radial", "radial"),
+    ("DoubleSphere", "double_sphere"),
+    ("Eucm", "eucm"),
     ("KannalaBrandt", "kannala_brandt"),
     ("Brown", "brown"),
     ("Rational", "rational"),

@@ -28,6 +28,8 @@ fn lens() -> impl Strategy<Value = Lens> {
         let model = LensModel::ALL[model];
         let [fx, aspect, cx, cy, skew] = matrix;
         let scales: &[f64] = match model {
+            LensModel::DoubleSphere => &[0.4, 0.4],
+            LensModel::Eucm => &[0.4, 0.3],
             LensModel::KannalaBrandt => &[0.02, 0.01, 0.004, 0.001],
             LensModel::Pinhole => &[],
             LensModel::Radial => &[0.3],
@@ -35,7 +37,13 @@ fn lens() -> impl Strategy<Value = Lens> {
             LensModel::Rational => &[0.3, 0.1, 0.002, 0.002, 0.02, 0.1, 0.05, 0.01],
         };
         let mut parameters = vec![fx, fx * aspect, cx, cy, skew];
-        parameters.extend(coefficients.iter().zip(scales).map(|(value, scale)| value * scale));
+        let middles: &[f64] = match model {
+            LensModel::DoubleSphere => &[0.0, 0.5],
+            LensModel::Eucm => &[0.5, 1.0],
+            _ => &[0.0; 8],
+        };
+        let around = coefficients.iter().zip(scales).zip(middles);
+        parameters.extend(around.map(|((value, scale), middle)| middle + value * scale));
         Lens::from_parameters(model, &parameters).unwrap()
     })
 }

@@ -15,6 +15,8 @@
 
 mod brown;
 pub mod columns;
+mod double_sphere;
+mod eucm;
 mod kannala_brandt;
 pub mod model;
 mod pinhole;
@@ -25,6 +27,8 @@ mod rational;
 use nalgebra::{Matrix2, Matrix2x3, Point3, SMatrix, Vector2};
 
 pub use brown::Brown;
+pub use double_sphere::DoubleSphere;
+pub use eucm::Eucm;
 pub use kannala_brandt::KannalaBrandt;
 pub use model::{CoefficientPrior, Distorted, DistortionModel, ModelFacts};
 pub use pinhole::Pinhole;
@@ -172,6 +176,10 @@ lens_models! {
     Pinhole,
     /// One radial coefficient.
     Radial,
+    /// The double sphere model, Kalibr's `ds`.
+    DoubleSphere,
+    /// The enhanced unified model, Kalibr's `eucm`.
+    Eucm,
     /// OpenCV's `fisheye`, ROS `equidistant`.
     KannalaBrandt,
     /// OpenCV's five coefficients, ROS `plumb_bob`.
@@ -293,7 +301,7 @@ impl Lens {
     }
 
     /// Where a point of the camera frame (meters) is seen; `None` outside the lens's valid region
-    /// (for every model but [`KannalaBrandt`] that includes all points with z ≤ 0). Agrees with
+    /// (for every model but those of fisheyes that includes all points with z ≤ 0). Agrees with
     /// OpenCV's `projectPoints` and `fisheye::projectPoints` inside it.
     pub fn pixel_from_point(&self, point_in_camera: &Point3<f64>) -> Option<Pixel> {
         Some(self.matrix.pixel_from_normalized(self.distortion.distort(point_in_camera)?))
