@@ -131,7 +131,7 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     (
         "calibrate --board 9x6 --square 25mm @gray.jpg @gray.jpg",
         1,
-        &["no 9x6 board", "any of 2 pictures", "gray.jpg"],
+        &["no 9x6 chessboard", "any of 2 pictures", "gray.jpg"],
     ),
     ("calibrate --board 9x6 --square 25mm @gray.jpg @small", 1, &["64x48", "320x240", "each size"]),
     ("solve", 2, &["PROBLEM.json"]),
