@@ -49,6 +49,18 @@ pub enum Rejection {
         /// The kept view that it resembles most.
         view: u32,
     },
+    /// It would teach too little beside the session's views.
+    #[error(
+        "nothing new: projections would be {:.1} % surer, a view is kept for {:.1} %; hold the board as asked for",
+        100.0 * gain,
+        100.0 * needed
+    )]
+    TeachesLittle {
+        /// How much surer projections would be with it, 0 to 1.
+        gain: f64,
+        /// What it takes to be kept.
+        needed: f64,
+    },
     /// The picture's size is not that of the session's first one.
     #[error("the picture is {got}, the session's others are {expected}")]
     OtherImageSize {
@@ -88,6 +100,11 @@ impl Rejection {
         "full",
     ];
 
+    /// Whether the board is well seen, only not new.
+    pub fn is_known_already(&self) -> bool {
+        matches!(self, Self::TooSimilar { .. } | Self::TeachesLittle { .. })
+    }
+
     /// A short stable name for counters, documents and events.
     pub fn kind(&self) -> &'static str {
         match self {
@@ -95,7 +112,7 @@ impl Rejection {
             Self::Partial { .. } => "partial",
             Self::Blurred { .. } => "blurred",
             Self::Moving { .. } => "moving",
-            Self::TooSimilar { .. } => "too_similar",
+            Self::TooSimilar { .. } | Self::TeachesLittle { .. } => "too_similar",
             Self::Unreadable { .. } => "unreadable",
             Self::OtherImageSize { .. } => "other_image_size",
             Self::Full { .. } => "full",
@@ -164,15 +181,26 @@ pub struct AdmissionOptions {
     pub blur_limit: f64,
     /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
     pub speed_limit: f64,
-    /// How many steps ([`Placement::steps_to`]) away from every kept view. Default: 0.6.
+    /// How many steps ([`Placement::steps_to`]) away from every kept view: nearer ones are the same
+    /// picture again, whose errors are the same too. Default: 0.3 (4 % of the image's width, or 3°).
     pub novelty_steps: f64,
+    /// What a view must teach, as a part of what the kept ones taught on average. Of N views that
+    /// teach the same each makes projections surer by 1/(2N). Default: 0.3, so that pictures of a
+    /// pile in which none teaches much are kept.
+    pub worth: f64,
     /// The most views of a session. Default: 150.
     pub view_limit: u32,
 }
 
 impl Default for AdmissionOptions {
     fn default() -> Self {
-        Self { blur_limit: 0.0025, speed_limit: 0.4, novelty_steps: 0.6, view_limit: 150 }
+        Self {
+            blur_limit: 0.0025,
+            speed_limit: 0.4,
+            novelty_steps: 0.3,
+            worth: 0.3,
+            view_limit: 150,
+        }
     }
 }
 
@@ -190,9 +218,10 @@ pub struct SeenBefore {
     pub detection: Detection,
 }
 
-/// Decides on a detection in an image of `size` seen at `time_ns`: its placement if it becomes a
-/// view. It depends on the frames alone, not on what was estimated meanwhile: a replay keeps the
-/// same views.
+/// Decides whether a detection is sharp, still, whole and another picture than those that are kept:
+/// its placement if so. What it would teach is another question
+/// ([`crate::calibration::information::teaching`]). It depends on the frames alone, not on what was
+/// estimated meanwhile: a replay keeps the same views.
 ///
 /// # Errors
 /// The first reason against it, the most telling first.
@@ -225,9 +254,6 @@ pub fn admit(
     match alike {
         Some((view, steps)) if steps < options.novelty_steps => {
             Err(Rejection::TooSimilar { view: view as u32 })
-        }
-        _ if kept.len() >= options.view_limit as usize => {
-            Err(Rejection::Full { limit: options.view_limit })
         }
         _ => Ok(placement),
     }

@@ -21,6 +21,12 @@ pub struct Guidance {
     /// The board's four outer corners as they should be seen next, in pixels, clockwise from the
     /// board's first corner; empty when no place is better than another.
     pub outline_px: Vec<Pixel>,
+    /// Where the board should be next.
+    pub camera_from_board: Option<Pose>,
+    /// The goal's figure after that view, in pixels.
+    pub expected_uncertainty_px: Option<f64>,
+    /// How many more views reach the goal, at least and at most; `None` without a goal.
+    pub views_to_go: Option<[u32; 2]>,
 }
 
 /// A placement to ask for, and its words.
@@ -123,17 +129,18 @@ fn next_wish(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidan
             placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS
         };
         if !kept.iter().any(fulfilled) {
-            return Guidance { message: format!("hold the board {}", wish.words), outline_px };
+            let message = format!("hold the board {}", wish.words);
+            return Guidance { message, outline_px, ..Guidance::default() };
         }
     }
     let message =
         "every part of the picture is covered; stop the session, or go on to make the result surer";
-    Guidance { message: message.to_owned(), outline_px: Vec::new() }
+    Guidance { message: message.to_owned(), ..Guidance::default() }
 }
 
 /// What is wrong with the newest frame, as something to do; `None` if nothing has to be done about
 /// it.
-fn obstacle(rejection: &Rejection) -> Option<String> {
+pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
     match rejection {
         Rejection::NoBoard(reason @ (NoBoard::OtherSize { .. } | NoBoard::LowContrast { .. })) => {
             Some(reason.to_string())
@@ -148,7 +155,7 @@ fn obstacle(rejection: &Rejection) -> Option<String> {
         Rejection::Unreadable { .. }
         | Rejection::OtherImageSize { .. }
         | Rejection::Full { .. } => Some(rejection.to_string()),
-        Rejection::TooSimilar { .. } => None,
+        Rejection::TooSimilar { .. } | Rejection::TeachesLittle { .. } => None,
     }
 }
 

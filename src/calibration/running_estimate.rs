@@ -2,11 +2,11 @@
 //! fraction of a solve, and made anew where going on is suspect. The calibration itself never
 //! comes this way: it is solved from nothing at the end.
 
-use crate::calibration::result::ProjectionUncertainty;
 use crate::calibration::session_record::RunningEstimate;
-use crate::calibration::solve::estimate_views;
-use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart};
+use crate::calibration::solve::uncertainty_over;
+use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_and_check};
 use crate::estimation::error::EstimationError;
+use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// With fewer views an estimate costs little anew, and each new one still changes much.
@@ -21,6 +21,10 @@ const RESIDUALS: f64 = 1.25;
 /// moves them by less than one.
 const MOVED: f64 = 4.0;
 
+/// Halves of the views may differ by this many times what their uncertainties predict: the limit of
+/// a good verdict. About 1 where the model is right, above 2 once in a hundred sets.
+const GREATEST_RATIO: f64 = 2.5;
+
 /// An estimate of the views so far.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EstimateSoFar {
@@ -28,6 +32,9 @@ pub struct EstimateSoFar {
     pub running: RunningEstimate,
     /// What the next one goes on from; `None` if that is to be made anew.
     pub going_on: Option<GoingOn>,
+    /// Whether halves of the views agree as well as their uncertainties predict; with too few views
+    /// for halves nothing speaks against it.
+    pub model_holds: bool,
 }
 
 /// What an estimate leaves to the next one.
@@ -60,9 +67,9 @@ impl GoingOn {
         let lens = LensChoice::Model(self.start.lens.model());
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
-        let (estimate, uncertainty_px) = estimate_views(problem, &options).ok()?;
+        let checked = calibrate_and_check(problem, &options).ok()?;
         let made = Made { anew: false, looked_for_among: self.looked_for_among };
-        self.is_continued_by(&estimate).then(|| EstimateSoFar::of(&estimate, uncertainty_px, made))
+        self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, made))
     }
 
     /// Whether `next` is what a few more views make of this estimate. A view that is rejected,
@@ -87,7 +94,9 @@ struct Made {
 }
 
 impl EstimateSoFar {
-    fn of(estimate: &CameraEstimate, uncertainty_px: ProjectionUncertainty, made: Made) -> Self {
+    fn of((estimate, check): &(CameraEstimate, ModelCheck), made: Made) -> Self {
+        let uncertainty_px =
+            uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size);
         let rejected: Vec<bool> = estimate.views.iter().map(|view| view.fault.is_some()).collect();
         let views = rejected.iter().filter(|rejected| !**rejected).count() as u32;
         Self {
@@ -105,6 +114,7 @@ impl EstimateSoFar {
                 looked_for_among: made.looked_for_among,
                 anew: made.anew,
             }),
+            model_holds: check.split_half_ratio.is_none_or(|ratio| ratio <= GREATEST_RATIO),
         }
     }
 }
@@ -129,9 +139,9 @@ pub fn estimate_so_far(
         return Ok(gone_on);
     }
     let anew = |lens: LensChoice, looked_for_among: usize| {
-        let (estimate, uncertainty_px) =
-            estimate_views(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
-        Ok(EstimateSoFar::of(&estimate, uncertainty_px, Made { anew: true, looked_for_among }))
+        let checked =
+            calibrate_and_check(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
+        Ok(EstimateSoFar::of(&checked, Made { anew: true, looked_for_among }))
     };
     // Where only the fit is made anew, the lens model stays the one of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {

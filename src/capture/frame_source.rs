@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use crate::capture::error::CaptureError;
+use crate::geometry::pose::Pose;
 use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::FrameSet;
 
@@ -33,6 +34,10 @@ pub trait FrameSource: Send {
     fn calibrating(&mut self, _on: bool) -> Result<(), CaptureError> {
         Ok(())
     }
+
+    /// Where a session asks for the board now, as camera_from_board: a simulated operator follows
+    /// it.
+    fn suggested(&mut self, _camera_from_board: Option<&Pose>) {}
 
     /// What of focus, zoom or exposure is no longer as a session held it, in words: the calibration
     /// may no longer hold.

@@ -5,9 +5,10 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::capture::{CaptureError, FrameSource, Pace, SourceDescription};
+use crate::geometry::pose::Pose;
 use crate::imaging::frame::FrameSet;
 use crate::imaging::timestamp::{DeviceTime, HostTime};
-use crate::simulation::{World, WorldOptions};
+use crate::simulation::{Operator, OperatorKind, World, WorldOptions};
 
 /// A camera that needs no hardware: a board carried about without end.
 ///
@@ -18,6 +19,7 @@ use crate::simulation::{World, WorldOptions};
 pub struct Simulated {
     world: World,
     options: WorldOptions,
+    carrier: Option<Carrier>,
     pace: Pace,
     clock: SimulatedClock,
     started: Option<(Instant, i64)>,
@@ -30,11 +32,21 @@ impl Simulated {
         Self {
             world: World::new(options),
             options: options.clone(),
+            carrier: None,
             pace,
             clock,
             started: None,
             next: 0,
         }
+    }
+
+    /// The same with the board in the hands of a person, in place of its walk.
+    #[must_use]
+    pub fn operated(self, kind: OperatorKind) -> Self {
+        let WorldOptions { seed, board, sensor, .. } = &self.options;
+        let mut operator = Operator::before(*seed, kind, board, (&sensor.lens, sensor.size));
+        let now_from_board = operator.step(0.0);
+        Self { carrier: Some(Carrier { operator, now_from_board, steps: 0 }), ..self }
     }
 
     /// The world's clock: when frame 0 was due, on this machine's clock and in UTC.
@@ -43,6 +55,27 @@ impl Simulated {
             SimulatedClock::Own => now(),
             SimulatedClock::Shared => *SHARED_START.get_or_init(now),
         })
+    }
+}
+
+/// A person with the board, and the pose of the newest frame.
+#[derive(Debug)]
+struct Carrier {
+    operator: Operator,
+    now_from_board: Pose,
+    steps: u64,
+}
+
+impl Carrier {
+    /// The poses of the frame before the `index`-th and of itself, in the camera's frame.
+    fn poses(&mut self, index: u64, interval_s: f64) -> [Pose; 2] {
+        let mut before_from_board = self.now_from_board;
+        while self.steps < index + 1 {
+            self.steps += 1;
+            before_from_board =
+                std::mem::replace(&mut self.now_from_board, self.operator.step(interval_s));
+        }
+        [before_from_board, self.now_from_board]
     }
 }
 
@@ -86,8 +119,18 @@ impl FrameSource for Simulated {
             host_time: HostTime { utc_ns: utc_ns + since_ns },
             device_time: Some(DeviceTime { monotonic_ns: since_ns }),
             name: None,
-            frames: self.world.frame(index).into_frames(),
+            frames: match &mut self.carrier {
+                None => self.world.frame(index),
+                Some(carrier) => self.world.frame_carried(index, carrier.poses(index, interval_s)),
+            }
+            .into_frames(),
         })
+    }
+
+    fn suggested(&mut self, camera_from_board: Option<&Pose>) {
+        if let Some(carrier) = &mut self.carrier {
+            carrier.operator.ask(camera_from_board);
+        }
     }
 
     fn description(&self) -> SourceDescription {

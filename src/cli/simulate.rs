@@ -1,5 +1,6 @@
 //! `plumb simulate`: renders a recording, with what is true of it inside and beside it.
 
+pub mod operated;
 mod scene;
 
 use std::collections::BTreeMap;
@@ -33,14 +34,16 @@ const CAMERA: &str = "front";
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The recording to write; what is true of it goes beside it, with the ending .truth.json
-    #[arg(long, value_name = "FILE.mcap")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE.mcap", required_unless_present = "operator")]
+    out: Option<PathBuf>,
     /// What everything random follows from [default: as the scene says, or 1]
     #[arg(long)]
     seed: Option<u64>,
     /// A scene as TOML: camera, lens, board, walk (recordings/README.md lists the keys)
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    #[command(flatten)]
+    operated: operated::OperatedArgs,
     /// Print what is true as JSON
     #[arg(long)]
     json: bool,
@@ -51,15 +54,18 @@ pub struct Args {
 /// # Errors
 /// A usage failure for a scene that cannot be; a failure when a file cannot be written.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    let Some(out) = &args.out else {
+        return args.operated.run(args.seed.unwrap_or(1), args.json);
+    };
     let scene = SceneFile::load(args.config.as_deref(), args.seed)?;
-    let truth = render(&scene, &args.out)?;
-    let beside = args.out.with_extension("truth.json");
+    let truth = render(&scene, out)?;
+    let beside = out.with_extension("truth.json");
     let pretty = to_json_pretty(&truth).map_err(Failure::failed)?;
     std::fs::write(&beside, pretty + "\n").map_err(|error| cannot_write(&beside, &error))?;
     if args.json {
         return output::print_line(&to_json(&truth).map_err(Failure::failed)?);
     }
-    let (frames, out) = (truth.frames.len(), args.out.display());
+    let (frames, out) = (truth.frames.len(), out.display());
     output::print_line(&format!("{out}: {frames} frames, their truth in {}", beside.display()))
 }
 

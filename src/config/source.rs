@@ -6,7 +6,7 @@
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
 //! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder without times, default 10) |
-//! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30) |
+//! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30), `operator` (`"follows"` what a session asks for, `"wanders"`, `"bars"`, or `"walk"`, the default), `pace` (`"recorded"`, the default, or `"fastest"`) |
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -20,6 +20,7 @@ use crate::capture::realsense::{Preset, Settings};
 use crate::config::error::ConfigError;
 use crate::config::place::Place;
 use crate::geometry::pixel::ImageSize;
+use crate::simulation::OperatorKind;
 
 /// Where a camera's frames come from.
 #[derive(Debug, Clone, PartialEq)]
@@ -80,6 +81,10 @@ pub enum SourceConfig {
         fps: f64,
         /// Which camera of a rig: `None` for one that stands alone.
         seat: Option<u32>,
+        /// Who carries the board; `None` for its walk.
+        operator: Option<OperatorKind>,
+        /// Whether frames come as fast as they are processed, without skipping any.
+        fastest: bool,
     },
 }
 
@@ -133,6 +138,7 @@ pub(crate) struct WrittenSource {
     fps: Option<Spanned<f64>>,
     controls: Option<Spanned<BTreeMap<String, i64>>>,
     lock: Option<Spanned<bool>>,
+    operator: Option<Spanned<String>>,
     preset: Option<Spanned<String>>,
     emitter: Option<Spanned<bool>>,
 }
@@ -179,7 +185,8 @@ impl WrittenSource {
             "realsense" => self.realsense(place),
             "recording" => self.recording(span, place),
             "simulator" => {
-                self.takes_only(&["seed", "seat", "width", "height", "fps"], place)?;
+                let keys = ["seed", "seat", "width", "height", "fps", "operator", "pace"];
+                self.takes_only(&keys, place)?;
                 let mode = self.mode(place)?;
                 let seed = self.seed.as_ref().map_or(1, |seed| *seed.get_ref());
                 let (size, fps) =
@@ -189,7 +196,9 @@ impl WrittenSource {
                     let problem = format!("{seat} is no seat; write 0 to {LAST_SEAT}");
                     return Err(place.refuse(&span, "camera.source.seat", problem));
                 }
-                Ok(SourceConfig::Simulator { seed, size, fps, seat: seat.map(|(seat, _)| seat) })
+                let (operator, fastest) = (self.operator(place)?, self.is_fastest(place)?);
+                let seat = seat.map(|(seat, _)| seat);
+                Ok(SourceConfig::Simulator { seed, size, fps, seat, operator, fastest })
             }
             other => Err(place.refuse(
                 &self.kind.span(),
@@ -202,14 +211,7 @@ impl WrittenSource {
     fn recording(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
         self.takes_only(&["path", "topic", "depth", "pace", "repeat", "fps"], place)?;
         let path = self.existing_path(span, place)?;
-        let fastest = match self.pace.as_ref().map(|pace| (pace.get_ref().as_str(), pace.span())) {
-            None | Some(("recorded", _)) => false,
-            Some(("fastest", _)) => true,
-            Some((other, span)) => {
-                let problem = format!("`{other}` is no pace; write \"recorded\" or \"fastest\"");
-                return Err(place.refuse(&span, "camera.source.pace", problem));
-            }
-        };
+        let fastest = self.is_fastest(place)?;
         let repeat = self.repeat.as_ref().is_some_and(|repeat| *repeat.get_ref());
         let topics = [&self.topic, &self.depth].into_iter().flatten();
         Ok(SourceConfig::Recording {
@@ -219,6 +221,28 @@ impl WrittenSource {
             repeat,
             fps: self.fps(place)?.unwrap_or(FOLDER_FPS),
         })
+    }
+
+    fn is_fastest(&self, place: &Place) -> Result<bool, ConfigError> {
+        match self.pace.as_ref().map(|pace| (pace.get_ref().as_str(), pace.span())) {
+            None | Some(("recorded", _)) => Ok(false),
+            Some(("fastest", _)) => Ok(true),
+            Some((other, span)) => {
+                let problem = format!("`{other}` is no pace; write \"recorded\" or \"fastest\"");
+                Err(place.refuse(&span, "camera.source.pace", problem))
+            }
+        }
+    }
+
+    fn operator(&self, place: &Place) -> Result<Option<OperatorKind>, ConfigError> {
+        let Some(operator) = &self.operator else { return Ok(None) };
+        let name = operator.get_ref().as_str();
+        let known = OperatorKind::from_name(name);
+        if known.is_some() || name == "walk" {
+            return Ok(known);
+        }
+        let problem = format!("`{name}` is no operator; write follows, wanders, bars or walk");
+        Err(place.refuse(&operator.span(), "camera.source.operator", problem))
     }
 
     fn realsense(&self, place: &Place) -> Result<SourceConfig, ConfigError> {
@@ -374,6 +398,7 @@ impl WrittenSource {
             ("fps", self.fps.as_ref().map(Spanned::span)),
             ("controls", self.controls.as_ref().map(Spanned::span)),
             ("lock", self.lock.as_ref().map(Spanned::span)),
+            ("operator", self.operator.as_ref().map(Spanned::span)),
             ("preset", self.preset.as_ref().map(Spanned::span)),
             ("emitter", self.emitter.as_ref().map(Spanned::span)),
         ];
@@ -411,7 +436,19 @@ mod tests {
             size: ImageSize::new(640, 480),
             fps: 30.0,
             seat: None,
+            operator: None,
+            fastest: false,
         };
+        let operated = SourceConfig::Simulator {
+            seed: 1,
+            size: ImageSize::new(640, 480),
+            fps: 30.0,
+            seat: None,
+            operator: Some(OperatorKind::Follows),
+            fastest: true,
+        };
+        let written = "{ kind = \"simulator\", operator = \"follows\", pace = \"fastest\" }";
+        assert_eq!(source(written), Ok(operated));
         assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
         let recording = |topics: &[&str]| SourceConfig::Recording {
             path: "/".into(),
@@ -494,6 +531,10 @@ mod tests {
             ),
             ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),
             ("{ kind = \"simulator\", tint = 1 }", "tint: unknown field `tint`"),
+            (
+                "{ kind = \"simulator\", operator = \"sleeps\" }",
+                "camera.source.operator: `sleeps` is no operator; write follows",
+            ),
             ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
             (
                 "{ kind = \"uvc\", index = 0, name = \"x\" }",

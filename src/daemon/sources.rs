@@ -39,14 +39,18 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             let options = ReplayOptions { pace, repeat, reading };
             Box::new(move || open_recording(&path, &options))
         }
-        SourceConfig::Simulator { seed, size, fps, seat } => {
+        SourceConfig::Simulator { seed, size, fps, seat, operator, fastest } => {
             let options =
                 WorldOptions { fps, ..WorldOptions::on_rig(seed, size, seat.unwrap_or(0)) };
             let clock = if seat.is_some() { SimulatedClock::Shared } else { SimulatedClock::Own };
-            let open = move || {
-                Box::new(Simulated::new(&options, Pace::Recorded, clock)) as Box<dyn FrameSource>
-            };
-            Box::new(move || Ok(open()))
+            let pace = if fastest { Pace::Fastest } else { Pace::Recorded };
+            Box::new(move || {
+                let simulated = Simulated::new(&options, pace, clock);
+                Ok(Box::new(match operator {
+                    Some(kind) => simulated.operated(kind),
+                    None => simulated,
+                }) as Box<dyn FrameSource>)
+            })
         }
         #[cfg(target_os = "linux")]
         SourceConfig::V4l2 { device, mode, controls, lock } => {

@@ -12,6 +12,7 @@ use crate::calibration::session_record::RunningEstimate;
 use crate::document::error::DocumentError;
 use crate::document::image_sensor::UncertaintyDocument;
 use crate::document::lens::LensDocument;
+use crate::document::pose::PoseDocument;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
 
@@ -30,8 +31,18 @@ pub struct GuidanceDocument {
     /// In words.
     pub message: String,
     /// Where the board's outline should be, as corners of a polygon in pixels; empty when there is
-    /// no such wish.
+    /// no such request.
     pub outline_px: Vec<[f64; 2]>,
+    /// Where the board should be next, as camera_from_board; null when no place is better than
+    /// another.
+    #[serde(default)]
+    pub target_pose: Option<PoseDocument>,
+    /// The goal's uncertainty after that view, in pixels.
+    #[serde(default)]
+    pub expected_uncertainty_px: Option<f64>,
+    /// How many more views reach the goal, at least and at most; null without a goal.
+    #[serde(default)]
+    pub views_to_go: Option<[u32; 2]>,
 }
 
 /// A running estimate.
@@ -79,14 +90,27 @@ impl TryFrom<CoverageDocument> for Coverage {
 impl From<&Guidance> for GuidanceDocument {
     fn from(guidance: &Guidance) -> Self {
         let outline_px = guidance.outline_px.iter().map(|pixel| [pixel.x, pixel.y]).collect();
-        Self { message: guidance.message.clone(), outline_px }
+        Self {
+            message: guidance.message.clone(),
+            outline_px,
+            target_pose: guidance.camera_from_board.as_ref().map(PoseDocument::from),
+            expected_uncertainty_px: guidance.expected_uncertainty_px,
+            views_to_go: guidance.views_to_go,
+        }
     }
 }
 
 impl From<GuidanceDocument> for Guidance {
     fn from(document: GuidanceDocument) -> Self {
         let outline_px = document.outline_px.into_iter().map(|[x, y]| Pixel::new(x, y)).collect();
-        Self { message: document.message, outline_px }
+        Self {
+            message: document.message,
+            outline_px,
+            // What was asked for last is asked for anew with the next frame.
+            camera_from_board: document.target_pose.and_then(|pose| (&pose).try_into().ok()),
+            expected_uncertainty_px: document.expected_uncertainty_px,
+            views_to_go: document.views_to_go,
+        }
     }
 }
 

@@ -162,6 +162,7 @@ impl Capture {
             if description.waits && search.is_some() && search.as_ref() != opened_for {
                 return End::Again;
             }
+            source.suggested(self.camera.suggested_pose().as_ref());
             let next = source.next_frame(POLL);
             self.count_losses(source.losses(), &mut counted);
             match next {

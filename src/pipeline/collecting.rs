@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use ulid::Ulid;
 
+use crate::calibration::guidance::Guidance;
 use crate::calibration::session::gate::KeptSoFar;
 use crate::calibration::session::{Action, KeptView, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
@@ -134,7 +135,7 @@ impl SessionThread {
     pub(super) fn stop_collecting(&mut self, session: &str) {
         for camera in &self.instrument.cameras {
             camera.search.set(session, None);
-            camera.suggest(&[]);
+            camera.suggest(&Guidance::default());
         }
         if let Some(assembly) = self.assembly.take() {
             assembly.close();

@@ -4,7 +4,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{mpsc, watch};
 
-use crate::geometry::pixel::Pixel;
+use crate::calibration::guidance::Guidance;
+use crate::geometry::pose::Pose;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::captured::Captured;
@@ -35,8 +36,8 @@ pub(super) struct LiveCamera {
     /// What the device that is open states of its own sensors.
     pub(super) factory: SharedFactory,
     pub(super) preview: Preview,
-    /// The outline of the board at the pose that the running session suggests.
-    pub(super) outline_px: Mutex<Vec<Pixel>>,
+    /// Where the running session asks for the board.
+    pub(super) guidance: Mutex<Guidance>,
 }
 
 impl LiveCamera {
@@ -68,15 +69,22 @@ impl LiveCamera {
 
     /// What drawings depend on besides the frame.
     pub(super) fn preview_state(&self) -> PreviewState {
-        let outline_px = self.outline_px.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let guidance = self.guidance.lock().unwrap_or_else(PoisonError::into_inner);
+        let outline_px = guidance.outline_px.clone();
+        drop(guidance);
         let calibration = self.status.borrow().calibration.clone();
         PreviewState { camera: self.name.clone(), calibration, outline_px }
     }
 
     /// Shows from now on where the board should be held.
-    pub(super) fn suggest(&self, outline_px: &[Pixel]) {
-        let mut shown = self.outline_px.lock().unwrap_or_else(PoisonError::into_inner);
-        outline_px.clone_into(&mut shown);
+    pub(super) fn suggest(&self, guidance: &Guidance) {
+        let mut shown = self.guidance.lock().unwrap_or_else(PoisonError::into_inner);
+        guidance.clone_into(&mut shown);
+    }
+
+    /// The pose of the board that the running session suggests, as camera_from_board.
+    pub(super) fn suggested_pose(&self) -> Option<Pose> {
+        self.guidance.lock().unwrap_or_else(PoisonError::into_inner).camera_from_board
     }
 
     /// Counts `frames` lost for the reason `why`.

@@ -121,7 +121,7 @@ pub(super) fn start_camera(
         stop: StopSignal::default(),
         factory: Arc::default(),
         preview: Preview::new(Arc::clone(&shared.maps)),
-        outline_px: Mutex::default(),
+        guidance: Mutex::default(),
         name: name.clone(),
     });
     let instrument = Instrument {

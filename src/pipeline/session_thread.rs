@@ -280,12 +280,12 @@ impl SessionThread {
         }
         self.instrument.session.send_replace(Some(Arc::new(record.clone())));
         if record.state == SessionState::Collecting {
-            let outlines = record.members.iter().map(|member| &member.guidance.outline_px);
-            let own = std::iter::once(&record.guidance.outline_px);
-            let outlines: Vec<_> =
-                if self.instrument.is_rig { outlines.collect() } else { own.collect() };
-            for (camera, outline_px) in self.instrument.cameras.iter().zip(outlines) {
-                camera.suggest(outline_px);
+            let of_members = record.members.iter().map(|member| &member.guidance);
+            let own = std::iter::once(&record.guidance);
+            let guidances: Vec<_> =
+                if self.instrument.is_rig { of_members.collect() } else { own.collect() };
+            for (camera, guidance) in self.instrument.cameras.iter().zip(guidances) {
+                camera.suggest(guidance);
             }
         }
     }

@@ -10,6 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::simulation::noise::{Purpose, stream};
 
@@ -98,7 +100,7 @@ pub struct Operator {
     arrived_s: Option<f64>,
     /// The next aim, and when the movement to it begins.
     next: Option<(f64, Middle)>,
-    asked: Option<Pose>,
+    asked_from_board: Option<Pose>,
     places: u32,
 }
 
@@ -136,17 +138,34 @@ impl Operator {
             aim: here,
             arrived_s: Some(0.0),
             next: None,
-            asked: None,
+            asked_from_board: None,
             places: 0,
         }
     }
 
+    /// As [`Self::new`], before a camera with this lens and images of `size`.
+    pub fn before(
+        seed: u64,
+        kind: OperatorKind,
+        board: &Chessboard,
+        (lens, size): (&Lens, ImageSize),
+    ) -> Self {
+        let center = size.center();
+        let tangent = |x: f64, y: f64, axis: usize| {
+            let bearing = lens.bearing_from_pixel(Pixel::new(x, y)).filter(|b| b.z > 0.1);
+            bearing.map_or(f64::INFINITY, |b| b[axis].abs() / b.z)
+        };
+        let half_view = [tangent(0.0, center.y, 0), tangent(center.x, 0.0, 1)];
+        Self::new(seed, kind, board, half_view)
+    }
+
     /// Shows the person where the board is asked for now.
     pub fn ask(&mut self, camera_from_board: Option<&Pose>) {
-        if self.kind != OperatorKind::Follows || camera_from_board.copied() == self.asked {
+        if self.kind != OperatorKind::Follows || camera_from_board.copied() == self.asked_from_board
+        {
             return;
         }
-        self.asked = camera_from_board.copied();
+        self.asked_from_board = camera_from_board.copied();
         let misunderstood = self.rng.random_bool(self.skill.misunderstood);
         self.plan(misunderstood);
     }
@@ -181,7 +200,7 @@ impl Operator {
     /// Decides where to go next.
     fn plan(&mut self, misunderstood: bool) {
         let aim = match self.kind {
-            OperatorKind::Follows => match self.asked {
+            OperatorKind::Follows => match self.asked_from_board {
                 Some(asked) => self.understood(&asked, misunderstood),
                 None => self.anywhere(),
             },
@@ -198,9 +217,9 @@ impl Operator {
     }
 
     /// What a request is taken for: as it is, or with its tilt or its place the wrong way round.
-    fn understood(&mut self, asked: &Pose, misunderstood: bool) -> Middle {
-        let place = (*asked * Point3::from(self.middle)).coords;
-        let rotation = asked.rotation();
+    fn understood(&mut self, asked_from_board: &Pose, misunderstood: bool) -> Middle {
+        let place = (*asked_from_board * Point3::from(self.middle)).coords;
+        let rotation = asked_from_board.rotation();
         if !misunderstood {
             return Middle { rotation, place };
         }
@@ -307,8 +326,8 @@ mod tests {
         Operator::new(seed, kind, &board, [0.57, 0.43])
     }
 
-    fn middle(operator: &Operator, pose: &Pose) -> Vector3<f64> {
-        (*pose * Point3::from(operator.middle)).coords
+    fn middle(operator: &Operator, camera_from_board: &Pose) -> Vector3<f64> {
+        (*camera_from_board * Point3::from(operator.middle)).coords
     }
 
     #[test]
@@ -353,9 +372,9 @@ mod tests {
     #[test]
     fn bars_reach_every_side_and_tilt() {
         let mut operator = operator(1, OperatorKind::Bars);
-        let poses: Vec<Pose> = (0..900).map(|_| operator.step(0.1)).collect();
+        let camera_from_board: Vec<Pose> = (0..900).map(|_| operator.step(0.1)).collect();
         let slope = |axis: usize| {
-            let along = poses.iter().map(|pose| {
+            let along = camera_from_board.iter().map(|pose| {
                 let place = middle(&operator, pose);
                 place[axis] / place.z
             });
@@ -364,7 +383,7 @@ mod tests {
         for [least, most] in [slope(0), slope(1)] {
             assert!(least < -0.05 && most > 0.05, "{least} {most}");
         }
-        let tilted = poses.iter().filter(|pose| (**pose * Vector3::z()).z < 0.92);
+        let tilted = camera_from_board.iter().filter(|pose| (**pose * Vector3::z()).z < 0.92);
         assert!(tilted.count() > 10);
     }
 }

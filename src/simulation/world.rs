@@ -179,6 +179,27 @@ impl World {
         }
     }
 
+    /// The `index`-th image with the board carried by someone: from one pose to the other in the
+    /// time of a frame, and on in the same way while the shutter is open.
+    pub fn frame_carried(&mut self, index: u64, [before, now]: [Pose; 2]) -> SimulatedFrame {
+        let time_s = index as f64 / self.fps;
+        let (fps, seat) = (self.fps, self.seat);
+        let carried = |at_s: f64| {
+            let part = 1.0 + (at_s - time_s) * fps;
+            let (from, to) = (before.rotation(), now.rotation());
+            let rotation = from.try_slerp(&to, part, 1e-9).unwrap_or(to);
+            let translation = before.translation().lerp(&now.translation(), part);
+            seen_from(seat, Pose::new(rotation, translation))
+        };
+        let Exposure { light, camera_from_board, motion_px } =
+            exposed(&mut self.renderer, time_s, carried);
+        let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
+        SimulatedFrame {
+            image: self.sensor().develop(&light, self.seed, self.picture_number(index)),
+            truth,
+        }
+    }
+
     /// No two cameras of a rig draw the same noise.
     fn picture_number(&self, index: u64) -> u64 {
         index + self.seat.map_or(0, |seat| u64::from(seat.number) << 40)

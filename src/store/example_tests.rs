@@ -59,6 +59,9 @@ pub(super) fn record(id: &str) -> SessionRecord {
         guidance: Guidance {
             message: "tilt it".into(),
             outline_px: vec![Pixel::new(third, 2.0 * third)],
+            camera_from_board: None,
+            expected_uncertainty_px: Some(third),
+            views_to_go: Some([2, 5]),
         },
         estimate: Some(RunningEstimate {
             lens: lens.unwrap(),

@@ -12,6 +12,7 @@ use crate::geometry::board::Chessboard;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 
 /// The points of a flat board.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,6 +27,16 @@ impl BoardPoints {
     /// The inner corners of a chessboard.
     pub fn of_chessboard(board: &Chessboard) -> Self {
         Self { points: board.corners_in_board(), side_m: board.square_m }
+    }
+
+    /// The corners of a target.
+    pub fn of_target(target: &Target) -> Self {
+        let size = target.lattice();
+        let corner = |k: u32| target.corner_at((k % size.cols) as i32, (k / size.cols) as i32);
+        Self {
+            points: (0..size.cols * size.rows).filter_map(corner).collect(),
+            side_m: target.spanned_chessboard().square_m,
+        }
     }
 
     /// All points that a problem's views have; `None` if there are fewer than four.

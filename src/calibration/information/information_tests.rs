@@ -58,7 +58,7 @@ fn noise(seed: &mut u64) -> f64 {
     (0..12).map(|_| uniform()).sum::<f64>() - 6.0
 }
 
-fn problem(lens: &Lens, poses: &[Pose], noise_px: f64, mut seed: u64) -> CameraProblem {
+fn problem(lens: &Lens, camera_from_board: &[Pose], noise_px: f64, mut seed: u64) -> CameraProblem {
     let mut view = |(index, pose): (usize, &Pose)| {
         let mut seen = |point: Point3<f64>| {
             let pixel = lens.pixel_from_point(&(*pose * point)).unwrap();
@@ -71,7 +71,10 @@ fn problem(lens: &Lens, poses: &[Pose], noise_px: f64, mut seed: u64) -> CameraP
         let correspondences = board().corners_in_board().into_iter().map(&mut seen).collect();
         BoardView { name: index.to_string(), correspondences }
     };
-    CameraProblem { image_size: SIZE, views: poses.iter().enumerate().map(&mut view).collect() }
+    CameraProblem {
+        image_size: SIZE,
+        views: camera_from_board.iter().enumerate().map(&mut view).collect(),
+    }
 }
 
 fn solved(problem: &CameraProblem, model: LensModel) -> CameraEstimate {
@@ -80,12 +83,16 @@ fn solved(problem: &CameraProblem, model: LensModel) -> CameraEstimate {
 }
 
 /// The Schur complement of a normal matrix made of numeric derivatives.
-fn numeric_information(lens: &Lens, pose: &Pose, corners: &[WeightedCorner]) -> DMatrix<f64> {
+fn numeric_information(
+    lens: &Lens,
+    camera_from_board: &Pose,
+    corners: &[WeightedCorner],
+) -> DMatrix<f64> {
     let free = open_parameters(lens.model());
     let columns = free.len() + 6;
     let mut jacobian = DMatrix::zeros(2 * corners.len(), columns);
     let seen = |column: usize, step: f64| -> Vec<Pixel> {
-        let (mut parameters, mut pose) = (lens.parameters(), *pose);
+        let (mut parameters, mut pose) = (lens.parameters(), *camera_from_board);
         if column < free.len() {
             parameters[free[column]] += step;
         } else {
@@ -222,8 +229,8 @@ fn following_suggestions_teaches_more_than_any_order_of_the_sequence() {
     };
     let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Worst);
     let prior = LensInformation::prior(lens, SIZE);
-    let taught = |known: &LensInformation, pose: &Pose, corners: &[WeightedCorner]| {
-        known.with(&view_information(&lens, &known.free, pose, corners).unwrap())
+    let taught = |known: &LensInformation, camera_from_board: &Pose, corners: &[WeightedCorner]| {
+        known.with(&view_information(&lens, &known.free, camera_from_board, corners).unwrap())
     };
     let mut followed = prior.clone();
     for _ in 0..8 {

@@ -51,8 +51,12 @@ impl Held {
 
 /// The next movement from one pose to another, as a sentence without its end; `None` when the board
 /// is about there.
-pub fn next_movement(space: &CandidateSpace<'_>, from: &Pose, to: &Pose) -> Option<String> {
-    let (here, there) = (Held::of(space, from)?, Held::of(space, to)?);
+pub fn next_movement(
+    space: &CandidateSpace<'_>,
+    here_from_board: &Pose,
+    there_from_board: &Pose,
+) -> Option<String> {
+    let (here, there) = (Held::of(space, here_from_board)?, Held::of(space, there_from_board)?);
     let shift = (there.middle.to_vector() - here.middle.to_vector()) / space.size.diagonal_px();
     let nearer = (here.distance_m / there.distance_m).ln();
     let tilt = there.tilt - here.tilt;
@@ -75,8 +79,8 @@ pub fn next_movement(space: &CandidateSpace<'_>, from: &Pose, to: &Pose) -> Opti
 }
 
 /// Where a board should be held, as a sentence without its end, for someone who shows none yet.
-pub fn description(space: &CandidateSpace<'_>, to: &Pose) -> Option<String> {
-    let there = Held::of(space, to)?;
+pub fn description(space: &CandidateSpace<'_>, there_from_board: &Pose) -> Option<String> {
+    let there = Held::of(space, there_from_board)?;
     let part = [
         there.middle.x / f64::from(space.size.width),
         there.middle.y / f64::from(space.size.height),

@@ -22,6 +22,8 @@ pub struct SuggestedView {
     pub uncertainty_px: f64,
     /// The same after that view.
     pub expected_uncertainty_px: f64,
+    /// How much surer projections would be with it, as [`ProjectionGoal::gain`] has it.
+    pub gain: f64,
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
     /// if each teaches half as much. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
@@ -86,6 +88,10 @@ pub fn suggest_view(
         outline_px: space.outline_px(&chosen.view.camera_from_board)?,
         uncertainty_px,
         expected_uncertainty_px: chosen.uncertainty_px,
+        gain: goal.gain(
+            &goal.map(&known.covariance()?)?,
+            &goal.map(&known.covariance_with(&chosen.information)?)?,
+        ),
         views_to_go,
     })
 }
@@ -95,10 +101,11 @@ fn by_uncertainty(a: &&ScoredView, b: &&ScoredView) -> std::cmp::Ordering {
 }
 
 /// How far it is from one pose to another, in turns by a radian.
-pub fn effort(from: &Pose, to: &Pose, space: &CandidateSpace<'_>) -> f64 {
-    let [here, there] = [from, to].map(|pose| (*pose * space.board.middle()).coords);
+pub fn effort(here_from_board: &Pose, there_from_board: &Pose, space: &CandidateSpace<'_>) -> f64 {
+    let poses = [here_from_board, there_from_board];
+    let [here, there] = poses.map(|pose| (*pose * space.board.middle()).coords);
     let shift = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
-    EFFORT_PER_DISTANCE * shift + from.rotation().angle_to(&to.rotation())
+    EFFORT_PER_DISTANCE * shift + here_from_board.rotation().angle_to(&there_from_board.rotation())
 }
 
 /// How many views out of `shortlist`, each with this part of its information and each the best at

@@ -5,7 +5,9 @@
 //! The lens is a nominal one until three views give one; it is estimated anew whenever the views
 //! have grown by a third, which costs a few milliseconds a dozen times in a session.
 
-use nalgebra::{DMatrix, UnitQuaternion};
+use std::f64::consts::PI;
+
+use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
 use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, base_turn};
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
@@ -18,10 +20,10 @@ use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::uncertainty::UncertaintyMap;
-use crate::geometry::board::Chessboard;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
 
 /// What the views of one camera teach.
 #[derive(Debug, Clone)]
@@ -29,6 +31,8 @@ pub struct Teaching {
     size: ImageSize,
     choice: LensChoice,
     board: BoardPoints,
+    /// Whether the board frame's z axis points at a camera that sees the front.
+    towards_camera: bool,
     views: Vec<TaughtView>,
     /// Of the newest estimate; `None` while the lens is nominal.
     start: Option<CameraStart>,
@@ -42,6 +46,8 @@ pub struct Teaching {
 /// One view, and what it teaches under the present lens.
 #[derive(Debug, Clone)]
 pub struct TaughtView {
+    /// Which of the session's views it is.
+    pub number: u32,
     seen: BoardView,
     blur_px: f64,
     /// Where the board is, under the present lens.
@@ -56,6 +62,8 @@ struct SessionNoise {
     floor_px: f64,
 }
 
+/// No corner is seen better than this, in units of its own standard deviation.
+const LEAST_NOISE: f64 = 0.01;
 /// Fewer views leave the lens open.
 const LEAST_VIEWS: usize = 3;
 /// The lens is estimated anew when views have grown by this factor.
@@ -65,20 +73,25 @@ const GROWTH: f64 = 1.3;
 const CLEARLY_BETTER: f64 = 0.8;
 
 impl Teaching {
-    /// Nothing taught yet of a camera with images of `size` before `board`, whose lens is to be of
-    /// the chosen model.
-    pub fn new(board: &Chessboard, size: ImageSize, choice: LensChoice) -> Self {
+    /// Nothing taught yet of a camera with images of `size` before `target`, whose lens is to be of
+    /// the chosen model; `figure` is what is to fall.
+    pub fn new(
+        target: &Target,
+        size: ImageSize,
+        (choice, figure): (LensChoice, GoalFigure),
+    ) -> Self {
         let lens = nominal_lens(size, choice);
         let mut teaching = Self {
             size,
             choice,
-            board: BoardPoints::of_chessboard(board),
+            board: BoardPoints::of_target(target),
+            towards_camera: matches!(target, Target::AprilGrid(_)),
             views: Vec::new(),
             start: None,
             estimated_among: 0,
             noise: SessionNoise { factor: 1.0, floor_px: 0.0 },
             known: LensInformation::prior(lens, size),
-            goal: ProjectionGoal::new(&lens, size, GoalFigure::Median),
+            goal: ProjectionGoal::new(&lens, size, figure),
             now: None,
         };
         teaching.sum_up();
@@ -100,10 +113,11 @@ impl Teaching {
         &self.views
     }
 
-    /// What a view would teach, under the present lens; `None` where no pose explains it.
-    pub fn view(&self, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
+    /// What the view that would be the `number`-th teaches, under the present lens; `None` where no
+    /// pose explains it.
+    pub fn view(&self, number: u32, seen: BoardView, blur_px: f64) -> Option<TaughtView> {
         let camera_from_board = board_poses(self.lens(), &seen).ok()?.first()?.camera_from_board;
-        self.placed(seen, blur_px, camera_from_board)
+        self.placed((number, seen, blur_px), camera_from_board)
     }
 
     /// How much surer projections would be with one more view: the mean over the image of the
@@ -128,21 +142,21 @@ impl Teaching {
         self.sum_up();
     }
 
-    /// The view that teaches least beside the others, with how much less sure projections would be
+    /// The number of the view that teaches least beside the others, with how much less sure projections would be
     /// without it (as [`Self::gain`]).
-    pub fn least_informative(&self) -> Option<(usize, f64)> {
-        let losses = self.views.iter().enumerate().filter_map(|(at, view)| {
+    pub fn least_informative(&self) -> Option<(u32, f64)> {
+        let losses = self.views.iter().filter_map(|view| {
             let matrix = &self.known.matrix - &view.information;
             let without = LensInformation { matrix, ..self.known.clone() };
             let before = self.goal.map(&without.covariance()?)?;
-            Some((at, self.goal.gain(&before, self.now.as_ref()?)))
+            Some((view.number, self.goal.gain(&before, self.now.as_ref()?)))
         });
         losses.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Takes a view out.
-    pub fn remove(&mut self, at: usize) {
-        if at < self.views.len() {
+    /// Takes the view with this number out.
+    pub fn remove(&mut self, number: u32) {
+        if let Some(at) = self.views.iter().position(|view| view.number == number) {
             self.views.remove(at);
             if let Some(start) = &mut self.start
                 && at < start.camera_from_board.len()
@@ -151,6 +165,11 @@ impl Teaching {
             }
             self.sum_up();
         }
+    }
+
+    /// The goal's figure as the views leave it, in pixels.
+    pub fn uncertainty_px(&self) -> Option<f64> {
+        self.goal.uncertainty_px(&self.known.covariance()?)
     }
 
     /// The view to ask for next, from where the last one was, with the figure to reach.
@@ -169,12 +188,19 @@ impl Teaching {
 
     /// Where the board can be asked for.
     pub fn space<'a>(&'a self, noise: &'a CornerNoise) -> CandidateSpace<'a> {
-        let base = (self.views.last())
-            .map_or_else(UnitQuaternion::identity, |view| base_turn(&view.camera_from_board));
+        let unseen = if self.towards_camera { Vector3::x() * PI } else { Vector3::zeros() };
+        let base = self.views.last().map_or_else(
+            || UnitQuaternion::from_scaled_axis(unseen),
+            |view| base_turn(&view.camera_from_board),
+        );
         CandidateSpace { lens: self.lens(), size: self.size, board: &self.board, noise, base }
     }
 
-    fn placed(&self, seen: BoardView, blur_px: f64, camera_from_board: Pose) -> Option<TaughtView> {
+    fn placed(
+        &self,
+        (number, seen, blur_px): (u32, BoardView, f64),
+        camera_from_board: Pose,
+    ) -> Option<TaughtView> {
         let corners: Vec<WeightedCorner> = (seen.correspondences.iter())
             .map(|corner| WeightedCorner {
                 point_in_board: corner.point_in_board,
@@ -183,7 +209,7 @@ impl Teaching {
             .collect();
         let information =
             view_information(self.lens(), &self.known.free, &camera_from_board, &corners)?;
-        Some(TaughtView { seen, blur_px, camera_from_board, information })
+        Some(TaughtView { number, seen, blur_px, camera_from_board, information })
     }
 
     fn noise_sample(&self, view: &TaughtView) -> Option<NoiseSample> {
@@ -226,7 +252,7 @@ impl Teaching {
             .zip(&estimate.views)
             .filter_map(|(view, placed)| {
                 let camera_from_board = placed.camera_from_board.unwrap_or(view.camera_from_board);
-                self.placed(view.seen, view.blur_px, camera_from_board)
+                self.placed((view.number, view.seen, view.blur_px), camera_from_board)
             })
             .collect();
         self.start = Some(estimate.to_start());
@@ -239,9 +265,17 @@ impl Teaching {
     }
 }
 
+impl TaughtView {
+    /// The same as the `number`-th view.
+    #[must_use]
+    pub fn numbered(self, number: u32) -> Self {
+        Self { number, ..self }
+    }
+}
+
 impl SessionNoise {
     fn of(&self, std_px: f64) -> f64 {
-        self.factor * std_px.hypot(self.floor_px)
+        self.factor.max(LEAST_NOISE) * std_px.hypot(self.floor_px)
     }
 }
 

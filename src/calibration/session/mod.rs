@@ -12,6 +12,7 @@
 //! are ready.
 
 mod action;
+mod advice;
 pub mod camera;
 mod ending;
 pub mod gate;
@@ -58,7 +59,7 @@ impl Session {
         if summaries.is_empty() {
             summaries.push(record.to_member());
         }
-        let part = |summary| CameraPart::new(record.request.target, summary, options);
+        let part = |summary| CameraPart::new(&record.request, summary, options);
         let cameras_of: Vec<CameraPart> = summaries.into_iter().map(part).collect();
         let mut session = Self {
             together: Together::new(cameras_of.len()),
@@ -89,6 +90,7 @@ impl Session {
             let Some(camera) = session.cameras.get_mut(place.camera) else { continue };
             if let Some(own) = camera.restore(view) {
                 session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+                session.kept.retain(|old| (old.camera, old.view) != (place.camera, own));
                 session.kept.push(KeptView { view: own, ..*place });
             }
         }
@@ -295,7 +297,9 @@ impl Session {
                 if !is_together || kept.iter().any(|kept| kept.camera == other) {
                     continue;
                 }
-                if let Some(Err(Rejection::TooSimilar { .. })) = &admissions[other]
+                let is_known = Rejection::is_known_already;
+                if let Some(Err(rejection)) = &admissions[other]
+                    && is_known(rejection)
                     && let Some(CameraFrame { frame, seen: Ok(detection) }) = &frame_set[other]
                     && let Some(view) = self.cameras[other].keep_shared(frame, detection)
                 {
@@ -303,6 +307,8 @@ impl Session {
                 }
                 if let Some(Ok(view)) = admissions[other] {
                     let (camera, frame_set) = (other, number);
+                    // One that was exchanged has its place no more.
+                    self.kept.retain(|old| (old.camera, old.view) != (camera, view));
                     kept.push(KeptView { number: self.next_number, camera, frame_set, view });
                     self.next_number += 1;
                 }
@@ -386,7 +392,7 @@ impl Session {
             members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate);
         record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b)));
         if record.state == SessionState::Collecting {
-            record.guidance = Guidance { message: next_step(&members), outline_px: Vec::new() };
+            record.guidance = Guidance { message: next_step(&members), ..Guidance::default() };
         }
         record.members = members;
     }

@@ -211,10 +211,91 @@ function showCoverage() {
   group.replaceChildren(...parts);
 }
 
-function showWish() {
-  const group = layer("wish");
+// ---- the ghost: the board as it is asked for, in perspective; it glides to its next place
+
+let ghost = null;       // its four outer corners now, in pixels
+let ghostFrame = 0;
+
+function showGhost() {
   const outline = session && session.state === "collecting" ? session.guidance.outline_px : [];
-  group.replaceChildren(...(outline.length ? [drawn("polygon", { class: "wish", points: outline.map((p) => p.join()).join(" ") })] : []));
+  cancelAnimationFrame(ghostFrame);
+  if (outline.length !== 4) { ghost = null; layer("ghost").replaceChildren(); return; }
+  const [from, began] = [ghost || outline, performance.now()];
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const moves = from.some((p, k) => Math.hypot(p[0] - outline[k][0], p[1] - outline[k][1]) > 0.5);
+  const glide = (now) => {
+    const part = still || !moves ? 1 : Math.min(1, (now - began) / 500);
+    const eased = part * part * (3 - 2 * part);
+    ghost = from.map((p, k) => [p[0] + (outline[k][0] - p[0]) * eased, p[1] + (outline[k][1] - p[1]) * eased]);
+    drawGhost();
+    if (part < 1) ghostFrame = requestAnimationFrame(glide);
+  };
+  glide(began);
+}
+
+// The homography of the unit square (0,0), (1,0), (1,1), (0,1) to four points (Heckbert 1989).
+function ofSquare([p0, p1, p2, p3]) {
+  const [ax, ay, bx, by] = [p1[0] - p2[0], p1[1] - p2[1], p3[0] - p2[0], p3[1] - p2[1]];
+  const [sx, sy] = [p0[0] - p1[0] + p2[0] - p3[0], p0[1] - p1[1] + p2[1] - p3[1]];
+  const area = ax * by - ay * bx;
+  const [g, h] = [(sx * by - sy * bx) / area, (ax * sy - ay * sx) / area];
+  return (u, v) => {
+    const w = g * u + h * v + 1;
+    const along = (k) => ((p1[k] - p0[k] + g * p1[k]) * u + (p3[k] - p0[k] + h * p3[k]) * v + p0[k]) / w;
+    return [along(0), along(1)];
+  };
+}
+
+// Squares between the outer corners, each way.
+function spans({ kind, cols, rows }) {
+  return [cols, rows].map((n) => (kind === "charuco" ? n - 2 : kind === "aprilgrid" ? 2 * n - 1 : n - 1));
+}
+
+// One path for the dark squares, the outer ones too, and one for the card.
+function drawGhost() {
+  const group = layer("ghost");
+  if (!group.children.length) group.append(drawn("path", { class: "card" }), drawn("path", { class: "dark" }), drawn("path", { class: "top" }));
+  const [cols, rows] = spans(session.target);
+  const place = ofSquare(ghost);
+  const path = (corners) => `M${corners.map(([i, j]) => place(i / cols, j / rows).map((v) => v.toFixed(1)).join()).join("L")}Z`;
+  const dark = [];
+  for (let j = -1; j <= rows; j += 1) {
+    for (let i = -1; i <= cols; i += 1) {
+      if ((i + j) % 2 === 0) dark.push(path([[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]]));
+    }
+  }
+  const [card, squares, top] = group.children;
+  card.setAttribute("d", path([[-1.4, -1.4], [cols + 1.4, -1.4], [cols + 1.4, rows + 1.4], [-1.4, rows + 1.4]]));
+  squares.setAttribute("d", dark.join(""));
+  top.setAttribute("d", path([[0, 0], [cols, 0], [cols, rows], [0, rows]]));
+}
+
+// How near the board is to its ghost, as a part of the ghost's size: it turns green, and beeps come faster.
+let lastNear = 0;
+function showNearness(outline) {
+  const group = layer("ghost");
+  if (!ghost || !outline || outline.length !== 4) { group.classList.remove("near"); return; }
+  const size = Math.hypot(ghost[2][0] - ghost[0][0], ghost[2][1] - ghost[0][1]);
+  const off = (turned) => ghost.reduce((sum, p, k) => {
+    const q = outline[(k + turned) % 4];
+    return sum + Math.hypot(p[0] - q[0], p[1] - q[1]);
+  }, 0) / (4 * size);
+  const away = Math.min(off(0), off(2));
+  group.classList.toggle("near", away < 0.12);
+  const wait = 150 + 1500 * Math.min(1, away);
+  if (away < 0.5 && performance.now() - lastNear > wait) { lastNear = performance.now(); beep(520, 0.05); }
+}
+
+// ---- the voice: who holds a board looks at it and not at a screen
+
+let spoken = "";
+function speak(text) {
+  if (!$("voice").checked || !window.speechSynthesis || !text || text === spoken) return;
+  speechSynthesis.cancel();
+  const said = new SpeechSynthesisUtterance(text);
+  said.lang = "en";
+  speechSynthesis.speak(said);
+  spoken = text;
 }
 
 // ---- what happens
@@ -256,13 +337,23 @@ async function refreshCamera() {
   showApproval();
 }
 
+// The outer corners of a whole board, whose corners come row by row, in the ghost's order.
+function outerCorners(corners) {
+  if (!session || !corners) return null;
+  const [cols, rows] = spans(session.target).map((n) => n + 1);
+  if (corners.length !== cols * rows) return null;
+  return [0, cols - 1, cols * rows - 1, cols * (rows - 1)].map((k) => corners[k]);
+}
+
 function showLast(detection) {
+  showNearness(outerCorners(detection.corners));
   if (!session || detection.session !== session.id || session.state !== "collecting") return;
   if (detection.kept_view != null) {
     const of = rig ? `${detection.camera}: ` : "";
     say("last", `${of}${rig ? "view" : "View"} ${detection.kept_view + 1} kept.`, "last kept");
     flash(`${of}view ${detection.kept_view + 1} kept`);
     beep();
+    spoken = "";
   } else {
     const text = detection.reason || REASONS[detection.rejection] || "";
     say("last", text && `${rig ? `${detection.camera}: not` : "Not"} kept: ${text}`, "last refused");
@@ -277,14 +368,14 @@ function flash(text) {
   flashTimer = setTimeout(() => { show("flash", false); $("stage").classList.remove("kept"); }, 700);
 }
 
-function beep() {
+function beep(pitch = 880, volume = 0.15) {
   if (!$("sound").checked) return;
   audio = audio || new AudioContext();
-  const [tone, volume] = [audio.createOscillator(), audio.createGain()];
-  tone.frequency.value = 880;
-  volume.gain.setValueAtTime(0.15, audio.currentTime);
-  volume.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + 0.18);
-  tone.connect(volume).connect(audio.destination);
+  const [tone, level] = [audio.createOscillator(), audio.createGain()];
+  tone.frequency.value = pitch;
+  level.gain.setValueAtTime(volume, audio.currentTime);
+  level.gain.exponentialRampToValueAtTime(0.001, audio.currentTime + 0.18);
+  tone.connect(level).connect(audio.destination);
   tone.start();
   tone.stop(audio.currentTime + 0.18);
 }
@@ -298,9 +389,10 @@ async function setSession(document) {
   show("start-form", !running && !(session && session.state === "finished"));
   show("session", Boolean(running || (session && session.state === "failed")));
   showCoverage();
-  showWish();
+  showGhost();
   const message = running && session.state === "collecting" ? session.guidance.message : "";
   say("guidance", message);
+  speak(message);
   if (!running) say("last", "");
   if (session) showNumbers(running);
   if (!session || session.state !== "finished") { result = null; show("result", false); }
@@ -344,7 +436,21 @@ function showGoal(estimate) {
   const part = now ? 1 - Math.log(Math.max(now / goal, 1)) / Math.log(Math.max(10 / goal, 2)) : 0;
   $("progress").value = Math.min(1, Math.max(0, part));
   const least = session.finish.min_views ? `, at least ${session.finish.min_views} views` : "";
-  $("goal-text").textContent = `goal: uncertainty below ${goal} px${least}`;
+  $("goal-text").textContent = `goal: uncertainty below ${goal} px${least}${toGo()}`;
+}
+
+// How many views are still needed, and about how long that takes at the pace so far.
+function toGo() {
+  const range = session.guidance.views_to_go;
+  if (!range || session.state !== "collecting") return "";
+  const [few, many] = range;
+  if (few > 500) return " · out of reach like this";
+  const views = few === many ? `${few}` : `${few} to ${Math.min(many, 999)}`;
+  const seconds = (Date.now() - new Date(session.started_at)) / 1000;
+  const each = session.views_kept > 2 ? seconds / session.views_kept : 0;
+  const minutes = (each * (few + Math.min(many, 999))) / 120;
+  const time = each ? `, about ${minutes < 1 ? "a minute" : `${Math.ceil(minutes)} minutes`}` : "";
+  return ` · ${views} more view${many === 1 ? "" : "s"}${time}`;
 }
 
 function showClock() {

@@ -1,0 +1,106 @@
+//! What a camera's operator should do next: the view that teaches most, the one next movement
+//! towards it, and what stands in the way of the goal.
+
+use crate::calibration::admission::Rejection;
+use crate::calibration::guidance::{Guidance, obstacle};
+use crate::calibration::information::movement::{description, next_movement};
+use crate::calibration::information::next_view::SuggestedView;
+use crate::calibration::information::teaching::Teaching;
+use crate::geometry::pose::Pose;
+
+/// A movement is asked for at least so long before another one is, in nanoseconds: the time it
+/// takes to hear it and to begin.
+const HEARD_NS: i64 = 800_000_000;
+/// Before so many views nothing can be said of a goal that is far off.
+const VIEWS_BEFORE_DOUBT: usize = 8;
+
+/// What is asked for, and what was said last.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Advice {
+    /// The view to ask for; renewed with each view.
+    pub(super) suggested: Option<SuggestedView>,
+    said: Option<(String, i64)>,
+}
+
+/// What the advice depends on beside the views.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Now<'a> {
+    pub(super) time_ns: i64,
+    /// Where the board is, where it is seen.
+    pub(super) camera_from_board: Option<&'a Pose>,
+    /// What has been in the way for some frames.
+    pub(super) obstacle: Option<&'a Rejection>,
+    /// How many views may still be kept.
+    pub(super) room: u32,
+    pub(super) goal_px: Option<f64>,
+    /// The goal is reached, but the model does not hold.
+    pub(super) in_doubt: bool,
+}
+
+impl Advice {
+    /// Asks for another view from now on.
+    pub(super) fn renew(&mut self, suggested: Option<SuggestedView>) {
+        *self = Self { suggested, said: None };
+    }
+
+    /// What to do now.
+    pub(super) fn guidance(&mut self, teaching: &Teaching, now: &Now<'_>) -> Guidance {
+        let Some(suggested) = self.suggested.clone() else { return Guidance::default() };
+        let mut message = self.movement(teaching, &suggested, now);
+        if let Some(note) = note(&suggested, teaching.views().len(), now) {
+            message = format!("{message}; {note}");
+        }
+        Guidance {
+            message: now.obstacle.and_then(obstacle).unwrap_or(message),
+            outline_px: suggested.outline_px.to_vec(),
+            camera_from_board: Some(suggested.camera_from_board),
+            expected_uncertainty_px: Some(suggested.expected_uncertainty_px),
+            views_to_go: suggested.views_to_go,
+        }
+    }
+
+    fn movement(
+        &mut self,
+        teaching: &Teaching,
+        suggested: &SuggestedView,
+        now: &Now<'_>,
+    ) -> String {
+        let since_ns = |at_ns: i64| now.time_ns.saturating_sub(at_ns);
+        match &self.said {
+            // Without a board in view what was said last stands.
+            Some((said, at_ns))
+                if now.camera_from_board.is_none() || since_ns(*at_ns) < HEARD_NS =>
+            {
+                return said.clone();
+            }
+            _ => {}
+        }
+        let noise = teaching.corner_noise();
+        let (space, there) = (teaching.space(&noise), &suggested.camera_from_board);
+        let words = match now.camera_from_board {
+            Some(here) => next_movement(&space, here, there)
+                .unwrap_or_else(|| "hold the board still there".to_owned()),
+            None => description(&space, there).unwrap_or_else(|| "show the board".to_owned()),
+        };
+        if self.said.as_ref().is_none_or(|(said, _)| *said != words) {
+            self.said = Some((words.clone(), now.time_ns));
+        }
+        words
+    }
+}
+
+/// What else the operator has to know.
+fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String> {
+    if now.in_doubt {
+        return Some(
+            "the goal is reached, but halves of the views disagree: see that the board is flat and held still, and that focus and zoom stay as they are"
+                .to_owned(),
+        );
+    }
+    let ([few, _], goal_px) = (suggested.views_to_go?, now.goal_px?);
+    (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
+        format!(
+            "{goal_px} px cannot be reached like this, it would take {few} more views: a larger board, sharper pictures or more light bring it nearer"
+        )
+    })
+}

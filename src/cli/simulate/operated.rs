@@ -1,0 +1,403 @@
+//! `plumb simulate --operator …`: whole sessions with a simulated operator, as fast as they can be
+//! computed. Corners are where the true lens projects them plus the detector's noise; nothing is
+//! rendered.
+
+use nalgebra::Point3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
+use serde::Serialize;
+
+use crate::calibration::admission::AdmissionOptions;
+use crate::calibration::guidance::advise;
+use crate::calibration::information::candidate_views::BoardPoints;
+use crate::calibration::information::corner_noise::side_px;
+use crate::calibration::placement::Placement;
+use crate::calibration::running_estimate::estimate_so_far;
+use crate::calibration::session::camera::CameraPart;
+use crate::calibration::session::{Action, Session};
+use crate::calibration::session_record::{Finish, SessionRecord, SessionRequest};
+use crate::calibration::view::FrameFacts;
+use crate::cli::{Failure, output};
+use crate::detection::board_detection::{DetectedCorner, Detection, GridIndex, NoBoard};
+use crate::estimation::board_pose::board_poses;
+use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use crate::estimation::problem::{BoardView, CameraProblem, Correspondence, LensChoice};
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
+use crate::simulation::{Operator, OperatorKind};
+
+/// Sessions with a simulated operator.
+#[derive(Debug, clap::Args)]
+pub struct OperatedArgs {
+    /// Run sessions with a simulated operator in place of rendering: one who follows what is asked
+    /// for, who follows the list of placements, who wanders, or who fills the bars of ROS's
+    /// calibrator
+    #[arg(long, value_name = "WHAT", conflicts_with_all = ["out", "config"])]
+    operator: Option<OperatorName>,
+    /// The projection uncertainty to reach, the median over the image, in pixels
+    #[arg(long, value_name = "PX", requires = "operator", default_value_t = 0.05)]
+    goal: f64,
+    /// The goal is the worst uncertainty in the image
+    #[arg(long, requires = "operator")]
+    worst: bool,
+    /// How many seeds; lenses (ordinary, wide, fisheye) and boards take turns
+    #[arg(long, value_name = "N", requires = "operator", default_value_t = 9)]
+    seeds: u64,
+}
+
+/// What an operator does, by its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum OperatorName {
+    /// Follows what is asked for.
+    Follows,
+    /// Follows the fixed list of placements.
+    List,
+    /// Wanders.
+    Wanders,
+    /// Fills the bars of ROS's calibrator.
+    Bars,
+}
+
+impl OperatorName {
+    fn kind(self) -> OperatorKind {
+        match self {
+            Self::Follows | Self::List => OperatorKind::Follows,
+            Self::Wanders => OperatorKind::Wanders,
+            Self::Bars => OperatorKind::Bars,
+        }
+    }
+}
+
+/// One session to run.
+#[derive(Debug, Clone)]
+pub struct OperatedSession {
+    /// Everything random follows from it.
+    pub seed: u64,
+    /// Who holds the board.
+    pub operator: OperatorName,
+    /// The goal in pixels, and whether it is the worst in the image in place of the median.
+    pub goal: (f64, bool),
+    /// The true lens.
+    pub lens: Lens,
+    /// The size of its images.
+    pub size: ImageSize,
+    /// The board.
+    pub board: Chessboard,
+}
+
+/// How a session went.
+#[derive(Debug, Clone, Serialize)]
+pub struct OperatedOutcome {
+    /// Its seed.
+    pub seed: u64,
+    /// The lens and the board.
+    pub setting: String,
+    /// Whether it ended by itself in time.
+    pub reached: bool,
+    /// Views kept.
+    pub views: u32,
+    /// Seconds of the operator's time.
+    pub seconds: f64,
+    /// The median and the worst predicted uncertainty over the image, in pixels.
+    pub predicted_px: [f64; 2],
+    /// The true errors there likewise: the median and the greatest length.
+    pub error_px: [f64; 2],
+    /// The error of fx over its standard deviation.
+    pub focal_ratio: f64,
+    /// The parts of the errors, by axis and over the image, within one and two standard deviations.
+    pub within: [f64; 2],
+}
+
+const FRAME_S: f64 = 0.1;
+const LONGEST_S: f64 = 400.0;
+/// What the detector needs: squares of 6 px, tilts up to 55°.
+const LEAST_SIDE_PX: f64 = 6.0;
+const LEAST_FACING: f64 = 0.57;
+/// The noise of a corner with an edge of one pixel; and the blur.
+const NOISE_PX: f64 = 0.5;
+const BLUR_PX: f64 = 0.8;
+
+impl OperatedSession {
+    /// The session of `seed`: three lenses (57°, 100° and 170° across) and three boards take turns,
+    /// and each lens varies with the seed.
+    pub fn of_seed(seed: u64, operator: OperatorName, goal: (f64, bool)) -> Self {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut vary = |value: f64, part: f64| value * (1.0 + part * rng.random_range(-1.0..1.0));
+        let (model, size, parameters) = match seed % 3 {
+            0 => (
+                LensModel::Brown,
+                ImageSize::new(640, 480),
+                vec![560.0, 560.0, 319.5, 239.5, 0.0, -0.2, 0.08, 4e-4, -4e-4, -0.01],
+            ),
+            1 => (
+                LensModel::Brown,
+                ImageSize::new(1280, 720),
+                vec![540.0, 540.0, 639.5, 359.5, 0.0, -0.28, 0.09, 3e-4, -2e-4, -0.012],
+            ),
+            _ => (
+                LensModel::KannalaBrandt,
+                ImageSize::new(1280, 960),
+                vec![430.0, 430.0, 639.5, 479.5, 0.0, -0.012, -0.004, 0.002, -6e-4],
+            ),
+        };
+        let focal = vary(parameters[0], 0.05);
+        let parameters: Vec<f64> = (parameters.into_iter().enumerate())
+            .map(|(k, value)| match k {
+                0 | 1 => focal * if k == 0 { 1.0 } else { 1.001 },
+                2 | 3 => vary(value, 0.02),
+                _ => value,
+            })
+            .collect();
+        let (cols, rows, square_m) =
+            [(9, 6, 0.025), (11, 8, 0.03), (7, 5, 0.04)][(seed / 3 % 3) as usize];
+        let lens = Lens::from_parameters(model, &parameters);
+        let center = size.center();
+        let plain = crate::geometry::camera_matrix::CameraMatrix {
+            fx: focal,
+            fy: focal,
+            cx: center.x,
+            cy: center.y,
+            skew: 0.0,
+        };
+        Self {
+            seed,
+            operator,
+            goal,
+            lens: lens.unwrap_or_else(|| Lens::pinhole(plain)),
+            size,
+            board: Chessboard { size: BoardSize { cols, rows }, square_m },
+        }
+    }
+
+    /// Runs it to its end; `None` where its views leave the lens open.
+    pub fn run(&self) -> Option<OperatedOutcome> {
+        let (goal_px, of_worst) = self.goal;
+        let lens = LensChoice::Model(self.lens.model());
+        let finish =
+            (!of_worst).then_some(Finish { uncertainty_px: Some(goal_px), ..Finish::default() });
+        let request = SessionRequest { target: self.board.into(), lens, finish, given: Vec::new() };
+        let record = SessionRecord::begin("", "", request, 0);
+        let mut session = Session::begin(record, &[], &AdmissionOptions::default());
+        let mut operator =
+            Operator::before(self.seed, self.operator.kind(), &self.board, (&self.lens, self.size));
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed ^ 0x006e_6f69_7365);
+        let (mut reached, mut frames) = (false, 0_u64);
+        while !reached && (frames as f64) * FRAME_S < LONGEST_S {
+            operator.ask(self.asked(&session).as_ref());
+            let camera_from_board = operator.step(FRAME_S);
+            let seen = self.seen(&camera_from_board, &mut rng);
+            let frame = FrameFacts {
+                sequence: frames,
+                name: None,
+                host_time_ns: (frames as f64 * FRAME_S * 1e9) as i64,
+                device_time_ns: None,
+                image_size: self.size,
+            };
+            frames += 1;
+            let rejected = crate::calibration::admission::Rejection::NoBoard;
+            let observed = session.observe_frame(frame, seen.map_err(rejected))?;
+            let mut actions = observed.actions;
+            while let Some(action) = actions.pop() {
+                match action {
+                    Action::Estimate(camera) => {
+                        actions.extend(self.estimated(&mut session, camera));
+                    }
+                    Action::Solve => reached = true,
+                    Action::Announce | Action::Close => {}
+                }
+            }
+            let worst_reached = |estimate: &crate::calibration::session_record::RunningEstimate| {
+                estimate.views >= 8 && estimate.uncertainty_px.worst <= goal_px
+            };
+            reached |= of_worst && session.record().estimate.as_ref().is_some_and(worst_reached);
+        }
+        let options = CameraOptions { lens, ..CameraOptions::default() };
+        let estimate = calibrate_camera(&self.problem(&session), &options).ok()?;
+        self.outcome(&estimate, &session, (reached, frames as f64 * FRAME_S))
+    }
+
+    fn problem(&self, session: &Session) -> CameraProblem {
+        let views = session.camera(0).map(CameraPart::views).unwrap_or_default();
+        let views = views.iter().map(|view| view.to_board_view(&self.board.into())).collect();
+        CameraProblem { image_size: self.size, views }
+    }
+
+    fn estimated(&self, session: &mut Session, camera: usize) -> Vec<Action> {
+        let going_on = session.camera(camera).and_then(CameraPart::going_on).cloned();
+        let lens = LensChoice::Model(self.lens.model());
+        let estimate = estimate_so_far(&self.problem(session), lens, going_on.as_ref()).ok();
+        session.estimated(camera, estimate)
+    }
+
+    /// Where the board would have to be for the outline that is asked for: people follow what they
+    /// see, not what a lens that is not known yet makes of it.
+    fn asked(&self, session: &Session) -> Option<Pose> {
+        let guidance = match self.operator {
+            OperatorName::List => {
+                let views = session.camera(0).map(CameraPart::views).unwrap_or_default();
+                let kept: Vec<Placement> = (views.iter())
+                    .filter_map(|view| Placement::of(&view.detection, self.size))
+                    .collect();
+                advise(&self.board, self.size, &kept, None)
+            }
+            OperatorName::Follows => session.record().guidance.clone(),
+            OperatorName::Wanders | OperatorName::Bars => return None,
+        };
+        let corners = BoardPoints::of_chessboard(&self.board).outline(0.0);
+        let correspondences: Vec<Correspondence> = (corners.iter())
+            .zip(&guidance.outline_px)
+            .map(|(point, pixel)| Correspondence {
+                point_in_board: *point,
+                pixel: *pixel,
+                std_px: 1.0,
+            })
+            .collect();
+        let view = BoardView { name: String::new(), correspondences };
+        Some(board_poses(&self.lens, &view).ok()?.first()?.camera_from_board)
+    }
+
+    /// What the detector gives.
+    fn seen(&self, camera_from_board: &Pose, rng: &mut ChaCha8Rng) -> Result<Detection, NoBoard> {
+        let points = BoardPoints::of_chessboard(&self.board);
+        let facing = {
+            let middle = (*camera_from_board * points.middle()).coords.normalize();
+            (*camera_from_board * nalgebra::Vector3::z()).dot(&middle)
+        };
+        let inside = |point: &Point3<f64>| {
+            let pixel = self.lens.pixel_from_point(&(*camera_from_board * *point));
+            pixel.filter(|pixel| self.size.contains(*pixel))
+        };
+        let is_whole = points.outline(1.0).iter().all(|corner| inside(corner).is_some());
+        if !is_whole || facing < LEAST_FACING {
+            return Err(NoBoard::NoCorners);
+        }
+        let cols = self.board.size.cols as usize;
+        let corner = |(k, point): (usize, &Point3<f64>)| {
+            let side = side_px(&self.lens, camera_from_board, point, self.board.square_m)?;
+            let pixel = inside(point).filter(|_| side >= LEAST_SIDE_PX)?;
+            let std_px = NOISE_PX * (BLUR_PX / side.min(40.0)).sqrt();
+            let mut off = || std_px * rng.sample::<f64, _>(StandardNormal);
+            Some(DetectedCorner {
+                index: GridIndex { col: (k % cols) as i32, row: (k / cols) as i32 },
+                pixel: Pixel::new(pixel.x + off(), pixel.y + off()),
+                std_px,
+            })
+        };
+        let corners: Option<Vec<_>> = points.points.iter().enumerate().map(corner).collect();
+        Ok(Detection {
+            board: self.board.size,
+            corners: corners.ok_or(NoBoard::NoCorners)?,
+            partial: false,
+            position_known: true,
+            markers: None,
+            orientation_ambiguous: false,
+            blur_px: BLUR_PX,
+        })
+    }
+
+    fn outcome(
+        &self,
+        estimate: &CameraEstimate,
+        session: &Session,
+        (reached, seconds): (bool, f64),
+    ) -> Option<OperatedOutcome> {
+        let grid = PixelGrid::over(self.size, 12);
+        let covariance = &estimate.lens_covariance;
+        let map = projection_uncertainty(&estimate.lens, covariance, grid, Distance::Infinity)?;
+        let off = projection_difference(&self.lens, &estimate.lens, grid, &map.weights);
+        let (mut ratios, mut lengths) = (Vec::new(), Vec::new());
+        for (off, square) in off.iter().zip(&map.square_px2) {
+            let (Some([x, y]), Some(square)) = (off, square) else { continue };
+            let std_px = (0.5 * square).sqrt();
+            ratios.extend([x.abs() / std_px, y.abs() / std_px]);
+            lengths.push(x.hypot(*y));
+        }
+        lengths.sort_unstable_by(f64::total_cmp);
+        let part = |limit: f64| {
+            ratios.iter().filter(|ratio| **ratio <= limit).count() as f64 / ratios.len() as f64
+        };
+        let (median, worst) = map.median_and_worst()?;
+        let across = ["57°", "100°", "170°"][(self.seed % 3) as usize];
+        Some(OperatedOutcome {
+            seed: self.seed,
+            setting: format!("{across} {}", self.board.size),
+            reached,
+            views: session.record().views_kept,
+            seconds,
+            predicted_px: [median, worst],
+            error_px: [*lengths.get(lengths.len() / 2)?, *lengths.last()?],
+            focal_ratio: (estimate.lens.matrix.fx - self.lens.matrix.fx) / estimate.lens_std()[0],
+            within: [part(1.0), part(2.0)],
+        })
+    }
+}
+
+impl OperatedArgs {
+    /// Runs the sessions and prints how each went, then their medians.
+    ///
+    /// # Errors
+    /// When stdout cannot be written to.
+    pub fn run(&self, first: u64, json: bool) -> Result<(), Failure> {
+        let Some(operator) = self.operator else {
+            return Err(Failure::usage("give --out FILE.mcap, or --operator"));
+        };
+        let mut outcomes: Vec<OperatedOutcome> = Vec::new();
+        for seed in first..first.saturating_add(self.seeds) {
+            let session = OperatedSession::of_seed(seed, operator, (self.goal, self.worst));
+            let Some(outcome) = session.run() else {
+                tracing::warn!("seed {seed}: its views leave the lens open");
+                continue;
+            };
+            if json {
+                output::print_json(&outcome)?;
+            } else {
+                output::print_line(&line(&outcome))?;
+            }
+            outcomes.push(outcome);
+        }
+        if json { Ok(()) } else { output::print_line(&summary(&outcomes)) }
+    }
+}
+
+fn line(outcome: &OperatedOutcome) -> String {
+    let OperatedOutcome { seed, setting, views, seconds, predicted_px, error_px, .. } = outcome;
+    let [median, worst] = predicted_px;
+    let [error, greatest] = error_px;
+    let end = if outcome.reached { "" } else { "  not reached" };
+    format!(
+        "seed {seed:>4}  {setting:<10} {views:>4} views {seconds:>6.1} s  predicted {median:.3} px, at worst {worst:.3}  true {error:.3}, at worst {greatest:.3}{end}"
+    )
+}
+
+/// The medians of all, and how the true errors compare with their predictions.
+pub fn summary(outcomes: &[OperatedOutcome]) -> String {
+    let median = |value: fn(&OperatedOutcome) -> f64| {
+        let mut values: Vec<f64> = outcomes.iter().map(value).collect();
+        values.sort_unstable_by(f64::total_cmp);
+        values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+    };
+    let mean = |value: fn(&OperatedOutcome) -> f64| {
+        outcomes.iter().map(value).sum::<f64>() / outcomes.len().max(1) as f64
+    };
+    let within = |limit: f64| {
+        let count = outcomes.iter().filter(|outcome| outcome.focal_ratio.abs() <= limit).count();
+        100.0 * count as f64 / outcomes.len().max(1) as f64
+    };
+    format!(
+        "{} sessions, {} reached: median {} views, {:.1} s; errors of projections within 1 and 2 sigma: {:.0} % and {:.0} %; of fx: {:.0} % and {:.0} %",
+        outcomes.len(),
+        outcomes.iter().filter(|outcome| outcome.reached).count(),
+        median(|outcome| f64::from(outcome.views)),
+        median(|outcome| outcome.seconds),
+        100.0 * mean(|outcome| outcome.within[0]),
+        100.0 * mean(|outcome| outcome.within[1]),
+        within(1.0),
+        within(2.0)
+    )
+}
