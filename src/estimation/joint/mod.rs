@@ -20,6 +20,8 @@
 pub(crate) mod apart;
 pub(crate) mod depth_terms;
 pub(crate) mod free_lens;
+#[cfg(test)]
+mod jacobian_tests;
 pub(crate) mod linearize;
 pub(crate) mod minimize;
 pub(crate) mod normal;
