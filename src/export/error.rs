@@ -80,8 +80,10 @@ pub enum ExportError {
         format: Format,
     },
     /// The document could not be written.
-    #[error("the calibration cannot be written as JSON: {reason}")]
-    Json {
+    #[error("the calibration cannot be written as {format}: {reason}")]
+    Text {
+        /// The format.
+        format: Format,
         /// Why.
         reason: String,
     },

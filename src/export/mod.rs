@@ -87,8 +87,13 @@ pub fn export(
         }
         Format::Urdf | Format::Tf => {
             let (placed, note) = placed_sensors(calibration, format)?;
-            let write = if format == Format::Urdf { transforms::urdf } else { transforms::stamped };
-            (write(camera, &placed), camera.to_owned(), note)
+            let text = if format == Format::Urdf {
+                transforms::urdf(camera, &placed)
+                    .map_err(|error| ExportError::Text { format, reason: error.to_string() })?
+            } else {
+                transforms::stamped(camera, &placed)
+            };
+            (text, camera.to_owned(), note)
         }
         Format::Depth => {
             let (sensor, depth) = depth_sensor(calibration, options.sensor.as_deref())?;
@@ -102,7 +107,8 @@ pub fn export(
 
 fn json(calibration: &Calibration) -> Result<String, ExportError> {
     let document = CalibrationDocument::from(calibration);
-    to_json_pretty(&document).map_err(|error| ExportError::Json { reason: error.to_string() })
+    to_json_pretty(&document)
+        .map_err(|error| ExportError::Text { format: Format::Json, reason: error.to_string() })
 }
 
 #[cfg(test)]

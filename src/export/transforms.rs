@@ -1,5 +1,8 @@
 //! Where the sensors are, for ROS: fixed joints of a URDF, or static transforms.
 
+use quick_xml::Writer;
+use quick_xml::events::{BytesDecl, Event};
+
 use crate::export::number::decimal;
 use crate::export::sensors::Sensor;
 use crate::geometry::pose::Pose;
@@ -7,23 +10,42 @@ use crate::geometry::pose::Pose;
 /// A URDF whose root is the first sensor's optical frame, with a fixed joint to each other's. A
 /// robot's own URDF takes the joints over. Angles are URDF's: about the fixed x, y and z axes, in
 /// this order.
-pub(super) fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> String {
-    let mut text = format!("<?xml version=\"1.0\"?>\n<robot name=\"{camera}\">\n");
-    for sensor in sensors {
-        text += &format!("  <link name=\"{}\"/>\n", sensor.optical_frame(camera));
-    }
-    for (parent, child, parent_from_child) in pairs(camera, sensors) {
-        let shift = parent_from_child.translation();
-        let (roll, pitch, yaw) = parent_from_child.rotation().euler_angles();
-        let spaced = |values: [f64; 3]| values.map(decimal).join(" ");
-        text += &format!(
-            "  <joint name=\"{child}_joint\" type=\"fixed\">\n    <parent link=\"{parent}\"/>\n    \
-             <child link=\"{child}\"/>\n    <origin xyz=\"{}\" rpy=\"{}\"/>\n  </joint>\n",
-            spaced(shift.into()),
-            spaced([roll, pitch, yaw]),
-        );
-    }
-    text + "</robot>\n"
+pub(super) fn urdf(camera: &str, sensors: &[Sensor<'_>]) -> std::io::Result<String> {
+    let mut xml = Writer::new_with_indent(Vec::new(), b' ', 2);
+    xml.write_event(Event::Decl(BytesDecl::new("1.0", None, None)))?;
+    xml.create_element("robot").with_attribute(("name", camera)).write_inner_content(|xml| {
+        for sensor in sensors {
+            let name = sensor.optical_frame(camera);
+            xml.create_element("link").with_attribute(("name", name.as_str())).write_empty()?;
+        }
+        for joint in pairs(camera, sensors) {
+            write_joint(xml, joint)?;
+        }
+        Ok(())
+    })?;
+    let mut text = xml.into_inner();
+    text.push(b'\n');
+    String::from_utf8(text).map_err(std::io::Error::other)
+}
+
+fn write_joint(
+    xml: &mut Writer<Vec<u8>>,
+    (parent, child, parent_from_child): (String, String, Pose),
+) -> std::io::Result<()> {
+    let spaced = |values: [f64; 3]| values.map(decimal).join(" ");
+    let xyz = spaced(parent_from_child.translation().into());
+    let (roll, pitch, yaw) = parent_from_child.rotation().euler_angles();
+    let rpy = spaced([roll, pitch, yaw]);
+    let name = format!("{child}_joint");
+    let attributes = [("name", name.as_str()), ("type", "fixed")];
+    xml.create_element("joint").with_attributes(attributes).write_inner_content(|xml| {
+        xml.create_element("parent").with_attribute(("link", parent.as_str())).write_empty()?;
+        xml.create_element("child").with_attribute(("link", child.as_str())).write_empty()?;
+        let origin = [("xyz", xyz.as_str()), ("rpy", rpy.as_str())];
+        xml.create_element("origin").with_attributes(origin).write_empty()?;
+        Ok(())
+    })?;
+    Ok(())
 }
 
 /// A YAML list of `geometry_msgs/TransformStamped`, from the first sensor's optical frame to each
@@ -40,8 +62,10 @@ pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
             pairs.collect::<Vec<_>>().join(", ")
         };
         text += &format!(
-            "- header: {{frame_id: \"{parent}\"}}\n  child_frame_id: \"{child}\"\n  transform:\n    \
+            "- header: {{frame_id: {}}}\n  child_frame_id: {}\n  transform:\n    \
              translation: {{{}}}\n    rotation: {{{}}}\n",
+            serde_json::Value::from(parent),
+            serde_json::Value::from(child),
             named(&["x", "y", "z"], shift.as_slice()),
             named(&["x", "y", "z", "w"], &[turn.i, turn.j, turn.k, turn.w]),
         );
