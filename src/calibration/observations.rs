@@ -1,4 +1,4 @@
-//! What the sensors of an instrument saw: the one input of [`crate::calibration::solve`], whether
+//! What the sensors of an instrument saw: the one input of [`crate::calibration::solve()`], whether
 //! the instrument is a camera, a depth camera, or a rig of either.
 
 use crate::calibration::sensor::SensorId;

@@ -225,7 +225,7 @@ impl JointViews<'_> {
         }
         let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
         let poses = board_poses(lens, &view).ok()?;
-        let turned = |pose: &Pose| pose.angle_to(&expected);
+        let turned = |depth_from_board: &Pose| depth_from_board.angle_to(&expected);
         poses
             .iter()
             .map(|found| found.camera_from_board)

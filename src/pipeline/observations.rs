@@ -1,17 +1,17 @@
 //! A session's views, with what the cameras' other sensors gave, as a problem to solve.
 
-use crate::calibration::second_infrared::{StereoCapture, StereoInput};
 use crate::calibration::session::Session;
-use crate::calibration::solve_instrument::{CameraObservations, Observations};
-use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
+use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
+use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
 use crate::estimation::problem::Correspondence;
 use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::auxiliary::{AuxiliaryView, AuxiliaryViews};
-use crate::pipeline::solve_job::{SeenBySensors, SolveJob, problem_of};
+use crate::pipeline::solve_job::SolveJob;
 
 /// Depth in whole millimeters, as ROS has it (REP 118) and most devices, where nobody states
 /// another unit.
@@ -23,51 +23,47 @@ pub(super) fn solve_job(
     auxiliary: &AuxiliaryViews,
     stated: &[Option<FactorySensor>],
     is_rig: bool,
-) -> Option<SolveJob> {
+) -> SolveJob {
     let record = session.record();
-    let of_camera = |place: usize| {
+    let places = (0..).take_while(|place| session.camera(*place).is_some());
+    let camera = |place: usize| {
         let stated = stated.get(place).and_then(Option::as_ref);
-        CameraSeen::of(session, place, auxiliary)
-            .map_or((None, None), |seen| (seen.rgbd_input(stated), seen.stereo_input()))
-    };
-    let seen = if is_rig {
-        let input = session.input();
-        let place = |name: &str| {
-            (0..).map_while(|place| session.camera(place)).position(|p| p.summary().camera == name)
-        };
-        let camera = |color: crate::calibration::solve_rig::RigCameraInput| {
-            let (depth, second_infrared) = place(&color.name).map_or((None, None), of_camera);
-            CameraObservations { color, depth, second_infrared }
-        };
-        let cameras = input.cameras.into_iter().map(camera).collect();
-        SeenBySensors::Rig(Observations { board: input.board, cameras })
-    } else {
-        let (depth, second_infrared) = of_camera(0);
-        let problem = problem_of(session, 0)?;
-        SeenBySensors::Camera { problem, depth: depth.map(Box::new), second_infrared }
+        let seen = CameraSeen::of(session, place, auxiliary)?;
+        let name = session.camera(place)?.summary().camera.clone();
+        let given = record.request.held(&name);
+        let camera = CameraFrameSets { given, ..seen.frame_sets(stated) };
+        // A rig's camera that gave no image yet is none.
+        let gave = seen.color_size.width > 0;
+        let name = is_rig.then_some(name);
+        (gave || !is_rig).then_some(CameraFrameSets { name, ..camera })
     };
     let views = session.camera(0).filter(|_| !is_rig).map_or(&[][..], |part| part.views());
-    let target = target_as_seen(&record.request.target, views);
-    let session = record.id.clone();
-    Some(SolveJob { session, target, lens: record.request.lens, seen })
+    let observations = InstrumentObservations {
+        board: Some(target_as_seen(&record.request.target, views)),
+        cameras: places.filter_map(camera).collect(),
+    };
+    SolveJob { session: record.id.clone(), lens: record.request.lens, observations }
 }
 
 /// What one camera of a session saw.
 struct CameraSeen<'a> {
     board: Target,
-    /// Its views, each with its number in the session.
-    views: Vec<(u32, &'a View)>,
-    color_size: crate::geometry::pixel::ImageSize,
+    /// Its views, each with its number in the session and that of its frame set.
+    views: Vec<(u32, usize, &'a View)>,
+    /// 0 × 0 before the first image.
+    color_size: ImageSize,
     auxiliary: &'a [AuxiliaryView],
 }
 
 impl<'a> CameraSeen<'a> {
     fn of(session: &'a Session, place: usize, auxiliary: &'a AuxiliaryViews) -> Option<Self> {
         let kept = session.kept().iter().filter(|kept| kept.camera == place);
+        let views = kept
+            .filter_map(|kept| Some((kept.number, kept.frame_set as usize, session.view(kept)?)));
         Some(Self {
             board: session.record().request.target,
-            views: kept.filter_map(|kept| Some((kept.number, session.view(kept)?))).collect(),
-            color_size: session.camera(place)?.image_size()?,
+            views: views.collect(),
+            color_size: session.camera(place)?.image_size().unwrap_or(ImageSize::new(0, 0)),
             auxiliary: auxiliary.views(),
         })
     }
@@ -79,55 +75,59 @@ impl<'a> CameraSeen<'a> {
 
     /// All that a sensor gave with the camera's views.
     fn all(&self, sensor: SensorKind) -> impl Iterator<Item = &'a AuxiliaryView> {
-        self.views.iter().filter_map(move |(number, _)| self.with(*number, sensor))
+        self.views.iter().filter_map(move |(number, ..)| self.with(*number, sensor))
     }
 
-    /// The joint problem of color, infrared and depth, with what the device states of its depth
-    /// sensor; `None` where there is no depth.
-    fn rgbd_input(&self, stated: Option<&FactorySensor>) -> Option<RgbdInput> {
-        let depth_size = self.all(SensorKind::Depth).next()?.image_size;
-        let capture = |(number, view): &(u32, &View)| RgbdCapture {
-            name: view.frame.display_name(),
-            time_s: None,
-            is_view: true,
-            color: view.to_board_view(&self.board).correspondences,
-            infrared: self.corners(self.with(*number, SensorKind::Infrared), view),
-            depth: self
-                .with(*number, SensorKind::Depth)
-                .and_then(|view| view.depth.as_deref())
-                .filter(|depth| depth.size() == depth_size)
-                .cloned(),
+    /// What each sensor saw; images of another size than a sensor's first are left out.
+    fn frame_sets(&self, stated: Option<&FactorySensor>) -> CameraFrameSets {
+        let depth_size = self.all(SensorKind::Depth).next().map(|depth| depth.image_size);
+        let is_other = |kind: &SensorKind| kind.is_image() && *kind != SensorKind::Color;
+        let size = |kind| Some((kind, self.all(kind).next()?.image_size));
+        let others: Vec<(SensorKind, ImageSize)> =
+            SensorKind::ALL.into_iter().filter(is_other).filter_map(size).collect();
+        let frame_set = |(number, frame_set, view): &(u32, usize, &View)| {
+            let other = |(kind, size): &(SensorKind, ImageSize)| {
+                let seen = self.with(*number, *kind).filter(|seen| seen.image_size == *size);
+                (*kind, self.corners(seen, view))
+            };
+            let color = (SensorKind::Color, view.to_board_view(&self.board).correspondences);
+            ObservedFrameSet {
+                number: *frame_set,
+                name: view.frame.display_name(),
+                time_s: None,
+                is_view: true,
+                corners: std::iter::once(color).chain(others.iter().map(other)).collect(),
+                depth: self
+                    .with(*number, SensorKind::Depth)
+                    .and_then(|view| view.depth.as_deref())
+                    .filter(|depth| Some(depth.size()) == depth_size)
+                    .cloned(),
+            }
         };
-        let infrared = self.all(SensorKind::Infrared).next();
+        let color = (SensorKind::Color, self.color_size);
+        CameraFrameSets {
+            name: None,
+            image_sensors: std::iter::once(color).chain(others.iter().copied()).collect(),
+            given: None,
+            depth: depth_size.map(|size| self.depth_sensor(size, stated)),
+            frame_sets: self.views.iter().map(frame_set).collect(),
+        }
+    }
+
+    /// What is known of the depth sensor, with what the device states of it.
+    fn depth_sensor(&self, size: ImageSize, stated: Option<&FactorySensor>) -> DepthSensor {
+        let mut of_depth = SensorKind::ALL.into_iter().filter(|kind| kind.is_of_depth());
+        let infrared = of_depth.find_map(|kind| self.all(kind).next());
         let unit_m = self.all(SensorKind::Depth).find_map(|view| view.unit_m);
-        let depth = DepthSensor {
+        DepthSensor {
             reading: Some(DepthReading::Metric { unit_m: unit_m.unwrap_or(ORDINARY_UNIT_M) }),
             invalid: Some(0),
-            factory: stated.filter(|stated| stated.image_size == depth_size).and_then(|stated| {
+            factory: stated.filter(|stated| stated.image_size == size).and_then(|stated| {
                 let depth_from_color = stated.color_from_sensor?.inverse();
                 Some((stated.lens?, depth_from_color))
             }),
-            with_infrared: infrared.is_some_and(|infrared| infrared.image_size == depth_size),
-        };
-        let captures = self.views.iter().map(capture).collect();
-        Some(RgbdInput { board: self.board, color_size: self.color_size, depth, captures })
-    }
-
-    /// Color and right infrared; `None` where there is none of the latter.
-    fn stereo_input(&self) -> Option<StereoInput> {
-        let infrared2_size = self.all(SensorKind::Infrared2).next()?.image_size;
-        let capture = |(number, view): &(u32, &View)| {
-            let infrared2 = self.with(*number, SensorKind::Infrared2);
-            StereoCapture {
-                name: view.frame.display_name(),
-                color: view.to_board_view(&self.board).correspondences,
-                infrared2: self
-                    .corners(infrared2.filter(|seen| seen.image_size == infrared2_size), view),
-            }
-        };
-        let captures = self.views.iter().map(capture).collect();
-        let (board, color_size) = (self.board, self.color_size);
-        Some(StereoInput { board, color_size, infrared2_size, captures })
+            with_infrared: infrared.is_some_and(|infrared| infrared.image_size == size),
+        }
     }
 
     fn corners(&self, seen: Option<&AuxiliaryView>, view: &View) -> Vec<Correspondence> {

@@ -146,6 +146,8 @@ impl SessionThread {
         let Some(id) = self.session.as_ref().map(|session| session.record().id.clone()) else {
             return;
         };
+        // Who hears of the frame finds it counted in the session.
+        self.show();
         let cameras = Arc::clone(&self.instrument);
         let each = cameras.cameras.iter().zip(&seen.frames).zip(&observed.admissions);
         for ((camera, frame), admission) in each {
@@ -239,7 +241,7 @@ impl SessionThread {
         let stated: Vec<_> = self.instrument.cameras.iter().map(|c| stated_depth(c)).collect();
         let session = self.session.as_ref();
         let is_rig = self.instrument.is_rig;
-        let job = session.and_then(|s| solve_job(s, &self.auxiliary, &stated, is_rig));
+        let job = session.map(|s| solve_job(s, &self.auxiliary, &stated, is_rig));
         job.into_iter().for_each(|job| self.instrument.jobs.solve(job));
         // What the job holds is all that is needed of it.
         self.auxiliary = AuxiliaryViews::default();

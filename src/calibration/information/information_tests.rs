@@ -59,9 +59,9 @@ fn noise(seed: &mut u64) -> f64 {
 }
 
 fn problem(lens: &Lens, camera_from_board: &[Pose], noise_px: f64, mut seed: u64) -> CameraProblem {
-    let mut view = |(index, pose): (usize, &Pose)| {
+    let mut view = |(index, camera_from_board): (usize, &Pose)| {
         let mut seen = |point: Point3<f64>| {
-            let pixel = lens.pixel_from_point(&(*pose * point)).unwrap();
+            let pixel = lens.pixel_from_point(&(*camera_from_board * point)).unwrap();
             let pixel = Pixel::new(
                 pixel.x + noise_px * noise(&mut seed),
                 pixel.y + noise_px * noise(&mut seed),

@@ -29,7 +29,6 @@ use crate::calibration::session::together::Together;
 use crate::calibration::session_record::{
     RunningEstimate, SessionMember, SessionRecord, SessionState,
 };
-use crate::calibration::solve_rig::{RigCameraInput, RigInput};
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
 
@@ -124,24 +123,6 @@ impl Session {
     /// The view that was kept as `kept`.
     pub fn view(&self, kept: &KeptView) -> Option<&View> {
         self.cameras.get(kept.camera)?.views().get(kept.view as usize)
-    }
-
-    /// What has been gathered, as a problem to solve.
-    pub fn input(&self) -> RigInput {
-        let board = self.record.request.target;
-        let camera = |(place, part): (usize, &CameraPart)| {
-            let views = self.kept.iter().filter(|kept| kept.camera == place);
-            let view = |kept: &KeptView| {
-                Some((kept.frame_set as usize, self.view(kept)?.to_board_view(&board)))
-            };
-            Some(RigCameraInput {
-                name: part.summary().camera.clone(),
-                image_size: part.image_size()?,
-                given: self.record.request.held(&part.summary().camera),
-                views: views.filter_map(view).collect(),
-            })
-        };
-        RigInput { board, cameras: self.cameras.iter().enumerate().filter_map(camera).collect() }
     }
 
     /// Takes one frame set: what each camera gave, in the instrument's order. `None` once the
