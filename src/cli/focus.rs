@@ -6,7 +6,7 @@ use crate::document::focus::FocusDocument;
 use crate::geometry::board::BoardSize;
 use crate::geometry::thin_lens::ThinLens;
 
-/// Say between which distances a lens is sharp, and which board to hold where
+/// Says between which distances a lens is sharp, and which board to hold where
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The focal length, as in 8mm

@@ -19,7 +19,7 @@ use crate::recording::{McapWriter, RecordingError, Ros2Writer};
 /// How long one wait for a frame is: a request to stop is seen between two.
 const WAIT: Duration = Duration::from_millis(200);
 
-/// Record what a configured camera gives, until it ends, N seconds have passed, or Ctrl-C
+/// Records what a configured camera gives, until it ends, N seconds have passed, or Ctrl-C
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The camera's name in the configuration

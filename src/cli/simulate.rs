@@ -30,7 +30,7 @@ const START_UTC_NS: i64 = 1_767_225_600_000_000_000;
 /// The camera's name in simulated recordings.
 const CAMERA: &str = "front";
 
-/// Render a recording with exact ground truth beside it
+/// Renders a recording with exact ground truth beside it
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The recording to write; what is true of it goes beside it, with the ending .truth.json

@@ -16,8 +16,11 @@ use crate::cli::target_args::ShapeArgs;
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::estimation::uncertainty::{Distance, PixelGrid, projection_uncertainty};
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
 use crate::geometry::lens::Lens;
+use crate::geometry::median::median;
 use crate::geometry::target::Target;
 
 /// A change of this many of the calibration's own standard deviations is one.
@@ -32,7 +35,7 @@ const COLUMNS: u32 = 12;
 /// answer.
 const ANY_SQUARE_M: f64 = 0.025;
 
-/// Say whether a calibration still holds for what the camera sees now
+/// Says whether a calibration still holds for what the camera sees now
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` gives it
@@ -51,7 +54,9 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 struct Verified {
     holds: bool,
-    /// How far projections are off where corners are seen, beyond their noise, in pixels.
+    /// How far projections are off where corners are seen, beyond their noise, in pixels; where these
+    /// views determine a lens of their own that is certainly another, how far it projects from the
+    /// calibrated one in the median over the picture.
     moved_px: f64,
     /// The most that the calibration's own uncertainty allows.
     limit_px: f64,
@@ -119,15 +124,19 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
     );
     let best = best.ok();
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
-    let moved_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
+    let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
+    let visible_px = best.as_ref().and_then(visible_px);
+    let change_px = best.as_ref().and_then(|best| change_px(&sensor.lens, best));
+    // The boards' poses take up most of a change of focus: residuals alone show little of it.
+    let certain = |change: &f64| visible_px.is_some_and(|px| *change > VISIBLE * px.max(limit_px));
+    let moved_px = change_px.filter(certain).unwrap_or(0.0).max(unexplained_px);
     let mut reasons = Vec::new();
     if moved_px > limit_px {
         reasons.push(
             "the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned(),
         );
     }
-    let visible_px = best.as_ref().and_then(visible_px);
     let (kept, all) = (used_corners(&fixed), best.as_ref().map_or(corners(problem), used_corners));
     if 10 * kept < 9 * all {
         reasons.push(format!("{kept} of {all} corners fit the calibrated lens: calibrate again"));
@@ -161,6 +170,15 @@ fn visible_px(best: &CameraEstimate) -> Option<f64> {
     let grid = PixelGrid::over(best.image_size, COLUMNS);
     let map = projection_uncertainty(&best.lens, &best.lens_covariance, grid, Distance::Infinity)?;
     Some(LIMIT_SIGMAS * map.median_and_worst()?.0)
+}
+
+/// How far the lens that fits these views best projects from the calibrated one, after the best
+/// compensating rotation: the median over the picture.
+fn change_px(calibrated: &Lens, best: &CameraEstimate) -> Option<f64> {
+    let grid = PixelGrid::over(best.image_size, COLUMNS);
+    let map = projection_uncertainty(&best.lens, &best.lens_covariance, grid, Distance::Infinity)?;
+    let seen = projection_difference(calibrated, &best.lens, grid, &map.weights);
+    median(seen.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())
 }
 
 fn used_corners(estimate: &CameraEstimate) -> usize {
