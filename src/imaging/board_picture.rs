@@ -34,7 +34,7 @@ const LETTERING: u32 = 2;
 /// camera, bright where it is farthest; arrows from where points were stated, so many times
 /// longer as the caption says. `None` without two points that are apart.
 pub fn draw_board(board: BoardOffsets<'_>) -> Option<RgbImage> {
-    let place = BoardPlacement::of(board.points)?;
+    let place = BoardOnPage::of(board.points)?;
     let heights = || board.offsets_m.iter().map(|o| o[2]);
     let (low, high) =
         (heights().fold(f64::INFINITY, f64::min), heights().fold(f64::NEG_INFINITY, f64::max));
@@ -87,7 +87,7 @@ pub fn board_png(board: BoardOffsets<'_>) -> Option<Vec<u8>> {
 }
 
 /// Where points lie in the drawing.
-struct BoardPlacement {
+struct BoardOnPage {
     low: [f64; 2],
     pixels_per_m: f64,
     margin_px: f64,
@@ -96,7 +96,7 @@ struct BoardPlacement {
     spacing: f64,
 }
 
-impl BoardPlacement {
+impl BoardOnPage {
     fn of(points: &[[f64; 3]]) -> Option<Self> {
         let bound = |axis: usize, start: f64, pick: fn(f64, f64) -> f64| {
             points.iter().map(|point| point[axis]).fold(start, pick)
@@ -186,7 +186,7 @@ mod tests {
             light(735, 32)
         );
         // 1e-4 m is drawn 200 times longer: 20 of 25 mm, 84 px apart, downward.
-        let place = BoardPlacement::of(&points).unwrap();
+        let place = BoardOnPage::of(&points).unwrap();
         let corner = place.pixel([points[4][0], points[4][1]]);
         let white =
             |dy: f64| image.get_pixel(corner.x.round() as u32, (corner.y + dy).round() as u32);

@@ -30,5 +30,6 @@ mod served;
 #[cfg(target_os = "linux")]
 mod service;
 mod shared_data;
+mod snapshots;
 mod solve_requests;
 mod words;

@@ -312,13 +312,13 @@ mod tests {
         let find = |image: &DepthImage, outline: &[Pixel]| {
             find_board_plane(image, (METRIC, &lens()), outline, &PlaneOptions::default())
         };
-        let flat = image(|_, _| 1.0);
+        let flat = image(|x, _| 1.0 + 1e-3 * x);
         assert_eq!(find(&flat, &square(400.0, 500.0)), Err(NoPlane::Outside));
         assert_eq!(find(&flat, &[Pixel::new(f64::NAN, 0.0); 4]), Err(NoPlane::Outside));
-        assert_eq!(
-            find(&image(|_, _| 0.0), &square(40.0, 200.0)),
-            Err(NoPlane::Holes { percent: 0 })
-        );
+        let blank = image(|_, _| 0.0);
+        assert_eq!(find(&blank, &square(40.0, 200.0)), Err(NoPlane::Blank { reading: 0 }));
+        let holes = image(|x, y| if x < 20.0 && y < 20.0 { 1.0 } else { 0.0 });
+        assert_eq!(find(&holes, &square(40.0, 200.0)), Err(NoPlane::Holes { percent: 0 }));
         let bent = image(|x, _| if x < 110.0 { 1.0 } else { 1.6 });
         assert!(matches!(find(&bent, &square(40.0, 200.0)), Err(NoPlane::NotFlat { .. })));
     }
