@@ -42,7 +42,8 @@ macro_rules! scale_floats {
     ($($type:ty),*) => {$(
         impl Scale for $type {
             fn value(&self) -> f64 {
-                f64::from(*self)
+                // As it is written: 0.35, not the nearest float's 0.3499999940395355.
+                self.to_string().parse().unwrap_or(f64::NAN)
             }
             fn scale(&mut self, factor: f64) {
                 *self = (f64::from(*self) * factor) as $type;

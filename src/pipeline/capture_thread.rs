@@ -314,10 +314,11 @@ impl Capture {
     /// Says what is wrong, and waits before the next try. The session's time goes on meanwhile.
     fn wait_out(&self, state: CameraState, reason: &str, wait: Duration) {
         self.camera.status.send_modify(|status| status.fps = None);
-        self.camera.set_state(state, Some(reason));
+        // Who hears that the camera is lost finds its session waiting.
         if let Some(search) = self.camera.search.get() {
             search.assembly.lost(search.place, reason);
         }
+        self.camera.set_state(state, Some(reason));
         self.camera.stop.wait(wait);
         if let Some(search) = self.camera.search.get() {
             search.assembly.waited(search.place, wait.as_secs_f64());

@@ -25,7 +25,7 @@ impl Daemon {
         fs::create_dir_all(&folder).unwrap();
         let config = format!("{folder}/plumb.toml");
         let text = format!(
-            "[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"{folder}/store\"\n{cameras}"
+            "[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"{folder}/store\"\nmin_free_mb = 1\n{cameras}"
         );
         fs::write(&config, text).unwrap();
         let child = Command::new(env!("CARGO_BIN_EXE_plumb"))

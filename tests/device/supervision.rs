@@ -95,15 +95,17 @@ pub fn every_fault_is_a_state_with_a_reason_and_the_session_goes_on() -> String 
         let seen = frames(&session());
         (fault.begin)();
         reported.push(format!("{}: {}", fault.name, events.until("lost", fault.reported)));
-        let waiting = session();
+        let waiting = daemon.wait_for("the session says that it waits", || {
+            let says = |session: &serde_json::Value| {
+                let reason = session["reason"].as_str();
+                reason.is_some_and(|reason| reason.starts_with("waits for the camera: "))
+            };
+            Some(session()).filter(says)
+        });
         assert!(
             waiting["state"] == "collecting" && frames(&waiting) >= seen,
             "{}: {waiting}",
             fault.name
-        );
-        assert!(
-            waiting["reason"].as_str().is_some_and(|r| r.starts_with("waits for the camera: ")),
-            "{waiting}"
         );
         if fault.name == "unbind" {
             reported.push(costs_nothing(&daemon));

@@ -26,7 +26,8 @@ source = { kind = "v4l2", device = "/dev/video0", width = 320, height = 180, for
 pub const WALK: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.mcap");
 const WALK_TRUTH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/recordings/walk.truth.json");
 const FPS: &str = "6";
-const ENOUGH_VIEWS: u64 = 14;
+/// Kept by what they teach, views are fewer than places: these determine the lens to 0.1 %.
+const ENOUGH_VIEWS: u64 = 8;
 
 pub fn a_walk_is_calibrated_over_http() -> String {
     let truth: Value = serde_json::from_slice(&fs::read(WALK_TRUTH).unwrap()).unwrap();
