@@ -27,7 +27,8 @@ use crate::geometry::target::Target;
 const LIMIT_SIGMAS: f64 = 3.0;
 /// No change below this is told from the pictures' own imperfections, in pixels.
 const LEAST_LIMIT_PX: f64 = 0.1;
-/// Pictures that show a change only where it is this many times what is allowed tell little.
+/// Pictures that show a change only where it is this many times what is allowed show little; and a
+/// lens this many times farther off than chance and the calibration allow is another one.
 const VISIBLE: f64 = 3.0;
 /// Columns of the grid that uncertainty is summed up over.
 const COLUMNS: u32 = 12;
@@ -126,20 +127,25 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
     let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
-    let visible_px = best.as_ref().and_then(visible_px);
-    let change_px = best.as_ref().and_then(|best| change_px(&sensor.lens, best));
+    let change = best.as_ref().and_then(|best| LensChange::between(&sensor.lens, best));
+    let visible_px = change.map(|change| change.visible_px);
     // The boards' poses take up most of a change of focus: residuals alone show little of it.
-    let certain = |change: &f64| visible_px.is_some_and(|px| *change > VISIBLE * px.max(limit_px));
-    let moved_px = change_px.filter(certain).unwrap_or(0.0).max(unexplained_px);
+    let certain =
+        change.filter(|change| change.seen_px > VISIBLE * change.visible_px.max(limit_px));
+    let moved_px = certain.map_or(0.0, |change| change.seen_px).max(unexplained_px);
     let mut reasons = Vec::new();
     if moved_px > limit_px {
         reasons.push(
             "the lens has changed since (refocused, zoomed, knocked?): calibrate again".to_owned(),
         );
     }
-    let (kept, all) = (used_corners(&fixed), best.as_ref().map_or(corners(problem), used_corners));
-    if 10 * kept < 9 * all {
-        reasons.push(format!("{kept} of {all} corners fit the calibrated lens: calibrate again"));
+    // What the calibration's own uncertainty allows is no reason to doubt a corner, however exact
+    // the others are.
+    let fitting = fitting_corners(&fixed, limit_px);
+    let all = best.as_ref().map_or(corners(problem), |best| fitting_corners(best, limit_px));
+    if 10 * fitting < 9 * all {
+        reasons
+            .push(format!("{fitting} of {all} corners fit the calibrated lens: calibrate again"));
     }
     let views = fixed.views.iter().filter(|view| view.fault.is_none()).count();
     let holds = reasons.is_empty();
@@ -164,25 +170,33 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
     })
 }
 
-/// The change of projections that a lens fitted to these views alone would show, in the median over
-/// the picture.
-fn visible_px(best: &CameraEstimate) -> Option<f64> {
-    let grid = PixelGrid::over(best.image_size, COLUMNS);
-    let map = projection_uncertainty(&best.lens, &best.lens_covariance, grid, Distance::Infinity)?;
-    Some(LIMIT_SIGMAS * map.median_and_worst()?.0)
+/// What the lens that fits the views best says of the calibrated one, in the median over the
+/// picture.
+#[derive(Debug, Clone, Copy)]
+struct LensChange {
+    /// How far it projects from the calibrated one, after the best compensating rotation.
+    seen_px: f64,
+    /// The least such change that these views show.
+    visible_px: f64,
 }
 
-/// How far the lens that fits these views best projects from the calibrated one, after the best
-/// compensating rotation: the median over the picture.
-fn change_px(calibrated: &Lens, best: &CameraEstimate) -> Option<f64> {
-    let grid = PixelGrid::over(best.image_size, COLUMNS);
-    let map = projection_uncertainty(&best.lens, &best.lens_covariance, grid, Distance::Infinity)?;
-    let seen = projection_difference(calibrated, &best.lens, grid, &map.weights);
-    median(seen.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())
+impl LensChange {
+    fn between(calibrated: &Lens, best: &CameraEstimate) -> Option<Self> {
+        let grid = PixelGrid::over(best.image_size, COLUMNS);
+        let covariance = &best.lens_covariance;
+        let map = projection_uncertainty(&best.lens, covariance, grid, Distance::Infinity)?;
+        let seen = projection_difference(calibrated, &best.lens, grid, &map.weights);
+        Some(Self {
+            seen_px: median(seen.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())?,
+            visible_px: LIMIT_SIGMAS * map.median_and_worst()?.0,
+        })
+    }
 }
 
-fn used_corners(estimate: &CameraEstimate) -> usize {
-    estimate.views.iter().flat_map(|view| &view.used).filter(|used| **used).count()
+/// Corners that took part, or are off by no more than `limit_px`.
+fn fitting_corners(estimate: &CameraEstimate, limit_px: f64) -> usize {
+    let of_view = estimate.views.iter().flat_map(|view| view.used.iter().zip(&view.residuals_px));
+    of_view.filter(|(used, [x, y])| **used || x.hypot(*y) <= limit_px).count()
 }
 
 fn corners(problem: &CameraProblem) -> usize {
