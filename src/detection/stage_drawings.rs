@@ -1,4 +1,5 @@
-//! Draws the stages of the search for the pictures in `README.md`.
+//! The stages of the search on one photograph, one after the other, and the pictures of them in
+//! `README.md`.
 
 use std::path::{Path, PathBuf};
 
@@ -35,14 +36,16 @@ fn canvas(size: [usize; 2], scale: f64, gray: impl Fn(usize, usize) -> u8) -> Rg
     })
 }
 
+/// Writes the drawings where `PLUMB_STAGE_DRAWINGS` says; only draws them without it.
 fn save(name: &str, drawing: &RgbImage) {
-    let path = project("docs/detection/stages").join(name);
-    std::fs::write(path, encode_jpeg_rgb(drawing, 80)).expect("the folder is there");
+    let bytes = encode_jpeg_rgb(drawing, 80);
+    if let Some(folder) = std::env::var_os("PLUMB_STAGE_DRAWINGS") {
+        std::fs::write(Path::new(&folder).join(name), bytes).expect("the folder is there");
+    }
 }
 
 #[test]
-#[ignore = "writes docs/detection/stages"]
-fn draw_the_stages() {
+fn each_stage_leaves_what_the_next_one_needs() {
     let mut image = GrayImage::default();
     let file = std::fs::read(project("examples/board.jpg")).expect("the example's image");
     luma(&frame_from_file(SensorKind::Color, file), &mut image).expect("a JPEG");
@@ -66,6 +69,7 @@ fn draw_the_stages() {
     save("2-response.jpg", &canvas(size, scale, |x, y| response.row(y)[x].saturating_mul(3)));
 
     let candidates = &detector.search.levels.candidates.found;
+    assert!(candidates.len() >= 54 / 2, "{} candidates", candidates.len());
     let mut drawing = plain.clone();
     for Candidate { pixel, edges, .. } in candidates {
         for edge in edges {
@@ -101,6 +105,8 @@ fn draw_the_stages() {
     }
     save("5-grid.jpg", &drawing);
 
+    assert_eq!(detector.search.levels.part.members.len(), 54);
+    assert_eq!(detection.corners.len(), 54);
     let corners = detection.corners.iter();
     let pixels: Vec<Pixel> =
         corners.map(|corner| Pixel::new(corner.pixel.x * scale, corner.pixel.y * scale)).collect();

@@ -295,22 +295,25 @@ mod tests {
     use crate::detection::thresholds::Thresholds;
     use crate::imaging::gray::GrayImage;
 
+    /// The candidates of an image of 60×60 `pixels`.
+    fn candidates_of(pixels: Vec<u8>) -> Vec<Candidate> {
+        let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
+        let mut response = Response::default();
+        response.compute(image.view(), 1);
+        let mut search = CandidateSearch::default();
+        let probe = Probe { image: image.view(), thresholds: &Thresholds::DEFAULT };
+        search.search(probe, &response, 54);
+        search.found
+    }
+
     #[test]
     fn the_corners_of_a_small_checker_are_found_with_their_edges() {
         let pixels = (0..60 * 60)
             .map(|i| if (i % 60 / 12 + i / 60 / 12) % 2 == 0 { 30 } else { 220 })
             .collect();
-        let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
-        let mut response = Response::default();
-        response.compute(image.view(), 1);
-        let mut search = CandidateSearch::default();
-        search.search(
-            Probe { image: image.view(), thresholds: &Thresholds::DEFAULT },
-            &response,
-            54,
-        );
-        assert_eq!(search.found.len(), 16);
-        for candidate in &search.found {
+        let found = candidates_of(pixels);
+        assert_eq!(found.len(), 16);
+        for candidate in &found {
             let nearest = candidate.pixel.map(|v| (v + 0.5) / 12.0);
             assert!((nearest - nearest.map(f32::round)).norm() < 0.03, "{candidate:?}");
             let [first, second] = candidate.edges;
@@ -325,16 +328,7 @@ mod tests {
             (0..3600).map(|i| if i % 60 < 30 { 20 } else { 200 }).collect(),
             (0..3600).map(|i| if i % 60 / 4 % 2 == 0 { 20 } else { 200 }).collect::<Vec<u8>>(),
         ] {
-            let image = GrayImage::from_pixels(60, 60, pixels).expect("3600 pixels");
-            let mut response = Response::default();
-            response.compute(image.view(), 1);
-            let mut search = CandidateSearch::default();
-            search.search(
-                Probe { image: image.view(), thresholds: &Thresholds::DEFAULT },
-                &response,
-                54,
-            );
-            assert_eq!(search.found.len(), 0);
+            assert_eq!(candidates_of(pixels).len(), 0);
         }
     }
 }
