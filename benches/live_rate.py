@@ -7,7 +7,7 @@ people write with OpenCV, on the same frames.
     target/venv/bin/python benches/live_rate.py --memory 10000
 
 The second has so many watch the preview, drawn over with what was found, beside the session.
-The third looks at so many frames as fast as it can, in one session, and tells how resident memory goes on the way.
+The third looks at so many frames as fast as it can, in one session, and prints resident memory on the way.
 
 Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
 arrival to what was seen in it, resident memory at the middle and the end, frames looked at and lost.

@@ -103,7 +103,7 @@ pub struct BiasRangeDocument {
     pub before: f64,
     /// Corrected by what was fitted to other views.
     pub after: f64,
-    /// Root mean square over the patches of what is left.
+    /// Root mean square over the patches of the residuals.
     pub rms_after: f64,
     /// Patches of the board that tell.
     pub patches: u32,

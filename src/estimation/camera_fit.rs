@@ -54,7 +54,7 @@ impl CameraFit {
         self.robust.minimum.equations.cost / freedom.max(1.0)
     }
 
-    /// Whether the corners are exact: of rounding errors nothing can be told.
+    /// Whether the corners are exact: rounding errors say nothing of the model.
     pub(crate) fn is_exact(&self) -> bool {
         self.noise_square() < ROUNDING * ROUNDING
     }

@@ -164,7 +164,7 @@ fn influences(
 }
 
 /// The covariance of parameters whose covariance for unit noise is `unit`, from what some of the
-/// views do to them and how many views there are; `without` tells by how much the estimate would
+/// views do to them and how many views there are; `without` gives by how much the estimate would
 /// move without each of those, and is asked only where it counts. All in units of the parameters'
 /// own deviations.
 pub(crate) fn clustered(
@@ -181,7 +181,7 @@ pub(crate) fn clustered(
     combined(unit, noise_square, (influences, views), without).unwrap_or(plain)
 }
 
-/// `None` where nothing tells that views differ, or chance would explain it.
+/// `None` where nothing shows that views differ, or chance would explain it.
 fn combined(
     unit: &DMatrix<f64>,
     noise_square: f64,

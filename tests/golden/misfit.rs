@@ -137,7 +137,7 @@ fn a_right_model_is_not_accused() {
     }
 }
 
-/// Of rounding errors nothing can be told, whatever they look like.
+/// Rounding errors say nothing of the model, whatever they look like.
 #[test]
 fn exact_corners_are_accused_of_nothing() {
     for seed in 0..12 {

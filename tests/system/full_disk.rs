@@ -43,7 +43,7 @@ fn views(served: &Served, id: &str) -> usize {
     views["views"].as_array().unwrap().len()
 }
 
-/// Fills what is left of the disk but for so much.
+/// Fills the disk but for so much.
 fn fill(disk: &Path, leave_kb: u64) -> PathBuf {
     let file = disk.join("filler");
     let out = Command::new("df").args(["--output=avail", "-k"]).arg(disk).output().unwrap();

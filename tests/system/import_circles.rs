@@ -23,7 +23,7 @@ fn no_file_of_a_layer_imports_itself_by_way_of_others() {
     for circle in circles(&imports) {
         let layer = &circle[0][0];
         if !CIRCLES_NOT_YET.contains(&layer.as_str()) {
-            faults.push(told(&circle, &imports));
+            faults.push(described(&circle, &imports));
         }
     }
     assert!(faults.is_empty(), "{} circles:\n{}", faults.len(), faults.join("\n"));
@@ -61,7 +61,7 @@ fn path(name: &str) -> Module {
 }
 
 /// The circle's files, and each import between them.
-fn told(circle: &[Module], imports: &BTreeMap<&Module, BTreeSet<Module>>) -> String {
+fn described(circle: &[Module], imports: &BTreeMap<&Module, BTreeSet<Module>>) -> String {
     let mut text = format!("{} files of `{}`:", circle.len(), circle[0][0]);
     for module in circle {
         let inside = imports[module].iter().filter(|to| circle.contains(to));

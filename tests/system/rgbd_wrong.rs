@@ -175,7 +175,7 @@ fn each_wrong_thing_is_one_clear_line() {
 const LARGE_UNITS: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.00108\n";
 
 #[test]
-fn what_is_missing_blank_or_of_another_scale_is_told() {
+fn what_is_missing_blank_or_of_another_scale_is_reported() {
     let sets = taken();
     let table: [(Change, [&str; 2]); 3] = [
         (Change::DepthInHalf, ["have no depth picture", "01"]),
@@ -186,24 +186,25 @@ fn what_is_missing_blank_or_of_another_scale_is_told() {
         let finished = calibrated(&sets, change, true);
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         let document: Value = serde_json::from_str(&finished.stdout).unwrap();
-        let told = document["verdict"]["reasons"].to_string();
-        assert!(words.iter().all(|word| told.contains(word)), "{words:?}: {told}");
+        let reasons = document["verdict"]["reasons"].to_string();
+        assert!(words.iter().all(|word| reasons.contains(word)), "{words:?}: {reasons}");
         let right = calibrated(&sets, Change::Nothing, true);
         let right: Value = serde_json::from_str(&right.stdout).unwrap();
-        let told = right["verdict"]["reasons"].to_string();
-        assert!(!told.contains(words[0]), "{told}");
+        let reasons = right["verdict"]["reasons"].to_string();
+        assert!(!reasons.contains(words[0]), "{reasons}");
     }
 }
 
 #[test]
-fn what_is_right_is_calibrated_and_color_in_half_the_views_told() {
+fn what_is_right_is_calibrated_and_color_in_half_the_views_reported() {
     let sets = taken();
-    for (change, is_told) in [(Change::Nothing, false), (Change::ColorInHalf, true)] {
+    for (change, is_reported) in [(Change::Nothing, false), (Change::ColorInHalf, true)] {
         let finished = calibrated(&sets, change, true);
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         let document: Value = serde_json::from_str(&finished.stdout).unwrap();
         assert!(document["sensors"]["depth"].is_object(), "{}", document["verdict"]);
-        let told = document["verdict"].to_string().contains("the board was not seen in color in");
-        assert_eq!(told, is_told, "{}", document["verdict"]);
+        let reported =
+            document["verdict"].to_string().contains("the board was not seen in color in");
+        assert_eq!(reported, is_reported, "{}", document["verdict"]);
     }
 }

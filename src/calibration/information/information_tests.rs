@@ -186,17 +186,16 @@ fn of_equal_views_the_uncertainty_falls_with_the_root_of_their_number() {
     assert!((one / four - 2.0).abs() < 1e-9, "{one} {four}");
 }
 
+/// Where the board may be held before a camera with this lens.
+fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> CandidateSpace<'a> {
+    CandidateSpace { lens, size: SIZE, board, noise, base: UnitQuaternion::identity() }
+}
+
 #[test]
 fn frontal_views_are_followed_by_a_tilted_one() {
     let lens = lens();
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
-    let space = CandidateSpace {
-        lens: &lens,
-        size: SIZE,
-        board: &board,
-        noise: &noise,
-        base: UnitQuaternion::identity(),
-    };
+    let space = space(&lens, &board, &noise);
     let frontal = (0..20).filter_map(|index| {
         space.view(&Holding { tilt: 0.03, roll: 0.0, ..Holding::of_sequence(index) })
     });
@@ -220,13 +219,7 @@ fn frontal_views_are_followed_by_a_tilted_one() {
 fn following_suggestions_teaches_more_than_any_order_of_the_sequence() {
     let lens = lens();
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
-    let space = CandidateSpace {
-        lens: &lens,
-        size: SIZE,
-        board: &board,
-        noise: &noise,
-        base: UnitQuaternion::identity(),
-    };
+    let space = space(&lens, &board, &noise);
     let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Worst);
     let prior = LensInformation::prior(lens, SIZE);
     let taught = |known: &LensInformation, camera_from_board: &Pose, corners: &[WeightedCorner]| {
@@ -282,13 +275,7 @@ fn the_view_that_teaches_most_comes_before_a_repeated_one() {
 fn movements_are_named_by_what_is_seen_in_the_image() {
     let lens = lens();
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
-    let space = CandidateSpace {
-        lens: &lens,
-        size: SIZE,
-        board: &board,
-        noise: &noise,
-        base: UnitQuaternion::identity(),
-    };
+    let space = space(&lens, &board, &noise);
     let middle = board.middle().coords;
     let at = |turn: [f64; 3], place: [f64; 3]| {
         let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(turn));

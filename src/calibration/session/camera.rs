@@ -41,7 +41,7 @@ pub struct CameraPart {
     summary: SessionMember,
     views: Vec<View>,
     placements: Vec<Placement>,
-    /// What the views teach; `None` before the first frame tells the image's size.
+    /// What the views teach; `None` before the first frame gives the image's size.
     teaching: Option<Teaching>,
     advice: Advice,
     before: Option<SeenBefore>,

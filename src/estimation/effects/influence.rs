@@ -18,7 +18,7 @@ const MAX_INFLUENCES: usize = 60;
 /// directions only.
 const MAX_STEPS: usize = 30;
 
-/// What is left of the residual's square when they end.
+/// The part of the residual's square at which they end.
 const SOLVED: f64 = 1e-6;
 
 /// One view's Jacobian at a state, its pose and motion to be eliminated.

@@ -13,7 +13,7 @@ use crate::geometry::median::median;
 /// times in a thousand by chance, with fifteen views.
 const AGREED: f64 = 3.0;
 
-/// A view counts for this many times what views usually do at most: one whose motion has not
+/// A view counts for this many times what views typically do at most: one whose motion has not
 /// settled must not decide.
 const MOST: f64 = 5.0;
 
@@ -39,9 +39,9 @@ impl EffectSearch {
             .zip(control.view_evidences(by_columns)?)
             .map(|(rows, columns)| rows - columns)
             .collect();
-        let usual = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
+        let typical = median(of_views.iter().map(|one: &f64| one.abs()).collect())?;
         let of_views: Vec<f64> =
-            of_views.iter().map(|one| one.clamp(-MOST * usual, MOST * usual)).collect();
+            of_views.iter().map(|one| one.clamp(-MOST * typical, MOST * typical)).collect();
         let count = of_views.len() as f64;
         let mean = of_views.iter().sum::<f64>() / count;
         let squares = of_views.iter().map(|one| (one - mean).powi(2)).sum::<f64>();

@@ -81,7 +81,7 @@ pub struct RgbdEstimate {
     pub color_from_depth: Pose,
     /// Covariance of its turn about color's axes and of its translation, in rad² and m².
     pub color_from_depth_covariance: Matrix6<f64>,
-    /// By how much infrared and depth are taken later than color, where the board's motion tells.
+    /// By how much infrared and depth are taken later than color, where the board's motion determines it.
     pub time_offset: Option<TimeOffset>,
     /// Views whose infrared and depth pictures are of another moment than their color picture.
     pub not_together: Vec<usize>,
