@@ -205,7 +205,7 @@ impl Default for AdmissionOptions {
 }
 
 const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
-/// Two boards further apart than this part of the diagonal are not one motion: the recording has a
+/// Two boards further from each other than this part of the diagonal are not one motion: the recording has a
 /// cut, or is a pile of photographs.
 const CUT: f64 = 0.25;
 
@@ -224,7 +224,7 @@ pub struct SeenBefore {
 /// estimated meanwhile: a replay keeps the same views.
 ///
 /// # Errors
-/// The first reason against it, the most telling first.
+/// The first reason against it, the most useful to the operator first.
 pub fn admit(
     detection: &Detection,
     seen: &FrameFacts,
@@ -259,7 +259,8 @@ pub fn admit(
     }
 }
 
-/// Speed of the fastest corner since the frame before; `None` where that cannot be told.
+/// Speed of the fastest corner since the frame before; `None` where frames are too
+/// long after each other.
 fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
     let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
     // A named frame is a picture of its own; the times of a folder of them mean nothing.

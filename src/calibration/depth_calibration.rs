@@ -19,11 +19,11 @@ pub struct DepthCalibration {
     pub bias: Vec<DepthBias>,
     /// The noise of single readings.
     pub noise: DepthNoise,
-    /// By how much its pictures are taken later than color's, where the board's motion tells.
+    /// How much later its images are taken than color's, where the board's motion determines it.
     pub time_offset: Option<PictureDelay>,
 }
 
-/// By how much a sensor's pictures are taken later than the ones they come with.
+/// How much later a sensor's images are taken than the ones they are grouped with.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PictureDelay {
     /// In seconds.
@@ -43,9 +43,9 @@ pub struct DepthBias {
     pub before_m: f64,
     /// Corrected by what was fitted to other views, in meters.
     pub after_m: f64,
-    /// Root mean square over the patches of what is left, in meters.
+    /// Root mean square over the patches of the residuals, in meters.
     pub rms_after_m: f64,
-    /// Patches of the board that tell.
+    /// Patches of the board with a residual.
     pub patches: u32,
 }
 
@@ -89,7 +89,7 @@ impl DepthNoise {
 }
 
 impl DepthCalibration {
-    /// What an estimate tells of the depth sensor.
+    /// The depth sensor's part of an estimate.
     pub fn of(estimate: &RgbdEstimate, invalid: Option<u16>) -> Self {
         let std = |k: usize| estimate.depth_covariance[(k, k)].max(0.0).sqrt();
         Self {
@@ -139,7 +139,7 @@ fn bias(estimate: &RgbdEstimate) -> Vec<DepthBias> {
         .collect()
 }
 
-/// A range in which what is left is above this part of a reading's noise is worth telling.
+/// Residuals of a range of distances above this part of a reading's noise are reported.
 const LEFT: f64 = 0.3;
 
 /// The verdict with what depth adds to it.

@@ -1,9 +1,8 @@
 //! Whether a calibration still explains the boards that are seen now.
 //!
-//! Each board's pose is fitted under the calibrated lens. What the boards of several views leave
-//! unexplained, beyond what the calibration's own views left, is how far the lens has moved; a
-//! calibration allows as much of that as it is uncertain. One session's fresh views are the
-//! measure: it costs a pose a kept view, and needs nothing of the session.
+//! Each board's pose is fitted under the calibrated lens. The residuals of several views, beyond
+//! those of the calibration's own views, measure how far the lens has moved; the limit is the
+//! calibration's own uncertainty. It costs one pose fit for each accepted view of a session.
 
 use crate::calibration::result::ImageCalibration;
 use crate::estimation::board_pose::board_poses;
@@ -11,14 +10,14 @@ use crate::estimation::problem::BoardView;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
-/// A misfit of this many of the calibration's own standard deviations is one.
+/// Limit of the misfit, in standard deviations of the calibration's own projections.
 const LIMIT_SIGMAS: f64 = 3.0;
-/// No misfit below this is told from the pictures' own imperfections, in pixels.
+/// Smallest limit, in pixels: less is not distinguishable from the images' own errors.
 const LEAST_LIMIT_PX: f64 = 0.1;
-/// Views that are looked at together: one alone may be blurred, or its board bent by a hand.
+/// Views whose median misfit decides: one alone may be blurred, or its board bent by a hand.
 const VIEWS: usize = 5;
 
-/// Holds a calibration against what is seen.
+/// Compares a calibration with the boards seen since.
 #[derive(Debug, Clone)]
 pub struct DriftWatch {
     calibration: String,
@@ -28,7 +27,7 @@ pub struct DriftWatch {
     limit_px: f64,
     /// Root mean square misfit of each view so far, in pixels.
     misfits_px: Vec<f64>,
-    told: bool,
+    reported: bool,
 }
 
 /// A calibration that does not hold any more.
@@ -56,13 +55,13 @@ impl DriftWatch {
             expected_px: sensor.rms_px,
             limit_px: uncertain_px.max(LEAST_LIMIT_PX).max(sensor.rms_px),
             misfits_px: Vec::new(),
-            told: false,
+            reported: false,
         }
     }
 
-    /// Takes in a board seen in a picture of `size`; the drift, once, when it is beyond doubt.
+    /// Adds a board seen in an image of `size`; the drift, once, when it exceeds the limit.
     pub fn see(&mut self, view: &BoardView, size: ImageSize) -> Option<Drift> {
-        if self.told {
+        if self.reported {
             return None;
         }
         if size != self.image_size {
@@ -70,7 +69,7 @@ impl DriftWatch {
                 "pictures are {size} now, the calibration is for {}: calibrate again",
                 self.image_size
             );
-            return Some(self.tell(reason, None));
+            return Some(self.report(reason, None));
         }
         // A view that determines no pose says nothing about the lens.
         self.misfits_px.push(board_poses(&self.lens, view).ok()?.first()?.rms_px);
@@ -89,11 +88,11 @@ impl DriftWatch {
              {:.2} px expected; calibrate again",
             self.expected_px
         );
-        Some(self.tell(reason, Some(rms_px)))
+        Some(self.report(reason, Some(rms_px)))
     }
 
-    fn tell(&mut self, reason: String, rms_px: Option<f64>) -> Drift {
-        self.told = true;
+    fn report(&mut self, reason: String, rms_px: Option<f64>) -> Drift {
+        self.reported = true;
         Drift {
             calibration: self.calibration.clone(),
             reason,
@@ -163,18 +162,18 @@ mod tests {
     }
 
     #[test]
-    fn a_refocused_lens_is_told_once_after_some_views() {
+    fn a_refocused_lens_is_reported_once_after_some_views() {
         let mut watch = watch(lens(600.0, -0.1));
-        let told: Vec<Option<Drift>> =
+        let reports: Vec<Option<Drift>> =
             (0..8).map(|k| watch.see(&view(&lens(570.0, -0.05), k % 5), SIZE)).collect();
-        assert_eq!(told.iter().flatten().count(), 1);
-        let drift = told[VIEWS - 1].as_ref().unwrap();
+        assert_eq!(reports.iter().flatten().count(), 1);
+        let drift = reports[VIEWS - 1].as_ref().unwrap();
         assert!(drift.rms_px.unwrap() > 0.2, "{drift:?}");
         assert_eq!((drift.calibration.as_str(), drift.expected_px), ("c1", 0.06));
     }
 
     #[test]
-    fn pictures_of_another_size_are_told_at_once() {
+    fn images_of_another_size_are_reported_at_once() {
         let mut watch = watch(lens(600.0, -0.1));
         let drift = watch.see(&view(&lens(600.0, -0.1), 0), ImageSize::new(1280, 720)).unwrap();
         assert!(drift.reason.contains("1280") && drift.rms_px.is_none(), "{drift:?}");

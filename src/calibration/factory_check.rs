@@ -26,7 +26,7 @@ pub struct FactoryCheck {
     /// The same on the same views by what was found in the other half of the views; infinite where
     /// those are too few.
     pub own: f64,
-    /// How many views tell.
+    /// How many views were compared.
     pub views: usize,
     /// What color's own lens leaves open of all distances, as a part of them: one standard
     /// deviation.
@@ -42,7 +42,7 @@ const SURE: f64 = 2.0;
 
 impl FactoryCheck {
     /// Compares `estimate` with the factory's lens and `depth_from_color`. `None` where no view
-    /// tells.
+    /// has both color and depth of the board.
     pub fn of(
         problem: &RgbdProblem,
         estimate: &RgbdEstimate,

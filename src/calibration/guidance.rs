@@ -1,8 +1,8 @@
 //! What the operator should do next, in words and as an outline in the image.
 //!
 //! A fixed list of placements that together determine a lens well: five tilts in the middle, every
-//! corner and edge of the image, near and far. Advice asks for the first of them that no kept view
-//! comes close to. What is wrong with the picture right now is said first.
+//! corner and edge of the image, near and far. Advice asks for the first of them that no accepted
+//! view is near. What is wrong with the newest image is said first.
 
 use nalgebra::{Vector2, Vector3};
 
@@ -30,7 +30,7 @@ pub struct Guidance {
 }
 
 /// A placement to ask for, and its words.
-struct Wish {
+struct SuggestedPlacement {
     words: &'static str,
     center: [f64; 2],
     size: f64,
@@ -38,72 +38,82 @@ struct Wish {
     tilt: [f64; 2],
 }
 
-const fn wish(words: &'static str, center: [f64; 2], size: f64, tilt: [f64; 2]) -> Wish {
-    Wish { words, center, size, tilt }
+const fn suggest(
+    words: &'static str,
+    center: [f64; 2],
+    size: f64,
+    tilt: [f64; 2],
+) -> SuggestedPlacement {
+    SuggestedPlacement { words, center, size, tilt }
 }
 
 const TILT_RAD: f64 = 0.6;
-const USUAL_SIZE: f64 = 0.42;
+const MEDIUM_SIZE: f64 = 0.42;
 
-const WISHES: [Wish; 15] = [
-    wish("in the middle of the picture, facing the camera", [0.5, 0.5], USUAL_SIZE, [0.0, 0.0]),
-    wish(
+const SUGGESTIONS: [SuggestedPlacement; 15] = [
+    suggest("in the middle of the picture, facing the camera", [0.5, 0.5], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest(
         "in the middle, its right side nearer to the camera",
         [0.5, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [TILT_RAD, 0.0],
     ),
-    wish(
+    suggest(
         "in the middle, its left side nearer to the camera",
         [0.5, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [-TILT_RAD, 0.0],
     ),
-    wish(
+    suggest(
         "in the middle, its upper side nearer to the camera",
         [0.5, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [0.0, -TILT_RAD],
     ),
-    wish(
+    suggest(
         "in the middle, its lower side nearer to the camera",
         [0.5, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [0.0, TILT_RAD],
     ),
-    wish("into the upper left corner of the picture", [0.25, 0.25], USUAL_SIZE, [0.0, 0.0]),
-    wish("into the upper right corner of the picture", [0.75, 0.25], USUAL_SIZE, [0.0, 0.0]),
-    wish("into the lower right corner of the picture", [0.75, 0.75], USUAL_SIZE, [0.0, 0.0]),
-    wish("into the lower left corner of the picture", [0.25, 0.75], USUAL_SIZE, [0.0, 0.0]),
-    wish("nearer to the camera, so that it nearly fills the picture", [0.5, 0.5], 0.8, [0.0, 0.0]),
-    wish(
+    suggest("into the upper left corner of the picture", [0.25, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the upper right corner of the picture", [0.75, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the lower right corner of the picture", [0.75, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the lower left corner of the picture", [0.25, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest(
+        "nearer to the camera, so that it nearly fills the picture",
+        [0.5, 0.5],
+        0.8,
+        [0.0, 0.0],
+    ),
+    suggest(
         "to the left edge, its left side nearer to the camera",
         [0.25, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [-TILT_RAD, 0.0],
     ),
-    wish(
+    suggest(
         "to the right edge, its right side nearer to the camera",
         [0.75, 0.5],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [TILT_RAD, 0.0],
     ),
-    wish(
+    suggest(
         "to the upper edge, its upper side nearer to the camera",
         [0.5, 0.25],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [0.0, -TILT_RAD],
     ),
-    wish(
+    suggest(
         "to the lower edge, its lower side nearer to the camera",
         [0.5, 0.75],
-        USUAL_SIZE,
+        MEDIUM_SIZE,
         [0.0, TILT_RAD],
     ),
-    wish("farther away, at half its size", [0.5, 0.5], 0.22, [0.35, 0.35]),
+    suggest("farther away, at half its size", [0.5, 0.5], 0.22, [0.35, 0.35]),
 ];
 
-/// A view within so many steps of a wish fulfils it.
+/// A view within this many steps of a suggested placement fulfills it.
 const FULFILLED_STEPS: f64 = 1.7;
 
 /// What to do next with the board `target` in images of `size`, given the placements kept so far
@@ -114,22 +124,22 @@ pub fn advise(
     kept: &[Placement],
     newest: Option<&Rejection>,
 ) -> Guidance {
-    let mut guidance = next_wish(target, size, kept);
+    let mut guidance = next_suggestion(target, size, kept);
     if let Some(obstacle) = newest.and_then(obstacle) {
         guidance.message = obstacle;
     }
     guidance
 }
 
-fn next_wish(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidance {
-    for wish in &WISHES {
-        let Some((placement, outline_px)) = place(wish, target, size) else { continue };
+fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidance {
+    for suggested in &SUGGESTIONS {
+        let Some((placement, outline_px)) = place(suggested, target, size) else { continue };
         // How the board is turned in the image is left to the operator.
         let fulfilled = |view: &Placement| {
             placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS
         };
         if !kept.iter().any(fulfilled) {
-            let message = format!("hold the board {}", wish.words);
+            let message = format!("hold the board {}", suggested.words);
             return Guidance { message, outline_px, ..Guidance::default() };
         }
     }
@@ -159,19 +169,28 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
     }
 }
 
-/// The placement of a wish with its outline, shrunk until it lies in the image; `None` for an image
+/// A suggested placement with its outline, shrunk until it lies in the image; `None` for an image
 /// of no size.
-fn place(wish: &Wish, target: &Chessboard, size: ImageSize) -> Option<(Placement, Vec<Pixel>)> {
+fn place(
+    suggested: &SuggestedPlacement,
+    target: &Chessboard,
+    size: ImageSize,
+) -> Option<(Placement, Vec<Pixel>)> {
     (0..12).find_map(|shrinks| {
-        let outline = outline(wish, wish.size * 0.9_f64.powi(shrinks), target, size)?;
+        let outline = outline(suggested, suggested.size * 0.9_f64.powi(shrinks), target, size)?;
         outline.iter().all(|corner| size.contains(*corner)).then_some(())?;
         let placement = Placement::of_outline(outline, target.size, size)?;
         Some((placement, outline.to_vec()))
     })
 }
 
-/// The outer inner-corners of the board, held as wished, `scale` in place of the wish's size.
-fn outline(wish: &Wish, scale: f64, target: &Chessboard, size: ImageSize) -> Option<[Pixel; 4]> {
+/// The outer inner-corners of the board, held as suggested, but of size `scale`.
+fn outline(
+    suggested: &SuggestedPlacement,
+    scale: f64,
+    target: &Chessboard,
+    size: ImageSize,
+) -> Option<[Pixel; 4]> {
     let (width, height) = (f64::from(size.width), f64::from(size.height));
     let focal_px = NOMINAL_FOCAL * width.max(height);
     let half =
@@ -179,8 +198,9 @@ fn outline(wish: &Wish, scale: f64, target: &Chessboard, size: ImageSize) -> Opt
     let square_px = scale * (width * height / (4.0 * half.x * half.y)).sqrt();
     let distance = focal_px / square_px;
     let middle =
-        Vector2::new((wish.center[0] - 0.5) * width, (wish.center[1] - 0.5) * height) / square_px;
-    let turn = Vector3::new(-wish.tilt[1], wish.tilt[0], 0.0);
+        Vector2::new((suggested.center[0] - 0.5) * width, (suggested.center[1] - 0.5) * height)
+            / square_px;
+    let turn = Vector3::new(-suggested.tilt[1], suggested.tilt[0], 0.0);
     let camera_from_middle =
         Pose::from_axis_angle(turn, Vector3::new(middle.x, middle.y, distance));
     let corner = |x: f64, y: f64| {
@@ -222,7 +242,7 @@ mod tests {
                 assert!(outline.iter().all(|corner| size.contains(*corner)), "{outline:?}");
                 kept.push(Placement::of_outline(outline, target.size, size).unwrap());
                 assert!(
-                    kept.len() <= WISHES.len(),
+                    kept.len() <= SUGGESTIONS.len(),
                     "asked twice for the same: {}",
                     guidance.message
                 );

@@ -6,7 +6,7 @@ use crate::estimation::board_turns::SensorPoses;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// The longest shift that is looked for, in frame sets.
+/// The longest shift that is tried, in frame sets.
 const LONGEST: isize = 10;
 /// Fewer frame sets together say nothing: three relative poses agree by chance.
 const LEAST_SHARED: usize = 4;

@@ -45,7 +45,7 @@ pub struct ObservedFrameSet {
     /// When color was taken, in seconds since any moment; `None` where times mean nothing.
     pub time_s: Option<f64>,
     /// Whether it is a view. Others determine how the board moved, and by how much the sensors are
-    /// apart in time.
+    /// each other in time.
     pub is_view: bool,
     /// The board in the images that show it, by sensor.
     pub corners: Vec<(SensorKind, Vec<Correspondence>)>,

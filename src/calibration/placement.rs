@@ -33,7 +33,7 @@ pub struct Placement {
     pub half_turn_alike: bool,
 }
 
-/// How far apart two placements must lie in one respect alone to count as one step apart.
+/// The difference of two placements in one respect alone that counts as one step.
 const CENTER_STEP: f64 = 0.14;
 const SIZE_STEP_LOG: f64 = 0.25;
 const TILT_STEP_RAD: f64 = 0.20;
@@ -73,7 +73,7 @@ impl Placement {
         (finite && placement.size > 0.0).then_some(placement)
     }
 
-    /// How many steps apart two placements are; below 1 they teach a calibration nearly the same.
+    /// The distance of two placements in steps; below 1 they teach a calibration nearly the same.
     pub fn steps_to(&self, other: &Self) -> f64 {
         let center = (self.center - other.center).norm() / CENTER_STEP;
         let size = (self.size / other.size).ln() / SIZE_STEP_LOG;
@@ -213,7 +213,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn tilts_are_told_apart_by_direction() {
+    fn tilts_differ_by_direction() {
         let tilt = |axis_angle| {
             Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), axis_angle), SIZE)
                 .unwrap()

@@ -77,7 +77,7 @@ pub fn with_depth(
     calibration
 }
 
-/// Views that color tells nothing of, where they are many.
+/// The views without a board in color, where they are many.
 pub fn without_color(input: &RgbdInput) -> Option<String> {
     let views =
         || input.captures.iter().filter(|capture| capture.is_view && capture.depth.is_some());
@@ -88,25 +88,25 @@ pub fn without_color(input: &RgbdInput) -> Option<String> {
     })
 }
 
-/// Sensors whose distance along color's axis is less sure than this, in meters, are worth telling
-/// of.
+/// Standard deviation of the sensors' distance along color's axis above which it is reported, in
+/// meters.
 const WEAK_M: f64 = 0.005;
 
-/// Planes alone hardly tell how far one sensor is behind the other from its focal length and the
-/// curve of its error.
+/// Planes alone hardly separate the distance between the sensors along the axis from the focal
+/// length and the quadratic term of depth's error.
 fn weak_place(estimate: &RgbdEstimate) -> Option<String> {
     let std_mm = 1e3 * pose_std(&estimate.color_from_depth_covariance).1.z;
     (std_mm > 1e3 * WEAK_M).then(|| {
         format!(
-            "how far the depth camera stands back from color's is known to {std_mm:.0} mm only, by planes alone, which cannot tell it from the focal length and the curve of depth's error; depth as corrected agrees with color for all that: tilt the board more, near and far, or record infrared"
+            "how far the depth camera stands back from color's is known to {std_mm:.0} mm only: flat boards alone do not separate it from the focal length and the error of depth; corrected depth still agrees with color: tilt the board more, near and far, or record infrared"
         )
     })
 }
 
 fn not_together(joint: &RgbdEstimate) -> String {
-    let (apart, all) = (joint.not_together.len(), joint.color_from_board.len());
+    let (separate, all) = (joint.not_together.len(), joint.color_from_board.len());
     format!(
-        "color and depth of {apart} of {all} views are of different moments, and these take no part in where the sensors are: hold the board still, or let the device take both together"
+        "color and depth of {separate} of {all} views were taken at different times, and are not used for the sensors' pose: hold the board still, or let the device take both together"
     )
 }
 
@@ -132,16 +132,16 @@ fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
     ))
 }
 
-/// A factor between depth and the board that differs from 1 by more than this is worth telling of:
-/// depth cameras err by 1 or 2 parts in a hundred.
-const WORTH_TELLING: f64 = 0.03;
+/// A factor between depth and the board that differs from 1 by more than this is reported: depth
+/// cameras err by 1 or 2 parts in a hundred.
+const REPORTED_ABOVE: f64 = 0.03;
 
-/// A unit, or a square, that is not the one stated is the same factor in every view, to this part of
-/// what it differs from 1 by.
+/// A wrong unit or a wrong square gives the same factor in every view: its spread is less than this
+/// part of its difference from 1.
 const SAME_FACTOR: f64 = 0.3;
 
-/// That depth is off the board by one factor in all views, which a wrong unit of depth would do, and
-/// a wrong square too.
+/// Whether depth differs from the board by one factor in all views, as it does with a wrong unit of
+/// depth or a wrong square.
 fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let DepthReading::Metric { unit_m } = joint.depth.reading else { return None };
     let factor_of = |view: &Vec<JudgedTile>| {
@@ -151,7 +151,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     let factor = median(of_views.clone())?;
     let off = (factor - 1.0).abs();
     let spread = median(of_views.iter().map(|one| (one - factor).abs()).collect())?;
-    if off < WORTH_TELLING || spread > SAME_FACTOR * off {
+    if off < REPORTED_ABOVE || spread > SAME_FACTOR * off {
         return None;
     }
     let percent = 100.0 * (factor - 1.0);
@@ -162,7 +162,7 @@ fn scale_doubt(joint: &RgbdEstimate, board: &Target) -> Option<String> {
     };
     let [stated_mm, fitting_mm] = [length_m, length_m * factor].map(|m| 1e3 * m);
     Some(format!(
-        "depth reads {percent:+.1} % off the board in every view: either a unit of depth is {:.3e} m and not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm and not {stated_mm:.2} mm; measure a {what} with a ruler, which tells them apart: a wrong one scales the distance between the sensors too",
+        "depth reads {percent:+.1} % off the board in every view: either a unit of depth is {:.3e} m and not {unit_m:.3e} m, or a {what} is {fitting_mm:.2} mm and not {stated_mm:.2} mm; measure a {what} with a ruler, to decide: a wrong one scales the distance between the sensors too",
         unit_m / factor
     ))
 }

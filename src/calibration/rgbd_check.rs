@@ -20,11 +20,11 @@ const LEAST_FOLLOWING: f64 = 0.6;
 /// all patches.
 const MOST_LEFT: f64 = 0.02;
 
-/// Sensors of one device are not this far apart, in meters, and not turned this much, in degrees.
+/// Greatest distance between sensors of one device, in meters, and greatest rotation, in degrees.
 const FURTHEST: (f64, f64) = (0.5, 45.0);
 
 /// # Errors
-/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far apart for
+/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far from each other for
 /// one device.
 pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
     let tiles = || joint.judged.iter().flatten();
@@ -55,9 +55,9 @@ pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
         return Err(RgbdError::Disagree { percent: 100.0 * (1.0 - joint.following * (1.0 - off)) });
     }
     let pose = &joint.color_from_depth;
-    let (apart_m, degrees) = (pose.translation().norm(), pose.rotation().angle().to_degrees());
-    if apart_m > FURTHEST.0 || degrees > FURTHEST.1 {
-        return Err(RgbdError::Apart { apart_m, degrees });
+    let (distance_m, degrees) = (pose.translation().norm(), pose.rotation().angle().to_degrees());
+    if distance_m > FURTHEST.0 || degrees > FURTHEST.1 {
+        return Err(RgbdError::SensorsTooDistant { distance_m, degrees });
     }
     Ok(())
 }

@@ -43,13 +43,13 @@ pub enum RgbdError {
         /// Part of the patches.
         percent: f64,
     },
-    /// The sensors would be too far apart for one device.
+    /// The sensors would be too far from each other for one device.
     #[error(
-        "depth and color only agree if their sensors are {apart_m:.2} m and {degrees:.0} degrees apart: check that they are of the same device, not swapped, and not mirrored"
+        "depth and color only agree if their sensors are {distance_m:.2} m from each other and rotated by {degrees:.0} degrees: check that they are of the same device, not swapped, and not mirrored"
     )]
-    Apart {
+    SensorsTooDistant {
         /// How far, in meters.
-        apart_m: f64,
+        distance_m: f64,
         /// How much they are turned against each other.
         degrees: f64,
     },

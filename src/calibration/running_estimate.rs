@@ -43,10 +43,10 @@ pub struct GoingOn {
     start: CameraStart,
     lens_std: Vec<f64>,
     rms_px: f64,
-    /// Which of the views took no part.
+    /// Which of the views were rejected.
     rejected: Vec<bool>,
-    /// How many views there were when the lens was last looked for from nothing.
-    looked_for_among: usize,
+    /// How many views there were when the lens model was last chosen.
+    chosen_from_views: usize,
     anew: bool,
 }
 
@@ -56,9 +56,9 @@ impl GoingOn {
         self.anew
     }
 
-    /// Whether the lens has to be looked for anew: the views have doubled since.
+    /// Whether the lens model has to be chosen anew: the views have doubled since.
     fn is_outgrown_by(&self, views: usize) -> bool {
-        views >= 2 * self.looked_for_among
+        views >= 2 * self.chosen_from_views
     }
 
     /// The estimate of `problem` from here, its first views being those of this one; `None` where
@@ -68,7 +68,7 @@ impl GoingOn {
         let options =
             CameraOptions { lens, start: Some(self.start.clone()), ..CameraOptions::default() };
         let checked = calibrate_and_check(problem, &options).ok()?;
-        let made = Made { anew: false, looked_for_among: self.looked_for_among };
+        let made = Made { anew: false, chosen_from_views: self.chosen_from_views };
         self.is_continued_by(&checked.0).then(|| EstimateSoFar::of(&checked, made))
     }
 
@@ -90,7 +90,7 @@ impl GoingOn {
 #[derive(Clone, Copy)]
 struct Made {
     anew: bool,
-    looked_for_among: usize,
+    chosen_from_views: usize,
 }
 
 impl EstimateSoFar {
@@ -111,7 +111,7 @@ impl EstimateSoFar {
                 lens_std: estimate.lens_std(),
                 rms_px: estimate.rms_px,
                 rejected,
-                looked_for_among: made.looked_for_among,
+                chosen_from_views: made.chosen_from_views,
                 anew: made.anew,
             }),
             model_holds: check.split_half_ratio.is_none_or(|ratio| ratio <= GREATEST_RATIO),
@@ -138,14 +138,14 @@ pub fn estimate_so_far(
     if let Some(gone_on) = gone_on {
         return Ok(gone_on);
     }
-    let anew = |lens: LensChoice, looked_for_among: usize| {
+    let anew = |lens: LensChoice, chosen_from_views: usize| {
         let checked =
             calibrate_and_check(problem, &CameraOptions { lens, ..CameraOptions::default() })?;
-        Ok(EstimateSoFar::of(&checked, Made { anew: true, looked_for_among }))
+        Ok(EstimateSoFar::of(&checked, Made { anew: true, chosen_from_views }))
     };
     // Where only the fit is made anew, the lens model stays the one of the earlier choice.
     let of_chosen = earlier.and_then(|kept| {
-        anew(LensChoice::Model(kept.start.lens.model()), kept.looked_for_among).ok()
+        anew(LensChoice::Model(kept.start.lens.model()), kept.chosen_from_views).ok()
     });
     of_chosen.map_or_else(|| anew(lens, views), Ok)
 }

@@ -106,7 +106,7 @@ pub struct RunningEstimate {
 pub struct SessionMember {
     /// The camera's name.
     pub camera: String,
-    /// Frames looked at.
+    /// Frames searched.
     pub frames_seen: u64,
     /// Frames in which the board was found.
     pub boards_seen: u64,
@@ -162,7 +162,7 @@ pub struct SessionRecord {
     pub started_at_ns: i64,
     /// When it ended, likewise; `None` before.
     pub finished_at_ns: Option<i64>,
-    /// Frames looked at.
+    /// Frames searched.
     pub frames_seen: u64,
     /// Frames in which the board was found.
     pub boards_seen: u64,

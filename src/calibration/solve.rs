@@ -112,7 +112,7 @@ pub fn uncertainty_map(
     projection_uncertainty(&estimate.lens, &estimate.lens_covariance, grid, distance)
 }
 
-/// As [`uncertainty_map`], of a finished calibration; `None` where it tells no covariance.
+/// As [`uncertainty_map`], of a finished calibration; `None` where it holds no covariance.
 pub fn sensor_uncertainty(
     sensor: &ImageCalibration,
     columns: u32,

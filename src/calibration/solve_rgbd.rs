@@ -31,12 +31,12 @@ use crate::imaging::depth_image::DepthImage;
 /// What is known of a depth camera beforehand.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DepthSensor {
-    /// What its numbers mean; `None` for disparity that nobody has told the meaning of: it is found
-    /// from the board.
+    /// What its numbers mean; `None` for disparity of unknown meaning: it is
+    /// estimated from the board.
     pub reading: Option<DepthReading>,
     /// The reading that means none, besides 0 for metric depth.
     pub invalid: Option<u16>,
-    /// The device's own lens and pose, where it tells them.
+    /// The device's own lens and pose, where it states them.
     pub factory: Option<(Lens, Pose)>,
     /// The infrared picture is the depth picture's: same size, same lens. Default for every device
     /// that has one.
@@ -51,8 +51,8 @@ pub struct RgbdCapture {
     /// When the color picture was taken, in seconds since any moment; `None` where times mean
     /// nothing.
     pub time_s: Option<f64>,
-    /// Whether it is a view. Others tell how the board moved, and by how much the sensors are apart
-    /// in time.
+    /// Whether it is a view. Others determine the board's motion, and the time between the sensors'
+    /// exposures.
     pub is_view: bool,
     /// The board in the color picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
@@ -84,7 +84,7 @@ pub struct SolvedRgbd {
     pub infrared: Option<SolvedCamera>,
     /// Everything together.
     pub joint: RgbdEstimate,
-    /// What the factory states of depth beside it, where it does and views tell.
+    /// The comparison with the factory's statement of depth, where there is one and views with both.
     pub factory: Option<FactoryCheck>,
     /// Which capture each view of the joint estimate is.
     pub captures: Vec<usize>,
@@ -150,8 +150,8 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     Ok(SolvedRgbd { color, infrared, joint, factory, captures, without_depth })
 }
 
-/// The same with infrared's corners counted from where color's are, for a board that looks the
-/// same after a turn; `None` where the board has no such turn.
+/// The same with infrared's corners labelled as color's are, for a board that is symmetric under a
+/// rotation; `None` where it is not.
 fn labelled_as_in_color(
     input: &RgbdInput,
     color: &SolvedCamera,

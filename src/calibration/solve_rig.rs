@@ -242,12 +242,12 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
     };
     let mut groups: Vec<Vec<usize>> = Vec::new();
     for camera in 0..alone.len() {
-        let (joined, apart): (Vec<_>, Vec<_>) =
+        let (joined, separate): (Vec<_>, Vec<_>) =
             groups.into_iter().partition(|group| group.iter().any(|other| share(*other, camera)));
         let mut joined = joined.concat();
         joined.push(camera);
         joined.sort_unstable();
-        groups = apart;
+        groups = separate;
         groups.push(joined);
         groups.sort();
     }
@@ -372,8 +372,8 @@ impl Joint {
 /// A camera whose residuals grow by more than this when it is solved with the others was not where
 /// they say.
 const MISFITTING: f64 = 1.5;
-/// A turn that is less known than this, in degrees, or a shift by this part of its length, is worth
-/// telling.
+/// Standard deviations above which a relative pose is reported as loose: of the rotation in degrees,
+/// of the translation as a part of its length.
 const LOOSE_DEG: f64 = 0.1;
 const LOOSE_PART: f64 = 0.01;
 

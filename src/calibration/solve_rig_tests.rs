@@ -26,8 +26,8 @@ fn camera_from_first() -> [Pose; 3] {
     ]
 }
 
-/// What three cameras see of a board that each may take for turned; `sees` tells which camera looks
-/// in which frame set.
+/// What three cameras see of a board that each may take for turned; `sees` is whether a camera sees
+/// the board in a frame set.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let middle =
@@ -108,7 +108,7 @@ fn within_prediction(known: &RigPose, target_from_source: &Pose) {
 }
 
 #[test]
-fn boards_that_look_the_same_turned_place_cameras_through_others() {
+fn symmetric_boards_place_cameras_through_others() {
     for size in [BoardSize::new(8, 6).unwrap(), BoardSize::new(6, 6).unwrap()] {
         let board = Chessboard::new(size, 0.03).unwrap();
         // The far camera shares frame sets with the right one only.
@@ -134,9 +134,9 @@ fn a_camera_that_shares_nothing_costs_the_others_nothing() {
             .unwrap();
     assert_eq!(solved.extrinsics.len(), 1);
     assert_eq!(solved.cameras.len(), 3);
-    let told =
+    let reported =
         solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
-    assert!(told && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);
+    assert!(reported && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);
     let nothing = solve_rig(&input(board, |camera, frame_set| frame_set % 3 == camera), &options())
         .unwrap_err();
     assert_eq!(nothing, RigError::NothingShared);

@@ -141,8 +141,11 @@ mod tests {
             calibration.extrinsics.iter().map(|one| one.source.kind).collect();
         assert_eq!(sources, [SensorKind::Infrared, SensorKind::Depth]);
         assert_eq!(Some(calibration.extrinsics[1].target_from_source), depth.color_from_sensor);
-        let told = calibration.verdict.reasons.join("\n");
-        assert!(told.contains("not measured") && told.contains("infrared is left out"), "{told}");
+        let reasons = calibration.verdict.reasons.join("\n");
+        assert!(
+            reasons.contains("not measured") && reasons.contains("infrared is left out"),
+            "{reasons}"
+        );
     }
 
     #[test]

@@ -54,14 +54,14 @@ pub(crate) fn judge(
 /// them: half a millimeter over a meter.
 const ASPECT: f64 = 5e-4;
 
-/// That a board seems longer one way where pixels were taken as square, which pixels that are not
-/// would look like.
+/// Whether a board seems longer one way where pixels were taken as square: pixels that are not
+/// square give the same residuals.
 pub(crate) fn square_pixels(estimate: &CameraEstimate, options: &CameraOptions) -> Option<String> {
     let shape = estimate.board_shape.as_ref().filter(|_| options.square_pixels)?;
     let percent = 100.0 * shape.aspect();
     (percent.abs() > 100.0 * ASPECT).then(|| {
         format!(
-            "with square pixels the board is {percent:+.2} % longer along its rows than along its columns: measure it, or leave --square-pixels out, since pixels that are not square look the same"
+            "with square pixels the board is {percent:+.2} % longer along its rows than along its columns: measure it, or leave --square-pixels out, since pixels that are not square have the same effect"
         )
     })
 }
@@ -121,7 +121,7 @@ fn uncertainty(map: Option<&UncertaintyMap>, factor: f64) -> Option<(Grade, Stri
     worse_than_good(grade, reason)
 }
 
-/// That the model does not fit: first why, as far as it can be told, then what shows it.
+/// That the model does not fit: first the cause, where it can be determined, then its signs.
 fn misfit(estimate: &CameraEstimate, check: &ModelCheck) -> Vec<(Grade, String)> {
     let signs: Vec<(Grade, String)> =
         [halves(estimate, check), variance_inflation(estimate), smooth_residuals(check)]

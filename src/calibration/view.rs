@@ -15,7 +15,7 @@ pub struct FrameFacts {
     pub name: Option<String>,
     /// When the host received it, nanoseconds since the Unix epoch.
     pub host_time_ns: i64,
-    /// When the device took it, nanoseconds of its own monotonic clock, where it tells.
+    /// When the device took it, nanoseconds of its own monotonic clock, where it states it.
     pub device_time_ns: Option<i64>,
     /// The size of the picture that was searched.
     pub image_size: ImageSize,

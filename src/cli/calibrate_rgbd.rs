@@ -30,8 +30,8 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
 
-/// Of a recording file, this many frame sets are looked at for depth.
-const LOOKED_AT: usize = 30;
+/// Frame sets of a recording file that are searched for a depth frame.
+const SEARCHED_FOR_DEPTH: usize = 30;
 
 /// Whether `source` is a recording with depth.
 pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
@@ -43,7 +43,7 @@ pub fn has_depth(source: &str, reading: &TopicArgs) -> bool {
     is_recording(path)
         && FrameSets::new(std::iter::once(source.to_owned()))
             .reading(reading)
-            .take(LOOKED_AT)
+            .take(SEARCHED_FOR_DEPTH)
             .any(|frames| frames.is_ok_and(|f| depth(&f)))
 }
 
@@ -59,7 +59,7 @@ pub fn calibrate(
     detect: DetectOptions,
 ) -> Result<(Calibration, f64), Failure> {
     let depth = depth_sensor(source)?;
-    let mut gathered = Gathered::new(source, target, detect);
+    let mut gathered = RgbdGathering::new(source, target, detect);
     let spinner = progress::spinner("searching pictures");
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
         spinner.inc(1);
@@ -89,7 +89,7 @@ pub fn views_of(
     numbers: &BTreeMap<String, usize>,
 ) -> Result<CameraFrameSets, Failure> {
     let depth = depth_sensor(source)?;
-    let mut gathered = Gathered::new(source, target, detect);
+    let mut gathered = RgbdGathering::new(source, target, detect);
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
         let mut frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
         let path = frames.path();
@@ -129,7 +129,7 @@ fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
     })
 }
 
-struct Gathered<'a> {
+struct RgbdGathering<'a> {
     source: &'a str,
     target: Target,
     detect: DetectOptions,
@@ -139,10 +139,10 @@ struct Gathered<'a> {
     session: Option<Session>,
     frame_sets: Vec<ObservedFrameSet>,
     first_reason: Option<String>,
-    looked: usize,
+    frames: usize,
 }
 
-impl<'a> Gathered<'a> {
+impl<'a> RgbdGathering<'a> {
     fn new(source: &'a str, target: Target, detect: DetectOptions) -> Self {
         Self {
             source,
@@ -154,14 +154,14 @@ impl<'a> Gathered<'a> {
             session: None,
             frame_sets: Vec::new(),
             first_reason: None,
-            looked: 0,
+            frames: 0,
         }
     }
 
     fn add(&mut self, frames: &SourcedFrames) -> Result<(), Failure> {
-        self.looked += 1;
+        self.frames += 1;
         let path = frames.path();
-        let color = self.look(&frames.set, SensorKind::Color, &path)?;
+        let color = self.detect_in(&frames.set, SensorKind::Color, &path)?;
         if let Some((size, _)) = &color {
             self.same_size(*size, SensorKind::Color, &path)?;
         }
@@ -172,7 +172,7 @@ impl<'a> Gathered<'a> {
             kind.is_image() && *kind != SensorKind::Color && (is_view || kind.is_of_depth())
         });
         for kind in others {
-            let seen = self.look(&frames.set, kind, &path)?;
+            let seen = self.detect_in(&frames.set, kind, &path)?;
             if let Some((size, _)) = &seen {
                 self.same_size(*size, kind, &path)?;
             }
@@ -209,9 +209,9 @@ impl<'a> Gathered<'a> {
         Ok(())
     }
 
-    /// Looks for the board in one sensor's picture.
+    /// Detects the board in one sensor's image.
     #[expect(clippy::type_complexity, reason = "a picture's size and what was seen in it")]
-    fn look(
+    fn detect_in(
         &mut self,
         set: &FrameSet,
         sensor: SensorKind,
@@ -300,7 +300,7 @@ impl<'a> Gathered<'a> {
                 "{}: no {} was seen in any of {} frames; the first: {}",
                 self.source,
                 self.target,
-                self.looked,
+                self.frames,
                 self.first_reason.unwrap_or_default()
             ))),
             None => Err(Failure::failed(format!(

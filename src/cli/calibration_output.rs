@@ -47,8 +47,8 @@ impl OutputArgs {
         self.json
     }
 
-    /// Writes and prints `calibration`; `elapsed_ms` is what the solve took, where the command
-    /// tells it.
+    /// Writes and prints `calibration`; `elapsed_ms` is the solve's duration, for the
+    /// commands that report it.
     ///
     /// # Errors
     /// When the format cannot hold it, or it cannot be written.

@@ -44,7 +44,7 @@ pub struct Args {
     /// Correct and register each picture N times; elapsed_ms is the fastest
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u32,
-    /// Metres per unit of what is written; 0 is no reading
+    /// Meters per unit of what is written; 0 is no reading
     #[arg(long, value_name = "METRES", default_value_t = 0.001)]
     unit: f64,
     /// The folder to write to; made if it is not there
@@ -62,14 +62,14 @@ pub struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct CorrectionReport {
     unit_m: f64,
     registered: Option<String>,
-    written: Vec<Written>,
+    written: Vec<CorrectedImage>,
 }
 
 #[derive(Debug, Serialize)]
-struct Written {
+struct CorrectedImage {
     path: String,
     out: String,
     readings: usize,
@@ -89,7 +89,7 @@ struct Colored {
     frame: Option<Frame>,
 }
 
-/// Corrects every depth picture; one that cannot be is told at the end, and the others are written.
+/// Corrects every depth image; one that cannot be is reported at the end, after the others.
 ///
 /// # Errors
 /// A failure for a calibration without depth, and when any picture could not be corrected.
@@ -168,7 +168,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         }
     }
     spinner.finish_and_clear();
-    tell(args, written, &failures)
+    report(args, written, &failures)
 }
 
 fn correct(
@@ -176,7 +176,7 @@ fn correct(
     (registration, invalid): (&DepthRegistration, Option<u16>),
     (path, name): (&str, &str),
     (picture, color): (&DepthImage, Option<&RgbImage>),
-) -> Result<Written, String> {
+) -> Result<CorrectedImage, String> {
     let (mut corrected, elapsed_ms) = timed(args, || match args.register.as_deref() {
         Some("color") => registration.register(picture, invalid, args.unit),
         _ => registration.correct(picture, invalid, args.unit),
@@ -200,7 +200,7 @@ fn correct(
     if args.register.as_deref() == Some("color") {
         corrected.beyond = registration.correct(picture, invalid, args.unit).beyond;
     }
-    Ok(Written {
+    Ok(CorrectedImage {
         path: path.to_owned(),
         out: write(format!("{name}.png"), &corrected.image.to_png())?,
         readings: corrected.image.readings().iter().filter(|reading| **reading > 0).count(),
@@ -255,13 +255,13 @@ fn encode_png(picture: &RgbImage) -> Result<Vec<u8>, String> {
     Ok(file.into_inner())
 }
 
-fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), Failure> {
+fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Result<(), Failure> {
     let (count, beyond) =
         (written.len(), written.iter().map(|one| one.beyond_calibrated_range).sum::<usize>());
     let off: Vec<[f64; 2]> =
         written.iter().filter_map(|one| Some(one.off_board?.rms_m())).collect();
     if args.json {
-        output::print_json(&Report {
+        output::print_json(&CorrectionReport {
             unit_m: args.unit,
             registered: args.register.clone(),
             written,
@@ -288,8 +288,9 @@ fn tell(args: &Args, written: Vec<Written>, failures: &[String]) -> Result<(), F
     }
 }
 
-/// The middle of all pictures' root mean squares before and after correction, in meters: a moving
-/// board, which color and depth see at different moments, is off in depth however right it is.
+/// The medians of all images' rms errors before and after correction, as a line. The median,
+/// because a board that moves between the color and the depth exposure is off however right the
+/// correction is.
 fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
     match (middle_mm(0), middle_mm(1)) {

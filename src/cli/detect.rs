@@ -5,7 +5,7 @@ use serde::Serialize;
 pub use crate::cli::detect_args::Args;
 use crate::cli::detect_args::{Unread, paths};
 use crate::cli::in_order::{all_cores, in_order};
-use crate::cli::search::{Looked, searcher};
+use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output};
 use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection, GridIndex};
@@ -64,9 +64,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         FrameSets::new(paths(&args.paths)).reading(&args.reading),
         args.threads.map_or_else(all_cores, usize::from),
         || searcher(&target, options, args.repeat),
-        |looked| {
-            let line = match looked {
-                Ok(looked) => ImageLine::of(&target, looked),
+        |image| {
+            let line = match image {
+                Ok(image) => ImageLine::of(&target, image),
                 Err(unreadable) => {
                     unread.count(&unreadable.reason);
                     ImageLine {
@@ -82,15 +82,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 }
 
 impl ImageLine {
-    fn of(target: &Target, looked: Looked) -> Self {
-        let size = looked.frame.image_size;
+    fn of(target: &Target, image: SearchedImage) -> Self {
+        let size = image.frame.image_size;
         let nothing = Self {
             width: Some(size.width),
             height: Some(size.height),
-            elapsed_ms: looked.elapsed_ms,
-            ..Self::nothing(target, looked.path)
+            elapsed_ms: image.elapsed_ms,
+            ..Self::nothing(target, image.path)
         };
-        match looked.answer {
+        match image.answer {
             Err(no_board) => Self { reason: Some(no_board.to_string()), ..nothing },
             Ok(detection) => Self {
                 found: true,

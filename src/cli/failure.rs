@@ -25,7 +25,7 @@ impl Failure {
         Self { line: None, exit_code: 1 }
     }
 
-    /// What to tell the user, if anything.
+    /// The line for the user, if any.
     pub fn line(&self) -> Option<&str> {
         self.line.as_deref()
     }

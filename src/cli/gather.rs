@@ -1,4 +1,4 @@
-//! From looked-at pictures to the views of a calibration.
+//! From searched images to the views of a calibration.
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::CalibratedView;
@@ -7,7 +7,7 @@ use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
 use crate::cli::in_order::in_order;
-use crate::cli::search::{Looked, searcher};
+use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::{FrameSets, Unreadable};
 use crate::cli::{Failure, progress};
@@ -23,7 +23,7 @@ const LEAST_CORNERS: usize = 6;
 /// view if the board is seen in it; frames of a recording go through a session, which keeps the
 /// sharp, still and different ones, as it would live.
 #[derive(Debug)]
-pub struct Gathered {
+pub struct ImageGathering {
     target: Target,
     /// The first picture's name and size.
     size: Option<(String, ImageSize)>,
@@ -31,13 +31,13 @@ pub struct Gathered {
     /// did not keep are left out.
     pictures: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
-    looked: usize,
+    searched: usize,
     first_reason: Option<String>,
     /// Of the first picture that shows the target.
     markers: Option<BoardMarkers>,
 }
 
-impl Gathered {
+impl ImageGathering {
     /// Nothing yet.
     pub fn new(target: Target) -> Self {
         Self {
@@ -45,7 +45,7 @@ impl Gathered {
             size: None,
             pictures: Vec::new(),
             session: None,
-            looked: 0,
+            searched: 0,
             first_reason: None,
             markers: None,
         }
@@ -55,21 +55,21 @@ impl Gathered {
     ///
     /// # Errors
     /// When its size is not that of the pictures before it.
-    pub fn add(&mut self, looked: Result<Looked, Unreadable>) -> Result<(), Failure> {
-        self.looked += 1;
-        match looked {
-            Ok(looked) => {
-                self.check_size(&looked)?;
-                let seen = looked.answer.as_ref().ok();
+    pub fn add(&mut self, image: Result<SearchedImage, Unreadable>) -> Result<(), Failure> {
+        self.searched += 1;
+        match image {
+            Ok(image) => {
+                self.check_size(&image)?;
+                let seen = image.answer.as_ref().ok();
                 self.markers = self.markers.or(seen.and_then(|seen| seen.markers));
                 self.note_reason(
-                    looked
+                    image
                         .answer
                         .as_ref()
                         .err()
-                        .map(|no_board| format!("{}: {no_board}", looked.path)),
+                        .map(|no_board| format!("{}: {no_board}", image.path)),
                 );
-                if looked.recording.is_some() { self.observe(&looked) } else { self.take(looked) }
+                if image.recording.is_some() { self.observe(&image) } else { self.take(image) }
             }
             Err(Unreadable { path, reason }) => {
                 self.end_recording();
@@ -99,10 +99,10 @@ impl Gathered {
             Some((_, image_size)) if !views.is_empty() => {
                 Ok((CameraProblem { image_size, views }, others))
             }
-            _ if self.looked == 1 => Err(Failure::failed(first)),
+            _ if self.searched == 1 => Err(Failure::failed(first)),
             _ => Err(Failure::failed(format!(
                 "no {} was seen in any of {} pictures; the first: {first}",
-                self.target, self.looked
+                self.target, self.searched
             ))),
         }
     }
@@ -112,15 +112,15 @@ impl Gathered {
         self.markers.map_or(self.target, |markers| markers.as_printed(&self.target))
     }
 
-    fn check_size(&mut self, looked: &Looked) -> Result<(), Failure> {
-        let size = looked.frame.image_size;
-        let (first, expected) = self.size.get_or_insert_with(|| (looked.path.clone(), size));
+    fn check_size(&mut self, image: &SearchedImage) -> Result<(), Failure> {
+        let size = image.frame.image_size;
+        let (first, expected) = self.size.get_or_insert_with(|| (image.path.clone(), size));
         if *expected == size {
             return Ok(());
         }
         Err(Failure::failed(format!(
             "{} is {size}, but {first} is {expected}: calibrate each size of picture by itself",
-            looked.path
+            image.path
         )))
     }
 
@@ -130,23 +130,23 @@ impl Gathered {
         }
     }
 
-    fn take(&mut self, looked: Looked) {
+    fn take(&mut self, image: SearchedImage) {
         self.end_recording();
-        let name = looked.path;
-        self.pictures.push(match looked.answer {
+        let name = image.path;
+        self.pictures.push(match image.answer {
             Ok(Detection { corners, .. }) if corners.len() < LEAST_CORNERS => {
                 Err((name, format!("only {} corners are seen", corners.len())))
             }
             Ok(detection) => {
-                let view = View { number: 0, frame: looked.frame, detection };
+                let view = View { number: 0, frame: image.frame, detection };
                 Ok(BoardView { name, ..view.to_board_view(&self.target) })
             }
             Err(no_board) => Err((name, no_board.to_string())),
         });
     }
 
-    fn observe(&mut self, looked: &Looked) {
-        let path = looked.recording.as_deref().unwrap_or_default();
+    fn observe(&mut self, image: &SearchedImage) {
+        let path = image.recording.as_deref().unwrap_or_default();
         if self.session.as_ref().is_some_and(|(open, _)| open != path) {
             self.end_recording();
         }
@@ -157,11 +157,11 @@ impl Gathered {
                 finish: None,
                 given: Vec::new(),
             };
-            let record = SessionRecord::begin("", "", request, looked.frame.host_time_ns);
+            let record = SessionRecord::begin("", "", request, image.frame.host_time_ns);
             (path.to_owned(), Session::begin(record, &[], &AdmissionOptions::default()))
         });
         session
-            .observe_frame(looked.frame.clone(), looked.answer.clone().map_err(Rejection::NoBoard));
+            .observe_frame(image.frame.clone(), image.answer.clone().map_err(Rejection::NoBoard));
     }
 
     fn end_recording(&mut self) {
@@ -177,18 +177,18 @@ impl Gathered {
 ///
 /// # Errors
 /// When a source is not there, or pictures differ in size.
-pub fn gather(args: &SearchArgs, target: Target) -> Result<Gathered, Failure> {
+pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failure> {
     args.check_sources()?;
     let options = args.detect_options();
-    let mut gathered = Gathered::new(target);
+    let mut gathered = ImageGathering::new(target);
     let spinner = progress::spinner("searching pictures");
     in_order(
         FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.thread_count(),
         || searcher(&target, options, 1),
-        |looked| {
+        |image| {
             spinner.inc(1);
-            gathered.add(looked)
+            gathered.add(image)
         },
     )?;
     spinner.finish_and_clear();

@@ -22,14 +22,14 @@ impl FromStr for Length {
         const UNITS: [(&str, f64); 6] =
             [("mm", 1e3), ("cm", 1e2), ("um", 1e6), ("µm", 1e6), ("in", 1.0 / 0.0254), ("m", 1.0)];
         let not_a_length = || NotALength { text: text.to_owned() };
-        let (number, per_metre) = UNITS
+        let (number, per_meter) = UNITS
             .iter()
-            .find_map(|(unit, per_metre)| Some((text.trim().strip_suffix(unit)?, per_metre)))
+            .find_map(|(unit, per_meter)| Some((text.trim().strip_suffix(unit)?, per_meter)))
             .ok_or_else(not_a_length)?;
         let number: f64 = number.trim().parse().map_err(|_| not_a_length())?;
         // Divided, not multiplied: 25 / 1000 is the double nearest to 0.025, 25 · 0.001 is not
         // always.
-        let meters = number / per_metre;
+        let meters = number / per_meter;
         if meters.is_finite() && meters > 0.0 { Ok(Self { meters }) } else { Err(not_a_length()) }
     }
 }

@@ -3,7 +3,7 @@
 //! A command writes its result to stdout through [`output`], and nothing else goes there: logs and
 //! progress go to stderr. With `--json` the result is exactly one JSON document, or a line of JSON
 //! for each item where the command says so. What goes wrong is a [`Failure`]: one line and an exit
-//! code, told to the user here and nowhere else.
+//! code, printed here and nowhere else.
 //!
 //! A new command is a file, a variant of `Command`, and an arm of `dispatch`.
 
@@ -134,10 +134,10 @@ fn one_line(error: &clap::Error) -> String {
         return "a command is missing; see `plumb --help`".to_owned();
     }
     let rendered = error.render().to_string();
-    let told = rendered.split("\n\nUsage:").next().unwrap_or(&rendered);
-    let told = told.strip_prefix("error: ").unwrap_or(told);
-    let told = told.split("\n\nFor more information").next().unwrap_or(told);
-    let words: Vec<&str> = told.split_whitespace().collect();
+    let line = rendered.split("\n\nUsage:").next().unwrap_or(&rendered);
+    let line = line.strip_prefix("error: ").unwrap_or(line);
+    let line = line.split("\n\nFor more information").next().unwrap_or(line);
+    let words: Vec<&str> = line.split_whitespace().collect();
     format!("{}; see --help", words.join(" "))
 }
 

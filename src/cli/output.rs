@@ -48,7 +48,7 @@ pub fn print_bytes(bytes: &[u8]) -> Result<(), Failure> {
 
 /// Writes the one line of a failure to stderr.
 pub fn print_error(line: &str) {
-    // A closed stderr leaves nobody to tell.
+    // With stderr closed, nobody reads it.
     let _ = writeln!(io::stderr(), "plumb: {line}");
 }
 

@@ -83,8 +83,8 @@ impl PlaneErrors {
         })
     }
 
-    /// What is off in `picture`, and how it looks; `None` where the board is not in `color`, or
-    /// nothing of it in depth.
+    /// The error of `picture` on the board, as numbers and as an image; `None` where `color` does
+    /// not show the board, or depth has no reading of it.
     ///
     /// # Errors
     /// For a color picture that cannot be read, or is of another size than the calibration's.

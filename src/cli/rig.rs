@@ -17,7 +17,7 @@ use crate::cli::calibrate_rgbd;
 use crate::cli::estimated::GivenLens;
 use crate::cli::files::read_calibration;
 use crate::cli::in_order::in_order;
-use crate::cli::search::{Looked, searcher};
+use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, progress};
@@ -73,7 +73,7 @@ pub fn calibrate(
         )));
     }
     let searched = cameras.iter().map(|camera| searched(camera, search, &target));
-    let searched: Vec<Vec<Looked>> = searched.collect::<Result<_, _>>()?;
+    let searched: Vec<Vec<SearchedImage>> = searched.collect::<Result<_, _>>()?;
     let frame_sets = frame_sets(cameras, &searched)?;
     let kept = kept(cameras, &searched, &frame_sets, target)?;
     let each = cameras.iter().enumerate().map(|(place, camera)| {
@@ -96,7 +96,7 @@ fn searched(
     camera: &NamedSource,
     search: &SearchArgs,
     target: &Target,
-) -> Result<Vec<Looked>, Failure> {
+) -> Result<Vec<SearchedImage>, Failure> {
     let mut all = Vec::new();
     let spinner = progress::spinner("searching pictures");
     let source = std::iter::once(camera.source.clone());
@@ -104,12 +104,12 @@ fn searched(
         FrameSets::new(source).reading(&search.reading),
         search.thread_count(),
         || searcher(target, search.detect_options(), 1),
-        |looked| {
+        |image| {
             spinner.inc(1);
-            let looked = looked.map_err(|unreadable| {
+            let image = image.map_err(|unreadable| {
                 Failure::failed(format!("camera `{}`: {}", camera.name, unreadable.reason))
             })?;
-            all.push(looked);
+            all.push(image);
             Ok::<(), Failure>(())
         },
     )?;
@@ -124,10 +124,10 @@ type FrameSetOf = Vec<Option<usize>>;
 /// recordings.
 fn frame_sets(
     cameras: &[NamedSource],
-    searched: &[Vec<Looked>],
+    searched: &[Vec<SearchedImage>],
 ) -> Result<Vec<FrameSetOf>, Failure> {
     let is_timed =
-        |frames: &Vec<Looked>| frames.first().is_some_and(|frame| frame.recording.is_some());
+        |frames: &Vec<SearchedImage>| frames.first().is_some_and(|frame| frame.recording.is_some());
     let timed = searched.iter().filter(|frames| is_timed(frames)).count();
     if timed != 0 && timed != searched.len() {
         return Err(Failure::usage(
@@ -139,7 +139,7 @@ fn frame_sets(
     if frame_sets.iter().any(|frames| is_shared(&frames)) {
         return Ok(frame_sets);
     }
-    let first = |(camera, frames): (&NamedSource, &Vec<Looked>)| {
+    let first = |(camera, frames): (&NamedSource, &Vec<SearchedImage>)| {
         let frame = frames.first().map_or("no frames", |frame| frame.path.as_str());
         format!("{}: {frame}", camera.name)
     };
@@ -151,7 +151,7 @@ fn frame_sets(
     )))
 }
 
-fn by_name(searched: &[Vec<Looked>]) -> Vec<FrameSetOf> {
+fn by_name(searched: &[Vec<SearchedImage>]) -> Vec<FrameSetOf> {
     let mut sets: BTreeMap<String, FrameSetOf> = BTreeMap::new();
     for (camera, frames) in searched.iter().enumerate() {
         for (index, frame) in frames.iter().enumerate() {
@@ -167,7 +167,7 @@ fn by_name(searched: &[Vec<Looked>]) -> Vec<FrameSetOf> {
 
 /// Goes through all recordings in time; a frame set ends where a camera gives its second frame, or
 /// with a frame that is later than its first by [`TOGETHER_NS`].
-fn by_time(searched: &[Vec<Looked>]) -> Vec<FrameSetOf> {
+fn by_time(searched: &[Vec<SearchedImage>]) -> Vec<FrameSetOf> {
     let mut frames: Vec<(i64, usize, usize)> = Vec::new();
     for (camera, own) in searched.iter().enumerate() {
         let timed = own.iter().enumerate();
@@ -194,7 +194,7 @@ fn by_time(searched: &[Vec<Looked>]) -> Vec<FrameSetOf> {
 /// folders, of recordings what a session keeps.
 fn kept(
     cameras: &[NamedSource],
-    searched: &[Vec<Looked>],
+    searched: &[Vec<SearchedImage>],
     frame_sets: &[FrameSetOf],
     target: Target,
 ) -> Result<Vec<Vec<(usize, usize)>>, Failure> {
@@ -208,9 +208,9 @@ fn kept(
     for (number, frames) in frame_sets.iter().enumerate() {
         let each = frames.iter().enumerate();
         let frame = |(camera, index): (usize, &Option<usize>)| {
-            let looked = &searched[camera][(*index)?];
-            let seen = looked.answer.clone().map_err(Rejection::NoBoard);
-            Some(CameraFrame { frame: looked.frame.clone(), seen })
+            let image = &searched[camera][(*index)?];
+            let seen = image.answer.clone().map_err(Rejection::NoBoard);
+            Some(CameraFrame { frame: image.frame.clone(), seen })
         };
         let given: Vec<Option<CameraFrame>> = each.map(frame).collect();
         let is_view = |camera: usize| match (&given[camera], is_timed) {
@@ -237,12 +237,16 @@ fn kept(
     }
 }
 
-fn views(searched: &[Looked], kept: &[(usize, usize)], target: &Target) -> Vec<(usize, BoardView)> {
+fn views(
+    searched: &[SearchedImage],
+    kept: &[(usize, usize)],
+    target: &Target,
+) -> Vec<(usize, BoardView)> {
     let view = |(frame_set, index): &(usize, usize)| {
-        let looked = &searched[*index];
-        let detection = looked.answer.as_ref().ok()?.clone();
-        let view = View { number: 0, frame: looked.frame.clone(), detection };
-        let view = BoardView { name: looked.path.clone(), ..view.to_board_view(target) };
+        let image = &searched[*index];
+        let detection = image.answer.as_ref().ok()?.clone();
+        let view = View { number: 0, frame: image.frame.clone(), detection };
+        let view = BoardView { name: image.path.clone(), ..view.to_board_view(target) };
         Some((*frame_set, view))
     };
     kept.iter().filter_map(view).collect()
@@ -251,7 +255,7 @@ fn views(searched: &[Looked], kept: &[(usize, usize)], target: &Target) -> Vec<(
 fn observations(
     camera: &NamedSource,
     (search, target): (&SearchArgs, Target),
-    (searched, views): (&[Looked], Vec<(usize, BoardView)>),
+    (searched, views): (&[SearchedImage], Vec<(usize, BoardView)>),
     given: &[GivenLens],
 ) -> Result<CameraFrameSets, Failure> {
     let given = given.iter().find(|given| given.camera == camera.name);

@@ -1,4 +1,4 @@
-//! Looking for a board in frame sets: what `plumb detect` prints and `plumb calibrate` gathers.
+//! Searches frame sets for a board: what `plumb detect` prints and `plumb calibrate` gathers.
 
 use std::time::Instant;
 
@@ -12,18 +12,18 @@ use crate::imaging::decode::luma;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 
-/// A picture that was looked at.
+/// An image that was searched for the board.
 #[derive(Debug)]
-pub struct Looked {
+pub struct SearchedImage {
     /// Its path; for a frame of a recording with its number.
     pub path: String,
     /// The recording it is part of.
     pub recording: Option<String>,
-    /// What there is to know about it besides what is seen in it.
+    /// Size, times and sequence number of its frame.
     pub frame: FrameFacts,
-    /// What is seen in it.
+    /// The board found in it, or why there is none.
     pub answer: Result<Detection, NoBoard>,
-    /// What the search took, the fastest of all repeats, in milliseconds; without decoding.
+    /// Duration of the search, the fastest of all repeats, in milliseconds; without decoding.
     pub elapsed_ms: f64,
 }
 
@@ -33,7 +33,7 @@ pub fn searcher(
     target: &Target,
     options: DetectOptions,
     repeat: u32,
-) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<Looked, Unreadable> {
+) -> impl FnMut(Result<SourcedFrames, Unreadable>) -> Result<SearchedImage, Unreadable> {
     let (mut finder, mut image) = (TargetFinder::new(target), GrayImage::default());
     move |frames| {
         let frames = frames?;
@@ -52,7 +52,7 @@ pub fn searcher(
         for _ in 1..repeat {
             elapsed_ms = elapsed_ms.min(search().1);
         }
-        Ok(Looked { path, recording: frames.recording, frame, answer, elapsed_ms })
+        Ok(SearchedImage { path, recording: frames.recording, frame, answer, elapsed_ms })
     }
 }
 

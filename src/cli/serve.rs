@@ -6,8 +6,8 @@ use crate::cli::Failure;
 use crate::config::{Config, Overrides};
 use crate::daemon;
 
-/// The configuration that is used where none is given and it is there.
-const USUAL_FILE: &str = "plumb.toml";
+/// The configuration read where none is given, if it exists.
+const DEFAULT_FILE: &str = "plumb.toml";
 
 /// Runs the daemon: cameras, calibration sessions, HTTP.
 #[derive(Debug, clap::Args)]
@@ -23,11 +23,12 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration that cannot be is a usage error; an address or a store that is not to be had a
-/// failure.
+/// A usage error for an invalid configuration; a failure for an address or a store that cannot be
+/// opened.
 pub fn run(args: &Args) -> Result<(), Failure> {
-    let usual = Path::new(USUAL_FILE);
-    let file = args.config.clone().or_else(|| usual.exists().then(|| usual.to_owned()));
+    let default_file = Path::new(DEFAULT_FILE);
+    let file =
+        args.config.clone().or_else(|| default_file.exists().then(|| default_file.to_owned()));
     let overrides = Overrides { listen: args.listen.clone() };
     let config = Config::load(file.as_deref(), &overrides).map_err(Failure::usage)?;
     daemon::run(&config, file).map_err(Failure::failed)

@@ -1,5 +1,5 @@
-//! What a command is given to look at: pictures, folders, quoted globs and recordings, as frame
-//! sets in the order given.
+//! A command's sources as frame sets, in the order given: images, folders, quoted globs and
+//! recordings.
 
 use std::collections::VecDeque;
 use std::fs;

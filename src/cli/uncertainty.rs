@@ -37,7 +37,7 @@ const COLUMNS: [u32; 2] = [13, 49];
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration cannot be read, or tells no covariance of the sensor.
+/// When the calibration cannot be read, or holds no covariance of the sensor.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let distance =
         args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.meters));
     let none =
-        || Failure::failed(format!("{file}: it tells no covariance of {name}; calibrate again"));
+        || Failure::failed(format!("{file}: it holds no covariance of {name}; calibrate again"));
     let map = |columns| sensor_uncertainty(sensor, columns, distance).ok_or_else(none);
     if let Some(path) = &args.out {
         let map = map(COLUMNS[1])?;

@@ -31,8 +31,8 @@ pub struct Args {
     /// 0: every pixel of a result is seen; 1: everything that was seen is in the result
     #[arg(long, default_value_t = 0.0)]
     balance: f64,
-    /// Print one JSON document: the lens that the results look as if taken with, and each picture's
-    /// result
+    /// Print one JSON document: the lens of an ideal camera that would take the results, and each
+    /// image's result
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -43,20 +43,20 @@ pub struct Args {
 }
 
 #[derive(Debug, Serialize)]
-struct Report {
+struct UndistortionReport {
     image_size: [u32; 2],
     lens: LensDocument,
     seen_fraction: f64,
-    written: Vec<Written>,
+    written: Vec<UndistortedImage>,
 }
 
 #[derive(Debug, Serialize)]
-struct Written {
+struct UndistortedImage {
     path: String,
     out: String,
 }
 
-/// Undistorts every picture; one that cannot be is told at the end, and the others are written.
+/// Undistorts every image; one that cannot be is reported at the end, after the others.
 ///
 /// # Errors
 /// A failure for a calibration that cannot be read, and when any picture could not be undistorted.
@@ -93,7 +93,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         spinner.inc(1);
     }
     spinner.finish_and_clear();
-    tell(
+    report(
         args,
         &undistortion.lens,
         color.image_size,
@@ -103,18 +103,23 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     )
 }
 
-fn tell(
+fn report(
     args: &Args,
     lens: &Lens,
     size: ImageSize,
     seen_fraction: f64,
-    written: Vec<Written>,
+    written: Vec<UndistortedImage>,
     failures: &[String],
 ) -> Result<(), Failure> {
     let count = written.len();
     if args.json {
         let image_size = [size.width, size.height];
-        output::print_json(&Report { image_size, lens: lens.into(), seen_fraction, written })?;
+        output::print_json(&UndistortionReport {
+            image_size,
+            lens: lens.into(),
+            seen_fraction,
+            written,
+        })?;
     } else if count > 0 {
         output::print_line(&format!("{}: {count} undistorted pictures", args.out.display()))?;
     }
@@ -137,7 +142,7 @@ fn undistorted(
     undistortion: &Undistortion,
     folder: &Path,
     taken: &mut BTreeSet<PathBuf>,
-) -> Result<Written, String> {
+) -> Result<UndistortedImage, String> {
     let path = frames.path();
     let frame = frames
         .set
@@ -158,7 +163,7 @@ fn undistorted(
     }
     let png = png(flat).map_err(|error| format!("{path}: {error}"))?;
     write_file(&out, &png).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
-    Ok(Written { path, out: out.display().to_string() })
+    Ok(UndistortedImage { path, out: out.display().to_string() })
 }
 
 /// The picture's name with the ending .png; for a frame of a recording the recording's name and the

@@ -25,14 +25,14 @@ use crate::geometry::target::Target;
 
 /// A change of this many of the calibration's own standard deviations is one.
 const LIMIT_SIGMAS: f64 = 3.0;
-/// No change below this is told from the pictures' own imperfections, in pixels.
+/// Smallest limit of a change, in pixels: less is not distinguishable from the images' own errors.
 const LEAST_LIMIT_PX: f64 = 0.1;
 /// Pictures that show a change only where it is this many times what is allowed show little; and a
 /// lens this many times farther off than chance and the calibration allow is another one.
 const VISIBLE: f64 = 3.0;
 /// Columns of the grid that uncertainty is summed up over.
 const COLUMNS: u32 = 12;
-/// The board's square where the calibration does not tell it: its size has no influence on the
+/// The board's square where the calibration does not state it: its size has no influence on the
 /// answer.
 const ANY_SQUARE_M: f64 = 0.025;
 

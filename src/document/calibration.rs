@@ -291,7 +291,7 @@ pub(crate) mod tests {
         calibration
     }
 
-    /// A rig of two cameras with color and infrared, and names that are hard to tell apart.
+    /// A rig of two cameras with color and infrared, with names that are easily confused.
     fn rig() -> Calibration {
         let ids = ["a_from_b", "b"].map(|camera| {
             [SensorKind::Color, SensorKind::Infrared].map(|kind| SensorId::of(camera, kind))

@@ -93,7 +93,7 @@ pub struct FactorySensorDocument {
     pub stated_model: String,
     /// The lens; null where the device's model has none here that says the same.
     pub lens: Option<LensDocument>,
-    /// Metres per unit of depth.
+    /// Meters per unit of depth.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit_m: Option<f64>,
 }

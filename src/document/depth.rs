@@ -23,7 +23,7 @@ pub struct DepthDocument {
     pub image_size: [u32; 2],
     /// What its numbers are.
     pub kind: DepthKind,
-    /// Metres per unit of `depth`; null for disparity.
+    /// Meters per unit of `depth`; null for disparity.
     pub unit_m: Option<f64>,
     /// For disparity d: 1/z = offset + slope · d, in 1/m.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -42,7 +42,7 @@ pub struct DepthDocument {
     /// Noise of a reading: constant + quadratic · z², in meters.
     pub noise_m: NoiseDocument,
     /// By how much infrared and depth are taken later than the color picture they come with, in
-    /// milliseconds; left out where the board's motion does not tell.
+    /// milliseconds; left out where the board's motion does not determine it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_ms: Option<f64>,
     /// Its standard deviation, in milliseconds.
@@ -105,7 +105,7 @@ pub struct BiasRangeDocument {
     pub after: f64,
     /// Root mean square over the patches of the residuals.
     pub rms_after: f64,
-    /// Patches of the board that tell.
+    /// Patches of the board with a residual.
     pub patches: u32,
 }
 

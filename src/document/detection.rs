@@ -18,7 +18,7 @@ pub struct DetectionDocument {
     pub partial: bool,
     /// The indices count from the board's first corner.
     pub position_known: bool,
-    /// No picture of this board can tell which way round it is.
+    /// The board's pattern is the same after half a turn: no image determines its orientation.
     pub orientation_ambiguous: bool,
     /// Width of the blur at the board's edges, in pixels.
     pub blur_px: f64,

@@ -23,7 +23,7 @@ pub struct SceneCalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// `{"kind": "scene"}`.
     pub target: SceneTargetDocument,
-    /// The unit of lengths: null, since nothing tells it; the greatest distance between two used
+    /// The unit of lengths: null, since images do not determine it; the greatest distance between two used
     /// cameras is 1.
     pub scene_unit: Option<String>,
     /// The sensor, under `color`.
@@ -67,7 +67,7 @@ pub struct SceneSensorDocument {
     /// model's coefficients.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub lens_covariance: Vec<Vec<f64>>,
-    /// Parameters that the images say no more of than the prior: centre ± 2 % of the width, square
+    /// Parameters that the images say no more of than the prior: center ± 2 % of the width, square
     /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
     pub held_by_prior: Vec<String>,
     /// Root mean square of the used observations' reprojection errors, in pixels.

@@ -20,8 +20,8 @@ pub const FILE_NAME: &str = "sensors.toml";
 pub struct SensorsFile {
     /// The depth sensor.
     pub depth: StatedDepth,
-    /// The color sensor, where anything is stated of it. Its lens is always estimated: corners tell
-    /// it better than any factory.
+    /// The color sensor, where anything is stated of it. Its lens is always estimated:
+    /// corners determine it better than a factory's statement.
     pub color: Option<StatedPicture>,
     /// The infrared sensor, where anything is stated of it.
     pub infrared: Option<StatedPicture>,
@@ -36,7 +36,7 @@ pub struct SensorsFile {
 pub struct StatedDepth {
     /// Distances or disparities.
     pub kind: DepthKind,
-    /// Metres per unit, for distances.
+    /// Meters per unit, for distances.
     pub unit_m: Option<f64>,
     /// What a disparity means, where that is known.
     pub disparity: Option<DisparityDocument>,
@@ -95,7 +95,7 @@ impl SensorsFile {
 }
 
 impl StatedDepth {
-    /// What the numbers mean; `None` for disparity that nobody has told the meaning of.
+    /// What the numbers mean; `None` for disparity of unknown meaning.
     ///
     /// # Errors
     /// [`DocumentError::Field`] for depth without its unit.

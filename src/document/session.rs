@@ -138,7 +138,7 @@ impl TryFrom<FinishDocument> for Finish {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SessionStateName {
-    /// Looking for boards and keeping views.
+    /// Searching frames for the board and accepting views.
     Collecting,
     /// Stopped, and computing the result.
     Solving,
@@ -205,7 +205,7 @@ pub struct SessionDocument {
     /// Lenses of a rig that are held as they are; left out where there are none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub given: BTreeMap<String, LensDocument>,
-    /// Frames looked at.
+    /// Frames searched.
     pub frames_seen: u64,
     /// Frames in which the board was found.
     pub boards_seen: u64,
@@ -254,7 +254,7 @@ impl From<&SessionRecord> for SessionDocument {
 }
 
 impl SessionDocument {
-    /// The record it came from; `collecting_s` is what the document does not tell: seconds of frame
+    /// The record it came from; `collecting_s` is what the document does not hold: seconds of frame
     /// time spent collecting.
     ///
     /// # Errors

@@ -16,7 +16,7 @@ use crate::document::session_progress::{
 pub struct SessionMemberDocument {
     /// The camera's name.
     pub camera: String,
-    /// Frames looked at.
+    /// Frames searched.
     pub frames_seen: u64,
     /// Frames in which the board was found.
     pub boards_seen: u64,

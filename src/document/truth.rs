@@ -42,7 +42,7 @@ pub struct TruthDocument {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TrueDepthDocument {
-    /// Metres per unit.
+    /// Meters per unit.
     pub unit_m: f64,
     /// The field `scale`.
     pub scale: [f64; 5],

@@ -31,7 +31,7 @@ const SAME: f64 = 1e-4;
 /// The poses that explain `view` under `lens`, best first: one, or for a flat board seen from far
 /// the one with its tilt reversed too (D. Oberkampf, D. DeMenthon, L. Davis, *Iterative pose
 /// estimation using coplanar feature points*, 1996). How much worse the second is, against the
-/// corners' noise, tells whether the first is sure.
+/// corners' noise, shows whether the first is certain.
 ///
 /// # Errors
 /// Numbers that are not finite, or a view that determines no pose.
@@ -58,11 +58,12 @@ pub fn board_poses(lens: &Lens, view: &BoardView) -> Result<Vec<BoardPose>, Esti
     if found.is_empty() { Err(refused()) } else { Ok(found) }
 }
 
-/// The pose that looks the same from infinitely far: depth reversed along the line of sight.
+/// The pose with the same image from infinitely far: depth reversed along the line of sight.
 fn tilt_reversed(camera_from_center: &Pose, normal: Vector3<f64>) -> Pose {
-    let observation = camera_from_center.translation().normalize();
+    let line_of_sight = camera_from_center.translation().normalize();
     let reversed = |axis: Vector3<f64>| Matrix3::identity() - axis * axis.transpose() * 2.0;
-    let rotation = reversed(observation) * camera_from_center.rotation_matrix() * reversed(normal);
+    let rotation =
+        reversed(line_of_sight) * camera_from_center.rotation_matrix() * reversed(normal);
     Pose::from_matrix(&rotation, camera_from_center.translation())
 }
 

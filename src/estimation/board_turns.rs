@@ -1,6 +1,6 @@
-//! A board that looks the same after a turn is labelled by chance from one end or another. What one
-//! camera calls its first corner, a second one may call its last; that they are fixed to each other
-//! tells which views have to be turned.
+//! A symmetric board is labelled from either end by chance: what one camera calls its first corner,
+//! a second one may call its last. That the cameras are fixed to each other determines which views
+//! have to be relabelled.
 
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
@@ -11,8 +11,8 @@ pub type SensorPoses = Vec<(usize, Pose)>;
 
 /// For each view of each sensor, which of `board_from_turned` to apply: `sensor_from_board ·
 /// board_from_turned` is where the board is when its corners are labelled as the sensor that was
-/// placed first labelled them. These are the turns that the board looks the same after; the
-/// identity is among them. Sensors are placed one after the other, those with the most frame sets
+/// placed first labelled them. These are the rotations that map the board's pattern to itself, the
+/// identity among them. Sensors are placed one after the other, those with the most frame sets
 /// in common first; a view that no other sensor shares keeps its labels.
 pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> Vec<Vec<usize>> {
     let frame_sets =
@@ -73,10 +73,10 @@ fn agreed(
         board_from_turned.iter().map(move |turn| *pose * *turn * reference.inverse())
     });
     let spread = |sensor_from_reference: &Pose| {
-        let apart = shared.iter().map(|(pose, reference)| {
+        let distances = shared.iter().map(|(pose, reference)| {
             nearest_turn(pose, &(*sensor_from_reference * *reference), board_from_turned).1
         });
-        median(apart.collect()).unwrap_or(f64::INFINITY)
+        median(distances.collect()).unwrap_or(f64::INFINITY)
     };
     candidates
         .map(|candidate| (spread(&candidate), candidate))
@@ -91,12 +91,12 @@ fn nearest_turn(
     expected_from_board: &Pose,
     board_from_turned: &[Pose],
 ) -> (usize, f64) {
-    let apart = |board_from_turned: &Pose| {
+    let distance = |board_from_turned: &Pose| {
         let turned = *sensor_from_board * *board_from_turned;
         turned.angle_to(expected_from_board)
             + (turned.translation() - expected_from_board.translation()).norm()
     };
-    let all = board_from_turned.iter().map(apart).enumerate();
+    let all = board_from_turned.iter().map(distance).enumerate();
     all.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
 }
 

@@ -28,7 +28,7 @@ pub fn calibrate_camera(
     Ok(solve(problem, options)?.0)
 }
 
-/// As [`calibrate_camera`], with what tells whether the model is right
+/// As [`calibrate_camera`], with the check whether the model is right
 /// ([`crate::estimation::model_check`]).
 ///
 /// # Errors

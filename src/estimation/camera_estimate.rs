@@ -27,10 +27,10 @@ pub struct CameraEstimate {
     /// Covariance of the lens parameters, in the order of [`Lens::parameter_names`]; zero rows for
     /// those not estimated.
     pub lens_covariance: DMatrix<f64>,
-    /// The error that all corners were taken to have beyond their own `std_px`, in pixels: what the
-    /// residuals show of one. It brings weights nearer to equal.
+    /// The noise floor, in pixels: a common standard deviation, added in quadrature to every corner's
+    /// own `std_px`. Its likeliest value under the residuals.
     pub noise_floor_px: f64,
-    /// The noise that the residuals tell of: the factor on each corner's `std_px`, with
+    /// The noise estimated from the residuals: the factor on each corner's `std_px`, with
     /// [`Self::noise_floor_px`] in it.
     pub noise: f64,
     /// How many times greater all variances are than if each corner erred by itself: 1 unless the
@@ -218,7 +218,7 @@ fn rms_of_views(views: &[ViewEstimate]) -> f64 {
     (squares / f64::max(corners, 1.0)).sqrt()
 }
 
-/// Why the focal length is open: the board's normals in the views tell.
+/// Why the focal length is not determined, by the board's normals in the views.
 fn undetermined(
     prepared: &Prepared,
     camera_from_board: &[Pose],

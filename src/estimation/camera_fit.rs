@@ -25,7 +25,7 @@ pub(crate) struct CameraFit {
     pub(crate) effects: Option<EffectsFit>,
 }
 
-/// Views looked at one by one, at most: with this many, views that differ do so visibly.
+/// Views used to compare views with each other, at most: with this many, differences are visible.
 const MAX_VIEWS: usize = 60;
 
 impl CameraFit {
@@ -120,7 +120,7 @@ pub(crate) fn fit_camera(
     fit_from(prepared, state, free_lens, needed)
 }
 
-/// Fits on from a state; then looks again at every view.
+/// Fits on from a state; then decides again about every view.
 fn fit_from(
     prepared: &Prepared,
     state: State,
@@ -162,8 +162,8 @@ fn enough_views(
     Err(EstimationError::TooFewViews { usable, needed, rejected })
 }
 
-/// Looks again, with the lens known, at views that were set aside only because no homography
-/// explained them.
+/// Readmits, with the lens known, views that were rejected only because no homography explained
+/// them.
 fn readmit(prepared: &Prepared, robust: &mut RobustFit, faults: &mut [Option<ViewFault>]) -> bool {
     let mut readmitted = false;
     for (view, fault) in faults.iter_mut().enumerate() {

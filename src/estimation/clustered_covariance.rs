@@ -18,11 +18,11 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::joint::apart::together;
 use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::per_observation::assemble;
 use crate::estimation::robust_fit::ROUNDING;
 
-/// Fewer views tell nothing of how they differ.
+/// Minimum number of views for an estimate of their spread.
 const MIN_VIEWS: usize = 5;
 
 /// Squares of steps within this many standard deviations of what corners by themselves make are
@@ -153,7 +153,7 @@ fn influences(
     let inverse = scaled.clone().cholesky()?.inverse();
     let of_frame_set = |observations: Vec<usize>| {
         let parts = observations.iter().map(|observation| (*observation, 0));
-        let alone = together(&equations.apart, (&fit.layout, state), &fit.observations, (parts, 1));
+        let alone = assemble(&equations.local, (&fit.layout, state), &fit.observations, (parts, 1));
         let (information, score) = alone.reduced(0)?;
         let information =
             DMatrix::from_fn(size, size, |i, j| information[(i, j)] * scale[i] * scale[j]);
@@ -226,7 +226,7 @@ fn spread(influences: &[Influence], without: &[DVector<f64>], views: usize) -> D
         let off = step - &mean;
         spread += &off * off.transpose();
     }
-    // Each of all the views moves the estimate as those that were looked at do.
+    // Each of all the views moves the estimate as the sampled ones do.
     spread * ((count - 1.0) / count * (views as f64 / count))
 }
 

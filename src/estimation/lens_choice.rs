@@ -1,16 +1,17 @@
-//! Which lens model: the one with the fewest parameters over which no larger one is worth its own.
-//! A larger model is worth them if it errs less on views that it was not fitted to, and if it moves
-//! projections somewhere in the picture by more than it is itself uncertain there: a smaller error
-//! on a few views is chance one time in six, and they tell nothing of the picture's corners that no
-//! view reached, where parameters that are hardly determined do their harm.
+//! Chooses the lens model: the smallest that no larger one beats on held-out views.
+//!
+//! A larger model beats it if its held-out error is smaller and if it moves projections somewhere
+//! in the image by more than its own uncertainty there. The second condition is needed because a
+//! smaller error on a few views is chance one time in six, and because held-out views say nothing
+//! of image corners that no view reached, where badly determined parameters do most harm.
 
 use nalgebra::DMatrix;
 
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::error::EstimationError;
-use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::estimation::joint::minimize::{Minimum, Stop};
+use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::Loss;
@@ -21,7 +22,7 @@ use crate::estimation::uncertainty::{
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 
-/// How one lens model did.
+/// The held-out error of one lens model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LensTrial {
     /// The model.
@@ -53,20 +54,20 @@ const COLUMNS: u32 = 12;
 
 /// A step's cost is as it was predicted within this part: the problem is linear there, and the step
 /// its minimum.
-const FORESEEN: f64 = 0.01;
+const AS_PREDICTED: f64 = 0.01;
 
 /// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of
 /// that.
 const LEAST_DENOMINATOR: f64 = 0.1;
 
-/// Squared radii at which it is looked at.
+/// Squared radii at which the denominator is sampled.
 const POLE_STEPS: u32 = 400;
 
 /// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
 /// from its minimum.
 const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
-/// Views used in the comparison at most; more would not tell the models further apart.
+/// Views used in the comparison at most; more do not separate the models further.
 const MAX_VIEWS: usize = 100;
 
 /// Fits every model, and answers the fit of the chosen one with what was compared.
@@ -86,7 +87,7 @@ pub(crate) fn choose_lens(
     if fits.iter().any(is_sound) {
         fits.retain(is_sound);
     }
-    // The model that fits most closely tells best which corners are wrong.
+    // The model that fits most closely separates outliers best.
     let closest = fits.iter().min_by(|a, b| a.robust.limit.total_cmp(&b.robust.limit));
     let Some(closest) = closest.cloned() else {
         return Err(refusal.unwrap_or(EstimationError::NoFit));
@@ -109,12 +110,12 @@ pub(crate) fn choose_lens(
         .iter()
         .map(|v| closest.observations[*v].used.iter().filter(|used| **used).count())
         .sum();
-    let told = |trial: &Trial<'_>| LensTrial {
+    let summary = |trial: &Trial<'_>| LensTrial {
         model: trial.fit.lens().model(),
         held_out_rms_px: (trial.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt(),
         parameters: trial.fit.layout.sensors[0].lens.free.len(),
     };
-    Ok((chosen.fit.clone(), trials.iter().map(told).collect()))
+    Ok((chosen.fit.clone(), trials.iter().map(summary).collect()))
 }
 
 /// Whether the denominator of a rational lens comes near 0 somewhere in the picture. Views that do
@@ -153,8 +154,7 @@ impl<'a> Trial<'a> {
         Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
     }
 
-    /// Whether it is to be preferred to `smaller`, which is preferred where nothing tells them
-    /// apart.
+    /// Whether it is to be preferred to `smaller`, which is preferred where they do not differ.
     fn is_worth_more(&self, smaller: &Self) -> bool {
         let gain = gain_in_standard_errors(&smaller.squares, &self.squares);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
@@ -198,11 +198,11 @@ pub(crate) fn held_out_squares(
 ) -> Option<Vec<f64>> {
     let mut squares = vec![0.0; views.len()];
     let folds = folds.min(views.len());
-    let apart = looked_at((&fit.layout, &fit.robust.minimum.state), chosen, views)?;
+    let local = linearize_each((&fit.layout, &fit.robust.minimum.state), chosen, views)?;
     for fold in 0..folds {
         let kept: Vec<usize> =
             (0..views.len()).filter(|k| k % folds != fold).map(|k| views[k]).collect();
-        let lens = refit(fit, (chosen, &apart), &kept).state.lenses[0];
+        let lens = refit(fit, (chosen, &local), &kept).state.lenses[0];
         for k in (fold..views.len()).step_by(folds) {
             squares[k] = squares_under(&lens, fit, &chosen[views[k]])?;
         }
@@ -210,10 +210,10 @@ pub(crate) fn held_out_squares(
     Some(squares)
 }
 
-/// The fit of some of the views, from the fit of all, where `apart` tells what each says.
+/// The fit of some of the views, from the fit of all, from their separate equations `local`.
 pub(crate) fn refit(
     fit: &CameraFit,
-    (chosen, apart): (&[BoardObservation], &[LocalEquations]),
+    (chosen, local): (&[BoardObservation], &[LocalEquations]),
     views: &[usize],
 ) -> Minimum {
     let all = &fit.robust.minimum.state;
@@ -227,7 +227,7 @@ pub(crate) fn refit(
         ..all.clone()
     };
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = together(apart, (&fit.layout, all), chosen, (parts, views.len()));
+    let equations = assemble(local, (&fit.layout, all), chosen, (parts, views.len()));
     let start = Minimum { state, equations, steps: 0 };
     start.descend(&fit.layout, &observations, Loss::Squares, COMPARED)
 }
@@ -258,7 +258,7 @@ pub(crate) fn squares_under(
     let cost: f64 = used().map(|corner| residuals[corner]).map(|[x, y]| x * x + y * y).sum();
     // A step that ends as it was predicted needs no second one.
     let predicted = minimum.equations.cost - step.predicted_decrease;
-    if !cost.is_finite() || (cost - predicted).abs() > FORESEEN * cost {
+    if !cost.is_finite() || (cost - predicted).abs() > AS_PREDICTED * cost {
         minimum = minimum.descend(
             &layout,
             &observations,

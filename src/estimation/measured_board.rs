@@ -53,7 +53,7 @@ impl MeasuredBoard {
     /// How far the corner stated at `point` (in the board frame) was measured to be from there, in
     /// meters; `None` where none was measured.
     pub fn offset_at(&self, point: &Point3<f64>) -> Option<Vector3<f64>> {
-        let apart = |measured: &Point3<f64>| (measured - point).norm();
+        let distance = |measured: &Point3<f64>| (measured - point).norm();
         let (first, farthest) = (self.points.first()?, |from: &Point3<f64>| {
             self.points.iter().map(|p| (p - from).norm()).fold(0.0, f64::max)
         });
@@ -62,7 +62,7 @@ impl MeasuredBoard {
             .points
             .iter()
             .zip(&self.offsets_m)
-            .min_by(|a, b| apart(a.0).total_cmp(&apart(b.0)))?;
-        (apart(nearest) <= near).then_some(*offset)
+            .min_by(|a, b| distance(a.0).total_cmp(&distance(b.0)))?;
+        (distance(nearest) <= near).then_some(*offset)
     }
 }

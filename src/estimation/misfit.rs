@@ -47,8 +47,8 @@ enum Read {
 }
 
 impl Misfit {
-    /// Looks for the causes in `views` of a fitted camera by itself.
-    /// What the solve itself has looked for, as `options` ask, it has found or refuted already.
+    /// Tests each cause on `views` of a fitted camera, but for those that the solve itself has
+    /// estimated or refuted, as `options` ask.
     pub(crate) fn of(
         fit: &CameraFit,
         views: &[usize],

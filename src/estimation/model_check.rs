@@ -1,13 +1,13 @@
-//! Whether the model is right at all, which no residual of the fit itself can tell: two disjoint
-//! halves of the views are fitted apart, and each predicts the other.
+//! Whether the model is right at all, which the residuals of the fit itself do not show: two
+//! disjoint halves of the views are fitted separately, and each predicts the other.
 
 use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::joint::Layout;
-use crate::estimation::joint::apart::{looked_at, together};
 use crate::estimation::joint::minimize::Minimum;
+use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::lens_choice::{refit, squares_under};
 use crate::estimation::misfit::Misfit;
 use crate::estimation::problem::{BoardShape, CameraOptions};
@@ -42,7 +42,7 @@ pub struct ModelCheck {
 /// least of that in units of the noise's variance: chance alone explains 2.
 const BOW_GAIN: [f64; 2] = [0.05, 40.0];
 
-/// Above either of these, causes are looked for; clean data stays below.
+/// Above either of these, causes are tested; clean data stays below.
 const SUSPICIOUS_RATIO: f64 = 2.0;
 const SUSPICIOUS_CORRELATION: f64 = 0.25;
 
@@ -50,7 +50,7 @@ const SUSPICIOUS_CORRELATION: f64 = 0.25;
 /// out of it is far less.
 const NEARBY: f64 = 0.2;
 
-/// Neighbors that it takes to tell a correlation from chance.
+/// Pairs of neighbors that distinguish a correlation from chance.
 const MIN_PAIRS: usize = 100;
 
 impl ModelCheck {
@@ -59,7 +59,7 @@ impl ModelCheck {
 
     pub(crate) fn of(fit: &CameraFit, estimate: &CameraEstimate, options: &CameraOptions) -> Self {
         if fit.is_exact() {
-            // Halves agree to rounding, and nothing is left that could tell of anything.
+            // Halves agree to rounding, and no residuals are left to test.
             return Self {
                 split_half_ratio: Some(0.0).filter(|_| some_views(fit).len() >= Self::MIN_VIEWS),
                 held_out_rms_px: Some(estimate.rms_px),
@@ -73,14 +73,13 @@ impl ModelCheck {
             || estimate.variance_inflation > 1.0;
         let views = some_views(fit);
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
-        let look = suspicious && views.len() >= Self::MIN_VIEWS;
+        let test = suspicious && views.len() >= Self::MIN_VIEWS;
         let misfit =
-            if look { Misfit::of(fit, &views, (size, options)) } else { Misfit::default() };
-        // A bow leaves smooth residuals: where neighbors go apart rather than together, none is
-        // worth looking for.
+            if test { Misfit::of(fit, &views, (size, options)) } else { Misfit::default() };
+        // A bow leaves smooth residuals: where neighbors differ in sign, none is tested.
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
-        let looked_for = options.board_shape != BoardShape::Flat;
-        let bow_m = if smooth && !looked_for { bow_m(fit) } else { None };
+        let estimated = options.board_shape != BoardShape::Flat;
+        let bow_m = if smooth && !estimated { bow_m(fit) } else { None };
         Self { bow_m, residual_correlation, misfit, ..halves }
     }
 
@@ -93,8 +92,8 @@ impl ModelCheck {
             views.iter().skip(parity).step_by(2).copied().collect()
         };
         let (even, odd) = (half(0), half(1));
-        let apart = &fit.robust.minimum.equations.apart;
-        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.observations, apart), half));
+        let local = &fit.robust.minimum.equations.local;
+        let [a, b] = [&even, &odd].map(|half| refit(fit, (&fit.observations, local), half));
         let (lens_a, lens_b) = (a.state.lenses[0], b.state.lenses[0]);
         let covariance = lens_covariance(fit, &a, estimate)? + lens_covariance(fit, &b, estimate)?;
         let grid = PixelGrid::over(estimate.image_size, 10);
@@ -110,10 +109,10 @@ impl ModelCheck {
         let (count, sum) =
             ratios.fold((0.0, 0.0), |(count, sum), ratio| (count + 1.0, sum + ratio));
         let crossed = |lens: &Lens, views: &[usize]| -> Option<f64> {
-            let looked_at_again = |view: usize| squares_under(lens, fit, &fit.observations[view]);
+            let at_best_pose = |view: usize| squares_under(lens, fit, &fit.observations[view]);
             views
                 .iter()
-                .map(|view| squares_nearby(lens, fit, *view).or_else(|| looked_at_again(*view)))
+                .map(|view| squares_nearby(lens, fit, *view).or_else(|| at_best_pose(*view)))
                 .sum()
         };
         let held_out = crossed(&lens_b, &even).and_then(|sum| Some(sum + crossed(&lens_a, &odd)?));
@@ -146,8 +145,8 @@ fn squares_nearby(lens: &Lens, fit: &CameraFit, view: usize) -> Option<f64> {
         return None;
     }
     let part = std::iter::once((view, 0));
-    let alone = together(
-        &minimum.equations.apart,
+    let alone = assemble(
+        &minimum.equations.local,
         (&fit.layout, &minimum.state),
         &fit.observations,
         (part, 1),
@@ -196,9 +195,9 @@ fn bow_m(fit: &CameraFit) -> Option<[f64; 2]> {
         [0, 1].map(|axis| points().map(|p| p[axis].abs()).fold(f64::MIN_POSITIVE, f64::max));
     let (layout, state) =
         (Layout::new(vec![only.lens.clone()], Some(half_extent)), &fit.robust.minimum.state);
-    let apart = looked_at((&layout, state), &fit.observations, &views)?;
+    let local = linearize_each((&layout, state), &fit.observations, &views)?;
     let parts = views.iter().enumerate().map(|(k, view)| (*view, k));
-    let equations = together(&apart, (&layout, state), &fit.observations, (parts, views.len()));
+    let equations = assemble(&local, (&layout, state), &fit.observations, (parts, views.len()));
     let step = equations.solve(0.0)?;
     let enough = step.predicted_decrease > BOW_GAIN[0] * equations.cost
         && step.predicted_decrease > BOW_GAIN[1] * fit.noise_square();

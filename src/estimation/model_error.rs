@@ -19,7 +19,7 @@ use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 /// estimate.
 const NEAR: f64 = 0.2;
 
-/// Corners looked at, at most.
+/// Corners sampled, at most.
 const CORNERS: usize = 1000;
 
 /// The least common variance that is tried, in units of a sharp corner's own, and the greatest, in
@@ -46,9 +46,9 @@ pub(crate) fn with_noise_floor(
     })
 }
 
-/// The common error that the residuals of `estimate` tell of, in pixels; `None` where weights with
-/// it would be near those that it was made with, or all corners have the same deviation and weights
-/// stay as they are.
+/// The noise floor that is likeliest under the residuals of `estimate`, in pixels; `None` where
+/// weights with it would be near those of `estimate`, or all corners have the same deviation, which
+/// leaves the weights as they are.
 pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstimate) -> Option<f64> {
     let views = problem.views.iter().zip(&estimate.views).filter(|(_, view)| view.fault.is_none());
     let corners = views.flat_map(|(given, view)| {
@@ -81,7 +81,7 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
 /// A corner that takes part.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    /// Its own variance per axis, as it was told.
+    /// Its own variance per axis, as it was given.
     variance: f64,
     /// The mean square of its two residuals.
     square: f64,

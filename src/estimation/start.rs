@@ -24,7 +24,7 @@ const MISFIT: f64 = 0.25;
 /// At least this many corners make a view: a flat pose takes four, two more make errors show.
 const MIN_POINTS: usize = 6;
 
-/// The views of a problem, each looked at by itself.
+/// The views of a problem, each prepared by itself.
 pub(crate) struct Prepared {
     pub(crate) image_size: ImageSize,
     pub(crate) names: Vec<String>,
@@ -44,7 +44,7 @@ pub(crate) struct PreparedView {
 }
 
 impl Prepared {
-    /// Looks at every view of a valid problem.
+    /// Prepares every view of a valid problem.
     pub(crate) fn of(problem: &CameraProblem) -> Self {
         Self::about(problem, mean_point(std::slice::from_ref(problem)))
     }
@@ -161,8 +161,8 @@ impl PreparedView {
     }
 }
 
-/// Looks for the names of those labels that no homography explains, to within what the other views
-/// leave.
+/// Names the fault of views that no homography explains as well as the other views: which
+/// relabelling would.
 fn name_mislabelled(observations: &[BoardObservation], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
     let Some(typical_px) =

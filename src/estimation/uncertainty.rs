@@ -180,8 +180,8 @@ impl ProjectionSamples {
             spreads = self::spreads(samples, &weights, (&padded, *distance))?;
         }
         let worst_direction = |spread: &Matrix2<f64>| {
-            let apart = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
-            (0.5 * spread.trace() + apart).max(0.0).sqrt()
+            let half_gap = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
+            (0.5 * spread.trace() + half_gap).max(0.0).sqrt()
         };
         Some(UncertaintyMap {
             grid: *grid,

@@ -1,11 +1,11 @@
-//! Why a view takes no part in an estimate, and what its corners' labels look like instead.
+//! Why a view is not used in an estimate, and which labels would fit its corners instead.
 
 use nalgebra::{Point2, Point3};
 
 use crate::geometry::homography::Homography;
 use crate::geometry::pixel::Pixel;
 
-/// Why a view takes no part in an estimate.
+/// Why a view is not used in an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ViewFault {
     /// A pose has six unknowns, and a check needs more.
@@ -73,7 +73,7 @@ impl std::fmt::Display for GridLine {
 }
 
 /// The corner grid that a full view's points form.
-struct Grid {
+struct LabelGrid {
     cols: usize,
     rows: usize,
     /// The column and row of each point.
@@ -82,7 +82,7 @@ struct Grid {
     point_at: Vec<usize>,
 }
 
-impl Grid {
+impl LabelGrid {
     /// `None` unless the points are all the places of a grid along x and y, each once.
     fn of(points: &[Point3<f64>]) -> Option<Self> {
         let (xs, ys) = (lines(points.iter().map(|p| p.x)), lines(points.iter().map(|p| p.y)));
@@ -133,7 +133,7 @@ pub(crate) fn mislabelling(
     pixels: &[Pixel],
     limit_px: f64,
 ) -> Option<ViewFault> {
-    let grid = Grid::of(points_on_plane)?;
+    let grid = LabelGrid::of(points_on_plane)?;
     let (cols, rows) = (grid.cols, grid.rows);
     let shifted = |by_col: usize, by_row: usize| {
         grid.permuted(|c, r| ((c + by_col) % cols, (r + by_row) % rows))

@@ -26,7 +26,7 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
         return Err(DecodeError::Empty);
     }
     match PixelFormat::of_file(bytes) {
-        Some(PixelFormat::Jpeg) => jpeg_size(bytes, jpeg::Header::read(bytes)?),
+        Some(PixelFormat::Jpeg) => jpeg_size(bytes, jpeg::JpegHeader::read(bytes)?),
         Some(PixelFormat::Png) => png::size(bytes),
         _ => Err(DecodeError::NotAPicture),
     }
@@ -67,7 +67,7 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
     check_bytes(frame)?;
     match frame.format {
         PixelFormat::Jpeg => {
-            let header = jpeg::Header::read(&frame.bytes)?;
+            let header = jpeg::JpegHeader::read(&frame.bytes)?;
             let size = jpeg_size(&frame.bytes, header)?;
             rgb_image(size, jpeg::rgb(&frame.bytes, header)?)
         }
@@ -142,12 +142,12 @@ fn check_size(size: ImageSize) -> Result<ImageSize, DecodeError> {
 }
 
 /// A JPEG's size, if its bytes can hold it.
-fn jpeg_size(bytes: &[u8], header: jpeg::Header) -> Result<ImageSize, DecodeError> {
+fn jpeg_size(bytes: &[u8], header: jpeg::JpegHeader) -> Result<ImageSize, DecodeError> {
     plausible::check_size(header.size, 3, bytes.len())
 }
 
 fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
-    let header = jpeg::Header::read(bytes)?;
+    let header = jpeg::JpegHeader::read(bytes)?;
     let size = jpeg_size(bytes, header)?;
     let mut pixels = std::mem::take(luma).into_pixels();
     jpeg::luma(bytes, header, &mut pixels)?;

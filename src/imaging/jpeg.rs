@@ -18,14 +18,14 @@ const DHT: u8 = 0xc4;
 
 /// What the segments before the first scan say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Header {
+pub(super) struct JpegHeader {
     /// The picture's size.
     pub size: ImageSize,
     /// Whether any Huffman table comes with it: motion JPEG may leave them out.
     has_huffman_tables: bool,
 }
 
-impl Header {
+impl JpegHeader {
     /// Reads the segments up to the first scan.
     pub fn read(bytes: &[u8]) -> Result<Self, DecodeError> {
         let truncated = || DecodeError::Truncated { format: "JPEG", bytes: bytes.len() };
@@ -81,7 +81,11 @@ fn byte(bytes: &[u8], at: usize) -> Result<&u8, DecodeError> {
 }
 
 /// The luma of a JPEG, row by row, into `pixels`; the chroma is skipped, not converted.
-pub(super) fn luma(bytes: &[u8], header: Header, pixels: &mut Vec<u8>) -> Result<(), DecodeError> {
+pub(super) fn luma(
+    bytes: &[u8],
+    header: JpegHeader,
+    pixels: &mut Vec<u8>,
+) -> Result<(), DecodeError> {
     let bytes = with_huffman_tables(bytes, header);
     let mut decoder =
         JpegDecoder::new_with_options(ZCursor::new(&*bytes), options(ColorSpace::Luma, true));
@@ -98,7 +102,7 @@ pub(super) fn luma(bytes: &[u8], header: Header, pixels: &mut Vec<u8>) -> Result
 }
 
 /// Red, green and blue of a JPEG, interleaved.
-pub(super) fn rgb(bytes: &[u8], header: Header) -> Result<Vec<u8>, DecodeError> {
+pub(super) fn rgb(bytes: &[u8], header: JpegHeader) -> Result<Vec<u8>, DecodeError> {
     let area = header.size.width as usize * header.size.height as usize;
     let mut pixels = Vec::new();
     decode(&with_huffman_tables(bytes, header), ColorSpace::RGB, area * 3, &mut pixels)?;
@@ -156,7 +160,7 @@ fn malformed(error: &zune_jpeg::errors::DecodeErrors) -> DecodeError {
 
 /// The picture marked as motion JPEG where it comes without Huffman tables: the decoder then takes
 /// the standard's own (ITU-T T.81, tables K.3 to K.6).
-fn with_huffman_tables(bytes: &[u8], header: Header) -> Cow<'_, [u8]> {
+fn with_huffman_tables(bytes: &[u8], header: JpegHeader) -> Cow<'_, [u8]> {
     if header.has_huffman_tables {
         return Cow::Borrowed(bytes);
     }

@@ -144,7 +144,7 @@ impl Capture {
         let mut held_for: Option<Arc<CameraSearch>> = None;
         // When it was last known to stand as a session held it.
         let mut held: Option<Instant> = None;
-        let mut pace = Pace::default();
+        let mut pace = IdlePace::default();
         let mut counted = Losses::default();
         let mut silence = Duration::ZERO;
         let mut delivered = false;
@@ -247,7 +247,7 @@ impl Capture {
     }
 
     /// Waits until a frame that nobody waits for is due; whether a session began meanwhile.
-    fn keep_pace(&self, pace: &mut Pace, frame_set: &FrameSet) -> bool {
+    fn keep_pace(&self, pace: &mut IdlePace, frame_set: &FrameSet) -> bool {
         let mut left = pace.until_due(frame_set);
         while !left.is_zero() {
             if self.camera.search.get().is_some() || self.camera.stop.is_set() {
@@ -348,11 +348,11 @@ impl Capture {
 
 /// The recorded distance between frames that are shown to nobody in particular.
 #[derive(Default)]
-struct Pace {
+struct IdlePace {
     last_ns: Option<i64>,
 }
 
-impl Pace {
+impl IdlePace {
     fn until_due(&mut self, frame_set: &FrameSet) -> Duration {
         let now_ns = frame_set.host_time.utc_ns;
         let since_ns =

@@ -7,12 +7,12 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 /// Holds one item at most.
 #[derive(Debug)]
 pub(super) struct FrameSlot<T> {
-    state: Mutex<State<T>>,
+    state: Mutex<SlotState<T>>,
     changed: Condvar,
 }
 
 #[derive(Debug)]
-struct State<T> {
+struct SlotState<T> {
     item: Option<T>,
     closed: bool,
 }
@@ -23,7 +23,7 @@ pub(super) struct Closed;
 
 impl<T> FrameSlot<T> {
     pub(super) fn new() -> Self {
-        Self { state: Mutex::new(State { item: None, closed: false }), changed: Condvar::new() }
+        Self { state: Mutex::new(SlotState { item: None, closed: false }), changed: Condvar::new() }
     }
 
     /// Puts `item` in place of what is there; what it replaced.
@@ -68,7 +68,7 @@ impl<T> FrameSlot<T> {
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
+    fn lock(&self) -> MutexGuard<'_, SlotState<T>> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

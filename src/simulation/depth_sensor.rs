@@ -49,7 +49,7 @@ impl DepthError {
 
 /// A depth camera.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DepthSensor {
+pub struct SimulatedDepthSensor {
     /// Its size in pixels.
     pub size: ImageSize,
     /// Its optics.
@@ -84,7 +84,7 @@ pub(super) struct DepthScene<'a> {
 /// A depth sensor with the ray of each pixel.
 #[derive(Debug, Clone)]
 pub(super) struct DepthRenderer {
-    pub sensor: DepthSensor,
+    pub sensor: SimulatedDepthSensor,
     rays: Vec<Option<[f64; 2]>>,
 }
 
@@ -95,7 +95,7 @@ struct TrueDepth {
 }
 
 impl DepthRenderer {
-    pub(super) fn new(sensor: DepthSensor) -> Self {
+    pub(super) fn new(sensor: SimulatedDepthSensor) -> Self {
         let ImageSize { width, height } = sensor.size;
         let rays = (0..height)
             .flat_map(|y| (0..width).map(move |x| Pixel::new(f64::from(x), f64::from(y))))
@@ -125,7 +125,8 @@ impl DepthRenderer {
     }
 
     fn reading(&self, inverse_depth: f64, pixel: Pixel, noise: f64) -> u16 {
-        let DepthSensor { error, size, noise_per_m, step_per_m, unit_m, .. } = &self.sensor;
+        let SimulatedDepthSensor { error, size, noise_per_m, step_per_m, unit_m, .. } =
+            &self.sensor;
         let measured = error.measured(inverse_depth, pixel, *size) + noise_per_m * noise;
         let stepped =
             if *step_per_m > 0.0 { (measured / step_per_m).round() * step_per_m } else { measured };
@@ -221,9 +222,9 @@ mod tests {
     use crate::geometry::board::{BoardSize, Chessboard};
     use crate::geometry::camera_matrix::CameraMatrix;
 
-    fn sensor() -> DepthSensor {
+    fn sensor() -> SimulatedDepthSensor {
         let matrix = CameraMatrix { fx: 140.0, fy: 140.0, cx: 79.5, cy: 59.5, skew: 0.0 };
-        DepthSensor {
+        SimulatedDepthSensor {
             size: ImageSize::new(160, 120),
             lens: Lens::pinhole(matrix),
             unit_m: 0.0001,
@@ -236,7 +237,7 @@ mod tests {
         }
     }
 
-    fn image(sensor: DepthSensor, depth_from_board: Pose) -> DepthImage {
+    fn image(sensor: SimulatedDepthSensor, depth_from_board: Pose) -> DepthImage {
         let pattern =
             BoardPattern::new(Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap());
         let scene = DepthScene { pattern: &pattern, depth_from_board, wall: [2.0, 0.0, 0.0] };
@@ -285,7 +286,8 @@ mod tests {
                 scale: [0.01, 0.0, 0.0, 0.0, 0.0],
                 offset: [0.005, 0.0, 0.0, 0.0, 0.0],
             };
-            let noisy = DepthSensor { error, noise_per_m: 0.002, unit_m: 0.000_02, ..sensor() };
+            let noisy =
+                SimulatedDepthSensor { error, noise_per_m: 0.002, unit_m: 0.000_02, ..sensor() };
             let square_on =
                 Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.16, -0.1, distance));
             let image = image(noisy, square_on);

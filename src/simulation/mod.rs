@@ -28,7 +28,7 @@ mod world;
 
 pub use background::Background;
 pub use board_pattern::{BoardPattern, Shade};
-pub use depth_sensor::{DepthError, DepthSensor};
+pub use depth_sensor::{DepthError, SimulatedDepthSensor};
 pub use operator::{Operator, OperatorKind, Skill};
 pub use picture_sensor::PictureSensor;
 pub use renderer::Renderer;

@@ -11,7 +11,9 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::gray::GrayImage;
 use crate::simulation::background::Background;
 use crate::simulation::board_pattern::BoardPattern;
-use crate::simulation::depth_sensor::{DepthError, DepthRenderer, DepthScene, DepthSensor};
+use crate::simulation::depth_sensor::{
+    DepthError, DepthRenderer, DepthScene, SimulatedDepthSensor,
+};
 use crate::simulation::noise::{Purpose, stream};
 use crate::simulation::picture_sensor::PictureSensor;
 use crate::simulation::renderer::Renderer;
@@ -25,7 +27,7 @@ pub struct RgbdOptions {
     /// The infrared camera: its lens and size are the depth camera's.
     pub infrared: PictureSensor,
     /// The depth camera.
-    pub depth: DepthSensor,
+    pub depth: SimulatedDepthSensor,
     /// Where the depth and infrared camera is.
     pub color_from_depth: Pose,
     /// By how much infrared and depth are taken later than the color image they come with, in
@@ -74,7 +76,7 @@ impl RgbdOptions {
                 0.004,
             ],
         };
-        let depth = DepthSensor {
+        let depth = SimulatedDepthSensor {
             size,
             lens,
             unit_m: 0.001,

@@ -374,11 +374,11 @@ fn is_true(calibration: &Calibration) {
         calibration.pose(&color, &SensorId::own(kind)).unwrap().target_from_source
     };
     let (left, right) = (pose(SensorKind::Infrared), pose(SensorKind::Infrared2));
-    let apart_m = (left.translation() - right.translation()).norm();
+    let distance_m = (left.translation() - right.translation()).norm();
     let turn = left.angle_to(&right).to_degrees();
     assert!(
-        apart_m < 2e-3 && (turn - 180.0).abs() < 0.1,
-        "{apart_m} m and {turn}° between both infrared sensors"
+        distance_m < 2e-3 && (turn - 180.0).abs() < 0.1,
+        "{distance_m} m and {turn}° between both infrared sensors"
     );
     assert!(calibration.depth().is_some());
 }

@@ -372,16 +372,16 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
     }
     let found = named(&calibration["extrinsics"], "color_from_depth");
     let truly = named(&truth["extrinsics"], "color_from_depth");
-    let apart_m = (translation(found) - translation(truly)).norm();
+    let distance_m = (translation(found) - translation(truly)).norm();
     let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
     assert!(
-        apart_m < 1e-3 && apart_deg < 0.05,
-        "{apart_m} m, {apart_deg}°; {}",
+        distance_m < 1e-3 && apart_deg < 0.05,
+        "{distance_m} m, {apart_deg}°; {}",
         calibration["verdict"]
     );
     eprintln!(
         "color from depth: off by {:.2} mm and {apart_deg:.4}°; {}",
-        apart_m * 1e3,
+        distance_m * 1e3,
         calibration["verdict"]
     );
 }

@@ -50,8 +50,8 @@ fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamer
 
 #[test]
 fn a_rolling_shutter_is_named() {
-    // Shears along rows and along columns differ by a turn alone: a view or two seen from the front
-    // may not tell.
+    // Shears along rows and along columns differ by a rotation alone, which a view or two from the
+    // front may not determine.
     let mut named = 0;
     for seed in 0..8 {
         let (_, problem) = rolling(14, seed, (0.002, 0.006));
@@ -137,7 +137,7 @@ fn a_right_model_is_not_accused() {
     }
 }
 
-/// Rounding errors say nothing of the model, whatever they look like.
+/// Rounding errors say nothing of the model, even where they are smooth.
 #[test]
 fn exact_corners_are_accused_of_nothing() {
     for seed in 0..12 {

@@ -54,7 +54,7 @@ fn predicted_and_observed_scatter_agree_with_infrared() {
 
 #[test]
 fn predicted_and_observed_scatter_agree_by_planes_alone() {
-    // What planes alone cannot tell is given: a depth picture without distortion.
+    // What planes alone do not determine is given: a depth image without distortion.
     let rig = SeededRgbd { with_infrared: false, ..SeededRgbd::new() }.without_distortion();
     expect_predicted("by planes alone", &scatter(&rig, 12));
 }

@@ -218,7 +218,7 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
         // view.
         assert!(rms <= their_rms && (mean <= their_mean || held_out.len() == 1), "{line}");
     }
-    // What planes alone leave open is told: the published answers lie within it.
+    // What planes alone leave open is reported: the published answers lie within it.
     let depth = calibration.depth().unwrap();
     for (axis, published) in [(0, 580.0..586.5), (1, 583.9..586.8)] {
         let (focal, std) = (depth.camera.lens.parameters()[axis], depth.lens_std[axis]);
@@ -229,8 +229,8 @@ fn planes_of_held_out_views_lie_closer_than_by_the_published_calibration() {
                 && focal + 2.0 * std > published.start
         );
     }
-    let told = calibration.verdict.reasons.join("\n");
-    assert!(told.contains("fx is known to") && told.contains("stands back"), "{told}");
+    let reasons = calibration.verdict.reasons.join("\n");
+    assert!(reasons.contains("fx is known to") && reasons.contains("stands back"), "{reasons}");
 }
 
 /// Lens and poses of one document are of one solve: they project the board's corners to where they
@@ -298,8 +298,8 @@ fn captures(data: &Path, board: &Chessboard) -> Vec<(usize, RgbdCapture)> {
     numbers.into_iter().map(capture).collect()
 }
 
-/// Each view is judged by what all others tell: so every range has views, near and far. The
-/// published figures are of the views that it was fitted to as well, which is in its favour.
+/// Each view is judged by a fit to all others: so every range has views, near and far. The
+/// published figures are of the views that it was fitted to as well, which is in its favor.
 #[test]
 fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibration() {
     let Some(data) = shared_data("kinect1-herrera") else { return };
@@ -349,7 +349,7 @@ fn planes_of_each_view_lie_closer_by_all_others_than_by_the_published_calibratio
             );
             println!("{line}");
             // Of views that the published calibration was fitted to, nearer than 1.45 m, it leaves
-            // less in the mean than what others tell of them: 0.5 mm, where its authors state 1.
+            // less in the mean than a fit to the others: 0.5 mm, where its authors state 1.
             let most_mm = if is_all { f64::max(their_mean, 1.0) } else { their_mean };
             assert!(rms <= their_rms && mean <= most_mm, "{line}");
         }

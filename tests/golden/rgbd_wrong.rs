@@ -36,7 +36,7 @@ fn mirrored(input: RgbdInput) -> RgbdInput {
 }
 
 /// The error, or the reasons of the verdict.
-fn told(input: &RgbdInput) -> Vec<String> {
+fn reasons(input: &RgbdInput) -> Vec<String> {
     match solve_rgbd(input, &SeededRgbd::options()) {
         Err(error) => vec![error.to_string()],
         Ok(solved) => {
@@ -56,7 +56,7 @@ fn told(input: &RgbdInput) -> Vec<String> {
 }
 
 fn expect(what: &str, input: &RgbdInput, word: &str) {
-    let lines = told(input);
+    let lines = reasons(input);
     println!("{what}: {lines:?}");
     assert!(
         lines.iter().any(|line| line.contains(word) && !line.contains('\n')),
@@ -70,7 +70,11 @@ fn each_wrong_thing_is_one_clear_line() {
     let without = SeededRgbd { with_infrared: false, ..SeededRgbd::new() };
     for (rig, name) in [(&with, "with infrared"), (&without, "without infrared")] {
         let right = input(rig);
-        assert!(solve_rgbd(&right, &SeededRgbd::options()).is_ok(), "{name}: {:?}", told(&right));
+        assert!(
+            solve_rgbd(&right, &SeededRgbd::options()).is_ok(),
+            "{name}: {:?}",
+            reasons(&right)
+        );
         expect(
             &format!("{name}: mirrored depth"),
             &mirrored(right.clone()),
@@ -94,7 +98,7 @@ fn each_wrong_thing_is_one_clear_line() {
 }
 
 #[test]
-fn a_board_that_is_not_flat_is_told() {
+fn a_board_that_is_not_flat_is_reported() {
     let rig = SeededRgbd::new();
     let mut input = input(&rig);
     let poses = rig.poses(11, &mut SeededCamera::rng(3));
@@ -116,13 +120,13 @@ fn a_board_that_is_not_flat_is_told() {
 }
 
 #[test]
-fn depth_without_color_in_half_the_views_is_told() {
+fn depth_without_color_in_half_the_views_is_reported() {
     let mut input = input(&SeededRgbd::new());
     let all = input.captures.len();
     for capture in input.captures.iter_mut().skip(1).step_by(2) {
         capture.color.clear();
     }
-    assert!(solve_rgbd(&input, &SeededRgbd::options()).is_ok(), "{:?}", told(&input));
+    assert!(solve_rgbd(&input, &SeededRgbd::options()).is_ok(), "{:?}", reasons(&input));
     let line = plumb::calibration::rgbd_calibration::without_color(&input).unwrap();
     assert!(line.contains(&format!("{} of {all}", all / 2)) && !line.contains('\n'), "{line}");
 }

@@ -11,7 +11,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-/// A camera of known lens that looks at a board of known size.
+/// A camera of known lens in front of a board of known size.
 #[derive(Clone)]
 pub struct SeededCamera {
     pub lens: Lens,

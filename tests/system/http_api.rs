@@ -76,7 +76,7 @@ fn is_jpeg(answer: &Answer, size: (u32, u32)) {
 }
 
 #[test]
-fn the_daemon_tells_how_it_is() {
+fn the_daemon_reports_its_state() {
     let (_folder, served) = started();
     assert_eq!(served.get("/healthz").status, 200);
     assert_eq!(served.get("/readyz").status, 200);

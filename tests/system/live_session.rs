@@ -238,7 +238,7 @@ fn a_recorded_camera_calibrates_to_the_same_bytes() {
 }
 
 #[test]
-fn a_lens_that_was_changed_since_is_told() {
+fn a_lens_that_was_changed_since_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let served = Served::start(folder.path(), &walking(&["front"], "fastest"));
     let good = calibration_of(&served, &calibrate(&served, "front", &request("brown")));

@@ -1,5 +1,5 @@
 //! A board that is not flat, before a camera with color and depth: rendered into a folder, and
-//! told in one line of the verdict.
+//! reported in one line of the verdict.
 
 use std::fs;
 use std::path::Path;
@@ -139,8 +139,8 @@ fn render(folder: &Path, bulge_m: f64) {
 }
 
 #[test]
-fn a_bent_board_is_told_in_one_line_and_a_flat_one_is_not() {
-    for (bulge_m, is_told) in [(0.006, true), (0.0, false)] {
+fn a_bent_board_is_reported_in_one_line_and_a_flat_one_is_not() {
+    for (bulge_m, is_reported) in [(0.006, true), (0.0, false)] {
         let folder = tempfile::tempdir().unwrap();
         render(folder.path(), bulge_m);
         let place = folder.path().display().to_string();
@@ -158,13 +158,13 @@ fn a_bent_board_is_told_in_one_line_and_a_flat_one_is_not() {
         assert_eq!(finished.code, Some(0), "{}", finished.stderr);
         let document: Value = serde_json::from_str(&finished.stdout).unwrap();
         let reasons = document["verdict"]["reasons"].as_array().unwrap();
-        let told: Vec<&str> =
+        let lines: Vec<&str> =
             reasons.iter().filter_map(Value::as_str).filter(|line| line.contains("bent")).collect();
-        assert_eq!(!told.is_empty(), is_told, "{reasons:?}");
+        assert_eq!(!lines.is_empty(), is_reported, "{reasons:?}");
         assert!(
-            told.iter().all(|line| line.contains("flat and stiff") && !line.contains('\n')),
-            "{told:?}"
+            lines.iter().all(|line| line.contains("flat and stiff") && !line.contains('\n')),
+            "{lines:?}"
         );
-        assert!(!is_told || document["verdict"]["grade"] != "good", "{reasons:?}");
+        assert!(!is_reported || document["verdict"]["grade"] != "good", "{reasons:?}");
     }
 }

@@ -233,7 +233,7 @@ fn a_measured_board_is_drawn_and_given_to_the_next_solve() {
 }
 
 #[test]
-fn its_uncertainty_is_told_in_numbers_and_as_a_picture() {
+fn its_uncertainty_is_given_in_numbers_and_as_an_image() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(&folder, &problem(0.0));
     let calibration = folder.path().join("camera.json").display().to_string();
@@ -244,9 +244,9 @@ fn its_uncertainty_is_told_in_numbers_and_as_a_picture() {
         let mut arguments =
             vec!["uncertainty", "--json", "--calibration", &calibration, "--out", &png];
         arguments.extend(distance.iter().flat_map(|distance| ["--distance", *distance]));
-        let told = plumb(&arguments);
-        assert_eq!(told.code, Some(0), "{}", told.stderr);
-        let map: Value = serde_json::from_str(&told.stdout).unwrap();
+        let finished = plumb(&arguments);
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        let map: Value = serde_json::from_str(&finished.stdout).unwrap();
         assert_eq!((&map["image_size"], &map["sensor"]), (&json!([640, 480]), &json!("color")));
         assert_eq!(map["distance_m"].as_f64(), distance.map(|_| 0.5));
         let rows = map["std_px"].as_array().unwrap();

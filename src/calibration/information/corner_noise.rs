@@ -103,8 +103,8 @@ pub fn side_px(
     let sides = Matrix2::from_columns(&[along(Vector3::x()), along(Vector3::y())]);
     // The smaller singular value, in closed form.
     let (square, area) = (sides.norm_squared(), sides.determinant());
-    let apart = (square * square - 4.0 * area * area).max(0.0).sqrt();
-    Some((0.5 * (square - apart)).max(0.0).sqrt())
+    let gap = (square * square - 4.0 * area * area).max(0.0).sqrt();
+    Some((0.5 * (square - gap)).max(0.0).sqrt())
 }
 
 /// blur² = a + b q + c q² in q = 1/distance by least squares; `None` unless it opens upward, as a

@@ -46,9 +46,9 @@ impl LensInformation {
             matrix[(at, at)] = std(names[*index]).powi(-2);
         }
         // The covariance of fx = f (1 + a / 2) and fy = f (1 − a / 2), inverted.
-        let (common, apart) =
+        let (common, differing) =
             ((PRIOR_FOCAL * focal_px).powi(2), (0.5 * PRIOR_ASPECT * focal_px).powi(2));
-        let (own, shared) = (common + apart, common - apart);
+        let (own, shared) = (common + differing, common - differing);
         let determinant = own * own - shared * shared;
         for (row, column) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
             matrix[(row, column)] = if row == column { own } else { -shared } / determinant;

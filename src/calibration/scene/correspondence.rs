@@ -38,7 +38,7 @@ impl SceneImage {
 
 /// What the matches of all pairs of images say.
 #[derive(Debug, Clone)]
-pub(super) struct Correspondence {
+pub(super) struct ImagePairs {
     pub problem: SceneProblem,
     /// Pairs with an epipolar geometry.
     pub general: Vec<ImagePair>,
@@ -57,7 +57,7 @@ const PREVIEWED: usize = 600;
 const LEAST_PREVIEWED: usize = 6;
 
 /// Matches and verifies all pairs of `images`, with `threads` threads.
-pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize) -> Correspondence {
+pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize) -> ImagePairs {
     let table = |image: &SceneImage, count: usize| {
         let descriptors = &image.features.descriptors;
         DescriptorTable::new(&descriptors[..count.min(descriptors.len())])
@@ -80,7 +80,7 @@ pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize)
         let geometry = two_view_geometry(&points, size)?;
         Some((matches, points, geometry))
     });
-    let mut found = Correspondence {
+    let mut found = ImagePairs {
         problem: SceneProblem { image_size: size, images: images.len(), tracks: Vec::new() },
         general: Vec::new(),
         rotated: Vec::new(),
@@ -104,7 +104,7 @@ pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize)
     found
 }
 
-impl Correspondence {
+impl ImagePairs {
     fn add_pair(
         &mut self,
         (first, second): (usize, usize),

@@ -90,7 +90,7 @@ pub enum SceneRefusal {
         /// The lens asked for.
         model: crate::geometry::lens::LensModel,
     },
-    /// The numbers fell apart.
+    /// The solution is not finite.
     #[error(
         "no lens fits the images: give sharp images of one static scene by one camera with fixed zoom and focus"
     )]

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
-use crate::calibration::scene::correspondence::{Correspondence, SceneImage, correspond};
+use crate::calibration::scene::correspondence::{ImagePairs, SceneImage, correspond};
 use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
@@ -104,7 +104,7 @@ fn middle(mut counts: Vec<usize>) -> usize {
 }
 
 fn reconstruction(
-    found: &Correspondence,
+    found: &ImagePairs,
     options: &SceneOptions,
 ) -> Result<Reconstruction, SceneRefusal> {
     let between_neighbors = middle(found.between_neighbors.clone());
@@ -136,7 +136,7 @@ fn check_rotation(start: &Reconstruction) -> Result<(), SceneRefusal> {
 fn check_determined(
     fit: &LensFit,
     conditions: &SceneConditions,
-    found: &Correspondence,
+    found: &ImagePairs,
     start: &Reconstruction,
 ) -> Result<(), SceneRefusal> {
     let (used, images) = (start.images.len(), found.problem.images);
@@ -167,7 +167,7 @@ fn finished(
     images: &[SceneImage],
     start: &Reconstruction,
     fit: &LensFit,
-    (conditions, found): (&SceneConditions, &Correspondence),
+    (conditions, found): (&SceneConditions, &ImagePairs),
 ) -> SceneCalibration {
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
     let (lens, size) = (state.lens, found.problem.image_size);

@@ -97,7 +97,7 @@ fn focal(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
 
 fn projections(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     let Some(map) = evidence.map else {
-        let reason = "nothing tells where in the image projections can be trusted".to_owned();
+        let reason = "it is not known where in the image projections can be trusted".to_owned();
         return Some((Grade::Poor, reason));
     };
     let seen: Vec<f64> = map.std_px.iter().flatten().copied().collect();

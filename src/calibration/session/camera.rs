@@ -22,7 +22,7 @@ use crate::geometry::target::Target;
 pub const LEAST_VIEWS: usize = 3;
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
-/// So many frames in a row with the same obstacle, and the operator is told.
+/// Consecutive frames with the same obstacle before the operator is informed.
 const OBSTACLE_FRAMES: u32 = 4;
 
 /// Placements that differ by so many steps teach a lens that nothing is known of yet.

@@ -45,7 +45,7 @@ impl SessionRecord {
         }
     }
 
-    /// By itself, where `finish` is reached: its frames tell the time.
+    /// Ends by itself where `finish` is reached; the time is that of its frames.
     pub(super) fn solve_or_fail_by_itself(&mut self, enough: Result<(), String>) -> Vec<Action> {
         let now_ns = self.started_at_ns.saturating_add((self.collecting_s * 1e9) as i64);
         self.solve_or_fail(enough, now_ns)

@@ -98,7 +98,7 @@ fn new_placements_are_kept_and_known_ones_named() {
 }
 
 #[test]
-fn each_reason_is_counted_and_told() {
+fn each_reason_is_counted_and_reported() {
     let mut session = session(None);
     let still = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
     let shifted = detection_at(Vector3::new(0.02, 0.0, 0.5), Vector3::zeros());
@@ -141,18 +141,18 @@ fn a_pile_of_photographs_has_no_motion() {
 fn one_estimate_at_a_time_and_the_newest_views_at_the_end() {
     let mut session = session(None);
     let detections = placements();
-    let wished = |actions: &[Action]| {
+    let requested = |actions: &[Action]| {
         actions.iter().filter(|action| **action == Action::Estimate(0)).count()
     };
     assert_eq!(
-        wished(&feed(&mut session, 0, &detections[..6])),
+        requested(&feed(&mut session, 0, &detections[..6])),
         1,
         "the third view asks, the others wait"
     );
     assert_eq!(session.estimated(0, estimate_of(3, 0.5)), [Action::Announce, Action::Estimate(0)]);
     assert_eq!(session.estimated(0, estimate_of(6, 0.4)), [Action::Announce]);
     assert!(!session.camera(0).unwrap().is_estimating());
-    assert_eq!(wished(&feed(&mut session, 6, &detections[6..7])), 1);
+    assert_eq!(requested(&feed(&mut session, 6, &detections[6..7])), 1);
     session.estimated(0, None);
     assert_eq!(
         session.record().estimate.unwrap().views,
@@ -299,16 +299,16 @@ fn a_resumed_session_is_the_one_that_was() {
 }
 
 #[test]
-fn the_operator_is_told_what_lasts_and_not_what_flickers() {
+fn the_operator_learns_what_lasts_and_not_what_flickers() {
     let mut session = session(None);
     let no_board = || Err(Rejection::NoBoard(NoBoard::NoCorners));
     let message = |session: &Session| session.record().guidance.message.clone();
     feed(&mut session, 0, &placements()[..1]);
-    let wish = message(&session);
+    let suggestion = message(&session);
     (1..4).for_each(|n| {
         session.observe_frame(frame(n), no_board());
     });
-    assert_eq!(message(&session), wish);
+    assert_eq!(message(&session), suggestion);
     let actions = session.observe_frame(frame(4), no_board()).unwrap().actions;
     assert_eq!(
         (message(&session).as_str(), actions),

@@ -291,7 +291,7 @@ mod tests {
     fn what_cannot_be_is_refused_at_its_line_or_key() {
         let table = [
             ("fps = 0", ": fps: 0 is impossible; write 0.1 to 1000"),
-            ("\ncolour = 1", ":2: unknown field `colour`"),
+            ("\npaint = 1", ":2: unknown field `paint`"),
             ("[board]\ncols = 2", ": board: a board of 2x6 inner corners cannot be used"),
             ("[camera]\nwidth = 1", ": camera.width: 1 is impossible"),
             ("[camera]\nblur_px = nan", ": camera.blur_px: NaN is impossible"),

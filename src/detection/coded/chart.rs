@@ -1,18 +1,16 @@
-//! Where the nearest known crossings put another: a homography from the lattice to the image that
-//! is fitted to them alone, so that a lens may bend the rest.
+//! Predicts a crossing from the nearest known ones by a local homography from the lattice to the
+//! image: fitted to these alone, it follows a lens's distortion.
 
-use nalgebra::{Matrix3, SMatrix, SVector};
+use nalgebra::Matrix3;
 
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
+use crate::detection::grid::perspective::{HomographyVector, NormalMatrix};
 use crate::detection::measure::cross::Vec2;
 
-type Normal = SMatrix<f64, 8, 8>;
-type Right = SVector<f64, 8>;
-
-/// How far around a place crossings are gathered, in lines, nearest first.
+/// Radii around a place within which crossings are gathered, in grid lines, tried in this order.
 const REACHES: [i32; 3] = [2, 4, 9];
-/// With so many no more are gathered.
+/// Number of crossings at which gathering stops.
 const ENOUGH: usize = 8;
 /// Weight of the assumption that there is no perspective, over that of one crossing: a few
 /// crossings with a noise of 2 % of their spread say less.
@@ -21,14 +19,14 @@ const FLAT: f64 = 0.004;
 /// A homography from lattice to image, near one place.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chart {
-    h: Right,
+    h: HomographyVector,
     middle: [f64; 2],
     spread: f64,
     mean: [f64; 2],
     scale: f64,
 }
 
-/// A crossing: where in the lattice, where in the image, how much it counts.
+/// A crossing: its place in the lattice, its pixel, and its weight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct ChartPair {
     pub place: [f64; 2],
@@ -62,7 +60,7 @@ impl Chart {
         };
         let spread = spread_of(|pair| pair.place, middle);
         let scale = spread_of(|pair| pair.pixel, mean);
-        let (mut normal, mut right) = (Normal::zeros(), Right::zeros());
+        let (mut normal, mut right) = (NormalMatrix::zeros(), HomographyVector::zeros());
         normal[(6, 6)] = FLAT * total;
         normal[(7, 7)] = FLAT * total;
         for pair in pairs {

@@ -6,8 +6,10 @@ use nalgebra::{SMatrix, SVector};
 use crate::detection::grid::{Grid, in_steps};
 use crate::detection::measure::cross::Vec2;
 
-type Normal = SMatrix<f64, 8, 8>;
-type Right = SVector<f64, 8>;
+/// Normal equations of the eight parameters of a homography with h₃₃ = 1.
+pub(in crate::detection) type NormalMatrix = SMatrix<f64, 8, 8>;
+/// The eight parameters, row by row, or their right-hand side.
+pub(in crate::detection) type HomographyVector = SVector<f64, 8>;
 
 /// A homography from grid indices to pixels, fitted to all corners of a grid.
 ///
@@ -15,7 +17,7 @@ type Right = SVector<f64, 8>;
 /// = 1 + h₃₁i + h₃₂j, indices counted from the grid's middle and pixels from the corners' mean.
 #[derive(Debug, Clone, Copy)]
 pub(in crate::detection) struct Perspective {
-    h: Right,
+    h: HomographyVector,
     middle: (f64, f64),
     mean: Vec2,
     scale: f64,
@@ -41,14 +43,14 @@ impl Perspective {
         let middle =
             (f64::from(bounds.i.0 + bounds.i.1) / 2.0, f64::from(bounds.j.0 + bounds.j.1) / 2.0);
         let scale = f64::from(spread.max(1.0));
-        let mut normal = Normal::zeros();
-        let mut right = Right::zeros();
+        let mut normal = NormalMatrix::zeros();
+        let mut right = HomographyVector::zeros();
         for (i, j, p) in pixels() {
             let (i, j) = (f64::from(i) - middle.0, f64::from(j) - middle.1);
             let (x, y) = (f64::from(p.x - mean.x) / scale, f64::from(p.y - mean.y) / scale);
             for (row, value) in [
-                (Right::from([i, j, 1.0, 0.0, 0.0, 0.0, -i * x, -j * x]), x),
-                (Right::from([0.0, 0.0, 0.0, i, j, 1.0, -i * y, -j * y]), y),
+                (HomographyVector::from([i, j, 1.0, 0.0, 0.0, 0.0, -i * x, -j * x]), x),
+                (HomographyVector::from([0.0, 0.0, 0.0, i, j, 1.0, -i * y, -j * y]), y),
             ] {
                 normal += row * row.transpose();
                 right += row * value;

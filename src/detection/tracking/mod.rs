@@ -35,8 +35,6 @@ pub struct TrackedBoard {
     pub followed: bool,
 }
 
-pub use TrackedBoard as Sighting;
-
 /// Tracks a board from image to image.
 #[derive(Debug, Default)]
 pub(in crate::detection) struct Tracker {

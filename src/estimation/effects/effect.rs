@@ -38,7 +38,7 @@ impl Effect {
     }
 }
 
-/// Which effects are looked for, and which are in the model whatever the evidence.
+/// Which effects are tested, and which are in the model whatever the evidence.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) shape: bool,

@@ -238,8 +238,7 @@ impl<'a> Reduced<'a> {
         }
     }
 
-    /// The noise's variance at the mode, and how many residuals more than unknowns tell of it,
-    /// without the posterior.
+    /// The noise's variance at the mode and its degrees of freedom, without the posterior.
     fn noise(&self, state: &EffectsState) -> (f64, f64) {
         // Through the factor alone: gᵀ S⁻¹ g = |L⁻¹ g|².
         let scaled = self.gradient.component_mul(&self.scale);

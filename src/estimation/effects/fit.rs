@@ -36,21 +36,21 @@ pub(crate) struct Corners {
     pub(crate) limit: f64,
 }
 
-/// Fewer views than this tell nothing beyond lens and poses.
+/// Fewer views than this determine nothing beyond lens and poses.
 const MIN_VIEWS: usize = 3;
 
 /// Rounds of choosing corners anew.
 const MAX_ROUNDS: usize = 4;
 
-/// Looks for effects from a plain fit of one camera. `None` where there are none, or nothing could
-/// tell.
+/// Estimates effects, starting from a plain fit of one camera. `None` where there are none, or the
+/// views do not determine them.
 pub(crate) fn fit_effects(
     plain: &CameraFit,
     size: [f64; 2],
     wanted: Wanted,
 ) -> Option<(EffectsFit, Corners)> {
     let [width, rows] = size;
-    let wanted = hints::worth_looking(plain, size, wanted)?;
+    let wanted = hints::plausible(plain, size, wanted)?;
     let basis = BoardBasis::of(&plain.observations, true)?;
     let layout = &plain.layout;
     let mut corners = Corners {

@@ -1,6 +1,6 @@
-//! Whether there is anything to look for: score tests (C. R. Rao, 1948) of a smooth board shape, of
-//! each corner's own offset and of motion, at the plain minimum. They cost a part of one step, which
-//! is all that a flat board before a global shutter has to pay.
+//! Which effects are plausible: score tests (C. R. Rao, 1948) of a smooth board shape, of
+//! each corner's own offset and of motion, at the plain minimum. They cost a part of one step,
+//! which is all that a flat board before a global shutter has to pay.
 
 use nalgebra::DMatrix;
 
@@ -10,15 +10,11 @@ use crate::estimation::effects::effect::Wanted;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::{System, ViewPart};
 
-/// A sum of squares beyond its expectation by this many standard deviations is worth a closer look.
+/// A sum of squares beyond its expectation by this many standard deviations is a hint.
 const HINT: f64 = 2.0;
 
-/// What of `wanted` is worth looking for; `None` for nothing.
-pub(super) fn worth_looking(
-    fit: &CameraFit,
-    [_, rows]: [f64; 2],
-    wanted: Wanted,
-) -> Option<Wanted> {
+/// The effects of `wanted` that the residuals hint at; `None` for none.
+pub(super) fn plausible(fit: &CameraFit, [_, rows]: [f64; 2], wanted: Wanted) -> Option<Wanted> {
     let good = fit.some_views();
     let basis = BoardBasis::of(&fit.observations, false)?;
     let (layout, observations) = (&fit.layout, &fit.observations);

@@ -11,7 +11,7 @@ use crate::estimation::effects::system::ViewColumns;
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::robust::Loss;
 
-/// Views whose influence is looked at, at most.
+/// Views whose influence is computed, at most.
 const MAX_INFLUENCES: usize = 60;
 
 /// Steps of conjugate gradients: the equations without a view differ from those with it in a few

@@ -12,7 +12,7 @@
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `fit` |
 //! | what was found | `effects_fit` |
-//! | whether it is worth looking at all | `hints` |
+//! | whether effects are plausible at all | `hints` |
 //! | whether motion is a rolling shutter's | `shutter` |
 //! | what each view does to the lens | `influence` |
 //! | dense factors | `dense` |

@@ -7,7 +7,7 @@ use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::geometry::pixel::Pixel;
 
-/// What is looked at.
+/// The observations, and what of them is modelled.
 #[derive(Clone, Copy)]
 pub(super) struct Scene<'a> {
     pub(super) layout: &'a Layout,

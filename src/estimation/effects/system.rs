@@ -1,9 +1,9 @@
 //! The normal equations of lens, board shape, poses and motions at one state, with the poses
-//! eliminated: what every choice of variances starts from, without looking at a corner again.
+//! eliminated: what every choice of variances starts from, without another pass over the corners.
 //!
 //! Global columns: the lens's free parameters, the board's shape ([`BoardBasis`]). A view's own: six
 //! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
-//! apart because their variance is still to be found.
+//! because their variance is still to be estimated.
 
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 

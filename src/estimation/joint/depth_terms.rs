@@ -35,7 +35,7 @@ pub(crate) struct PlaneObservation {
 
 /// The derivatives of one residual: by global parameters, and by the board's pose in the sensor's
 /// frame.
-struct Row {
+struct DepthRow {
     residual: f64,
     globals: Vec<(usize, f64)>,
     by_pose: [f64; 6],
@@ -52,7 +52,7 @@ pub(crate) fn add_planes(
     (correction, correction_at): (&DepthCorrection, usize),
     (observations, free): (&[PlaneObservation], bool),
 ) -> Vec<Vec<f64>> {
-    let mut row = Row { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
+    let mut row = DepthRow { residual: 0.0, globals: Vec::new(), by_pose: [0.0; 6] };
     let residuals = observations.iter().map(|observation| {
         let chained = (observation.sensor != 0)
             .then(|| chain(state, (observation.sensor, observation.frame_set)));
@@ -89,7 +89,7 @@ pub(crate) fn add_planes(
 fn add_row(
     equations: &mut NormalEquations,
     (frame_set, free): (usize, bool),
-    row: &Row,
+    row: &DepthRow,
     by_board: &[f64; 6],
 ) {
     equations.cost += row.residual * row.residual;
@@ -124,7 +124,7 @@ fn linearize_tile(
     (layout, state): (&Layout, &State),
     (correction, correction_at): (&DepthCorrection, usize),
     (observation, index): (&PlaneObservation, usize),
-    row: &mut Row,
+    row: &mut DepthRow,
 ) -> bool {
     let (tile, inverse_std) = (&observation.tiles[index], observation.inverse_std[index]);
     let sensor_from_board = state.sensor_from_board(observation.sensor, observation.frame_set);

@@ -10,14 +10,13 @@
 //! | which parameters are free, and where each lies in the vector | [`Layout`] |
 //! | residuals, their derivatives, the loss | `linearize` |
 //! | normal equations, board poses eliminated (Schur complement) | `normal` |
-//! | the same for each observation by itself, to be put together in parts | `apart` |
+//! | the same for each observation separately, to be assembled for any subset | `per_observation` |
 //! | steps: Levenberg–Marquardt with a gain ratio | `minimize` |
 //!
 //! One camera is a rig of one sensor whose `sensor_from_rig` is the identity. Points are relative
 //! to a common center, so that a pose's rotation and translation hardly depend on each other. Cost
 //! per iteration is linear in the number of views; no result depends on threads.
 
-pub(crate) mod apart;
 pub(crate) mod depth_terms;
 pub(crate) mod free_lens;
 #[cfg(test)]
@@ -25,6 +24,7 @@ mod jacobian_tests;
 pub(crate) mod linearize;
 pub(crate) mod minimize;
 pub(crate) mod normal;
+pub(crate) mod per_observation;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 

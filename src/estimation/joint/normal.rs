@@ -22,7 +22,7 @@ pub(crate) struct NormalEquations {
     /// Per observation, per corner: (projected − observed) / std; infinite where nothing is projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
     /// Per observation, what it said by itself; empty where equations were put together otherwise.
-    pub(crate) apart: Vec<LocalEquations>,
+    pub(crate) local: Vec<LocalEquations>,
 }
 
 /// The part of one frame set.
@@ -60,7 +60,7 @@ pub(crate) fn linearize_within(
     let mut equations = NormalEquations::empty(layout.len, state.rig_from_board.len());
     equations.residuals =
         observations.iter().map(|observation| vec![[0.0; 2]; observation.points.len()]).collect();
-    equations.apart.reserve_exact(observations.len());
+    equations.local.reserve_exact(observations.len());
     for (index, observation) in observations.iter().enumerate() {
         let mut local = LocalEquations::default();
         let results = (equations.residuals[index].as_mut_slice(), &mut local);
@@ -72,7 +72,7 @@ pub(crate) fn linearize_within(
             .pose_at
             .map(|_| chain(state, (observation.sensor, observation.frame_set)));
         equations.add(layout, (observation.sensor, observation.frame_set), chained, &local);
-        equations.apart.push(local);
+        equations.local.push(local);
     }
     equations.mirror();
     Some(equations)
@@ -88,7 +88,7 @@ impl NormalEquations {
             frame_sets: vec![LocalBlock::default(); frame_sets],
             coupling: vec![[0.0; 6]; frame_sets * global],
             residuals: Vec::new(),
-            apart: Vec::new(),
+            local: Vec::new(),
         }
     }
 
@@ -165,7 +165,7 @@ impl NormalEquations {
         }
     }
 
-    /// How many frame sets any corner tells of.
+    /// How many frame sets have a corner.
     pub(crate) fn seen_frame_sets(&self) -> usize {
         self.frame_sets.iter().filter(|block| block.hessian[0][0] > 0.0).count()
     }
@@ -250,8 +250,8 @@ impl NormalEquations {
         covariance.iter().all(|v| v.is_finite()).then_some(covariance)
     }
 
-    /// What one frame set alone tells of the global parameters, its pose eliminated, where these are
-    /// the equations of that frame set: its part of the Schur complement and its gradient.
+    /// One frame set's part of the Schur complement and of its gradient, the pose eliminated, where
+    /// these are the equations of that frame set.
     pub(crate) fn reduced(&self, frame_set: usize) -> Option<(DMatrix<f64>, DVector<f64>)> {
         let size = self.global_gradient.len();
         let block = &self.frame_sets[frame_set];

@@ -1,5 +1,4 @@
-//! What corners tell: lenses, the board's poses, where the infrared camera is, and by how much it
-//! is later.
+//! Estimates from corners: lenses, the board's poses, the infrared camera's pose, and its delay.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
@@ -8,7 +7,7 @@ use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{NormalEquations, Step, chain};
 use crate::estimation::joint::{BoardObservation, Layout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
-use crate::estimation::rgbd::pose_jitter::{Apart, PoseJitter, eliminate, pose_part};
+use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
 use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, shifted};
 use crate::estimation::robust::Loss;
 use crate::geometry::median::median;
@@ -24,32 +23,32 @@ pub(super) struct CornerBlocks {
     pub(super) covariance: DMatrix<f64>,
     /// What points are counted from, in the board frame.
     pub(super) center: Vector3<f64>,
-    /// By how much infrared and depth are later, where views tell.
+    /// By how much infrared and depth are later, where the views determine it.
     pub(super) time_offset: Option<TimeOffset>,
-    /// Views whose infrared picture is of another moment than even this says.
-    pub(super) apart: Vec<usize>,
+    /// Views whose infrared image was taken at another time than even this says.
+    pub(super) separate_in_time: Vec<usize>,
 }
 
-/// CornerBlocks further off than this many standard deviations take no part.
+/// Residual limit of an inlier, in standard deviations.
 const CORNER_LIMIT: f64 = 5.0;
 
-/// Infrared pictures whose board is further from color's than this, as a χ² of six, are of another
-/// moment.
+/// χ² of six degrees of freedom between color's and infrared's board above which the images were
+/// taken at different times.
 const VIEW_LIMIT: f64 = 36.0;
 
-/// How often noise, pose_jitter and what takes part are looked at again.
+/// Most rounds of estimating noise, pose jitter and inliers anew.
 const ROUNDS: usize = 10;
 
 /// Everything that is estimated.
 #[derive(Clone)]
-struct Whole {
+struct CornerState {
     rig: State,
     /// In seconds.
     offset_s: f64,
 }
 
 /// What is fixed while the rest is estimated.
-struct Problem {
+struct CornerProblem {
     layout: Layout,
     observations: Vec<BoardObservation>,
     /// Each frame set's, about the rig's axes and with the velocity of the board's center.
@@ -64,7 +63,7 @@ struct Problem {
 impl CornerBlocks {
     /// Two ways where the board's motion is known: each board moved on to when infrared was taken,
     /// or taken as it was for views in which it stood still, the others left out. The one that
-    /// knows the sensors' pose better is right: velocities can be wrong where frames are far apart,
+    /// knows the sensors' pose better is right: velocities can be wrong where frames are rare,
     /// and hardly a view may be still.
     pub(super) fn fit(problem: &RgbdProblem) -> Option<Self> {
         let as_taken = Self::fit_one(&RgbdProblem { time_offset: None, ..problem.clone() });
@@ -75,7 +74,11 @@ impl CornerBlocks {
         if unsure(&moved_on) <= unsure(&as_taken) {
             return moved_on;
         }
-        as_taken.map(|corners| Self { time_offset: Some(offset), apart: Vec::new(), ..corners })
+        as_taken.map(|corners| Self {
+            time_offset: Some(offset),
+            separate_in_time: Vec::new(),
+            ..corners
+        })
     }
 
     /// How uncertain the sensors' pose is: the variance of where a point 1 m away is, in m².
@@ -99,23 +102,23 @@ impl CornerBlocks {
                 .collect(),
             warp: [0.0; 2],
         };
-        let mut whole = Whole {
+        let mut whole = CornerState {
             rig: start,
             offset_s: problem.time_offset.map_or(0.0, |offset| offset.seconds),
         };
-        let mut posed = Problem::of(problem, center);
+        let mut posed = CornerProblem::of(problem, center);
         posed.start_jitter(&whole);
         for _ in 0..ROUNDS {
             let equations = posed.linearized(&whole)?;
-            let stepped = |whole: &Whole, step: &Step| posed.stepped(whole, step);
-            let linearized = |whole: &Whole| posed.linearized(whole);
+            let stepped = |whole: &CornerState, step: &Step| posed.stepped(whole, step);
+            let linearized = |whole: &CornerState| posed.linearized(whole);
             let count = posed
                 .observations
                 .iter()
                 .map(|s| 2 * s.used.iter().filter(|used| **used).count())
                 .sum();
             whole = walk((whole, equations), count, Stop::default(), (linearized, stepped)).0;
-            if posed.look_again(&whole) {
+            if posed.reweight(&whole) {
                 break;
             }
         }
@@ -127,7 +130,7 @@ impl CornerBlocks {
             ..before
         });
         let depth_state = posed.at_depth(&whole);
-        let apart = posed.frame_sets_apart();
+        let separate_in_time = posed.separate_in_time();
         Some(Self {
             layout: posed.layout,
             state: whole.rig,
@@ -136,7 +139,7 @@ impl CornerBlocks {
             covariance,
             center,
             time_offset,
-            apart,
+            separate_in_time,
         })
     }
 
@@ -148,7 +151,7 @@ impl CornerBlocks {
     }
 }
 
-impl Problem {
+impl CornerProblem {
     fn of(problem: &RgbdProblem, center: Vector3<f64>) -> Self {
         let mut lenses = vec![free(&problem.color, usize::MAX)];
         if problem.depth_lens == DepthLens::Infrared {
@@ -188,13 +191,13 @@ impl Problem {
             observations,
             motions,
             offset,
-            pose_jitter: PoseJitter { turn: 1e-10, shift: 1e-10 },
+            pose_jitter: PoseJitter { rotation: 1e-10, translation: 1e-10 },
             noise: 1.0,
         }
     }
 
     /// Each board where it was when infrared was taken, as far as its motion says.
-    fn later(&self, whole: &Whole) -> State {
+    fn later(&self, whole: &CornerState) -> State {
         let mut later = whole.rig.clone();
         for (pose, motion) in later.rig_from_board.iter_mut().zip(&self.motions) {
             if let Some(motion) = motion {
@@ -210,7 +213,7 @@ impl Problem {
         self.pose_jitter.covariance(&step)
     }
 
-    fn linearized(&self, whole: &Whole) -> Option<NormalEquations> {
+    fn linearized(&self, whole: &CornerState) -> Option<NormalEquations> {
         let later = self.later(whole);
         let mut equations = NormalEquations::empty(self.layout.len, whole.rig.rig_from_board.len());
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
@@ -270,7 +273,7 @@ impl Problem {
         .then_some(())
     }
 
-    /// The time's part of an infrared picture's equations: it moves the board by its motion.
+    /// The time offset's part of an infrared image's equations: it moves the board by its motion.
     fn add_offset(
         &self,
         equations: &mut NormalEquations,
@@ -302,15 +305,15 @@ impl Problem {
         coupling.iter_mut().zip(by_pose.iter()).for_each(|(coupling, by)| *coupling += by);
     }
 
-    fn stepped(&self, whole: &Whole, step: &Step) -> Option<Whole> {
+    fn stepped(&self, whole: &CornerState, step: &Step) -> Option<CornerState> {
         let rig = whole.rig.stepped(&self.layout, &step.global, &step.frame_sets)?;
         let offset_s = whole.offset_s + self.offset.map_or(0.0, |(at, _)| step.global[at]);
-        Some(Whole { rig, offset_s })
+        Some(CornerState { rig, offset_s })
     }
 
-    /// How far infrared is from color in each of its observations; `None` where color saw nothing, or a
-    /// observation takes no part at all.
-    fn apart(&self, whole: &Whole) -> Vec<Option<Apart>> {
+    /// Infrared's board pose against color's in each of its observations; `None` where color saw
+    /// nothing, or the observation cannot be linearized.
+    fn differences(&self, whole: &CornerState) -> Vec<Option<PoseDifference>> {
         let later = self.later(whole);
         let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
         let mut by_color: Vec<Option<Matrix6<f64>>> = vec![None; self.motions.len()];
@@ -339,37 +342,40 @@ impl Problem {
                 let both = part.zip(by_color[observation.frame_set]);
                 let variances = self.variances(observation.frame_set);
                 found.push(both.and_then(|((square, gradient), by_color)| {
-                    Apart::of((&square, &gradient), &by_color, variances)
+                    PoseDifference::of((&square, &gradient), &by_color, variances)
                 }));
             }
         }
         found
     }
 
-    fn start_jitter(&mut self, whole: &Whole) {
+    fn start_jitter(&mut self, whole: &CornerState) {
         if self.layout.sensors.len() > 1 {
-            let apart: Vec<Apart> = self.apart(whole).into_iter().flatten().collect();
-            self.pose_jitter = PoseJitter::of_middle(&apart);
-            let apart = self.apart(whole);
-            for (observation, apart) in self.observations.iter_mut().zip(apart) {
-                observation.used.fill(apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT));
+            let differences: Vec<PoseDifference> =
+                self.differences(whole).into_iter().flatten().collect();
+            self.pose_jitter = PoseJitter::of_middle(&differences);
+            let differences = self.differences(whole);
+            for (observation, difference) in self.observations.iter_mut().zip(differences) {
+                observation
+                    .used
+                    .fill(difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT));
             }
         }
     }
 
-    /// Noise, pose_jitter and what takes part anew; answers whether all has settled.
-    fn look_again(&mut self, whole: &Whole) -> bool {
+    /// Estimates noise, pose jitter and inliers anew; returns whether they have converged.
+    fn reweight(&mut self, whole: &CornerState) -> bool {
         let later = self.later(whole);
-        let apart = self.apart(whole);
+        let differences = self.differences(whole);
         let residuals: Vec<Vec<[f64; 2]>> = self
             .observations
             .iter()
-            .zip(&apart)
-            .map(|(observation, apart)| {
+            .zip(&differences)
+            .map(|(observation, difference)| {
                 let mut state =
                     if observation.sensor == 0 { whole.rig.clone() } else { later.clone() };
-                if let Some(apart) = apart {
-                    let pose_jitter: [f64; 6] = apart.pose_jitter.into();
+                if let Some(difference) = difference {
+                    let pose_jitter: [f64; 6] = difference.pose_jitter.into();
                     let moved_pose =
                         moved(&state.sensor_from_board(1, observation.frame_set), &pose_jitter);
                     state.rig_from_board[observation.frame_set] =
@@ -378,25 +384,27 @@ impl Problem {
                 state.residuals(&self.layout, observation)
             })
             .collect();
-        let together =
-            |apart: &Option<Apart>| apart.is_none_or(|apart| apart.surprise <= VIEW_LIMIT);
-        let infrared = self.observations.iter().zip(&residuals).zip(&apart);
-        let infrared =
-            infrared.filter(|((observation, _), apart)| observation.sensor == 1 && together(apart));
+        let together = |difference: &Option<PoseDifference>| {
+            difference.is_none_or(|difference| difference.surprise <= VIEW_LIMIT)
+        };
+        let infrared = self.observations.iter().zip(&residuals).zip(&differences);
+        let infrared = infrared.filter(|((observation, _), difference)| {
+            observation.sensor == 1 && together(difference)
+        });
         let noise = median(infrared.map(|((_, residuals), _)| rms(residuals)).collect())
             .unwrap_or(1.0)
             .max(1.0);
-        let pose_jitter = self
-            .pose_jitter
-            .next(apart.iter().flatten().filter(|apart| apart.surprise <= VIEW_LIMIT));
+        let pose_jitter = self.pose_jitter.next(
+            differences.iter().flatten().filter(|difference| difference.surprise <= VIEW_LIMIT),
+        );
         let mut settled =
             (noise / self.noise - 1.0).abs() < 0.02 && pose_jitter.is_near(self.pose_jitter);
-        for ((observation, residuals), apart) in
-            self.observations.iter_mut().zip(&residuals).zip(&apart)
+        for ((observation, residuals), difference) in
+            self.observations.iter_mut().zip(&residuals).zip(&differences)
         {
             let limit = CORNER_LIMIT * if observation.sensor == 1 { noise } else { 1.0 };
             for (used, [x, y]) in observation.used.iter_mut().zip(residuals) {
-                let next = together(apart) && x.hypot(*y) <= limit;
+                let next = together(difference) && x.hypot(*y) <= limit;
                 settled &= next == *used;
                 *used = next;
             }
@@ -405,22 +413,23 @@ impl Problem {
         settled || self.layout.sensors.len() == 1
     }
 
-    /// Each board where infrared saw it: by its motion and its pose_jitter, or by infrared alone where
-    /// that is of another moment.
-    fn at_depth(&self, whole: &Whole) -> State {
+    /// Each board where infrared saw it: by its motion and its pose jitter, or by infrared alone where
+    /// that was taken at another time.
+    fn at_depth(&self, whole: &CornerState) -> State {
         let mut later = self.later(whole);
-        for (observation, apart) in self.observations.iter().zip(self.apart(whole)) {
-            let Some(apart) = apart else { continue };
+        for (observation, difference) in self.observations.iter().zip(self.differences(whole)) {
+            let Some(difference) = difference else { continue };
             let alone = !observation.used.contains(&true);
-            let step: [f64; 6] = if alone { apart.apart } else { apart.pose_jitter }.into();
+            let step: [f64; 6] =
+                if alone { difference.by_infrared } else { difference.pose_jitter }.into();
             let pose = moved(&later.sensor_from_board(1, observation.frame_set), &step);
             later.rig_from_board[observation.frame_set] = later.sensor_from_rig[1].inverse() * pose;
         }
         later
     }
 
-    /// The frame sets whose infrared picture takes no part.
-    fn frame_sets_apart(&self) -> Vec<usize> {
+    /// The frame sets whose infrared image is not used.
+    fn separate_in_time(&self) -> Vec<usize> {
         let unused = self
             .observations
             .iter()

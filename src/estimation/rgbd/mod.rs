@@ -1,14 +1,14 @@
 //! Color, infrared and depth as one instrument: lenses, where the sensors are, and the depth
 //! camera's systematic error, with the covariance of what follows from it.
 //!
-//! Corners and planes are not weighed against each other: a depth camera's unknown systematic error
-//! is as large as what its planes could add to corners, and would bend the lenses towards it. So
-//! corners (color, and infrared where it sees the board) come first and decide lenses, poses and
-//! the sensors' pose; planes then tell what is left: the correction, and for a camera without an
-//! infrared picture its lens and pose. The covariance of the corners' answer is carried into the
-//! planes'.
+//! Corners and planes are not weighted against each other: a depth camera's unknown systematic error
+//! is as large as what its planes could add to corners, and would bias the lenses. So corners
+//! (color, and infrared where it sees the board) come first and determine lenses, board poses and
+//! the sensors' relative pose; planes then determine the rest: the correction, and for a camera
+//! without an infrared image its lens and pose. The covariance of the corners' estimate is carried
+//! into the planes'.
 //!
-//! The depth picture is the infrared camera's where there is one: they share lens and pose.
+//! Depth is measured by the infrared camera where there is one: they share lens and pose.
 
 mod corners;
 pub mod motion;

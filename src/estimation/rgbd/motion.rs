@@ -33,10 +33,10 @@ pub struct TimeOffset {
     pub jitter_s: f64,
 }
 
-/// Poses further apart in time than this many times the middle distance are not one motion.
+/// Poses further from each other in time than this many times the median distance are not one motion.
 const GAP: f64 = 2.5;
 
-/// The longest time between poses that tell of a velocity, in seconds.
+/// The longest time between poses that determine a velocity, in seconds.
 const LONGEST_S: f64 = 0.5;
 
 /// The board's motion at each of `moments` (time in seconds, rising, and where the board was);
@@ -44,10 +44,10 @@ const LONGEST_S: f64 = 0.5;
 pub fn board_motions(moments: &[(f64, Pose)]) -> Vec<Option<BoardMotion>> {
     let mut motions = vec![None; moments.len()];
     let gaps: Vec<f64> = moments.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    let Some(usual) = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect()) else {
+    let Some(median_gap) = median(gaps.iter().copied().filter(|gap| *gap > 0.0).collect()) else {
         return motions;
     };
-    let together = |gap: f64| gap > 0.0 && gap <= (GAP * usual).min(LONGEST_S);
+    let together = |gap: f64| gap > 0.0 && gap <= (GAP * median_gap).min(LONGEST_S);
     let mut first = 0;
     for end in 1..=moments.len() {
         if end < moments.len() && together(gaps[end - 1]) {
@@ -130,23 +130,23 @@ pub struct SeenByBoth {
     pub second_from_board: Pose,
 }
 
-/// At least this many moments tell of a time.
-const LEAST_MOMENTS: usize = 8;
+/// Least number of frame sets that determine a time.
+const LEAST_FRAME_SETS: usize = 8;
 
-/// A moment is of another picture altogether if it is off by this many standard deviations, and by
-/// this many times what the time that was found explains.
+/// A frame set is an outlier (its images of different times) if its residual exceeds this many
+/// standard deviations, and this many times what the estimated time explains.
 const LIMIT: [f64; 2] = [6.0, 2.0];
 
 /// The median of χ² with six degrees of freedom.
 const MEDIAN_OF_SIX: f64 = 5.348;
 
 /// By how much the second sensor is later, given about where it is. `center` is the board's middle
-/// and `radius` about its half width, in meters: the length that weighs turns against shifts.
-/// `None` for too few moments, or a board that never moves.
+/// and `radius` about its half width, in meters: the length that weighs rotations against
+/// translations. `None` for too few frame sets, or a board that never moves.
 ///
-/// Frames too far apart to follow the motion leave velocities too high at one moment and too low at
-/// the next, which cancel in least squares but not in a robust fit. So moments count alike, but for
-/// pictures of another moment, and the variance is that of what is left (H. White, *A
+/// Frames too far from each other to follow the motion give velocities too high at one and too low
+/// at the next, which cancel in least squares but not in a robust fit. So frame sets weigh the same,
+/// but for outliers, and the variance is that of the residuals (H. White, *A
 /// heteroskedasticity-consistent covariance matrix estimator*, 1980).
 pub fn time_offset(
     second_from_first: &Pose,
@@ -167,19 +167,18 @@ pub fn time_offset(
     }
     for _ in 0..3 {
         let lengths: Vec<f64> = rows.iter().map(|row| row.rest(&fit.0).norm()).collect();
-        let usual = (median(lengths.iter().map(|length| length * length).collect())?
-            / MEDIAN_OF_SIX)
+        let std = (median(lengths.iter().map(|length| length * length).collect())? / MEDIAN_OF_SIX)
             .sqrt();
-        let usual_speed = median(rows.iter().map(|row| row.speed).collect())?;
-        let explained = |row: &OffsetRow| fit.0[6].abs() * (row.speed + usual_speed);
+        let median_speed = median(rows.iter().map(|row| row.speed).collect())?;
+        let explained = |row: &OffsetRow| fit.0[6].abs() * (row.speed + median_speed);
         let wrong = |(row, length): (&OffsetRow, &f64)| {
-            *length > LIMIT[0] * usual * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
+            *length > LIMIT[0] * std * 6.0_f64.sqrt() && *length > LIMIT[1] * explained(row)
         };
         weights =
             rows.iter().zip(&lengths).map(|pair| if wrong(pair) { 0.0 } else { 1.0 }).collect();
         fit = solve(&rows, &weights)?;
     }
-    if weights.iter().filter(|weight| **weight > 0.0).count() < LEAST_MOMENTS {
+    if weights.iter().filter(|weight| **weight > 0.0).count() < LEAST_FRAME_SETS {
         return None;
     }
     let (answer, inverse) = fit;
@@ -200,10 +199,10 @@ pub fn time_offset(
     })
 }
 
-/// How far apart the two sensors see the board at one moment, in meters (turns times the radius),
+/// The difference of the two sensors' board poses in one frame set, in meters (rotations times radius),
 /// and by what.
 struct OffsetRow {
-    apart: SVector<f64, 6>,
+    difference: SVector<f64, 6>,
     /// By a turn and a shift of the sensors' pose, and by time.
     by: SMatrix<f64, 6, 7>,
     /// The length of its last column, in m/s.
@@ -228,12 +227,12 @@ impl OffsetRow {
         by.fixed_view_mut::<3, 3>(3, 3).copy_from(&Matrix3::identity());
         by.fixed_view_mut::<3, 1>(0, 6).copy_from(&spin);
         by.fixed_view_mut::<3, 1>(3, 6).copy_from(&speed);
-        let apart = SVector::from_iterator(turn.iter().chain(shift.iter()).copied());
-        Self { apart, by, speed: spin.norm().hypot(speed.norm()) }
+        let difference = SVector::from_iterator(turn.iter().chain(shift.iter()).copied());
+        Self { difference, by, speed: spin.norm().hypot(speed.norm()) }
     }
 
     fn rest(&self, answer: &SVector<f64, 7>) -> SVector<f64, 6> {
-        self.apart - self.by * answer
+        self.difference - self.by * answer
     }
 }
 
@@ -241,7 +240,7 @@ fn solve(rows: &[OffsetRow], weights: &[f64]) -> Option<(SVector<f64, 7>, SMatri
     let (mut square, mut right) = (SMatrix::<f64, 7, 7>::zeros(), SVector::<f64, 7>::zeros());
     for (row, weight) in rows.iter().zip(weights) {
         square += row.by.transpose() * row.by * *weight;
-        right += row.by.transpose() * row.apart * *weight;
+        right += row.by.transpose() * row.difference * *weight;
     }
     let covariance = square.cholesky()?.inverse();
     Some((covariance * right, covariance))

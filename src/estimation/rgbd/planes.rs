@@ -1,4 +1,4 @@
-//! What planes tell: the correction of depth, and for a depth camera without an infrared picture
+//! Estimates from planes: the correction of depth, and for a depth camera without an infrared image
 //! its lens and pose. The board's poses are those of the corners: held where infrared sees them
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
 //! not bend the lens.
@@ -19,13 +19,13 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
-/// Tiles further off than this many standard deviations of their own scatter take no part.
+/// Residual limit of an inlier tile, in standard deviations of the tiles' scatter.
 const LIMIT: f64 = 6.0;
 
 /// How far a tile's own noise can be believed: readings next to each other err together.
 const LEAST_READING_STDS: f64 = 0.1;
 
-/// What the planes tell.
+/// The problem of the planes.
 pub(super) struct Planes<'a> {
     problem: &'a RgbdProblem,
     layout: Layout,
@@ -44,7 +44,7 @@ struct Anchor {
 
 /// The planes' parameters.
 #[derive(Clone)]
-struct Whole {
+struct PlaneState {
     rig: State,
     correction: DepthCorrection,
 }
@@ -124,8 +124,8 @@ impl<'a> Planes<'a> {
         [depths().fold(f64::INFINITY, f64::min), depths().fold(0.0, f64::max)]
     }
 
-    /// Fits a correction of this form, and lens and pose where they are the planes' to tell. Tiles
-    /// are weighted by what they turn out to scatter, and those off the plane left out.
+    /// Fits a correction of this form, and lens and pose where planes determine them. Tiles are
+    /// weighted by their observed scatter, and outliers are left out.
     pub(super) fn fit(
         &mut self,
         start: &State,
@@ -135,16 +135,16 @@ impl<'a> Planes<'a> {
         let at = self.layout.len;
         let prior = Prior::of(&correction, smoothness);
         let layout = Layout { len: at + correction.coefficients.len(), ..self.layout.clone() };
-        let mut whole = Whole { rig: start.clone(), correction };
+        let mut whole = PlaneState { rig: start.clone(), correction };
         let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
         for round in 0..6 {
             let planes: Vec<PlaneObservation> =
                 self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();
-            let linearized = |whole: &Whole| {
+            let linearized = |whole: &PlaneState| {
                 linearized(&layout, (whole, &prior), at, (&planes, anchors)).map(|f| f.0)
             };
-            let stepped = |whole: &Whole, step: &Step| {
+            let stepped = |whole: &PlaneState, step: &Step| {
                 let rig = whole.rig.stepped(&layout, &step.global, &step.frame_sets)?;
                 let mut correction = whole.correction.clone();
                 for (coefficient, step) in
@@ -152,7 +152,7 @@ impl<'a> Planes<'a> {
                 {
                     *coefficient += step;
                 }
-                Some(Whole { rig, correction })
+                Some(PlaneState { rig, correction })
             };
             let count = planes.iter().map(|plane| plane.tiles.len()).sum::<usize>();
             if layout.len > 0 {
@@ -357,7 +357,7 @@ impl<'a> Planes<'a> {
             color_from_depth: depth_from_color.inverse(),
             color_from_depth_covariance: by_step * pose_covariance * by_step.transpose(),
             time_offset: corners.time_offset,
-            not_together: corners.apart.clone(),
+            not_together: corners.separate_in_time.clone(),
             color_from_board: corners.state.rig_from_board.iter().map(uncentered).collect(),
             following: self.following(),
             tile_noise: fit.tile_noise,
@@ -372,7 +372,7 @@ impl<'a> Planes<'a> {
 /// global parameter `at`, and every tile's residual.
 fn linearized(
     layout: &Layout,
-    (whole, prior): (&Whole, &Prior),
+    (whole, prior): (&PlaneState, &Prior),
     at: usize,
     (planes, anchors): (&[PlaneObservation], Option<&[Anchor]>),
 ) -> Option<(NormalEquations, Vec<Vec<f64>>)> {

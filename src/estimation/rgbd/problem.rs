@@ -26,7 +26,7 @@ pub struct RgbdView {
     pub surround: Vec<DepthTile>,
     /// About where the board was.
     pub color_from_board: Pose,
-    /// How fast it moved, where neighboring pictures tell.
+    /// Its velocity, where neighboring images determine it.
     pub motion: Option<BoardMotion>,
 }
 

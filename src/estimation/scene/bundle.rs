@@ -60,7 +60,7 @@ pub enum CameraMotion {
 }
 
 /// A linearized observation, in standard deviations.
-pub(super) struct Row {
+pub(super) struct PixelRow {
     pub camera: usize,
     pub pixel: Pixel,
     pub residual: Vector2<f64>,
@@ -108,7 +108,7 @@ impl Bundle {
     }
 
     /// The observations of one point, linearized. An observation behind its camera is left out.
-    pub(super) fn rows(&self, state: &SceneState, point: usize) -> Vec<Row> {
+    pub(super) fn rows(&self, state: &SceneState, point: usize) -> Vec<PixelRow> {
         let row = |seen: &SceneObservation| {
             let camera_from_scene = state.cameras_from_scene[seen.camera];
             let in_camera = camera_from_scene * state.points[point];
@@ -130,7 +130,7 @@ impl Bundle {
             for (k, parameter) in self.free.iter().enumerate() {
                 by_lens.set_column(k, &(projection.by_parameters.column(*parameter) * scale));
             }
-            Some(Row {
+            Some(PixelRow {
                 camera: seen.camera,
                 pixel: seen.pixel,
                 residual: residual * weight,
@@ -292,7 +292,7 @@ impl Bundle {
     }
 }
 
-fn add_lens(matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, row: &Row, lens: usize) {
+fn add_lens(matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, row: &PixelRow, lens: usize) {
     for i in 0..lens {
         let column = row.by_lens.column(i);
         gradient[i] += column.dot(&row.residual);
@@ -305,7 +305,7 @@ fn add_lens(matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>, row: &Row, l
 fn add_pose(
     matrix: &mut DMatrix<f64>,
     gradient: &mut DVector<f64>,
-    row: &Row,
+    row: &PixelRow,
     (start, lens): (usize, usize),
 ) {
     for i in 0..6 {

@@ -4,7 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, SymmetricEigen};
 
-use crate::estimation::scene::bundle::{Bundle, CameraMotion, Row, SceneState};
+use crate::estimation::scene::bundle::{Bundle, CameraMotion, PixelRow, SceneState};
 use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// What is known of the lens.
@@ -193,7 +193,7 @@ struct ImageInfluence {
 fn influences(
     bundle: &Bundle,
     state: &SceneState,
-    (point, rows): (usize, &[Row]),
+    (point, rows): (usize, &[PixelRow]),
     steps: &DMatrix<f64>,
 ) -> Option<Vec<ImageInfluence>> {
     let mut block = Matrix3::zeros();
@@ -203,7 +203,7 @@ fn influences(
     let held = bundle.held_length(&block, &state.points[point]);
     let inverse = (block + held).try_inverse()?;
     let lens = bundle.free.len();
-    let carried = |row: &Row| {
+    let carried = |row: &PixelRow| {
         let mut all: Matrix2xX<f64> = row.by_lens.columns(0, lens) * steps.rows(0, lens);
         if let Some(start) = bundle.pose_start(row.camera) {
             all += row.by_pose * steps.fixed_rows::<6>(start);
@@ -216,7 +216,7 @@ fn influences(
         by_point += row.by_point.tr_mul(carried);
     }
     let by_point = inverse * by_point;
-    let influence = |(row, carried): (&Row, Matrix2xX<f64>)| ImageInfluence {
+    let influence = |(row, carried): (&PixelRow, Matrix2xX<f64>)| ImageInfluence {
         by_residual: carried - row.by_point * &by_point,
         kept: Matrix2::identity() - row.by_point * inverse * row.by_point.transpose(),
     };

@@ -35,7 +35,7 @@ pub fn nearest_essential(matrix: &Matrix3<f64>) -> Matrix3<f64> {
     svd.recompose().unwrap_or(*matrix)
 }
 
-/// How far the two nonzero singular values of `matrix` are apart, over their sum: 0 for an
+/// The difference of the two nonzero singular values of `matrix`, over their sum: 0 for an
 /// essential matrix, at most 1.
 pub fn singular_gap(matrix: &Matrix3<f64>) -> f64 {
     let s = matrix.singular_values();

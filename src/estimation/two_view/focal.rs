@@ -1,4 +1,4 @@
-//! The focal length from the geometry of image pairs alone, where nothing else tells it.
+//! The focal length from the geometry of image pairs alone, where nothing else determines it.
 
 use nalgebra::Matrix3;
 

@@ -1,4 +1,4 @@
-//! Which of many correspondences agree on one model, without being told how precise they are.
+//! Which of many correspondences agree on one model, without knowledge of their precision.
 //!
 //! Samples are drawn, fitted and scored a contrario: of all residual limits the one whose inliers
 //! are the least likely to agree by chance (L. Moisan and B. Stival, *A probabilistic criterion to

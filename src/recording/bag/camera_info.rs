@@ -3,7 +3,7 @@
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::StatedLens;
-use crate::recording::bag::storage::{Header, Layout};
+use crate::recording::bag::storage::{MessageEncoding, RosHeader};
 use crate::recording::fields::TooShort;
 use crate::recording::messages::lens_from_ros;
 
@@ -20,9 +20,9 @@ pub(super) struct CameraInfo {
 }
 
 impl CameraInfo {
-    pub(super) fn read(layout: Layout, message: &[u8]) -> Result<Self, TooShort> {
+    pub(super) fn read(layout: MessageEncoding, message: &[u8]) -> Result<Self, TooShort> {
         let mut fields = layout.fields(message)?;
-        Header::read(layout, &mut fields)?;
+        RosHeader::read(layout, &mut fields)?;
         let (height, width) = (fields.u32()?, fields.u32()?);
         let model = fields.text()?;
         let count = fields.length()?;

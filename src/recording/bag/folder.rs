@@ -26,23 +26,23 @@ const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// A format of bag files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+enum BagFormat {
     Mcap,
     Sqlite,
     Ros1,
 }
 
 /// The format by a file's name, and whether it is compressed as a whole.
-fn format_of(path: &Path) -> Option<(Format, bool)> {
+fn format_of(path: &Path) -> Option<(BagFormat, bool)> {
     let name = path.file_name()?.to_str()?.to_ascii_lowercase();
     let (name, packed) = match name.strip_suffix(".zstd") {
         Some(name) => (name, true),
         None => (name.as_str(), false),
     };
     let format = match name.rsplit_once('.')?.1 {
-        "mcap" => Format::Mcap,
-        "db3" => Format::Sqlite,
-        "bag" => Format::Ros1,
+        "mcap" => BagFormat::Mcap,
+        "db3" => BagFormat::Sqlite,
+        "bag" => BagFormat::Ros1,
         _ => return None,
     };
     Some((format, packed))
@@ -74,7 +74,7 @@ pub(super) fn open(path: &Path) -> Result<Box<dyn BagStorage>, RecordingError> {
         vec![path.to_owned()]
     };
     let not_one = || RecordingError::NotARecording { path: path.to_owned() };
-    let first = Part::open(files.first().ok_or_else(not_one)?)?;
+    let first = BagFile::open(files.first().ok_or_else(not_one)?)?;
     let topics = first.storage.topics().to_vec();
     let places = (0..topics.len()).map(Some).collect();
     Ok(Box::new(Parts { files, at: 0, part: first, topics, places }))
@@ -134,7 +134,7 @@ struct Parts {
     files: Vec<PathBuf>,
     /// The file that is open.
     at: usize,
-    part: Part,
+    part: BagFile,
     /// The first file's topics: rosbag2 repeats them in each.
     topics: Vec<BagTopic>,
     /// Of each topic of the open file its place among these.
@@ -142,7 +142,7 @@ struct Parts {
 }
 
 /// A file of a bag, open.
-struct Part {
+struct BagFile {
     storage: Box<dyn BagStorage>,
     budget: UnpackBudget,
     file_length: u64,
@@ -150,7 +150,7 @@ struct Part {
     _unpacked: Option<NamedTempFile>,
 }
 
-impl Part {
+impl BagFile {
     fn open(path: &Path) -> Result<Self, RecordingError> {
         let refused = |source| RecordingError::Io { path: path.to_owned(), source };
         let not_one = || RecordingError::NotARecording { path: path.to_owned() };
@@ -159,9 +159,11 @@ impl Part {
         let unpacked = if packed { Some(unpack(path, file_length)?) } else { None };
         let readable = unpacked.as_ref().map_or(path, |file| file.path());
         let opened: Result<Box<dyn BagStorage>, RecordingError> = match format {
-            Format::Mcap => McapStorage::open(readable).map(|storage| Box::new(storage) as _),
-            Format::Sqlite => SqliteStorage::open(readable).map(|storage| Box::new(storage) as _),
-            Format::Ros1 => Ros1Storage::open(readable).map(|storage| Box::new(storage) as _),
+            BagFormat::Mcap => McapStorage::open(readable).map(|storage| Box::new(storage) as _),
+            BagFormat::Sqlite => {
+                SqliteStorage::open(readable).map(|storage| Box::new(storage) as _)
+            }
+            BagFormat::Ros1 => Ros1Storage::open(readable).map(|storage| Box::new(storage) as _),
         };
         let storage = opened.map_err(|error| error.of(path))?;
         let budget = UnpackBudget::of_file(file_length);
@@ -222,7 +224,7 @@ impl BagStorage for Parts {
 
 impl Parts {
     fn go_to(&mut self, at: usize) -> Result<(), Broken> {
-        let opened = Part::open(&self.files[at]);
+        let opened = BagFile::open(&self.files[at]);
         self.part = opened.map_err(|error| Broken::Damaged(error.to_string()))?;
         self.at = at;
         let place = |topic: &BagTopic| self.topics.iter().position(|known| known == topic);
@@ -263,11 +265,11 @@ mod tests {
     #[test]
     fn formats_follow_from_names() {
         let of = |name: &str| format_of(Path::new(name));
-        assert_eq!(of("x/a.DB3"), Some((Format::Sqlite, false)));
-        assert_eq!(of("a.mcap.zstd"), Some((Format::Mcap, true)));
+        assert_eq!(of("x/a.DB3"), Some((BagFormat::Sqlite, false)));
+        assert_eq!(of("a.mcap.zstd"), Some((BagFormat::Mcap, true)));
         assert_eq!(
             (of("a.bag"), of("a.png"), of("zstd")),
-            (Some((Format::Ros1, false)), None, None)
+            (Some((BagFormat::Ros1, false)), None, None)
         );
     }
 }

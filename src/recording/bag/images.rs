@@ -5,7 +5,7 @@ use crate::imaging::bayer::{BayerPattern, rgb_from_bayer};
 use crate::imaging::decode::file_size;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
-use crate::recording::bag::storage::{BagTopic, Header};
+use crate::recording::bag::storage::{BagTopic, RosHeader};
 use crate::recording::bag::topics::{ImageTopic, Transport};
 use crate::recording::fields::{Fields, TooShort};
 
@@ -19,11 +19,11 @@ pub(super) fn read(
     topic: &BagTopic,
     image: ImageTopic,
     message: &[u8],
-) -> Result<(Header, Frame), String> {
+) -> Result<(RosHeader, Frame), String> {
     let short =
         |error: TooShort| format!("a {} message cannot be read: {error}", topic.message_type);
     let mut fields = topic.layout.fields(message).map_err(short)?;
-    let header = Header::read(topic.layout, &mut fields).map_err(short)?;
+    let header = RosHeader::read(topic.layout, &mut fields).map_err(short)?;
     let frame = match image.transport {
         Transport::Raw => {
             let raw = RawImage::read(&mut fields).map_err(short)?;

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::recording::RecordingError;
-use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{
+    BagMessage, BagStorage, BagTopic, MessageEncoding, one_type_name,
+};
 use crate::recording::records::{Broken, McapRecord, RecordReader};
 
 /// An MCAP file with messages of ROS.
@@ -50,8 +52,8 @@ fn channels(records: &mut RecordReader) -> (Vec<BagTopic>, BTreeMap<u16, usize>)
             }
             McapRecord::Channel { id, schema_id, topic, encoding } => {
                 let layout = match encoding.as_str() {
-                    "cdr" => Layout::Cdr,
-                    "ros1" => Layout::Ros1,
+                    "cdr" => MessageEncoding::Cdr,
+                    "ros1" => MessageEncoding::Ros1,
                     _ => continue,
                 };
                 let message_type = schemas.get(&schema_id).map(|name| one_type_name(name));

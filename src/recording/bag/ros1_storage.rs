@@ -7,7 +7,9 @@ use std::io::{BufReader, Cursor, Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crate::recording::RecordingError;
-use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{
+    BagMessage, BagStorage, BagTopic, MessageEncoding, one_type_name,
+};
 use crate::recording::fields::Fields;
 use crate::recording::records::{Broken, LONGEST_RECORD};
 use crate::recording::unpack::{Compression, UnpackBudget, read_exactly};
@@ -29,7 +31,7 @@ const CONNECTION: u8 = 0x07;
 pub(super) struct Ros1Storage {
     file: BufReader<File>,
     file_length: u64,
-    chunk: Option<Chunk>,
+    chunk: Option<BagChunk>,
     budget: UnpackBudget,
     topics: Vec<BagTopic>,
     /// The topic of each connection.
@@ -37,7 +39,7 @@ pub(super) struct Ros1Storage {
 }
 
 /// The chunk that is being read, with its bytes that are still to come.
-struct Chunk {
+struct BagChunk {
     left: u64,
     /// Unpacks it; `None` for one that is not compressed.
     unpacked: Option<Box<dyn Read + Send>>,
@@ -147,7 +149,7 @@ impl Ros1Storage {
             return Err(damaged("a chunk inside a chunk"));
         }
         if header.compression == "none" {
-            self.chunk = Some(Chunk { left: length, unpacked: None });
+            self.chunk = Some(BagChunk { left: length, unpacked: None });
             return Ok(());
         }
         let compression = Compression::from_name(&header.compression)
@@ -160,7 +162,7 @@ impl Ros1Storage {
         let size = u64::from(header.size);
         self.budget.take(size).map_err(Broken::Damaged)?;
         let unpacked = compression.reader(Cursor::new(packed)).map_err(Broken::Io)?;
-        self.chunk = Some(Chunk { left: size, unpacked: Some(unpacked) });
+        self.chunk = Some(BagChunk { left: size, unpacked: Some(unpacked) });
         Ok(())
     }
 
@@ -175,7 +177,7 @@ impl Ros1Storage {
         let known = self.topics.iter().position(|topic| topic.name == name);
         let index = known.unwrap_or_else(|| {
             let message_type = one_type_name(&message_type.unwrap_or_default());
-            self.topics.push(BagTopic { name, message_type, layout: Layout::Ros1 });
+            self.topics.push(BagTopic { name, message_type, layout: MessageEncoding::Ros1 });
             self.topics.len() - 1
         });
         self.connections.insert(header.connection, index);

@@ -8,7 +8,9 @@ use rusqlite::limits::Limit;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, params};
 
 use crate::recording::RecordingError;
-use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic, Layout, one_type_name};
+use crate::recording::bag::storage::{
+    BagMessage, BagStorage, BagTopic, MessageEncoding, one_type_name,
+};
 use crate::recording::records::{Broken, LONGEST_RECORD};
 
 /// Room for a row beside its longest value, and for the schema of a small file.
@@ -107,7 +109,7 @@ fn read_topics(database: &Connection) -> rusqlite::Result<(Vec<BagTopic>, Vec<i6
         if format == "cdr" && topics.len() < MOST_TOPICS {
             ids.push(row.get(0)?);
             let (name, message_type) = (row.get(1)?, one_type_name(&message_type));
-            topics.push(BagTopic { name, message_type, layout: Layout::Cdr });
+            topics.push(BagTopic { name, message_type, layout: MessageEncoding::Cdr });
         }
     }
     Ok((topics, ids))

@@ -5,14 +5,14 @@ use crate::recording::records::Broken;
 
 /// How a message's fields are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Layout {
+pub(super) enum MessageEncoding {
     /// ROS 2: CDR.
     Cdr,
     /// ROS 1: packed, with a sequence number in each header.
     Ros1,
 }
 
-impl Layout {
+impl MessageEncoding {
     pub(super) fn fields(self, message: &[u8]) -> Result<Fields<'_>, TooShort> {
         match self {
             Self::Cdr => Fields::cdr(message),
@@ -23,14 +23,14 @@ impl Layout {
 
 /// `std_msgs/Header`.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Header {
+pub(super) struct RosHeader {
     pub(super) stamp_ns: i64,
     pub(super) frame_id: String,
 }
 
-impl Header {
-    pub(super) fn read(layout: Layout, fields: &mut Fields<'_>) -> Result<Self, TooShort> {
-        if layout == Layout::Ros1 {
+impl RosHeader {
+    pub(super) fn read(layout: MessageEncoding, fields: &mut Fields<'_>) -> Result<Self, TooShort> {
+        if layout == MessageEncoding::Ros1 {
             fields.u32()?;
         }
         let (seconds, nanoseconds) = (fields.u32()?, fields.u32()?);
@@ -45,7 +45,7 @@ pub(super) struct BagTopic {
     pub(super) name: String,
     /// As ROS 1 writes it: `sensor_msgs/Image`.
     pub(super) message_type: String,
-    pub(super) layout: Layout,
+    pub(super) layout: MessageEncoding,
 }
 
 /// A message, on the topic with this index in [`BagStorage::topics`].

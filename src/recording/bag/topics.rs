@@ -201,13 +201,13 @@ fn sensor_named(name: &str) -> Option<SensorKind> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::bag::storage::Layout;
+    use crate::recording::bag::storage::MessageEncoding;
 
     fn bag(topics: &[(&str, &str)]) -> Vec<BagTopic> {
         let topic = |(name, message_type): &(&str, &str)| BagTopic {
             name: (*name).to_owned(),
             message_type: format!("sensor_msgs/{message_type}"),
-            layout: Layout::Cdr,
+            layout: MessageEncoding::Cdr,
         };
         topics.iter().map(topic).collect()
     }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::geometry::pose::Pose;
-use crate::recording::bag::storage::{Header, Layout};
+use crate::recording::bag::storage::{MessageEncoding, RosHeader};
 use crate::recording::fields::TooShort;
 
 /// More frames than any robot has.
@@ -25,10 +25,10 @@ struct Parent {
 
 impl FrameTree {
     /// Takes in the transforms of a message, up to one that cannot be read.
-    pub(super) fn read(&mut self, layout: Layout, message: &[u8]) -> Result<(), TooShort> {
+    pub(super) fn read(&mut self, layout: MessageEncoding, message: &[u8]) -> Result<(), TooShort> {
         let mut fields = layout.fields(message)?;
         for _ in 0..fields.length()? {
-            let parent = Header::read(layout, &mut fields)?.frame_id;
+            let parent = RosHeader::read(layout, &mut fields)?.frame_id;
             let child = fields.text()?;
             let [x, y, z] = [fields.f64()?, fields.f64()?, fields.f64()?];
             let [i, j, k, w] = [fields.f64()?, fields.f64()?, fields.f64()?, fields.f64()?];
@@ -103,14 +103,14 @@ mod tests {
             ("base", "depth", [1.0, 0.0, 0.5]),
             ("depth", "/depth_optical", [0.0, 0.25, 0.0]),
         ];
-        tree.read(Layout::Ros1, &message(&links)).unwrap();
+        tree.read(MessageEncoding::Ros1, &message(&links)).unwrap();
         let color_from_depth = tree.a_from_b("color", "depth_optical").unwrap();
         assert_eq!(color_from_depth.translation(), Vector3::new(0.0, 0.25, 0.5));
         assert!(tree.a_from_b("color", "elsewhere").is_none());
         assert!(tree.a_from_b("elsewhere", "elsewhere").is_none());
         let ring = [("a", "b", [0.0; 3]), ("b", "a", [1.0, 0.0, 0.0])];
-        tree.read(Layout::Ros1, &message(&ring)).unwrap();
+        tree.read(MessageEncoding::Ros1, &message(&ring)).unwrap();
         let _ends = tree.a_from_b("a", "b");
-        assert!(tree.read(Layout::Ros1, b"\xff\xff\xff\xff").is_err());
+        assert!(tree.read(MessageEncoding::Ros1, b"\xff\xff\xff\xff").is_err());
     }
 }

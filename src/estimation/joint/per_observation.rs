@@ -1,25 +1,25 @@
-//! What each observation says by itself at one state: its own normal equations, kept apart, so that those
-//! of any of the observations can be put together without looking at a corner again.
+//! The normal equations of each observation separately at one state, so that those of any subset can
+//! be assembled without another pass over its corners.
 
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::normal::{NormalEquations, chain};
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::Loss;
 
-/// Looks at the observations in `which`, with plain squares: one entry per observation, empty for the others.
-/// `None` where a corner that takes part cannot be projected.
-pub(crate) fn looked_at(
+/// Linearizes the observations in `which`, with plain squares: one entry per observation, empty for
+/// the others. `None` where a used corner cannot be projected.
+pub(crate) fn linearize_each(
     (layout, state): (&Layout, &State),
     observations: &[BoardObservation],
     which: &[usize],
 ) -> Option<Vec<LocalEquations>> {
-    let mut apart: Vec<LocalEquations> =
+    let mut local_equations: Vec<LocalEquations> =
         observations.iter().map(|_| LocalEquations::default()).collect();
     let (mut columns, mut residuals) = (Columns::default(), Vec::new());
     for index in which {
         let observation = &observations[*index];
         residuals.resize(observation.points.len(), [0.0; 2]);
-        let results = (residuals.as_mut_slice(), &mut apart[*index]);
+        let results = (residuals.as_mut_slice(), &mut local_equations[*index]);
         if !linearize_observation(
             (layout, state),
             observation,
@@ -30,21 +30,21 @@ pub(crate) fn looked_at(
             return None;
         }
     }
-    Some(apart)
+    Some(local_equations)
 }
 
-/// The normal equations of some of the observations, without residuals: `parts` are pairs of an observation, by
-/// its place in `apart`, and of the frame set, counted from 0 to below `frame_sets`, that it stands
-/// for.
-pub(crate) fn together(
-    apart: &[LocalEquations],
+/// The normal equations of some of the observations, without residuals: `parts` are pairs of an
+/// observation's index in `local_equations` and of the frame set, counted from 0 to below
+/// `frame_sets`, that it is assembled as.
+pub(crate) fn assemble(
+    local_equations: &[LocalEquations],
     (layout, state): (&Layout, &State),
     observations: &[BoardObservation],
     (parts, frame_sets): (impl Iterator<Item = (usize, usize)>, usize),
 ) -> NormalEquations {
     let mut equations = NormalEquations::empty(layout.len, frame_sets);
     for (index, frame_set) in parts {
-        let (local, observation) = (&apart[index], &observations[index]);
+        let (local, observation) = (&local_equations[index], &observations[index]);
         if local.columns == 0 {
             continue;
         }
