@@ -103,7 +103,7 @@ def main():
     else:
         print(f"LEFT OUT: chess-corners and calib-targets, for there is no {PEERS}; build it as above", file=sys.stderr)
     print("| picture | corners seen | " + " | ".join(peers) + " |\n| --- | --- |" + " --- |" * len(peers))
-    for picture in document["pictures"]:
+    for picture in document["images"]:
         truth = np.array([[np.nan if v is None else v for v in corner] for corner in picture["corners"]])
         cells, own = [], None
         for peer in peers.values():

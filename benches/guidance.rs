@@ -1,10 +1,10 @@
 //! The next view, and the sessions of simulated operators who follow it or do not.
 //!
-//!     cargo bench --bench guidance -- [SEEDS] ["PICTURES*.jpg:COLSxROWS" …]
+//!     cargo bench --bench guidance -- [SEEDS] ["IMAGES*.jpg:COLSxROWS" …]
 //!
 //! Times one decision (which view to ask for next) on one core; runs SEEDS sessions (9 unless said;
 //! three lenses, three boards) for each operator until the median projection uncertainty reaches
-//! its goal; and replays pools of photographs: how many pictures each order needs for 1.2 times the
+//! its goal; and replays pools of photographs: how many images each order needs for 1.2 times the
 //! uncertainty of all of them, in the order of `plumb calibrate --order` and in 200 random ones.
 
 #![expect(
@@ -89,12 +89,12 @@ fn operators(seeds: u64) {
     }
 }
 
-/// Pictures of a pool needed to reach 1.2 times the uncertainty of all, by the pool's order and
+/// Images of a pool needed to reach 1.2 times the uncertainty of all, by the pool's order and
 /// by random ones.
-fn pool((pictures, board): (&str, &str)) {
+fn pool((images, board): (&str, &str)) {
     let size: BoardSize = board.parse().unwrap();
     let target = Chessboard::new(size, 0.03).unwrap();
-    let problem = problem_of(pictures, &target);
+    let problem = problem_of(images, &target);
     let estimate = calibrate_camera(&problem, &CameraOptions::default()).unwrap();
     for figure in [GoalFigure::Worst, GoalFigure::Median] {
         let pool = Pool::of(&problem, &estimate, figure);
@@ -114,7 +114,7 @@ fn pool((pictures, board): (&str, &str)) {
             .collect();
         random.sort_unstable();
         println!(
-            "{pictures}: {} pictures, {figure:?} {:.3} px: ordered {}, chosen {}, random median {}",
+            "{images}: {} images, {figure:?} {:.3} px: ordered {}, chosen {}, random median {}",
             order.len(),
             goal_px / ENOUGH,
             needed(&order).unwrap_or(0),
@@ -124,16 +124,15 @@ fn pool((pictures, board): (&str, &str)) {
     }
 }
 
-fn problem_of(pictures: &str, target: &Chessboard) -> CameraProblem {
-    let mut paths: Vec<PathBuf> =
-        glob::glob(pictures).unwrap().map(|entry| entry.unwrap()).collect();
+fn problem_of(images: &str, target: &Chessboard) -> CameraProblem {
+    let mut paths: Vec<PathBuf> = glob::glob(images).unwrap().map(|entry| entry.unwrap()).collect();
     paths.sort();
     let (mut views, mut image_size) = (Vec::new(), ImageSize::new(0, 0));
     for path in paths {
-        let picture = image::open(&path).unwrap().to_luma8();
-        let size = ImageSize::new(picture.width(), picture.height());
+        let image = image::open(&path).unwrap().to_luma8();
+        let size = ImageSize::new(image.width(), image.height());
         let (width, height) = (size.width as usize, size.height as usize);
-        let gray = plumb::GrayImage::from_pixels(width, height, picture.into_raw()).unwrap();
+        let gray = plumb::GrayImage::from_pixels(width, height, image.into_raw()).unwrap();
         let Ok(detection) = plumb::detect(gray.view(), target.size) else { continue };
         image_size = size;
         let frame = FrameFacts {

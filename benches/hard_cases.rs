@@ -1,4 +1,4 @@
-//! Pictures of a chessboard under stated conditions, rendered with exact truth: what
+//! Images of a chessboard under stated conditions, rendered with exact truth: what
 //! `hard_pictures` and `thresholds` search.
 
 use std::error::Error;
@@ -10,7 +10,7 @@ use plumb::geometry::board::Chessboard;
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::geometry::pose::Pose;
-use plumb::simulation::{Background, BoardPattern, PictureSensor, Renderer};
+use plumb::simulation::{Background, BoardPattern, ImageSensor, Renderer};
 
 pub const SQUARE_M: f64 = 0.03;
 
@@ -28,7 +28,7 @@ pub struct Case {
     pub aside: [f64; 2],
     /// k₁ of the lens.
     pub distortion: f64,
-    /// Quality of a JPEG that the picture goes through.
+    /// Quality of a JPEG that the image goes through.
     pub jpeg: Option<u8>,
     /// A gray bar over the board: left, top, right, bottom.
     pub bar: Option<[u32; 4]>,
@@ -53,7 +53,7 @@ impl Case {
     }
 }
 
-/// A rendered picture, and where its corners are.
+/// A rendered image, and where its corners are.
 pub fn render(case: &Case, board: Chessboard) -> Result<(Luma, Vec<Pixel>), Box<dyn Error>> {
     let (width, height) = (f64::from(case.size.width), f64::from(case.size.height));
     let focal_px = width / 1.28;
@@ -62,10 +62,10 @@ pub fn render(case: &Case, board: Chessboard) -> Result<(Luma, Vec<Pixel>), Box<
     let parameters =
         [focal_px, focal_px, middle_px[0], middle_px[1], 0.0, radial[0], radial[1], 0.0, 0.0, 0.0];
     let lens = Lens::from_parameters(LensModel::Brown, &parameters).ok_or("lens")?;
-    let sensor = PictureSensor {
+    let sensor = ImageSensor {
         blur_px: case.blur_px,
         full_well_e: case.full_well_e,
-        ..PictureSensor::new(case.size, lens)
+        ..ImageSensor::new(case.size, lens)
     };
     let tilt = UnitQuaternion::from_scaled_axis(
         Vector3::new(0.3, 1.0, 0.0).normalize() * case.tilt_deg.to_radians(),
@@ -86,21 +86,21 @@ pub fn render(case: &Case, board: Chessboard) -> Result<(Luma, Vec<Pixel>), Box<
     let light = renderer.light(&[camera_from_board]);
     let image = renderer.sensor().develop(&light, 3, 0);
     let pixels = (0..image.view().height()).flat_map(|y| image.view().row(y).to_vec()).collect();
-    let mut picture = Luma::from_raw(case.size.width, case.size.height, pixels).ok_or("pixels")?;
+    let mut image = Luma::from_raw(case.size.width, case.size.height, pixels).ok_or("pixels")?;
     if let Some([left, top, right, bottom]) = case.bar {
         let inside = |x: u32, y: u32| (left..right).contains(&x) && (top..bottom).contains(&y);
-        picture
+        image
             .enumerate_pixels_mut()
             .filter(|(x, y, _)| inside(*x, *y))
             .for_each(|(_, _, pixel)| pixel.0 = [140]);
     }
     if let Some(quality) = case.jpeg {
         let mut bytes = Vec::new();
-        JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&picture)?;
-        picture = DynamicImage::from_decoder(JpegDecoder::new(std::io::Cursor::new(bytes))?)?
+        JpegEncoder::new_with_quality(&mut bytes, quality).encode_image(&image)?;
+        image = DynamicImage::from_decoder(JpegDecoder::new(std::io::Cursor::new(bytes))?)?
             .into_luma8();
     }
-    Ok((picture, corners))
+    Ok((image, corners))
 }
 
 /// Whether a corner is to be seen.

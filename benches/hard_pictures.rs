@@ -3,7 +3,7 @@
 //!
 //!     cargo bench --bench hard_pictures -- FOLDER
 //!
-//! Writes FOLDER/NAME.png (the picture), FOLDER/NAME.jpg (what was found drawn over it), and
+//! Writes FOLDER/NAME.png (the image), FOLDER/NAME.jpg (what was found drawn over it), and
 //! FOLDER/truth.json, which `benches/detectors.py FOLDER` shows to other detectors. Prints how many
 //! corners were found and how far off they are.
 
@@ -46,7 +46,7 @@ fn hard_cases() -> [Case; 8] {
     ]
 }
 
-/// Two boards that fill half of the picture's height, at every size that cameras commonly have.
+/// Two boards that fill half of the image's height, at every size that cameras commonly have.
 fn ordinary_cases() -> impl Iterator<Item = Case> {
     let sizes = [(640, 480), (1280, 720), (1920, 1080), (3840, 2160)];
     let boards = [[9, 6], [10, 10]];
@@ -64,18 +64,18 @@ fn ordinary_cases() -> impl Iterator<Item = Case> {
 fn search(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error>> {
     let [cols, rows] = case.board;
     let board = Chessboard::new(BoardSize::new(cols, rows)?, SQUARE_M)?;
-    let (picture, corners) = render(case, board)?;
+    let (rendered, corners) = render(case, board)?;
     let file = format!("{}.png", case.name);
-    picture.save(folder.join(&file))?;
+    rendered.save(folder.join(&file))?;
     let image = GrayImage::from_pixels(
         case.size.width as usize,
         case.size.height as usize,
-        picture.as_raw().clone(),
+        rendered.as_raw().clone(),
     )
     .ok_or("size")?;
     let found =
         Detector::new(board.size).find_board(image.view(), &DetectOptions { allow_partial: true });
-    let mut drawn: RgbImage = DynamicImage::ImageLuma8(picture).into_rgb8();
+    let mut drawn: RgbImage = DynamicImage::ImageLuma8(rendered).into_rgb8();
     let seen: Vec<bool> = corners.iter().map(|corner| is_seen(case, *corner)).collect();
     let of_seen = seen.iter().filter(|seen| **seen).count();
     match found {
@@ -107,11 +107,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
     let folder = PathBuf::from(folder.unwrap_or_else(|| "target/hard_pictures".into()));
     std::fs::create_dir_all(&folder)?;
-    let mut pictures = Vec::new();
+    let mut images = Vec::new();
     for case in hard_cases().into_iter().chain(ordinary_cases()) {
-        pictures.push(search(&case, &folder)?);
+        images.push(search(&case, &folder)?);
     }
-    let truth = serde_json::json!({ "pictures": pictures });
+    let truth = serde_json::json!({ "images": images });
     std::fs::write(folder.join("truth.json"), serde_json::to_string(&truth)?)?;
     Ok(())
 }

@@ -1,11 +1,11 @@
 //! Each threshold of the detector changed by a fifth, and what that costs.
 //!
-//!     cargo bench --bench thresholds -- --seed 1 --pictures 240 > docs/detection/thresholds.md
+//!     cargo bench --bench thresholds -- --seed 1 --images 240 > docs/detection/thresholds.md
 //!
-//! The pictures are drawn at random from hard conditions: tilt, blur, noise, small squares, strong
+//! The images are drawn at random from hard conditions: tilt, blur, noise, small squares, strong
 //! distortion, JPEG, an occluder, a board cut off by the border, a board of another size. Each is
-//! searched, and then tracked into a second picture in which the board has moved. Printed for each
-//! threshold: corners found of those to be seen, pictures answered wrongly (a corner more than
+//! searched, and then tracked into a second image in which the board has moved. Printed for each
+//! threshold: corners found of those to be seen, images answered wrongly (a corner more than
 //! 1.5 px off), the error of the corners, and boards tracked.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
@@ -28,7 +28,7 @@ use crate::hard_cases::{Case, SQUARE_M, is_seen, render};
 
 /// A corner farther off than this is wrong, in pixels.
 const WRONG_PX: f64 = 1.5;
-/// How far the board moves from a picture to the next, as a part of its distance.
+/// How far the board moves from an image to the next, as a part of its distance.
 const STEP: f64 = 0.006;
 
 const CONDITIONS: [&str; 8] = [
@@ -42,14 +42,14 @@ const CONDITIONS: [&str; 8] = [
     " cut off",
 ];
 
-/// Two pictures of one scene, where the corners are in the first, and which are to be seen.
+/// Two images of one scene, where the corners are in the first, and which are to be seen.
 struct Scene {
     /// Its conditions.
     name: String,
     board: BoardSize,
-    /// Whether the board searched for is the one in the picture.
+    /// Whether the board searched for is the one in the image.
     same_size: bool,
-    pictures: [GrayImage; 2],
+    images: [GrayImage; 2],
     corners: Vec<Pixel>,
     seen: usize,
 }
@@ -102,9 +102,9 @@ fn draw_case(random: &mut ChaCha8Rng) -> Case {
 }
 
 fn gray(case: &Case, board: Chessboard) -> Result<(GrayImage, Vec<Pixel>), Box<dyn Error>> {
-    let (picture, corners) = render(case, board)?;
+    let (image, corners) = render(case, board)?;
     let (width, height) = (case.size.width as usize, case.size.height as usize);
-    Ok((GrayImage::from_pixels(width, height, picture.into_raw()).ok_or("size")?, corners))
+    Ok((GrayImage::from_pixels(width, height, image.into_raw()).ok_or("size")?, corners))
 }
 
 fn draw_scene(random: &mut ChaCha8Rng) -> Result<Scene, Box<dyn Error>> {
@@ -118,14 +118,14 @@ fn draw_scene(random: &mut ChaCha8Rng) -> Result<Scene, Box<dyn Error>> {
     let same_size = random.random_range(0..8) > 0;
     let searched = if same_size { board.size } else { BoardSize::new(cols + 2, rows + 1)? };
     let name = case.name;
-    Ok(Scene { name, board: searched, same_size, pictures: [first, second], corners, seen })
+    Ok(Scene { name, board: searched, same_size, images: [first, second], corners, seen })
 }
 
 /// Adds what a detector with these thresholds finds in `scene`.
 fn search(scene: &Scene, thresholds: Thresholds, score: &mut Score) {
     let mut detector = Detector::with_thresholds(scene.board, thresholds);
     let options = DetectOptions { allow_partial: true };
-    let Ok(first) = detector.track_board(scene.pictures[0].view(), &options) else { return };
+    let Ok(first) = detector.track_board(scene.images[0].view(), &options) else { return };
     let nearest = |pixel: Pixel| {
         scene.corners.iter().map(|corner| corner.distance_px(pixel)).fold(f64::MAX, f64::min)
     };
@@ -145,7 +145,7 @@ fn search(scene: &Scene, thresholds: Thresholds, score: &mut Score) {
         score.found += count;
         score.squares += squares;
     }
-    let second = detector.track_board(scene.pictures[1].view(), &options);
+    let second = detector.track_board(scene.images[1].view(), &options);
     score.tracked += usize::from(second.is_ok_and(|tracked| tracked.followed));
 }
 
@@ -161,16 +161,16 @@ fn argument(name: &str, default: u64) -> u64 {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (seed, pictures) = (argument("--seed", 1), argument("--pictures", 240));
+    let (seed, images) = (argument("--seed", 1), argument("--images", 240));
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let scenes: Vec<Scene> =
-        (0..pictures).map(|_| draw_scene(&mut random)).collect::<Result<_, _>>()?;
+        (0..images).map(|_| draw_scene(&mut random)).collect::<Result<_, _>>()?;
     let seen: usize = scenes.iter().filter(|scene| scene.same_size).map(|scene| scene.seen).sum();
     let base = score(&scenes, Thresholds::DEFAULT);
     println!("# Thresholds of the detector, each changed by a fifth\n");
     println!(
-        "`cargo bench --bench thresholds -- --seed {seed} --pictures {pictures}`: hard conditions drawn at\n\
-         random, {seen} corners to be seen. As they are: {} corners found, {} pictures answered wrongly,\n\
+        "`cargo bench --bench thresholds -- --seed {seed} --images {images}`: hard conditions drawn at\n\
+         random, {seen} corners to be seen. As they are: {} corners found, {} images answered wrongly,\n\
          {:.4} px rms, {} boards tracked. The columns are the change of that; empty: no change.\n",
         base.found,
         base.wrong,

@@ -1,10 +1,10 @@
-//! A board followed from picture to picture, beside the same pictures each searched: what live use
+//! A board followed from image to image, beside the same images each searched: what live use
 //! saves.
 //!
 //!     cargo bench --bench tracking -- [FRAMES [FPS]]
 //!
 //! Simulated walks of a 9×6 board, one thread. For each size: the median time of a search and of
-//! following, in milliseconds, their ratio, and how many pictures were followed; the others were
+//! following, in milliseconds, their ratio, and how many images were followed; the others were
 //! searched in the same call, and count as well.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
@@ -44,7 +44,7 @@ fn main() {
             }));
             let mut was_followed = false;
             tracked.push(fastest_ms(|| {
-                // Each time anew from the picture before, which is not counted.
+                // Each time anew from the image before, which is not counted.
                 let _ = warm.track_board(before.view(), &DetectOptions::default());
                 let started = Instant::now();
                 was_followed = warm

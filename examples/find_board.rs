@@ -12,7 +12,7 @@ use plumb::BoardSize;
 use plumb::imaging::decode::luma;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
+use plumb::imaging::image_file::frame_from_file;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

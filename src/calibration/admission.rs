@@ -10,8 +10,8 @@ use crate::geometry::pixel::ImageSize;
 /// Why a frame did not become a view.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
-    /// The picture could not be decoded.
-    #[error("the picture cannot be read: {detail}")]
+    /// The image could not be decoded.
+    #[error("the image cannot be read: {detail}")]
     Unreadable {
         /// What the decoder said.
         detail: String,
@@ -61,10 +61,10 @@ pub enum Rejection {
         /// What it takes to be kept.
         needed: f64,
     },
-    /// The picture's size is not that of the session's first one.
-    #[error("the picture is {got}, the session's others are {expected}")]
+    /// The image's size is not that of the session's first one.
+    #[error("the image is {got}, the session's others are {expected}")]
     OtherImageSize {
-        /// This picture's size.
+        /// This image's size.
         got: ImageSize,
         /// The session's size.
         expected: ImageSize,
@@ -182,10 +182,10 @@ pub struct AdmissionOptions {
     /// The fastest corner, in image diagonals a second. Default: 0.4 (320 px/s at 640×480).
     pub speed_limit: f64,
     /// How many steps ([`Placement::steps_to`]) away from every kept view: nearer ones are the same
-    /// picture again, whose errors are the same too. Default: 0.3 (4 % of the image's width, or 3°).
+    /// image again, whose errors are the same too. Default: 0.3 (4 % of the image's width, or 3°).
     pub novelty_steps: f64,
     /// What a view must teach, as a part of what the kept ones taught on average. Of N views that
-    /// teach the same each makes projections surer by 1/(2N). Default: 0.3, so that pictures of a
+    /// teach the same each makes projections surer by 1/(2N). Default: 0.3, so that images of a
     /// pile in which none teaches much are kept.
     pub worth: f64,
     /// The most views of a session. Default: 150.
@@ -218,7 +218,7 @@ pub struct SeenBefore {
     pub detection: Detection,
 }
 
-/// Decides whether a detection is sharp, still, whole and another picture than those that are kept:
+/// Decides whether a detection is sharp, still, whole and another image than those that are kept:
 /// its placement if so. What it would teach is another question
 /// ([`crate::calibration::information::teaching`]). It depends on the frames alone, not on what was
 /// estimated meanwhile: a replay keeps the same views.
@@ -263,7 +263,7 @@ pub fn admit(
 /// long after each other.
 fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
     let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
-    // A named frame is a picture of its own; the times of a folder of them mean nothing.
+    // A named frame is an image of its own; the times of a folder of them mean nothing.
     if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < 0.5) {
         return None;
     }

@@ -20,12 +20,12 @@ pub struct DepthCalibration {
     /// The noise of single readings.
     pub noise: DepthNoise,
     /// How much later its images are taken than color's, where the board's motion determines it.
-    pub time_offset: Option<PictureDelay>,
+    pub time_offset: Option<ExposureDelay>,
 }
 
 /// How much later a sensor's images are taken than the ones they are grouped with.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PictureDelay {
+pub struct ExposureDelay {
     /// In seconds.
     pub seconds: f64,
     /// Its standard deviation, in seconds.
@@ -100,7 +100,7 @@ impl DepthCalibration {
             noise: DepthNoise::of(&estimate.judged),
             time_offset: estimate
                 .time_offset
-                .map(|offset| PictureDelay { seconds: offset.seconds, std_s: offset.std_s }),
+                .map(|offset| ExposureDelay { seconds: offset.seconds, std_s: offset.std_s }),
         }
     }
 }
@@ -174,7 +174,7 @@ pub fn judge_depth(
             add(
                 Grade::Usable,
                 format!(
-                    "depth is still off by {left:.1} mm on average from {from:.2} to {to:.2} m: add views there, over all of the picture"
+                    "depth is still off by {left:.1} mm on average from {from:.2} to {to:.2} m: add views there, over all of the image"
                 ),
             );
         }
@@ -183,7 +183,7 @@ pub fn judge_depth(
         add(
             Grade::Usable,
             format!(
-                "the depth camera did not see the board in {without_depth} of {views} views: keep it within the depth picture and its range"
+                "the depth camera did not see the board in {without_depth} of {views} views: keep it within the depth image and its range"
             ),
         );
     }

@@ -38,14 +38,14 @@ pub struct Drift {
     /// What has changed and what to do, in words.
     pub reason: String,
     /// The reprojection error of the boards seen, with only their poses fitted, in pixels; `None`
-    /// where pictures of another size cannot be compared.
+    /// where images of another size cannot be compared.
     pub rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     pub expected_px: f64,
 }
 
 impl DriftWatch {
-    /// Watches the picture sensor of the calibration with this id.
+    /// Watches the image sensor of the calibration with this id.
     pub fn new(calibration: &str, sensor: &ImageCalibration) -> Self {
         let uncertain_px = LIMIT_SIGMAS * sensor.uncertainty_px.median;
         Self {
@@ -66,7 +66,7 @@ impl DriftWatch {
         }
         if size != self.image_size {
             let reason = format!(
-                "pictures are {size} now, the calibration is for {}: calibrate again",
+                "images are {size} now, the calibration is for {}: calibrate again",
                 self.image_size
             );
             return Some(self.report(reason, None));

@@ -51,7 +51,7 @@ const TILT_RAD: f64 = 0.6;
 const MEDIUM_SIZE: f64 = 0.42;
 
 const SUGGESTIONS: [SuggestedPlacement; 15] = [
-    suggest("in the middle of the picture, facing the camera", [0.5, 0.5], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("in the middle of the image, facing the camera", [0.5, 0.5], MEDIUM_SIZE, [0.0, 0.0]),
     suggest(
         "in the middle, its right side nearer to the camera",
         [0.5, 0.5],
@@ -76,16 +76,11 @@ const SUGGESTIONS: [SuggestedPlacement; 15] = [
         MEDIUM_SIZE,
         [0.0, TILT_RAD],
     ),
-    suggest("into the upper left corner of the picture", [0.25, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
-    suggest("into the upper right corner of the picture", [0.75, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
-    suggest("into the lower right corner of the picture", [0.75, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
-    suggest("into the lower left corner of the picture", [0.25, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
-    suggest(
-        "nearer to the camera, so that it nearly fills the picture",
-        [0.5, 0.5],
-        0.8,
-        [0.0, 0.0],
-    ),
+    suggest("into the upper left corner of the image", [0.25, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the upper right corner of the image", [0.75, 0.25], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the lower right corner of the image", [0.75, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("into the lower left corner of the image", [0.25, 0.75], MEDIUM_SIZE, [0.0, 0.0]),
+    suggest("nearer to the camera, so that it nearly fills the image", [0.5, 0.5], 0.8, [0.0, 0.0]),
     suggest(
         "to the left edge, its left side nearer to the camera",
         [0.25, 0.5],
@@ -144,7 +139,7 @@ fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> 
         }
     }
     let message =
-        "every part of the picture is covered; stop the session, or go on to make the result surer";
+        "every part of the image is covered; stop the session, or go on to make the result surer";
     Guidance { message: message.to_owned(), ..Guidance::default() }
 }
 
@@ -156,10 +151,10 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
             Some(reason.to_string())
         }
         Rejection::NoBoard(NoBoard::Blurred { .. }) | Rejection::Blurred { .. } => Some(
-            "the picture is blurred: hold the board still, add light, or focus the lens".to_owned(),
+            "the image is blurred: hold the board still, add light, or focus the lens".to_owned(),
         ),
         Rejection::NoBoard(NoBoard::Incomplete { .. } | NoBoard::CutOff { .. })
-        | Rejection::Partial { .. } => Some("bring the whole board into the picture".to_owned()),
+        | Rejection::Partial { .. } => Some("bring the whole board into the image".to_owned()),
         Rejection::NoBoard(_) => Some("show the board to the camera".to_owned()),
         Rejection::Moving { .. } => Some("hold the board still".to_owned()),
         Rejection::Unreadable { .. }
@@ -258,10 +253,7 @@ mod tests {
         assert_eq!(guidance.message, "hold the board still");
         assert_eq!(guidance.outline_px.len(), 4);
         let similar = advise(&target(9, 6), SIZE, &[], Some(&Rejection::TooSimilar { view: 0 }));
-        assert_eq!(
-            similar.message,
-            "hold the board in the middle of the picture, facing the camera"
-        );
+        assert_eq!(similar.message, "hold the board in the middle of the image, facing the camera");
     }
 
     #[test]

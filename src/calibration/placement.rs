@@ -3,7 +3,7 @@
 //! differences between placements.
 //!
 //! The description needs a focal length before any is known; it takes a nominal one. Tilts are
-//! therefore only about right, but the same for the same picture, whatever was estimated meanwhile:
+//! therefore only about right, but the same for the same image, whatever was estimated meanwhile:
 //! which views are kept does not depend on how fast a solve was.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};

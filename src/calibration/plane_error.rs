@@ -8,11 +8,11 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::depth_image::DepthImage;
 
-/// Measured less true depth at each pixel of a depth picture, in meters, row by row; NaN beside the
+/// Measured less true depth at each pixel of a depth image, in meters, row by row; NaN beside the
 /// board, and where nothing was measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PlaneError {
-    /// The picture's size.
+    /// The image's size.
     pub size: ImageSize,
     /// As the device gives depth.
     pub before_m: Vec<f32>,
@@ -23,12 +23,12 @@ pub struct PlaneError {
 /// The board's surface reaches this many squares past its outer inner corners.
 const MARGIN_SQUARES: f64 = 0.8;
 
-/// The error of `picture` (whose reading `invalid` means none) on a board that color sees at
+/// The error of `image` (whose reading `invalid` means none) on a board that color sees at
 /// `color_from_board`.
 pub fn plane_error(
     (camera, color_from_depth): (&DepthCamera, &Pose),
     (board, color_from_board): (&Target, &Pose),
-    (picture, invalid): (&DepthImage, Option<u16>),
+    (image, invalid): (&DepthImage, Option<u16>),
 ) -> PlaneError {
     let depth_from_board = color_from_depth.inverse() * *color_from_board;
     let board_from_depth = depth_from_board.inverse();
@@ -56,9 +56,9 @@ pub fn plane_error(
         ))
     };
     let errors =
-        picture.readings().iter().enumerate().map(|one| of(one).unwrap_or((f32::NAN, f32::NAN)));
+        image.readings().iter().enumerate().map(|one| of(one).unwrap_or((f32::NAN, f32::NAN)));
     let (before_m, after_m) = errors.unzip();
-    PlaneError { size: picture.size(), before_m, after_m }
+    PlaneError { size: image.size(), before_m, after_m }
 }
 
 /// Mean and root mean square of the errors that there are, in meters; `None` without any.
@@ -114,13 +114,10 @@ mod tests {
                 / normal.dot(&(ray.into_inner() / ray.z));
             if k % 7 == 0 { 0 } else { ((z + 0.01) * 1e4).round() as u16 }
         });
-        let picture = DepthImage::new(size, readings.collect()).unwrap();
+        let image = DepthImage::new(size, readings.collect()).unwrap();
         let color_from_board = color_from_depth * depth_from_board;
-        let error = plane_error(
-            (&camera, &color_from_depth),
-            (&board, &color_from_board),
-            (&picture, None),
-        );
+        let error =
+            plane_error((&camera, &color_from_depth), (&board, &color_from_board), (&image, None));
         let [[before, _], [after, rms]] =
             [&error.before_m, &error.after_m].map(|all| mean_and_rms_m(all).unwrap());
         assert!(

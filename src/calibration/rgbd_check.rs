@@ -1,5 +1,5 @@
 //! Answers of the joint solve of color and depth that fit, but cannot be: another unit, another
-//! device, a mirrored picture.
+//! device, a mirrored image.
 
 use crate::calibration::rgbd_error::RgbdError;
 use crate::estimation::depth_error::JudgedTile;

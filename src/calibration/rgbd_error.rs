@@ -15,7 +15,7 @@ pub enum RgbdError {
     },
     /// Too few captures have the board's surface in depth.
     #[error(
-        "only {usable} of {all} views have the board in the depth picture, 3 are needed{first}: check that depth and color are of the same device and moment"
+        "only {usable} of {all} views have the board in the depth image, 3 are needed{first}: check that depth and color are of the same device and moment"
     )]
     TooLittleDepth {
         /// How many.

@@ -140,7 +140,7 @@ fn cause(estimate: &CameraEstimate, check: &ModelCheck) -> String {
     let shutter = check.misfit.rolling_shutter.map(|part| {
         let percent = part * 100.0;
         format!(
-            "board or camera moved while the rows of a picture were read one after another (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
+            "board or camera moved while the rows of an image were read one after another (rolling shutter), which explains {percent:.0} % of the residuals: hold both still for each view"
         )
     });
     let uneven = check.misfit.unevenness_m.map(|meters| {

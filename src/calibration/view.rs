@@ -17,7 +17,7 @@ pub struct FrameFacts {
     pub host_time_ns: i64,
     /// When the device took it, nanoseconds of its own monotonic clock, where it states it.
     pub device_time_ns: Option<i64>,
-    /// The size of the picture that was searched.
+    /// The size of the image that was searched.
     pub image_size: ImageSize,
 }
 

@@ -121,7 +121,7 @@ fn image(frames: &SourcedFrames) -> Result<SceneImage, String> {
     let frame = frames
         .set
         .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{name}: has no picture sensor"))?;
+        .ok_or_else(|| format!("{name}: has no image sensor"))?;
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
     Ok(SceneImage::of(name, luma.view()))

@@ -1,4 +1,4 @@
-//! `plumb board`: a board as a calibration measured it, as a picture.
+//! `plumb board`: a board as a calibration measured it, as an image.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,7 @@ use crate::calibration::rounded::value_with_std;
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::{Failure, output};
 use crate::document::board_shape::BoardShapeDocument;
-use crate::imaging::board_picture::{BoardOffsets, board_png};
+use crate::imaging::board_drawing::{BoardOffsets, board_png};
 
 /// Draws the board as a calibration measured it: its heights, and how far its corners are off.
 #[derive(Debug, clap::Args)]
@@ -19,7 +19,7 @@ pub struct Args {
     /// board unless given.
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// Where to write the picture, as PNG.
+    /// Where to write the image, as PNG.
     #[arg(long, value_name = "FILE.png")]
     out: PathBuf,
 }

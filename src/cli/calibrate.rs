@@ -1,4 +1,4 @@
-//! `plumb calibrate`: from pictures or a recording to a calibration.
+//! `plumb calibrate`: from images or a recording to a calibration.
 
 use std::path::Path;
 use std::time::Instant;
@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::cli::calibrate_rgbd;
 use crate::cli::calibration_output::{OutputArgs, named};
-use crate::cli::choose::{ChooseArgs, Pictures};
+use crate::cli::choose::{ChooseArgs, ViewsAndOthers};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::gather::gather;
 use crate::cli::lens_name::LensName;
@@ -19,7 +19,7 @@ use crate::estimation::camera::CameraOptions;
 use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
-/// Calibrates a camera from pictures of a chessboard, or from a recording.
+/// Calibrates a camera from images of a chessboard, or from a recording.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(flatten)]
@@ -44,7 +44,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// When a source is not there, the board is in too few pictures, or they leave the lens open.
+/// When a source is not there, the board is in too few images, or they leave the lens open.
 pub fn run(args: &Args) -> Result<(), Failure> {
     args.output.check()?;
     let mut options = CameraOptions { lens: args.lens.into(), ..CameraOptions::default() };
@@ -79,14 +79,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     solve(args, target, gathered.finish()?, &options)
 }
 
-/// Solves the problem and gives the calibration; pictures that are no views keep their places.
+/// Solves the problem and gives the calibration; images that are no views keep their places.
 fn solve(
     args: &Args,
     target: Target,
-    pictures: Pictures,
+    images: ViewsAndOthers,
     options: &CameraOptions,
 ) -> Result<(), Failure> {
-    let picked = args.choose.pick(pictures, options, args.output.is_json())?;
+    let picked = args.choose.pick(images, options, args.output.is_json())?;
     let Some(((problem, others), options)) = picked else { return Ok(()) };
     let spinner = progress::spinner("solving");
     let observations = InstrumentObservations::of_views(Some(target), problem);

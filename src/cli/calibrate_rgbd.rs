@@ -60,7 +60,7 @@ pub fn calibrate(
 ) -> Result<(Calibration, f64), Failure> {
     let depth = depth_sensor(source)?;
     let mut gathered = RgbdGathering::new(source, target, detect);
-    let spinner = progress::spinner("searching pictures");
+    let spinner = progress::spinner("searching images");
     for frames in FrameSets::new(std::iter::once(source.to_owned())).reading(reading) {
         spinner.inc(1);
         let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
@@ -180,12 +180,12 @@ impl<'a> RgbdGathering<'a> {
         }
         let depth = match frames.set.frame(SensorKind::Depth).filter(|_| is_view) {
             Some(frame) => {
-                let picture = DepthImage::from_frame(frame)
+                let image = DepthImage::from_frame(frame)
                     .map_err(|error| Failure::failed(format!(
                         "{path}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped"
                     )))?;
-                self.same_size(picture.size(), SensorKind::Depth, &path)?;
-                Some(picture)
+                self.same_size(image.size(), SensorKind::Depth, &path)?;
+                Some(image)
             }
             None => None,
         };
@@ -210,7 +210,7 @@ impl<'a> RgbdGathering<'a> {
     }
 
     /// Detects the board in one sensor's image.
-    #[expect(clippy::type_complexity, reason = "a picture's size and what was seen in it")]
+    #[expect(clippy::type_complexity, reason = "an image's size and what was seen in it")]
     fn detect_in(
         &mut self,
         set: &FrameSet,
@@ -239,7 +239,7 @@ impl<'a> RgbdGathering<'a> {
         }
         let sensor = sensor.name();
         Err(Failure::failed(format!(
-            "{path}: its {sensor} picture is {size}, those before it are {expected}: calibrate each size by itself"
+            "{path}: its {sensor} image is {size}, those before it are {expected}: calibrate each size by itself"
         )))
     }
 
@@ -304,7 +304,7 @@ impl<'a> RgbdGathering<'a> {
                 self.first_reason.unwrap_or_default()
             ))),
             None => Err(Failure::failed(format!(
-                "{}: it has depth but no color pictures, in which the board is seen",
+                "{}: it has depth but no color images, in which the board is seen",
                 self.source
             ))),
         }

@@ -1,4 +1,4 @@
-//! `plumb calibrate --choose N` and `--order`: which pictures of a pool teach most.
+//! `plumb calibrate --choose N` and `--order`: which images of a pool teach most.
 
 use serde::Serialize;
 
@@ -11,23 +11,23 @@ use crate::document::pose::PoseDocument;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
-/// Which pictures of many to take.
+/// Which images of many to take.
 #[derive(Debug, clap::Args)]
 pub struct ChooseArgs {
-    /// Calibrate from the N pictures that together teach most.
+    /// Calibrate from the N images that together teach most.
     #[arg(long, value_name = "N", conflicts_with = "order",
         value_parser = clap::value_parser!(u32).range(3..))]
     choose: Option<u32>,
-    /// Print, in place of the calibration, the pictures in the order in which each teaches most
+    /// Print, in place of the calibration, the images in the order in which each teaches most
     /// beside those before it, and the view that would teach most next.
     #[arg(long)]
     order: bool,
 }
 
-/// A problem's pictures: its views, and the others with their places.
-pub type Pictures = (CameraProblem, Vec<(usize, CalibratedView)>);
+/// A problem's images: its views, and the others with their places.
+pub type ViewsAndOthers = (CameraProblem, Vec<(usize, CalibratedView)>);
 
-/// The order of a pool's pictures, as printed.
+/// The order of a pool's images, as printed.
 #[derive(Debug, Serialize)]
 struct OrderDocument {
     /// First the one that teaches most.
@@ -36,7 +36,7 @@ struct OrderDocument {
     next: Option<NextDocument>,
 }
 
-/// What one picture taught.
+/// What one image taught.
 #[derive(Debug, Serialize)]
 struct TaughtDocument {
     name: String,
@@ -66,23 +66,23 @@ impl ChooseArgs {
     pub fn refuse(&self, what: &str) -> Result<(), Failure> {
         if self.is_asked() {
             return Err(Failure::usage(format!(
-                "--choose and --order take the pictures of one camera, not {what}: leave them out"
+                "--choose and --order take the images of one camera, not {what}: leave them out"
             )));
         }
         Ok(())
     }
 
-    /// The pictures to calibrate from, and with which lens; `None` when the order was printed
+    /// The images to calibrate from, and with which lens; `None` when the order was printed
     /// instead.
     ///
     /// # Errors
-    /// When the pictures leave the lens open, or stdout is closed.
+    /// When the images leave the lens open, or stdout is closed.
     pub fn pick(
         &self,
-        (problem, others): Pictures,
+        (problem, others): ViewsAndOthers,
         options: &CameraOptions,
         json: bool,
-    ) -> Result<Option<(Pictures, CameraOptions)>, Failure> {
+    ) -> Result<Option<(ViewsAndOthers, CameraOptions)>, Failure> {
         if !self.is_asked() {
             return Ok(Some(((problem, others), options.clone())));
         }
@@ -92,25 +92,25 @@ impl ChooseArgs {
             return print_order(&problem, &estimate, &pool, json).map(|()| None);
         };
         let chosen = pool.choose(count as usize);
-        // A few pictures cannot separate lens models as well as all of them.
+        // A few images cannot separate lens models as well as all of them.
         let lens = LensChoice::Model(estimate.lens.model());
         let options = CameraOptions { lens, ..options.clone() };
-        Ok(Some((chosen_pictures((problem, others), &estimate, &pool, &chosen), options)))
+        Ok(Some((chosen_images((problem, others), &estimate, &pool, &chosen), options)))
     }
 }
 
 /// The chosen views as the problem, the others named with what they would have taught.
-fn chosen_pictures(
-    (problem, others): Pictures,
+fn chosen_images(
+    (problem, others): ViewsAndOthers,
     estimate: &CameraEstimate,
     pool: &Pool,
     chosen: &[usize],
-) -> Pictures {
+) -> ViewsAndOthers {
     let together_px = pool.uncertainty_px(chosen);
-    let mut pictures: Vec<Result<_, CalibratedView>> = Vec::new();
+    let mut images: Vec<Result<_, CalibratedView>> = Vec::new();
     for (at, view) in problem.views.into_iter().enumerate() {
         if chosen.contains(&at) {
-            pictures.push(Ok(view));
+            images.push(Ok(view));
             continue;
         }
         let reason = estimate.views[at].fault.map_or_else(
@@ -120,14 +120,14 @@ fn chosen_pictures(
             },
             |fault| fault.to_string(),
         );
-        pictures.push(Err(unused(view.name, reason)));
+        images.push(Err(unused(view.name, reason)));
     }
     for (place, other) in others {
-        pictures.insert(place.min(pictures.len()), Err(other));
+        images.insert(place.min(images.len()), Err(other));
     }
     let (mut views, mut left) = (Vec::new(), Vec::new());
-    for (place, picture) in pictures.into_iter().enumerate() {
-        match picture {
+    for (place, image) in images.into_iter().enumerate() {
+        match image {
             Ok(view) => views.push(view),
             Err(other) => left.push((place, other)),
         }

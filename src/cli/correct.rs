@@ -1,4 +1,4 @@
-//! `plumb correct`: depth pictures without their systematic error, on request as the color camera
+//! `plumb correct`: depth images without their systematic error, on request as the color camera
 //! would see them.
 
 use std::cell::LazyCell;
@@ -19,7 +19,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, SensorKind};
-use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::image_file::frame_from_file;
 use crate::imaging::point_cloud::to_ply;
 use crate::imaging::registration::DepthRegistration;
 
@@ -29,19 +29,19 @@ pub struct Args {
     /// The calibration document of a camera with depth, as `plumb calibrate --out` gives it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Bring depth into the color picture (color), or color into the depth picture, as
+    /// Bring depth into the color image (color), or color into the depth image, as
     /// NAME-color.png beside it (depth)
     #[arg(long, value_name = "SENSOR", value_parser = ["color", "depth"])]
     register: Option<String>,
     /// Write the points as NAME.ply too, in the color camera's frame; with their colors where the
-    /// color picture is there
+    /// color image is there
     #[arg(long)]
     cloud: bool,
-    /// Where the color picture shows the calibration's board (held still), say how far depth is
+    /// Where the color image shows the calibration's board (held still), say how far depth is
     /// off it before and after correction, and draw it as NAME-error.png
     #[arg(long)]
     errors: bool,
-    /// Correct and register each picture N times; elapsed_ms is the fastest
+    /// Correct and register each image N times; elapsed_ms is the fastest
     #[arg(long, value_name = "N", default_value_t = 1)]
     repeat: u32,
     /// Meters per unit of what is written; 0 is no reading
@@ -56,7 +56,7 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     reading: TopicArgs,
-    /// Depth pictures (16-bit PNG or PGM), folders of them, or recordings with depth
+    /// Depth images (16-bit PNG or PGM), folders of them, or recordings with depth
     #[arg(required = true, value_name = "DEPTH")]
     depth: Vec<String>,
 }
@@ -82,17 +82,17 @@ struct CorrectedImage {
     off_board: Option<BeforeAndAfter>,
 }
 
-/// What comes with a depth picture.
+/// What comes with a depth image.
 #[derive(Default)]
 struct Colored {
-    picture: Option<RgbImage>,
+    image: Option<RgbImage>,
     frame: Option<Frame>,
 }
 
 /// Corrects every depth image; one that cannot be is reported at the end, after the others.
 ///
 /// # Errors
-/// A failure for a calibration without depth, and when any picture could not be corrected.
+/// A failure for a calibration without depth, and when any image could not be corrected.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(args.unit > 0.0 && args.unit < 1.0) {
         return Err(Failure::usage(format!(
@@ -121,15 +121,15 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     })?;
     let spinner = progress::spinner("correcting");
     let (mut written, mut failures) = (Vec::new(), Vec::new());
-    let mut give = |path: String, name: String, picture: Result<(DepthImage, Colored), String>| {
+    let mut give = |path: String, name: String, image: Result<(DepthImage, Colored), String>| {
         spinner.inc(1);
-        let outcome = picture.and_then(|(picture, color)| {
-            fits(&picture, depth.camera.image_size)?;
-            let picture_of_color = (&picture, color.picture.as_ref());
+        let outcome = image.and_then(|(image, color)| {
+            fits(&image, depth.camera.image_size)?;
+            let image_of_color = (&image, color.image.as_ref());
             let mut one =
-                correct(args, (&registration, depth.invalid), (&path, &name), picture_of_color)?;
+                correct(args, (&registration, depth.invalid), (&path, &name), image_of_color)?;
             if let Some((errors, frame)) = plane_errors.as_mut().zip(color.frame.as_ref()) {
-                one.off_board = off_board(args, errors, &name, (frame, &picture))?;
+                one.off_board = off_board(args, errors, &name, (frame, &image))?;
             }
             Ok(one)
         });
@@ -141,7 +141,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     for source in &args.depth {
         let place = Path::new(source);
         if place.is_dir() && !place.join("depth").is_dir() && !is_recording(place) {
-            for path in pictures_in(place)? {
+            for path in images_in(place)? {
                 give(
                     path.display().to_string(),
                     stem(&path),
@@ -158,9 +158,9 @@ pub fn run(args: &Args) -> Result<(), Failure> {
                     .clone()
                     .unwrap_or_else(|| format!("{:06}", frames.set.sequence));
                 let color = frames.set.frame(SensorKind::Color);
-                let picture = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
-                let picture = picture.map_err(|error| format!("its color picture: {error}"));
-                let color = picture.map(|picture| Colored { picture, frame: color.cloned() });
+                let image = color.filter(|_| needs_color(args)).map(decode::rgb).transpose();
+                let image = image.map_err(|error| format!("its color image: {error}"));
+                let color = image.map(|image| Colored { image, frame: color.cloned() });
                 give(frames.path(), name, decoded(frame).and_then(|depth| Ok((depth, color?))));
             }
         } else {
@@ -175,22 +175,21 @@ fn correct(
     args: &Args,
     (registration, invalid): (&DepthRegistration, Option<u16>),
     (path, name): (&str, &str),
-    (picture, color): (&DepthImage, Option<&RgbImage>),
+    (image, color): (&DepthImage, Option<&RgbImage>),
 ) -> Result<CorrectedImage, String> {
     let (mut corrected, elapsed_ms) = timed(args, || match args.register.as_deref() {
-        Some("color") => registration.register(picture, invalid, args.unit),
-        _ => registration.correct(picture, invalid, args.unit),
+        Some("color") => registration.register(image, invalid, args.unit),
+        _ => registration.correct(image, invalid, args.unit),
     });
     let write = |name: String, bytes: &[u8]| write(args, &name, bytes);
     if needs_color(args) {
-        let depths = registration.depths_m(picture, invalid);
+        let depths = registration.depths_m(image, invalid);
         if args.cloud {
             write(format!("{name}.ply"), &to_ply(&registration.points(&depths, color), "color"))?;
         }
         if args.register.as_deref() == Some("depth") {
-            let color = color.ok_or(
-                "there is no color picture with it; give a recording with color and depth",
-            )?;
+            let color = color
+                .ok_or("there is no color image with it; give a recording with color and depth")?;
             write(
                 format!("{name}-color.png"),
                 &encode_png(&registration.color_in_depth(&depths, color))?,
@@ -198,7 +197,7 @@ fn correct(
         }
     }
     if args.register.as_deref() == Some("color") {
-        corrected.beyond = registration.correct(picture, invalid, args.unit).beyond;
+        corrected.beyond = registration.correct(image, invalid, args.unit).beyond;
     }
     Ok(CorrectedImage {
         path: path.to_owned(),
@@ -211,15 +210,15 @@ fn correct(
     })
 }
 
-/// How far `picture` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it
+/// How far `image` is off the board that `frame` shows, drawn as NAME-error.png; `None` where it
 /// shows none.
 fn off_board(
     args: &Args,
     errors: &mut PlaneErrors,
     name: &str,
-    (frame, picture): (&Frame, &DepthImage),
+    (frame, image): (&Frame, &DepthImage),
 ) -> Result<Option<BeforeAndAfter>, String> {
-    let Some((off, drawn)) = errors.of(frame, picture)? else { return Ok(None) };
+    let Some((off, drawn)) = errors.of(frame, image)? else { return Ok(None) };
     write(args, &format!("{name}-error.png"), &encode_png(&drawn)?)?;
     Ok(Some(off))
 }
@@ -249,9 +248,9 @@ fn needs_color(args: &Args) -> bool {
     args.cloud || args.register.as_deref() == Some("depth")
 }
 
-fn encode_png(picture: &RgbImage) -> Result<Vec<u8>, String> {
+fn encode_png(image: &RgbImage) -> Result<Vec<u8>, String> {
     let mut file = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut file, ImageFormat::Png).map_err(|error| error.to_string())?;
+    image.write_to(&mut file, ImageFormat::Png).map_err(|error| error.to_string())?;
     Ok(file.into_inner())
 }
 
@@ -267,7 +266,7 @@ fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Res
             written,
         })?;
     } else if count > 0 {
-        output::print_line(&format!("{}: {count} corrected depth pictures", args.out.display()))?;
+        output::print_line(&format!("{}: {count} corrected depth images", args.out.display()))?;
         if beyond > 0 {
             output::print_line(&format!(
                 "{beyond} readings lie beyond the distances that were calibrated: corrected as at the nearest"
@@ -280,7 +279,7 @@ fn report(args: &Args, written: Vec<CorrectedImage>, failures: &[String]) -> Res
     match failures {
         [] => Ok(()),
         [first, ..] if failures.len() + count > 1 => Err(Failure::failed(format!(
-            "{} of {} depth pictures could not be corrected; the first: {first}",
+            "{} of {} depth images could not be corrected; the first: {first}",
             failures.len(),
             failures.len() + count
         ))),
@@ -295,16 +294,16 @@ fn off_line(off: &[[f64; 2]]) -> String {
     let middle_mm = |k: usize| median(off.iter().map(|one| 1e3 * one[k]).collect());
     match (middle_mm(0), middle_mm(1)) {
         (Some(before), Some(after)) => format!(
-            "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} pictures",
+            "off the board by {before:.2} mm rms before and {after:.2} mm after: the median of {} images",
             off.len()
         ),
-        _ => "no color picture with depth shows the calibration's board: give a recording of it"
+        _ => "no color image with depth shows the calibration's board: give a recording of it"
             .to_owned(),
     }
 }
 
-fn fits(picture: &DepthImage, expected: ImageSize) -> Result<(), String> {
-    let size = picture.size();
+fn fits(image: &DepthImage, expected: ImageSize) -> Result<(), String> {
+    let size = image.size();
     if size == expected {
         return Ok(());
     }
@@ -327,7 +326,7 @@ fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+fn images_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let refused =
         |error| Failure::failed(format!("{}: cannot be read ({error})", folder.display()));
     let entries =
@@ -335,12 +334,12 @@ fn pictures_in(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
     let mut paths: Vec<_> = entries
         .into_iter()
         .map(|entry| entry.path())
-        .filter(|path| crate::imaging::picture_file::is_picture(path))
+        .filter(|path| crate::imaging::image_file::is_image(path))
         .collect();
     paths.sort();
     if paths.is_empty() {
         return Err(Failure::failed(format!(
-            "{}: no depth pictures in this folder: it needs 16-bit .png or .pgm files",
+            "{}: no depth images in this folder: it needs 16-bit .png or .pgm files",
             folder.display()
         )));
     }

@@ -1,4 +1,4 @@
-//! `plumb detect`: which pictures show the board, and where its corners are.
+//! `plumb detect`: which images show the board, and where its corners are.
 
 use serde::Serialize;
 

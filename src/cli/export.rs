@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
 use crate::cli::{Failure, output};
-use crate::export::other_pictures::{OtherPictures, for_other_pictures};
+use crate::export::other_images::{OtherImages, for_other_images};
 use crate::export::{ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::ImageRegion;
 use crate::geometry::pixel::ImageSize;
@@ -26,14 +26,14 @@ pub struct Args {
     /// infrared2, depth, or a rig's camera [default: color].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// The part of the pictures it was made with that those show that it is wanted for, in pixels
+    /// The part of the images it was made with that those show that it is wanted for, in pixels
     /// from the top left, as in 160,120,320,240.
     #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
     crop: Option<ImageRegion>,
-    /// Width of the pictures to write it for, where they (or that part of them) are scaled.
+    /// Width of the images to write it for, where they (or that part of them) are scaled.
     #[arg(long, value_name = "PIXELS", requires = "height")]
     width: Option<u32>,
-    /// Height of those pictures.
+    /// Height of those images.
     #[arg(long, value_name = "PIXELS", requires = "width")]
     height: Option<u32>,
     /// Where to write; standard output unless given.
@@ -101,8 +101,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let in_file =
         |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
     let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
-    let other = OtherPictures { crop: args.crop, size, sensor: args.sensor.clone() };
-    let calibration = for_other_pictures(&calibration, &other).map_err(|error| in_file(&error))?;
+    let other = OtherImages { crop: args.crop, size, sensor: args.sensor.clone() };
+    let calibration = for_other_images(&calibration, &other).map_err(|error| in_file(&error))?;
     let format = Format::from(args.format);
     let options = ExportOptions { sensor: args.sensor.clone() };
     let exported = export(&calibration, format, &options).map_err(|error| in_file(&error))?;

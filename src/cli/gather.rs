@@ -19,21 +19,21 @@ use crate::geometry::target::Target;
 /// Fewer corners do not determine a board's pose and say anything about the lens.
 const LEAST_CORNERS: usize = 6;
 
-/// What the pictures amount to. A picture that was chosen by hand (a file, one of a folder) is a
+/// What the images amount to. An image that was chosen by hand (a file, one of a folder) is a
 /// view if the board is seen in it; frames of a recording go through a session, which keeps the
 /// sharp, still and different ones, as it would live.
 #[derive(Debug)]
 pub struct ImageGathering {
     target: Target,
-    /// The first picture's name and size.
+    /// The first image's name and size.
     size: Option<(String, ImageSize)>,
-    /// Every picture in order: a view, or why it is none. Frames of a recording that its session
+    /// Every image in order: a view, or why it is none. Frames of a recording that its session
     /// did not keep are left out.
-    pictures: Vec<Result<BoardView, (String, String)>>,
+    images: Vec<Result<BoardView, (String, String)>>,
     session: Option<(String, Session)>,
     searched: usize,
     first_reason: Option<String>,
-    /// Of the first picture that shows the target.
+    /// Of the first image that shows the target.
     markers: Option<BoardMarkers>,
 }
 
@@ -43,7 +43,7 @@ impl ImageGathering {
         Self {
             target,
             size: None,
-            pictures: Vec::new(),
+            images: Vec::new(),
             session: None,
             searched: 0,
             first_reason: None,
@@ -51,10 +51,10 @@ impl ImageGathering {
         }
     }
 
-    /// Takes the next picture.
+    /// Takes the next image.
     ///
     /// # Errors
-    /// When its size is not that of the pictures before it.
+    /// When its size is not that of the images before it.
     pub fn add(&mut self, image: Result<SearchedImage, Unreadable>) -> Result<(), Failure> {
         self.searched += 1;
         match image {
@@ -74,13 +74,13 @@ impl ImageGathering {
             Err(Unreadable { path, reason }) => {
                 self.end_recording();
                 self.note_reason(Some(reason.clone()));
-                self.pictures.push(Err((path, reason)));
+                self.images.push(Err((path, reason)));
             }
         }
         Ok(())
     }
 
-    /// The problem that the views pose, and the pictures that are no views, each with its place
+    /// The problem that the views pose, and the images that are no views, each with its place
     /// among all.
     ///
     /// # Errors
@@ -88,8 +88,8 @@ impl ImageGathering {
     pub fn finish(mut self) -> Result<(CameraProblem, Vec<(usize, CalibratedView)>), Failure> {
         self.end_recording();
         let (mut views, mut others) = (Vec::new(), Vec::new());
-        for (place, picture) in self.pictures.into_iter().enumerate() {
-            match picture {
+        for (place, image) in self.images.into_iter().enumerate() {
+            match image {
                 Ok(view) => views.push(view),
                 Err((name, reason)) => others.push((place, unused(name, reason))),
             }
@@ -101,7 +101,7 @@ impl ImageGathering {
             }
             _ if self.searched == 1 => Err(Failure::failed(first)),
             _ => Err(Failure::failed(format!(
-                "no {} was seen in any of {} pictures; the first: {first}",
+                "no {} was seen in any of {} images; the first: {first}",
                 self.target, self.searched
             ))),
         }
@@ -119,7 +119,7 @@ impl ImageGathering {
             return Ok(());
         }
         Err(Failure::failed(format!(
-            "{} is {size}, but {first} is {expected}: calibrate each size of picture by itself",
+            "{} is {size}, but {first} is {expected}: calibrate each size of image by itself",
             image.path
         )))
     }
@@ -133,7 +133,7 @@ impl ImageGathering {
     fn take(&mut self, image: SearchedImage) {
         self.end_recording();
         let name = image.path;
-        self.pictures.push(match image.answer {
+        self.images.push(match image.answer {
             Ok(Detection { corners, .. }) if corners.len() < LEAST_CORNERS => {
                 Err((name, format!("only {} corners are seen", corners.len())))
             }
@@ -169,19 +169,19 @@ impl ImageGathering {
         let record = session.record();
         let kept = session.camera(0).map(CameraPart::views).unwrap_or_default();
         tracing::info!("{path}: {} of {} frames kept as views", kept.len(), record.frames_seen);
-        self.pictures.extend(kept.iter().map(|view| Ok(view.to_board_view(&self.target))));
+        self.images.extend(kept.iter().map(|view| Ok(view.to_board_view(&self.target))));
     }
 }
 
-/// The views of `target` in the pictures.
+/// The views of `target` in the images.
 ///
 /// # Errors
-/// When a source is not there, or pictures differ in size.
+/// When a source is not there, or images differ in size.
 pub fn gather(args: &SearchArgs, target: Target) -> Result<ImageGathering, Failure> {
     args.check_sources()?;
     let options = args.detect_options();
     let mut gathered = ImageGathering::new(target);
-    let spinner = progress::spinner("searching pictures");
+    let spinner = progress::spinner("searching images");
     in_order(
         FrameSets::new(args.sources.iter().cloned()).reading(&args.reading),
         args.thread_count(),

@@ -1,5 +1,5 @@
 //! How far depth is off a board that color sees, before and after correction, as numbers and as a
-//! picture.
+//! image.
 
 use serde::Serialize;
 
@@ -18,12 +18,12 @@ use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
 use crate::imaging::depth_image::DepthImage;
-use crate::imaging::error_picture::draw_errors;
+use crate::imaging::error_drawing::draw_errors;
 use crate::imaging::frame::Frame;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 
-/// Measures depth by the board in color's pictures.
+/// Measures depth by the board in color's images.
 pub struct PlaneErrors {
     board: Target,
     color: Lens,
@@ -42,7 +42,7 @@ pub struct OffPlane {
     rms_m: f64,
 }
 
-/// Of one picture, as the device gives it and corrected.
+/// Of one image, as the device gives it and corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BeforeAndAfter {
     before: OffPlane,
@@ -83,22 +83,22 @@ impl PlaneErrors {
         })
     }
 
-    /// The error of `picture` on the board, as numbers and as an image; `None` where `color` does
+    /// The error of `image` on the board, as numbers and as an image; `None` where `color` does
     /// not show the board, or depth has no reading of it.
     ///
     /// # Errors
-    /// For a color picture that cannot be read, or is of another size than the calibration's.
+    /// For a color image that cannot be read, or is of another size than the calibration's.
     pub fn of(
         &mut self,
         color: &Frame,
-        picture: &DepthImage,
+        image: &DepthImage,
     ) -> Result<Option<(BeforeAndAfter, image::RgbImage)>, String> {
-        luma(color, &mut self.image).map_err(|error| format!("its color picture: {error}"))?;
+        luma(color, &mut self.image).map_err(|error| format!("its color image: {error}"))?;
         let image_size = self.image.size();
         if image_size != self.color_size {
             let expected = self.color_size;
             return Err(format!(
-                "its color picture is {image_size}, the calibration is of {expected}; record at that size"
+                "its color image is {image_size}, the calibration is of {expected}; record at that size"
             ));
         }
         let Ok(detection) = self.finder.find(self.image.view(), &DetectOptions::default()) else {
@@ -116,7 +116,7 @@ impl PlaneErrors {
         let Some(pose) = poses.first() else { return Ok(None) };
         let on_board = (&self.board, &pose.camera_from_board);
         let errors =
-            plane_error((&self.depth, &self.color_from_depth), on_board, (picture, self.invalid));
+            plane_error((&self.depth, &self.color_from_depth), on_board, (image, self.invalid));
         let [before, after] =
             [&errors.before_m, &errors.after_m].map(|errors| mean_and_rms_m(errors));
         Ok(before.zip(after).and_then(|(before, after)| {

@@ -98,7 +98,7 @@ fn searched(
     target: &Target,
 ) -> Result<Vec<SearchedImage>, Failure> {
     let mut all = Vec::new();
-    let spinner = progress::spinner("searching pictures");
+    let spinner = progress::spinner("searching images");
     let source = std::iter::once(camera.source.clone());
     in_order(
         FrameSets::new(source).reading(&search.reading),

@@ -27,7 +27,7 @@ pub struct SearchedImage {
     pub elapsed_ms: f64,
 }
 
-/// A function that searches for `target` in the picture of a frame set, `repeat` times over. It keeps
+/// A function that searches for `target` in the image of a frame set, `repeat` times over. It keeps
 /// its buffers.
 pub fn searcher(
     target: &Target,
@@ -56,7 +56,7 @@ pub fn searcher(
     }
 }
 
-/// What there is to know about the picture of a frame set.
+/// What there is to know about the image of a frame set.
 pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> FrameFacts {
     FrameFacts {
         sequence: frames.set.sequence,
@@ -67,12 +67,11 @@ pub(super) fn frame_facts(frames: &SourcedFrames, image_size: ImageSize) -> Fram
     }
 }
 
-/// The luma of the color picture, else of the infrared one.
+/// The luma of the color image, else of the infrared one.
 pub(super) fn read_luma(frames: &SourcedFrames, image: &mut GrayImage) -> Result<(), String> {
-    let picture = [SensorKind::Color, SensorKind::Infrared]
+    let frame = [SensorKind::Color, SensorKind::Infrared]
         .into_iter()
         .find_map(|sensor| frames.set.frame(sensor));
-    let picture =
-        picture.ok_or("it holds depth alone, in which no board can be seen; give pictures")?;
-    luma(picture, image).map_err(|error| error.to_string())
+    let frame = frame.ok_or("it holds depth alone, in which no board can be seen; give images")?;
+    luma(frame, image).map_err(|error| error.to_string())
 }

@@ -1,4 +1,4 @@
-//! Which pictures are searched, and for what.
+//! Which images are searched, and for what.
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use crate::cli::in_order::all_cores;
 use crate::cli::sources::TopicArgs;
 use crate::detection::board_detection::DetectOptions;
 
-/// Which pictures to search, and for what.
+/// Which images to search, and for what.
 #[derive(Debug, clap::Args)]
 pub struct SearchArgs {
-    /// Also use pictures in which only part of the board is seen.
+    /// Also use images in which only part of the board is seen.
     #[arg(long)]
     pub(super) allow_partial: bool,
-    /// How many pictures to search at once; all cores unless given.
+    /// How many images to search at once; all cores unless given.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub(super) threads: Option<u16>,
     #[command(flatten)]
@@ -52,7 +52,7 @@ impl SearchArgs {
     }
 }
 
-/// A mistyped source must not be lost among the pictures that could be read.
+/// A mistyped source must not be lost among the images that could be read.
 fn check_there(source: &str) -> Result<(), Failure> {
     let is_glob = source.contains(['*', '?', '[']);
     if Path::new(source).exists() || is_glob {

@@ -75,8 +75,8 @@ fn render(scene: &SceneFile, out: &Path) -> Result<TruthDocument, Failure> {
     let mut frames = Vec::new();
     let bar = progress::bar("rendering", scene.frames as usize);
     for index in 0..scene.frames {
-        let (truth, pictures) = rendering.frame(index);
-        writer.write(&frame_set(&truth, pictures)).map_err(Failure::failed)?;
+        let (truth, images) = rendering.frame(index);
+        writer.write(&frame_set(&truth, images)).map_err(Failure::failed)?;
         frames.push(TrueFrameDocument {
             sequence: index,
             camera_from_board: PoseDocument::from(&truth.camera_from_board),

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::imaging::frame::{FrameSet, SensorKind};
-use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::image_file::frame_from_file;
 use crate::imaging::timestamp::HostTime;
 use crate::recording::{ReadOptions, Recording, is_bag_folder, is_recording_file, natural_order};
 
@@ -37,13 +37,13 @@ pub struct Unreadable {
 pub struct SourcedFrames {
     /// The frames.
     pub set: FrameSet,
-    /// The recording they are part of; `None` for a picture that was chosen by itself or as one of
+    /// The recording they are part of; `None` for an image that was chosen by itself or as one of
     /// a folder.
     pub recording: Option<String>,
 }
 
 impl SourcedFrames {
-    /// The picture's path; for a frame of a recording its path and sequence number.
+    /// The image's path; for a frame of a recording its path and sequence number.
     pub fn path(&self) -> String {
         let numbered =
             || format!("{}#{}", self.recording.as_deref().unwrap_or_default(), self.set.sequence);
@@ -57,7 +57,7 @@ impl SourcedFrames {
 pub struct FrameSets<'a> {
     paths: Box<dyn Iterator<Item = String> + Send + 'a>,
     open: Option<Opened>,
-    pictures: VecDeque<PathBuf>,
+    images: VecDeque<PathBuf>,
     reading: ReadOptions,
     every_frame: bool,
 }
@@ -74,7 +74,7 @@ impl<'a> FrameSets<'a> {
         Self {
             paths: Box::new(paths),
             open: None,
-            pictures: VecDeque::new(),
+            images: VecDeque::new(),
             reading: ReadOptions::default(),
             every_frame: false,
         }
@@ -96,9 +96,9 @@ impl<'a> FrameSets<'a> {
                 .map_err(|error| Unreadable { path: path.clone(), reason: error.to_string() })?;
             self.open = Some(Opened { path, recording, is_folder });
         } else if !place.exists() && path.contains(['*', '?', '[']) {
-            self.pictures.extend(files_of_glob(&path)?);
+            self.images.extend(files_of_glob(&path)?);
         } else {
-            self.pictures.push_back(place.to_owned());
+            self.images.push_back(place.to_owned());
         }
         Ok(())
     }
@@ -109,8 +109,8 @@ impl Iterator for FrameSets<'_> {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            if let Some(path) = self.pictures.pop_front() {
-                return Some(picture(&path).map(|set| SourcedFrames { set, recording: None }));
+            if let Some(path) = self.images.pop_front() {
+                return Some(image(&path).map(|set| SourcedFrames { set, recording: None }));
             }
             if let Some(opened) = &mut self.open {
                 match opened.recording.next_frame_set() {
@@ -146,7 +146,7 @@ pub fn is_recording(path: &Path) -> bool {
     is_recording_file(path) || is_bag_folder(path)
 }
 
-fn picture(path: &Path) -> Result<FrameSet, Unreadable> {
+fn image(path: &Path) -> Result<FrameSet, Unreadable> {
     let name = path.display().to_string();
     let bytes = fs::read(path).map_err(|error| Unreadable {
         reason: format!("{name}: cannot be read ({error}); check the path"),
@@ -181,7 +181,7 @@ fn files_of_glob(pattern: &str) -> Result<Vec<PathBuf>, Unreadable> {
 mod tests {
     use super::*;
 
-    const PICTURE: &[u8] = b"P5 1 1 255\n7";
+    const IMAGE: &[u8] = b"P5 1 1 255\n7";
 
     #[test]
     fn files_folders_and_globs_in_the_order_given() {
@@ -189,7 +189,7 @@ mod tests {
         let at = |name: &str| folder.path().join(name).display().to_string();
         fs::create_dir(folder.path().join("more")).unwrap();
         for name in ["a10.pgm", "a9.pgm", "b.pgm", "more/c.pgm"] {
-            fs::write(at(name), PICTURE).unwrap();
+            fs::write(at(name), IMAGE).unwrap();
         }
         let paths = [at("b.pgm"), at("a*.pgm"), at("nothing*.pgm"), at("more"), at("gone.pgm")];
         let seen: Vec<_> = FrameSets::new(paths.into_iter())

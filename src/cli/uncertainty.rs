@@ -1,4 +1,4 @@
-//! `plumb uncertainty`: how well a calibration knows where things are seen, over the picture.
+//! `plumb uncertainty`: how well a calibration knows where things are seen, over the image.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 use crate::imaging::heat_map::{GridValues, heat_map_png};
 
-/// Says how well a calibration knows where things are seen, over the picture.
+/// Says how well a calibration knows where things are seen, over the image.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it.
@@ -31,7 +31,7 @@ pub struct Args {
     json: bool,
 }
 
-/// Columns of the numbers' grid and of the picture's, along the image's longer side.
+/// Columns of the numbers' grid and of the image's, along the image's longer side.
 const COLUMNS: [u32; 2] = [13, 49];
 
 /// Runs the command.
@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let found = sensors().find(|(name, _)| args.sensor.as_ref().is_none_or(|asked| asked == name));
     let known = || sensors().map(|(name, _)| name).collect::<Vec<_>>().join(", ");
     let unknown =
-        || Failure::failed(format!("{file}: there is no such picture sensor; it has {}", known()));
+        || Failure::failed(format!("{file}: there is no such image sensor; it has {}", known()));
     let (name, sensor) = found.ok_or_else(unknown)?;
     let distance =
         args.distance.map_or(Distance::Infinity, |distance| Distance::Meters(distance.meters));

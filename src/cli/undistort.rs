@@ -1,4 +1,4 @@
-//! `plumb undistort`: pictures as a lens without distortion would have taken them.
+//! `plumb undistort`: images as a lens without distortion would have taken them.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;
@@ -24,7 +24,7 @@ pub struct Args {
     /// The calibration document, as `plumb calibrate --out` and GET /v1/calibrations/{id} give it
     #[arg(long, value_name = "FILE")]
     calibration: PathBuf,
-    /// The folder to write to; made if it is not there. Results are PNG files with the pictures'
+    /// The folder to write to; made if it is not there. Results are PNG files with the images'
     /// names
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -37,7 +37,7 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     reading: TopicArgs,
-    /// Pictures, folders, quoted globs or recordings
+    /// Images, folders, quoted globs or recordings
     #[arg(required = true, value_name = "IMAGE")]
     images: Vec<String>,
 }
@@ -59,7 +59,7 @@ struct UndistortedImage {
 /// Undistorts every image; one that cannot be is reported at the end, after the others.
 ///
 /// # Errors
-/// A failure for a calibration that cannot be read, and when any picture could not be undistorted.
+/// A failure for a calibration that cannot be read, and when any image could not be undistorted.
 pub fn run(args: &Args) -> Result<(), Failure> {
     if !(0.0..=1.0).contains(&args.balance) {
         return Err(Failure::usage(format!(
@@ -71,7 +71,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let file = args.calibration.display();
     let color = calibration
         .color()
-        .ok_or_else(|| Failure::failed(format!("{file}: calibrates no picture sensor")))?;
+        .ok_or_else(|| Failure::failed(format!("{file}: calibrates no image sensor")))?;
     let options = UndistortOptions { balance: args.balance, size: None };
     let undistortion = Undistortion::new(&color.lens, color.image_size, &options);
     std::fs::create_dir_all(&args.out).map_err(|error| {
@@ -121,7 +121,7 @@ fn report(
             written,
         })?;
     } else if count > 0 {
-        output::print_line(&format!("{}: {count} undistorted pictures", args.out.display()))?;
+        output::print_line(&format!("{}: {count} undistorted images", args.out.display()))?;
     }
     match failures {
         [] => Ok(()),
@@ -129,14 +129,14 @@ fn report(
         [first, ..] => {
             let all = failures.len() + count;
             Err(Failure::failed(format!(
-                "{} of {all} pictures could not be undistorted; the first: {first}",
+                "{} of {all} images could not be undistorted; the first: {first}",
                 failures.len()
             )))
         }
     }
 }
 
-/// Undistorts one picture into `folder`; why not, in one line.
+/// Undistorts one image into `folder`; why not, in one line.
 fn undistorted(
     frames: &SourcedFrames,
     undistortion: &Undistortion,
@@ -147,17 +147,17 @@ fn undistorted(
     let frame = frames
         .set
         .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{path}: no picture in this frame set"))?;
-    let picture = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
-    let size = ImageSize::new(picture.width(), picture.height());
-    let flat = undistortion.map.rgb(&picture, Interpolation::Bicubic).ok_or_else(|| {
+        .ok_or_else(|| format!("{path}: no image in this frame set"))?;
+    let image = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
+    let size = ImageSize::new(image.width(), image.height());
+    let flat = undistortion.map.rgb(&image, Interpolation::Bicubic).ok_or_else(|| {
         let expected = undistortion.map.source_size();
-        format!("{path}: {size} pixels, but the calibration is for {expected}; give pictures of the calibrated camera")
+        format!("{path}: {size} pixels, but the calibration is for {expected}; give images of the calibrated camera")
     })?;
     let out = folder.join(file_name(frames));
     if !taken.insert(out.clone()) {
         return Err(format!(
-            "{path}: {} was written from another picture of that name; rename one",
+            "{path}: {} was written from another image of that name; rename one",
             out.display()
         ));
     }
@@ -166,7 +166,7 @@ fn undistorted(
     Ok(UndistortedImage { path, out: out.display().to_string() })
 }
 
-/// The picture's name with the ending .png; for a frame of a recording the recording's name and the
+/// The image's name with the ending .png; for a frame of a recording the recording's name and the
 /// sequence number.
 fn file_name(frames: &SourcedFrames) -> String {
     let stem =
@@ -183,17 +183,17 @@ fn file_name(frames: &SourcedFrames) -> String {
     }
 }
 
-/// A PNG file: gray for a picture without colors.
-fn png(picture: RgbImage) -> Result<Vec<u8>, image::ImageError> {
-    let gray = picture.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
-    let picture = if gray {
-        let values = picture.pixels().map(|pixel| pixel[0]).collect();
-        GrayImage::from_raw(picture.width(), picture.height(), values)
-            .map_or(DynamicImage::ImageRgb8(picture), DynamicImage::ImageLuma8)
+/// A PNG file: gray for an image without colors.
+fn png(image: RgbImage) -> Result<Vec<u8>, image::ImageError> {
+    let gray = image.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
+    let image = if gray {
+        let values = image.pixels().map(|pixel| pixel[0]).collect();
+        GrayImage::from_raw(image.width(), image.height(), values)
+            .map_or(DynamicImage::ImageRgb8(image), DynamicImage::ImageLuma8)
     } else {
-        DynamicImage::ImageRgb8(picture)
+        DynamicImage::ImageRgb8(image)
     };
     let mut bytes = Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, ImageFormat::Png)?;
+    image.write_to(&mut bytes, ImageFormat::Png)?;
     Ok(bytes.into_inner())
 }

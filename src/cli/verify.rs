@@ -27,7 +27,7 @@ use crate::geometry::target::Target;
 const LIMIT_SIGMAS: f64 = 3.0;
 /// Smallest limit of a change, in pixels: less is not distinguishable from the images' own errors.
 const LEAST_LIMIT_PX: f64 = 0.1;
-/// Pictures that show a change only where it is this many times what is allowed show little; and a
+/// Images that show a change only where it is this many times what is allowed show little; and a
 /// lens this many times farther off than chance and the calibration allow is another one.
 const VISIBLE: f64 = 3.0;
 /// Columns of the grid that uncertainty is summed up over.
@@ -57,14 +57,14 @@ struct Verified {
     holds: bool,
     /// How far projections are off where corners are seen, beyond their noise, in pixels; where these
     /// views determine a lens of their own that is certainly another, how far it projects from the
-    /// calibrated one in the median over the picture.
+    /// calibrated one in the median over the image.
     moved_px: f64,
     /// The most that the calibration's own uncertainty allows.
     limit_px: f64,
-    /// The least change of the lens that these pictures show, over the whole picture; null where
+    /// The least change of the lens that these images show, over the whole image; null where
     /// they show none.
     visible_px: Option<f64>,
-    /// The error of these pictures with the lens as calibrated.
+    /// The error of these images with the lens as calibrated.
     rms_px: f64,
     /// The same with the lens that fits them best; null where they do not determine one.
     best_rms_px: Option<f64>,
@@ -75,13 +75,13 @@ struct Verified {
 /// Runs the command.
 ///
 /// # Errors
-/// When the calibration or the pictures cannot be read, are of different sizes, or show no board.
+/// When the calibration or the images cannot be read, are of different sizes, or show no board.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
     let file = args.calibration.display();
     let sensor = calibration
         .guide()
-        .ok_or_else(|| Failure::failed(format!("{file}: has no picture sensor to verify")))?;
+        .ok_or_else(|| Failure::failed(format!("{file}: has no image sensor to verify")))?;
     let square_m = match calibration.target {
         Some(Target::Chessboard(board)) => board.square_m,
         _ => ANY_SQUARE_M,
@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let (problem, _) = gather(&args.search, target)?.finish()?;
     if problem.image_size != sensor.image_size {
         return Err(Failure::failed(format!(
-            "the pictures are {}, {file} is for {}: give pictures of that size, or the calibration exported for theirs",
+            "the images are {}, {file} is for {}: give images of that size, or the calibration exported for theirs",
             problem.image_size, sensor.image_size
         )));
     }
@@ -171,7 +171,7 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
 }
 
 /// What the lens that fits the views best says of the calibrated one, in the median over the
-/// picture.
+/// image.
 #[derive(Debug, Clone, Copy)]
 struct LensChange {
     /// How far it projects from the calibrated one, after the best compensating rotation.

@@ -138,7 +138,7 @@ pub enum NoBoard {
     #[error(transparent)]
     Target(#[from] NoTarget),
     /// Part of the board, because the rest is beyond the image's border.
-    #[error("cut off: the picture's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
+    #[error("cut off: the image's border leaves {seen} of {board}'s {} corners; bring the whole board into view, or allow partial boards", board.corner_count())]
     CutOff {
         /// How many corners were seen.
         seen: usize,

@@ -1,4 +1,4 @@
-//! The stages of the search on one photograph, one after the other, and the pictures of them in
+//! The stages of the search on one photograph, one after the other, and the images of them in
 //! `README.md`.
 
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ use crate::imaging::decode::{encode_jpeg_rgb, luma};
 use crate::imaging::draw::{Pen, draw_corners, draw_line, draw_polygon, draw_ring};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
-use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::image_file::frame_from_file;
 
 /// Width of the drawings, in pixels.
 const WIDTH: u32 = 320;

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::depth_calibration::{
-    DepthBias, DepthCalibration, DepthNoise, PictureDelay,
+    DepthBias, DepthCalibration, DepthNoise, ExposureDelay,
 };
 use crate::document::error::DocumentError;
 use crate::document::image_sensor::image_size;
@@ -19,7 +19,7 @@ use crate::geometry::pixel::ImageSize;
 /// A calibrated depth sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DepthDocument {
-    /// Width and height of its pictures, in pixels.
+    /// Width and height of its images, in pixels.
     pub image_size: [u32; 2],
     /// What its numbers are.
     pub kind: DepthKind,
@@ -41,7 +41,7 @@ pub struct DepthDocument {
     pub bias_m: BiasDocument,
     /// Noise of a reading: constant + quadratic · z², in meters.
     pub noise_m: NoiseDocument,
-    /// By how much infrared and depth are taken later than the color picture they come with, in
+    /// By how much infrared and depth are taken later than the color image they come with, in
     /// milliseconds; left out where the board's motion does not determine it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset_ms: Option<f64>,
@@ -50,7 +50,7 @@ pub struct DepthDocument {
     pub time_offset_std_ms: Option<f64>,
 }
 
-/// What a depth picture's numbers are.
+/// What a depth image's numbers are.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum DepthKind {
@@ -70,7 +70,7 @@ pub struct DisparityDocument {
 }
 
 /// A correction: x' = x + Σ_k g_k(u, v) · x^k with x = 1/z or z, and g_k a uniform cubic B-spline
-/// surface with (cells + 3) nodes along each axis of the picture, row by row; without cells one
+/// surface with (cells + 3) nodes along each axis of the image, row by row; without cells one
 /// number.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CorrectionDocument {
@@ -205,7 +205,7 @@ impl TryFrom<&DepthDocument> for DepthCalibration {
                 constant_m: document.noise_m.constant,
                 quadratic_per_m: document.noise_m.quadratic,
             },
-            time_offset: document.time_offset_ms.map(|offset_ms| PictureDelay {
+            time_offset: document.time_offset_ms.map(|offset_ms| ExposureDelay {
                 seconds: offset_ms * 1e-3,
                 std_s: document.time_offset_std_ms.unwrap_or(0.0) * 1e-3,
             }),

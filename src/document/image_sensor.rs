@@ -17,7 +17,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::imaging::decode::MAX_PIXELS;
 
-/// One picture sensor.
+/// One image sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SensorDocument {
     /// Width and height of the images it holds for, in pixels.
@@ -47,7 +47,7 @@ pub struct SensorDocument {
     /// How the board moved while the rows of an image were read, where the views show it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rolling_shutter: Option<RollingShutterDocument>,
-    /// Each picture or frame that was offered, in order.
+    /// Each image or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
 
@@ -144,7 +144,7 @@ fn lens_covariance(rows: &[Vec<f64>], parameters: usize) -> Result<Vec<Vec<f64>>
 /// An image size from `image_size`.
 ///
 /// # Errors
-/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels, and all no more than a picture
+/// [`DocumentError::Field`] unless each side is 1 to 65,535 pixels, and all no more than an image
 /// may have.
 pub fn image_size([width, height]: [u32; 2]) -> Result<ImageSize, DocumentError> {
     let fits = |side: u32| (1..=u32::from(u16::MAX)).contains(&side);

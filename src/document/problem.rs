@@ -19,7 +19,7 @@ use crate::geometry::pixel::Pixel;
 pub struct ProblemDocument {
     /// Width and height of the images, in pixels.
     pub image_size: [u32; 2],
-    /// What was seen, picture by picture.
+    /// What was seen, image by image.
     pub views: Vec<ProblemViewDocument>,
     /// The lens model to fit; `auto` when left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -108,7 +108,7 @@ pub enum Method {
     Dlt,
 }
 
-/// One picture's correspondences: as many pixels as object points.
+/// One image's correspondences: as many pixels as object points.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ProblemViewDocument {

@@ -1,4 +1,4 @@
-//! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth pictures' numbers
+//! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth images' numbers
 //! mean, and what the factory says of the sensors, in the shapes of the calibration document.
 
 use serde::Deserialize;
@@ -14,7 +14,7 @@ use crate::geometry::pose::Pose;
 /// The file's name.
 pub const FILE_NAME: &str = "sensors.toml";
 
-/// What a folder's depth pictures are.
+/// What a folder's depth images are.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorsFile {
@@ -22,9 +22,9 @@ pub struct SensorsFile {
     pub depth: StatedDepth,
     /// The color sensor, where anything is stated of it. Its lens is always estimated:
     /// corners determine it better than a factory's statement.
-    pub color: Option<StatedPicture>,
+    pub color: Option<StatedImageSensor>,
     /// The infrared sensor, where anything is stated of it.
-    pub infrared: Option<StatedPicture>,
+    pub infrared: Option<StatedImageSensor>,
     /// Where the sensors are relative to each other, as the factory says.
     #[serde(default)]
     pub extrinsics: Vec<StatedExtrinsics>,
@@ -46,10 +46,10 @@ pub struct StatedDepth {
     pub lens: Option<LensDocument>,
 }
 
-/// What is stated of a picture sensor.
+/// What is stated of an image sensor.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct StatedPicture {
+pub struct StatedImageSensor {
     /// The factory's lens.
     pub lens: Option<LensDocument>,
 }

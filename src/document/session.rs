@@ -300,7 +300,7 @@ pub struct SessionsDocument {
 /// A view that a session kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SessionViewDocument {
-    /// Its number in the session, from 0: its picture is `…/views/{n}.jpg`.
+    /// Its number in the session, from 0: its image is `…/views/{n}.jpg`.
     pub n: u32,
     /// The camera of a rig; left out for one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -328,8 +328,9 @@ pub struct SessionViewDocument {
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,
-    /// Where its picture is.
-    pub picture: String,
+    /// Where its image is.
+    #[serde(rename = "picture")]
+    pub image: String,
 }
 
 /// The views of a session, in the order they were kept.

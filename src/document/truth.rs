@@ -35,9 +35,9 @@ pub struct TruthDocument {
 }
 
 /// How a simulated depth camera measures: with q the inverse of the depth along the axis, in 1/m,
-/// and two fields over the picture, q' = q · (1 + scale) + offset + noise, rounded to steps; a
+/// and two fields over the image, q' = q · (1 + scale) + offset + noise, rounded to steps; a
 /// reading is 1/q' in units, rounded, 0 where there is none. A field is the sum of its five
-/// coefficients times 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), x and y from the picture's middle
+/// coefficients times 1, x, y, x² + y², sin(3x + 1) · cos(2.5y), x and y from the image's middle
 /// in half widths.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -52,7 +52,7 @@ pub struct TrueDepthDocument {
     pub noise_per_m: f64,
     /// The step, in 1/m.
     pub step_per_m: f64,
-    /// By how much infrared and depth are taken later than the color picture they come with, in
+    /// By how much infrared and depth are taken later than the color image they come with, in
     /// seconds.
     pub time_offset_s: f64,
 }

@@ -1,4 +1,4 @@
-//! How well projections are known over a picture, in numbers.
+//! How well projections are known over an image, in numbers.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

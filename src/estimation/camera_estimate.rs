@@ -237,6 +237,6 @@ fn undetermined(
         parameter: Lens::parameter_names(lens.model())[index],
         value: lens.parameters()[index],
         std,
-        remedy: "tilt the board by 20 to 45 degrees in different directions and let it fill more of the picture",
+        remedy: "tilt the board by 20 to 45 degrees in different directions and let it fill more of the image",
     }
 }

@@ -41,7 +41,7 @@ const FOLDS: usize = 10;
 /// per view.
 const HELD_OUT: f64 = 1.0;
 
-/// How far projections must move somewhere in the picture, in the larger model's standard
+/// How far projections must move somewhere in the image, in the larger model's standard
 /// deviations there.
 const MOVED: f64 = 2.5;
 
@@ -49,7 +49,7 @@ const MOVED: f64 = 2.5;
 /// than which is better.
 const MOVED_FAR: f64 = 4.0;
 
-/// The picture is compared on this many columns of pixels.
+/// The image is compared on this many columns of pixels.
 const COLUMNS: u32 = 12;
 
 /// A step's cost is as it was predicted within this part: the problem is linear there, and the step
@@ -118,7 +118,7 @@ pub(crate) fn choose_lens(
     Ok((chosen.fit.clone(), trials.iter().map(summary).collect()))
 }
 
-/// Whether the denominator of a rational lens comes near 0 somewhere in the picture. Views that do
+/// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do
 /// not determine all of its parameters are fitted best by a numerator and a denominator of huge
 /// coefficients that cancel but for a kink on a circle, which no lens has.
 fn has_pole(lens: &Lens, size: ImageSize) -> bool {

@@ -1,7 +1,7 @@
 //! Why a model does not fit: what else, had it been in the model, would explain what is left. Each
 //! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948): a
 //! board whose points are off its plane, the same in every view; and a board or camera in motion
-//! while the rows of the picture were read one after another. Twelve unknowns a view always explain
+//! while the rows of the image were read one after another. Twelve unknowns a view always explain
 //! something, so motion must explain far more than a board of any shape does, or clearly more than
 //! the same with columns in place of rows: that differs only by perspective, since a shear along
 //! rows is one along columns and a turn.
@@ -38,7 +38,7 @@ const MOTION_AGAINST_COLUMNS: f64 = 0.8;
 /// Unknowns of the board's shape: z by x², xy, y², x³, x²y, xy², y³ over its half extents.
 const SHAPE: usize = 7;
 
-/// Which way time runs over the picture.
+/// Which way time runs over the image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Read {
     AtOnce,
@@ -92,7 +92,7 @@ impl Misfit {
 /// What is added to the model.
 #[derive(Debug, Clone, Copy)]
 struct Extra {
-    /// The picture's width and height in pixels.
+    /// The image's width and height in pixels.
     size: [f64; 2],
     read: Read,
     /// 0 or [`SHAPE`].
@@ -100,7 +100,7 @@ struct Extra {
 }
 
 impl Extra {
-    /// When a pixel was read, in pictures, from its middle; `None` where all are read at once.
+    /// When a pixel was read, in images, from its middle; `None` where all are read at once.
     fn time(&self, pixel: Pixel) -> Option<f64> {
         match self.read {
             Read::AtOnce => None,

@@ -28,7 +28,7 @@ pub struct ModelCheck {
     /// By how much the focal length differs between the halves, relative to itself.
     pub focal_change: Option<f64>,
     /// Correlation of the residuals of corners that follow each other on the board: near 0 for
-    /// noise, near 1 where the model cannot follow the picture, and halves agree on the same wrong
+    /// noise, near 1 where the model cannot follow the image, and halves agree on the same wrong
     /// answer.
     pub residual_correlation: Option<f64>,
     /// What seems to be wrong where halves or neighboring corners show that something is.

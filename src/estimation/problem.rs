@@ -21,7 +21,7 @@ pub struct Correspondence {
     pub std_px: f64,
 }
 
-/// One picture of the board.
+/// One image of the board.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BoardView {
     /// What the view is called in errors and results: a path or a sequence number.

@@ -1,8 +1,8 @@
-//! How far a projection can be trusted, where in the picture: after the camera motion that
+//! How far a projection can be trusted, where in the image: after the camera motion that
 //! compensates best, since what a turn of the camera explains is no error of its lens (mrcal's
 //! projection uncertainty and difference). Pixels that are known many times worse than most, as a
-//! corner of the picture that no view reached, have little to say in that motion: what is unknown
-//! there would else be carried all over the picture.
+//! corner of the image that no view reached, have little to say in that motion: what is unknown
+//! there would else be carried all over the image.
 
 use nalgebra::{DMatrix, Matrix2, Matrix2x6, Matrix6, Point3, SMatrix, Vector6};
 
@@ -93,10 +93,10 @@ impl UncertaintyMap {
     }
 }
 
-/// Pixels known this many times worse than the median of the picture are known far worse than most.
+/// Pixels known this many times worse than the median of the image are known far worse than most.
 const FAR_WORSE: f64 = 4.0;
 
-/// The weights settle in a few rounds; most pictures need none.
+/// The weights settle in a few rounds; most images need none.
 const MAX_ROUNDS: usize = 8;
 
 /// The derivative of one projection by the lens's parameters and by the compensating motion.

@@ -1,4 +1,4 @@
-//! COLMAP's `cameras.txt`, a camera for each picture sensor.
+//! COLMAP's `cameras.txt`, a camera for each image sensor.
 
 use crate::export::format::models;
 use crate::export::number::decimal;

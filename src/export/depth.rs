@@ -7,14 +7,14 @@ use crate::geometry::depth_camera::DepthReading;
 
 /// What the file says of itself.
 const HEADER: &str = "\
-# Meaning and correction of a depth picture's readings, from Plumb. Lines are a key and its values; # begins a comment.
+# Meaning and correction of a depth image's readings, from Plumb. Lines are a key and its values; # begins a comment.
 #   reading depth U        1/z = 1 / (U * reading)           reading disparity O S        1/z = O + S * reading
 #   invalid R              the reading R, and 0 for depth, means none
 # With x = 1/z (quantity inverse_depth) or x = z (quantity depth), and x held to the range between the two depths `seen`:
 #   x' = x + sum over k of g_k(u, v) * x_held^k              nothing is left where x' is not above 0
-# g_k is line k of `nodes`: a uniform cubic B-spline surface of C x R cells over the picture of W x H pixels, (C + 3) x (R + 3)
+# g_k is line k of `nodes`: a uniform cubic B-spline surface of C x R cells over the image of W x H pixels, (C + 3) x (R + 3)
 # nodes row by row. Along u: a = (u + 0.5) / W * C, i = min(floor(a), C - 1), t = a - i, and nodes i .. i + 3 weigh
-# (1-t)^3, 3t^3-6t^2+4, -3t^3+3t^2+3t+1, t^3, each over 6; along v likewise. Cells 0 0: one number for the whole picture.
+# (1-t)^3, 3t^3-6t^2+4, -3t^3+3t^2+3t+1, t^3, each over 6; along v likewise. Cells 0 0: one number for the whole image.
 ";
 
 /// The file.

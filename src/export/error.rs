@@ -73,7 +73,7 @@ pub enum ExportError {
     NoDepth,
     /// There is nothing to write.
     #[error(
-        "this calibration has no picture sensor, which is what the {format} format holds; export to json"
+        "this calibration has no image sensor, which is what the {format} format holds; export to json"
     )]
     NoSensor {
         /// The format.

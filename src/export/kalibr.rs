@@ -15,7 +15,7 @@ use crate::imaging::frame::SensorKind;
 const WORST_REFIT_PX: f64 = 0.5;
 
 /// The cameras of a chain: color and infrared (the depth sensor where there is no infrared
-/// picture), or a rig's.
+/// image), or a rig's.
 pub(super) fn chain_of(calibration: &Calibration) -> Result<Vec<Sensor<'_>>, ExportError> {
     let mut cameras = sensors::all(calibration);
     let seen_by = |sensor: &Sensor<'_>| {

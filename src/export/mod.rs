@@ -18,7 +18,7 @@ mod kalibr;
 mod mrcal;
 mod number;
 mod opencv;
-pub mod other_pictures;
+pub mod other_images;
 mod refit;
 mod ros;
 mod sensors;
@@ -83,7 +83,7 @@ pub fn export(
             (text, camera.to_owned(), note)
         }
         Format::Colmap => {
-            (colmap::cameras(&sensors::pictures(calibration))?, camera.to_owned(), None)
+            (colmap::cameras(&sensors::images(calibration))?, camera.to_owned(), None)
         }
         Format::Urdf | Format::Tf => {
             let (placed, note) = placed_sensors(calibration, format)?;

@@ -96,7 +96,7 @@ pub(super) fn all(calibration: &Calibration) -> Vec<Sensor<'_>> {
 }
 
 /// The image sensors.
-pub(super) fn pictures(calibration: &Calibration) -> Vec<Sensor<'_>> {
+pub(super) fn images(calibration: &Calibration) -> Vec<Sensor<'_>> {
     all(calibration).into_iter().filter(|sensor| sensor.rms_px.is_some()).collect()
 }
 

@@ -1,4 +1,4 @@
-//! The board as a calibration measured it, as a picture.
+//! The board as a calibration measured it, as an image.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Parameters};
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::imaging::board_picture::{BoardOffsets, board_png};
+use crate::imaging::board_drawing::{BoardOffsets, board_png};
 
 /// Which sensor's board is asked for.
 #[derive(utoipa::IntoParams)]
@@ -27,11 +27,11 @@ pub(super) struct BoardParameters {
 #[utoipa::path(get, path = "/v1/calibrations/{id}/board.png", tag = "calibrations",
     params(("id" = String, Path, description = "the calibration's"), BoardParameters),
     responses(
-        (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/png"),
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
         (status = 404, description = "no such calibration, or it has measured no board", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
     ))]
-pub(super) async fn picture(
+pub(super) async fn board_image(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
     parameters: Parameters,

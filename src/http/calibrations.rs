@@ -12,7 +12,7 @@ use crate::calibration::result::Calibration;
 use crate::calibration::stated_calibration::stated_calibration;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::time;
-use crate::export::other_pictures::{OtherPictures, PicturesError, for_other_pictures};
+use crate::export::other_images::{OtherImages, OtherImagesError, for_other_images};
 use crate::export::{ExportError, ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
@@ -31,11 +31,11 @@ pub(super) struct ExportParameters {
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
     /// color when left out.
     sensor: Option<String>,
-    /// For pictures (or the part of them that `crop` says) scaled to this width.
+    /// For images (or the part of them that `crop` says) scaled to this width.
     width: Option<u32>,
-    /// For pictures scaled to this height.
+    /// For images scaled to this height.
     height: Option<u32>,
-    /// For a part of the pictures, `left,top,width,height` in their pixels; of several sensors' the
+    /// For a part of the images, `left,top,width,height` in their pixels; of several sensors' the
     /// one that `sensor` says.
     crop: Option<String>,
 }
@@ -80,7 +80,7 @@ pub(super) async fn current_of(
             "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&for_asked_pictures(&found.ok_or_else(none)?, parameters)?, format, parameters)
+    written(&for_asked_images(&found.ok_or_else(none)?, parameters)?, format, parameters)
 }
 
 /// What the device states of its own sensors, as it left the factory, in any format: as it is
@@ -106,7 +106,7 @@ pub(super) async fn stated(
             "the device of camera `{camera}` states nothing of its lenses, or is not there yet; run a session to calibrate it"
         ))
     })?;
-    written(&for_asked_pictures(&stated, &parameters)?, format, &parameters)
+    written(&for_asked_images(&stated, &parameters)?, format, &parameters)
 }
 
 /// Every calibration of a camera, newest first.
@@ -150,11 +150,7 @@ pub(super) async fn one(
     parameters: Parameters,
 ) -> Result<Response, Problem> {
     let format = format(&parameters)?;
-    written(
-        &for_asked_pictures(&calibration(&shared, &id).await?, &parameters)?,
-        format,
-        &parameters,
-    )
+    written(&for_asked_images(&calibration(&shared, &id).await?, &parameters)?, format, &parameters)
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -184,8 +180,8 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
     })
 }
 
-/// The calibration for pictures of another resolution or a part of them, where that is asked for.
-fn for_asked_pictures(
+/// The calibration for images of another resolution or a part of them, where that is asked for.
+fn for_asked_images(
     calibration: &Calibration,
     parameters: &Parameters,
 ) -> Result<Calibration, Problem> {
@@ -201,14 +197,16 @@ fn for_asked_pictures(
     };
     let crop = parameters.text("crop").map(str::parse::<ImageRegion>).transpose();
     let crop = crop.map_err(|error| Problem::field("crop", &error.to_string()))?;
-    let other = OtherPictures { crop, size, sensor: parameters.text("sensor").map(str::to_owned) };
-    let field = |error: &PicturesError| match error {
-        PicturesError::SeveralSensors { .. } | PicturesError::UnknownSensor { .. } => "sensor",
-        PicturesError::Region { error: RegionError::Outside { .. }, .. } => "crop",
-        PicturesError::Region { .. } if crop.is_some() && size.is_none() => "crop",
-        PicturesError::Region { .. } => "width",
+    let other = OtherImages { crop, size, sensor: parameters.text("sensor").map(str::to_owned) };
+    let field = |error: &OtherImagesError| match error {
+        OtherImagesError::SeveralSensors { .. } | OtherImagesError::UnknownSensor { .. } => {
+            "sensor"
+        }
+        OtherImagesError::Region { error: RegionError::Outside { .. }, .. } => "crop",
+        OtherImagesError::Region { .. } if crop.is_some() && size.is_none() => "crop",
+        OtherImagesError::Region { .. } => "width",
     };
-    for_other_pictures(calibration, &other)
+    for_other_images(calibration, &other)
         .map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 

@@ -204,7 +204,7 @@ pub(super) struct DriftEventDocument<'a> {
     /// What has changed and what to do.
     reason: &'a str,
     /// The reprojection error of the boards seen lately, with only their poses fitted, in pixels;
-    /// null where the device said that it was moved, or its pictures have another size.
+    /// null where the device said that it was moved, or its images have another size.
     rms_px: Option<f64>,
     /// What the calibration had when it was made, in pixels.
     expected_px: f64,

@@ -1,4 +1,4 @@
-//! What a camera sees now: one picture, or an endless preview.
+//! What a camera sees now: one image, or an endless preview.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -26,14 +26,14 @@ struct DrawingParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
     sensor: Option<String>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
-    /// color. When left out: false for a picture, true for the preview.
+    /// color. When left out: false for an image, true for the preview.
     overlay: Option<bool>,
     /// Draw where to hold the board next; as `overlay` when left out.
     guidance: Option<bool>,
     /// Through the current calibration; false when left out.
     undistorted: Option<bool>,
-    /// With `sensor=depth`, color: depth in color's picture; with `sensor=color`, depth: color in
-    /// depth's picture. By the current calibration.
+    /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
+    /// depth's image. By the current calibration.
     registered: Option<String>,
 }
 
@@ -41,7 +41,7 @@ struct DrawingParameters {
 #[utoipa::path(get, path = "/v1/cameras/{camera}/frame.jpg", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
-        (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no frame yet, or no calibration to undistort with", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
@@ -61,7 +61,7 @@ pub(super) async fn frame(
 #[utoipa::path(get, path = "/v1/cameras/{camera}/preview.mjpg", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration"), DrawingParameters),
     responses(
-        (status = 200, description = "an endless picture", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
+        (status = 200, description = "an endless image", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "too many watch", body = Problem, content_type = "application/problem+json"),
@@ -112,7 +112,7 @@ fn drawing(parameters: &Parameters, overlay: bool) -> Result<Drawing, Problem> {
     })
 }
 
-/// Whether the sensor is to be shown in the other one's picture.
+/// Whether the sensor is to be shown in the other one's image.
 fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Problem> {
     let Some(to) = parameters.one_of("registered", SensorKind::from_name, "color, depth")? else {
         return Ok(false);
@@ -120,7 +120,7 @@ fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Probl
     match (sensor, to) {
         (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),
         _ => {
-            let problem = "shows depth in color's picture (sensor=depth&registered=color) or color in depth's (sensor=color&registered=depth)";
+            let problem = "shows depth in color's image (sensor=depth&registered=color) or color in depth's (sensor=color&registered=depth)";
             Err(Problem::field("registered", problem))
         }
     }

@@ -1,4 +1,4 @@
-//! How well a calibration knows where things are seen: in numbers, and as a picture.
+//! How well a calibration knows where things are seen: in numbers, and as an image.
 
 use std::sync::Arc;
 
@@ -18,7 +18,7 @@ use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, heat_map_png};
 
-/// Grid columns along the image's longer side, of the numbers and of the picture.
+/// Grid columns along the image's longer side, of the numbers and of the image.
 const COLUMNS: [u32; 2] = [13, 49];
 
 /// What is asked about, and at which distance.
@@ -55,11 +55,11 @@ pub(super) async fn numbers(
 #[utoipa::path(get, path = "/v1/calibrations/{id}/uncertainty.png", tag = "calibrations",
     params(("id" = String, Path, description = "the calibration's"), UncertaintyParameters),
     responses(
-        (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/png"),
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
         (status = 404, description = "no such calibration, or it knows no covariance of this sensor", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor, or a distance that cannot be", body = Problem, content_type = "application/problem+json"),
     ))]
-pub(super) async fn picture(
+pub(super) async fn uncertainty_image(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
     parameters: Parameters,

@@ -1,4 +1,4 @@
-//! The views that a session kept: what was seen, how well it fits, the picture.
+//! The views that a session kept: what was seen, how well it fits, the image.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ use crate::http::sessions::session;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
-use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::image_file::frame_from_file;
 use crate::store::SensorView;
 
 const JPEG: &str = "image/jpeg";
@@ -58,14 +58,14 @@ pub(super) async fn list(
     Ok(Json(SessionViewsDocument { views: documents.collect() }))
 }
 
-/// The picture of a kept view, as JPEG.
+/// The image of a kept view, as JPEG.
 #[utoipa::path(get, path = "/v1/sessions/{id}/views/{n}.jpg", tag = "sessions",
     params(("id" = String, Path, description = "the session's"), ("n" = u32, Path, description = "the view's number, from 0")),
     responses(
-        (status = 200, description = "the picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such session or view", body = Problem, content_type = "application/problem+json"),
     ))]
-pub(super) async fn picture(
+pub(super) async fn view_image(
     State(shared): State<Arc<Shared>>,
     Address((id, name)): Address<(String, String)>,
 ) -> Result<impl IntoResponse, Problem> {
@@ -77,21 +77,21 @@ pub(super) async fn picture(
     let number: u32 =
         name.strip_suffix(".jpg").and_then(|number| number.parse().ok()).ok_or_else(unknown)?;
     let asked = id.clone();
-    let picture =
+    let image =
         shared.stored(move |store| store.picture(&asked, number)).await?.ok_or_else(unknown)?;
-    let bytes = if picture.media_type == JPEG {
-        picture.bytes
+    let bytes = if image.media_type == JPEG {
+        image.bytes
     } else {
-        on_a_blocking_thread(move || to_jpeg(picture.bytes)).await??
+        on_a_blocking_thread(move || to_jpeg(image.bytes)).await??
     };
     Ok(([(CONTENT_TYPE, JPEG)], bytes))
 }
 
 fn to_jpeg(bytes: Vec<u8>) -> Result<Vec<u8>, Problem> {
     let frame = frame_from_file(SensorKind::Color, bytes);
-    let picture = decode::rgb(&frame)
-        .map_err(|e| Problem::broken(format!("the kept picture cannot be read: {e}")))?;
-    Ok(decode::encode_jpeg_rgb(&picture, JPEG_QUALITY))
+    let image = decode::rgb(&frame)
+        .map_err(|e| Problem::broken(format!("the kept image cannot be read: {e}")))?;
+    Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY))
 }
 
 /// The sensor that a calibration has for a view.
@@ -130,7 +130,7 @@ fn view_document(
         camera_from_board: calibrated
             .and_then(|calibrated| calibrated.camera_from_board.as_ref())
             .map(PoseDocument::from),
-        picture: format!("/v1/sessions/{session_id}/views/{n}.jpg"),
+        image: format!("/v1/sessions/{session_id}/views/{n}.jpg"),
     })
 }
 

@@ -1,7 +1,7 @@
 //! From a frame's bytes to luma, colors or depth; and luma to JPEG.
 //!
 //! Nothing is allocated before the header's size is known to be sane: at most [`MAX_PIXELS`] per
-//! picture.
+//! image.
 
 use image::{DynamicImage, RgbImage};
 
@@ -28,7 +28,7 @@ pub fn file_size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
     match PixelFormat::of_file(bytes) {
         Some(PixelFormat::Jpeg) => jpeg_size(bytes, jpeg::JpegHeader::read(bytes)?),
         Some(PixelFormat::Png) => png::size(bytes),
-        _ => Err(DecodeError::NotAPicture),
+        _ => Err(DecodeError::NotAnImage),
     }
 }
 
@@ -43,7 +43,7 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
     check_bytes(frame)?;
     match frame.format {
         PixelFormat::Jpeg => jpeg_luma(&frame.bytes, luma),
-        PixelFormat::Png => luma_from_picture(&png::decode(&frame.bytes)?, luma),
+        PixelFormat::Png => luma_from_image(&png::decode(&frame.bytes)?, luma),
         PixelFormat::Mono8 | PixelFormat::Nv12 => {
             luma_from_rows(frame, luma, |row, out| out.copy_from_slice(row))
         }
@@ -54,7 +54,7 @@ pub fn luma(frame: &Frame, luma: &mut GrayImage) -> Result<(), DecodeError> {
         PixelFormat::Rgb8 => luma_from_rows(frame, luma, luma_row_from_rgb),
         PixelFormat::Bgr8 => luma_from_rows(frame, luma, luma_row_from_bgr),
         PixelFormat::Depth16 => {
-            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" })
+            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "an image" })
         }
     }
 }
@@ -92,7 +92,7 @@ pub fn rgb(frame: &Frame) -> Result<RgbImage, DecodeError> {
             }
         }),
         PixelFormat::Depth16 => {
-            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "a picture" })
+            Err(DecodeError::WrongKind { format: frame.format.name(), wanted: "an image" })
         }
     }
 }
@@ -156,9 +156,9 @@ fn jpeg_luma(bytes: &[u8], luma: &mut GrayImage) -> Result<(), DecodeError> {
     Ok(())
 }
 
-fn luma_from_picture(picture: &DynamicImage, luma: &mut GrayImage) -> Result<(), DecodeError> {
-    luma.reshape(picture.width() as usize, picture.height() as usize);
-    match picture {
+fn luma_from_image(image: &DynamicImage, luma: &mut GrayImage) -> Result<(), DecodeError> {
+    luma.reshape(image.width() as usize, image.height() as usize);
+    match image {
         DynamicImage::ImageLuma8(gray) => luma.pixels_mut().copy_from_slice(gray),
         DynamicImage::ImageLuma16(gray) => {
             for (value, out) in gray.iter().zip(luma.pixels_mut()) {
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_has_the_same_luma_whichever_way_it_comes() {
+    fn an_image_has_the_same_luma_whichever_way_it_comes() {
         let rgb_in =
             RgbImage::from_fn(6, 2, |x, y| image::Rgb([(40 * x) as u8, (90 * y) as u8, 200]));
         let expected: Vec<u8> = rgb_in

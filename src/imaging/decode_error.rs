@@ -2,7 +2,7 @@
 
 use crate::geometry::pixel::ImageSize;
 
-/// The most pixels that a picture may have: 120 megapixels, above any camera that boards are shown
+/// The most pixels that an image may have: 120 megapixels, above any camera that boards are shown
 /// to.
 pub const MAX_PIXELS: u64 = 120_000_000;
 
@@ -10,14 +10,14 @@ pub const MAX_PIXELS: u64 = 120_000_000;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DecodeError {
     /// No bytes at all.
-    #[error("the picture has 0 bytes: it was never written; leave it out or record it again")]
+    #[error("the image has 0 bytes: it was never written; leave it out or record it again")]
     Empty,
     /// Neither a JPEG nor a PNG, nor whatever its format says.
-    #[error("not a picture that Plumb reads: convert it to PNG")]
-    NotAPicture,
+    #[error("not an image that Plumb reads: convert it to PNG")]
+    NotAnImage,
     /// More pixels than [`MAX_PIXELS`].
     #[error(
-        "a picture of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header"
+        "an image of {size} pixels is over the limit of 120 megapixels: scale it down or correct its header"
     )]
     TooLarge {
         /// What its header says.
@@ -25,7 +25,7 @@ pub enum DecodeError {
     },
     /// More pixels than its bytes can stand for.
     #[error(
-        "a picture of {size} pixels in a file of {bytes} bytes cannot be: its header is wrong; leave it out or convert it again"
+        "an image of {size} pixels in a file of {bytes} bytes cannot be: its header is wrong; leave it out or convert it again"
     )]
     Implausible {
         /// What its header says.
@@ -67,7 +67,7 @@ pub enum DecodeError {
         /// What it has.
         bytes: usize,
     },
-    /// Colors asked for as depth, or depth as a picture.
+    /// Colors asked for as depth, or depth as an image.
     #[error("a {format} frame cannot be read as {wanted}")]
     WrongKind {
         /// The frame's pixel format.

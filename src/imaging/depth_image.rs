@@ -106,7 +106,7 @@ impl DepthImage {
 mod tests {
     use super::*;
     use crate::imaging::frame::SensorKind;
-    use crate::imaging::picture_file::frame_from_file;
+    use crate::imaging::image_file::frame_from_file;
 
     #[test]
     fn a_png_keeps_every_reading() {

@@ -19,7 +19,7 @@ const DHT: u8 = 0xc4;
 /// What the segments before the first scan say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct JpegHeader {
-    /// The picture's size.
+    /// The image's size.
     pub size: ImageSize,
     /// Whether any Huffman table comes with it: motion JPEG may leave them out.
     has_huffman_tables: bool,
@@ -33,7 +33,7 @@ impl JpegHeader {
             return Err(DecodeError::Empty);
         }
         if !bytes.starts_with(&[0xff, SOI]) {
-            return Err(DecodeError::NotAPicture);
+            return Err(DecodeError::NotAnImage);
         }
         let mut size = None;
         let mut has_huffman_tables = false;
@@ -109,7 +109,7 @@ pub(super) fn rgb(bytes: &[u8], header: JpegHeader) -> Result<Vec<u8>, DecodeErr
     Ok(pixels)
 }
 
-/// Decodes strictly; a picture with a fault in the middle of its scan, such as the stray bytes that
+/// Decodes strictly; an image with a fault in the middle of its scan, such as the stray bytes that
 /// webcams send, is decoded again as far as it goes, one that ends before its end marker is
 /// refused.
 fn decode(
@@ -138,7 +138,7 @@ fn decode_into(
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|error| malformed(&error))?;
     if decoder.output_buffer_size() != Some(pixels.len()) {
-        let reason = "its headers contradict each other about the picture's size".into();
+        let reason = "its headers contradict each other about the image's size".into();
         return Err(DecodeError::Malformed { format: "JPEG", reason });
     }
     decoder.decode_into(pixels).map_err(|error| malformed(&error))
@@ -158,7 +158,7 @@ fn malformed(error: &zune_jpeg::errors::DecodeErrors) -> DecodeError {
     }
 }
 
-/// The picture marked as motion JPEG where it comes without Huffman tables: the decoder then takes
+/// The image marked as motion JPEG where it comes without Huffman tables: the decoder then takes
 /// the standard's own (ITU-T T.81, tables K.3 to K.6).
 fn with_huffman_tables(bytes: &[u8], header: JpegHeader) -> Cow<'_, [u8]> {
     if header.has_huffman_tables {

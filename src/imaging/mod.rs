@@ -1,24 +1,24 @@
 //! Images and the moments they were taken. Pure; may use geometry (for undistortion).
 
 pub mod bayer;
-pub mod board_picture;
+pub mod board_drawing;
 mod color_view;
 pub mod decode;
 mod decode_error;
 mod depth_conversion;
 pub mod depth_image;
-pub mod depth_picture;
+pub mod depth_shading;
 mod distortion_lookup;
 pub mod draw;
-pub mod error_picture;
+pub mod error_drawing;
 pub mod factory;
 pub mod frame;
 pub mod gray;
 pub mod heat_map;
+pub mod image_file;
 mod jpeg;
 pub mod lettering;
 mod nearest_canvas;
-pub mod picture_file;
 pub mod pixel_format;
 mod plausible;
 mod png;

@@ -37,7 +37,7 @@ pub(super) fn size(bytes: &[u8]) -> Result<ImageSize, DecodeError> {
 /// [`DecodeError`], whatever the bytes.
 pub(super) fn decode(bytes: &[u8]) -> Result<DynamicImage, DecodeError> {
     if PixelFormat::of_file(bytes) != Some(PixelFormat::Png) {
-        return Err(DecodeError::NotAPicture);
+        return Err(DecodeError::NotAnImage);
     }
     let pixels = chunks_of_pixels(bytes);
     size(&pixels)?;

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn a_corrected_picture_says_what_it_could_not_know() {
+    fn a_corrected_image_says_what_it_could_not_know() {
         let grid = SplineGrid::constant(DEPTH_SIZE);
         let mut correction = DepthCorrection::none(CorrectedQuantity::Depth, 1, grid, [0.4, 1.5]);
         correction.coefficients = vec![-0.01];

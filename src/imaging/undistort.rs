@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_picture_of_a_line_becomes_straight() {
+    fn the_image_of_a_line_becomes_straight() {
         let size = ImageSize::new(160, 120);
         for lens in lenses() {
             // A dark line in space, as the lens draws it.

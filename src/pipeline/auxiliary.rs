@@ -9,7 +9,7 @@ use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
-use crate::imaging::picture_file::frame_from_file;
+use crate::imaging::image_file::frame_from_file;
 use crate::pipeline::seen::SensorObservation;
 use crate::store::{SensorView, Store, StoreError};
 
@@ -106,8 +106,8 @@ impl AuxiliaryViews {
             |view: &&mut AuxiliaryView| view.sensor == SensorKind::Depth && view.depth.is_none();
         for view in self.views.iter_mut().filter(is_open) {
             let sensor = SensorId { camera: view.camera.clone(), kind: view.sensor };
-            let picture = store.sensor_picture(session, view.frame_set, &sensor)?;
-            let frame = picture.map(|picture| frame_from_file(view.sensor, picture.bytes));
+            let image = store.sensor_picture(session, view.frame_set, &sensor)?;
+            let frame = image.map(|image| frame_from_file(view.sensor, image.bytes));
             view.depth = frame.and_then(|f| DepthImage::from_frame(&f).ok()).map(Arc::new);
         }
         Ok(())

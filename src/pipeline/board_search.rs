@@ -15,7 +15,7 @@ use crate::imaging::gray::GrayImage;
 use crate::pipeline::guarded::guarded;
 use crate::pipeline::live_frame::{FrameDetection, NoDetection};
 use crate::pipeline::seen::{SeenFrame, SensorObservation, searched_frame};
-use crate::pipeline::view_picture::view_picture;
+use crate::pipeline::view_image::view_image;
 use crate::store::Picture;
 
 /// How a frame is searched.
@@ -84,7 +84,7 @@ impl BoardSearch {
             unit_m: None,
             detection: None,
             depth: None,
-            picture: picture_of(searched).unwrap_or_else(no_picture),
+            image: image_of(searched).unwrap_or_else(no_image),
         }];
         let others = frame_set.frames.iter().filter(|frame| frame.sensor != searched.sensor);
         for frame in others {
@@ -108,7 +108,7 @@ impl BoardSearch {
         let sensor = frame.sensor;
         if sensor == SensorKind::Depth {
             let depth = DepthImage::from_frame(frame).ok()?;
-            let picture = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
+            let image = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
             let (image_size, depth) = (depth.size(), Some(Arc::new(depth)));
             return Some(SensorObservation {
                 sensor,
@@ -116,10 +116,10 @@ impl BoardSearch {
                 unit_m,
                 detection: None,
                 depth,
-                picture,
+                image,
             });
         }
-        let picture = picture_of(frame)?;
+        let image = image_of(frame)?;
         let found = self.search_frame(frame, board, SearchManner::Whole);
         Some(SensorObservation {
             sensor,
@@ -127,7 +127,7 @@ impl BoardSearch {
             unit_m: None,
             detection: found.ok().map(|found| found.detection),
             depth: None,
-            picture,
+            image,
         })
     }
 
@@ -169,12 +169,12 @@ fn unreadable(detail: String) -> NoDetection {
     NoDetection::Unreadable { detail }
 }
 
-fn picture_of(frame: &Frame) -> Option<Picture> {
-    let (media_type, bytes) = view_picture(frame)?;
+fn image_of(frame: &Frame) -> Option<Picture> {
+    let (media_type, bytes) = view_image(frame)?;
     Some(Picture { media_type: media_type.to_owned(), bytes: bytes.to_vec() })
 }
 
 /// A view whose image could not be decoded again is kept for its corners.
-fn no_picture() -> Picture {
+fn no_image() -> Picture {
     Picture { media_type: "image/jpeg".to_owned(), bytes: Vec::new() }
 }

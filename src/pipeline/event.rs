@@ -135,7 +135,7 @@ pub struct CalibrationEvent {
 
 impl CalibrationEvent {
     /// What an event says of `calibration`; of a rig, its least certain camera's figures. `None`
-    /// if it has no picture sensor.
+    /// if it has no image sensor.
     pub(super) fn of(calibration: &Calibration, current: bool) -> Option<Self> {
         let all = calibration.image_sensors().map(|(_, sensor)| sensor);
         let worst = all.max_by(|a, b| a.uncertainty_px.median.total_cmp(&b.uncertainty_px.median));

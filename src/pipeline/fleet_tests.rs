@@ -551,7 +551,7 @@ async fn a_focus_that_moves_after_a_session_is_a_drift() {
     assert_eq!(fleet.camera("front").unwrap().reason.as_deref(), Some("focus is 30, was 10"));
 }
 
-/// A device that gives a large, noisy picture at every sign, as fast as it is asked.
+/// A device that gives a large, noisy image at every sign, as fast as it is asked.
 struct Flood {
     signs: Receiver<()>,
     next: u64,
@@ -576,7 +576,7 @@ impl FrameSource for Flood {
     }
 }
 
-/// A search takes far longer than the next picture: what is not searched is counted, the last one
+/// A search takes far longer than the next image: what is not searched is counted, the last one
 /// always is searched.
 #[tokio::test]
 async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
@@ -611,7 +611,7 @@ async fn when_detection_cannot_keep_up_the_newest_frame_wins() {
     .await;
     let searched = searched_frames.len() as u64;
     assert!(searched_frames.is_sorted() && searched < FRAMES / 4, "{searched_frames:?}");
-    // The first picture may have been asked for before the session began: it is taken, but no board
+    // The first image may have been asked for before the session began: it is taken, but no board
     // is searched for.
     assert!((searched..=searched + 1).contains(&taken), "{taken} taken, {searched} searched");
     // A frame that takes another's place is counted once it has; the detector may be done with it

@@ -53,7 +53,7 @@ mod stop_signal;
 mod store_health;
 pub mod unknown;
 mod unstored;
-mod view_picture;
+mod view_image;
 
 pub use capture_thread::Supervision;
 pub use instrument::{RigPlan, RigStatus};

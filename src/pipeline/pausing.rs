@@ -85,7 +85,7 @@ impl SessionThread {
                     unit_m: observation.unit_m,
                     detection,
                 };
-                rows.push((sensor_view, observation.picture.clone()));
+                rows.push((sensor_view, observation.image.clone()));
             }
         }
         self.show_memory();

@@ -38,7 +38,7 @@ pub(super) struct SensorObservation {
     pub(super) detection: Option<Detection>,
     pub(super) depth: Option<Arc<DepthImage>>,
     /// Its image as a file.
-    pub(super) picture: Picture,
+    pub(super) image: Picture,
 }
 
 impl SeenFrame {

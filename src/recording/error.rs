@@ -14,13 +14,13 @@ pub enum RecordingError {
         /// What was asked for.
         path: PathBuf,
     },
-    /// A folder with nothing that is named like a picture.
+    /// A folder with nothing that is named like an image.
     #[error(
-        "{}: no pictures in this folder: it needs .jpg, .png or .pgm files, or the subfolders {} with such files",
+        "{}: no images in this folder: it needs .jpg, .png or .pgm files, or the subfolders {} with such files",
         path.display(),
         SensorKind::ALL.map(|sensor| format!("{}/", sensor.name())).join(", ")
     )]
-    NoPictures {
+    NoImages {
         /// The folder.
         path: PathBuf,
     },
@@ -107,7 +107,7 @@ impl RecordingError {
     pub(super) fn of(mut self, at: &Path) -> Self {
         match &mut self {
             Self::Missing { path }
-            | Self::NoPictures { path }
+            | Self::NoImages { path }
             | Self::Io { path, .. }
             | Self::Cut { path, .. }
             | Self::Damaged { path, .. }

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::imaging::frame::{FrameSet, SensorKind};
-use crate::imaging::picture_file::{frame_from_file, is_picture};
+use crate::imaging::image_file::{frame_from_file, is_image};
 use crate::imaging::timestamp::HostTime;
 use crate::recording::{RecordingError, natural_order};
 
-/// Pictures in the natural order of their names; with the subfolders `color/`, `infrared/`,
+/// Images in the natural order of their names; with the subfolders `color/`, `infrared/`,
 /// `depth/`, those of equal names (endings aside) are taken together, and a name may be missing in
 /// any of them.
 #[derive(Debug)]
@@ -27,29 +27,29 @@ struct FolderFrameSet {
 }
 
 impl Folder {
-    /// Lists the pictures in `path`, `fps` frame sets a second.
+    /// Lists the images in `path`, `fps` frame sets a second.
     ///
     /// # Errors
-    /// [`RecordingError::NoPictures`], or what the system refused.
+    /// [`RecordingError::NoImages`], or what the system refused.
     pub fn open(path: &Path, fps: f64) -> Result<Self, RecordingError> {
         let sensors: Vec<_> =
             SensorKind::ALL.into_iter().filter(|s| path.join(s.name()).is_dir()).collect();
         let frame_sets = if sensors.is_empty() {
-            let files = pictures_in(path)?;
-            files.into_iter().map(|file| FolderFrameSet::of_picture(path.join(file))).collect()
+            let files = images_in(path)?;
+            files.into_iter().map(|file| FolderFrameSet::of_image(path.join(file))).collect()
         } else {
             frame_sets_of_sensors(path, &sensors)?
         };
         if frame_sets.is_empty() {
-            return Err(RecordingError::NoPictures { path: path.to_owned() });
+            return Err(RecordingError::NoImages { path: path.to_owned() });
         }
         Ok(Self::new(frame_sets, fps))
     }
 
-    /// The pictures `files`, in the order given, as the frames of one color sensor, `fps` a
+    /// The images `files`, in the order given, as the frames of one color sensor, `fps` a
     /// second.
     pub fn from_files(files: Vec<PathBuf>, fps: f64) -> Self {
-        Self::new(files.into_iter().map(FolderFrameSet::of_picture).collect(), fps)
+        Self::new(files.into_iter().map(FolderFrameSet::of_image).collect(), fps)
     }
 
     fn new(frame_sets: Vec<FolderFrameSet>, fps: f64) -> Self {
@@ -93,7 +93,7 @@ impl Folder {
 }
 
 impl FolderFrameSet {
-    fn of_picture(path: PathBuf) -> Self {
+    fn of_image(path: PathBuf) -> Self {
         Self { name: path.display().to_string(), files: vec![(SensorKind::Color, path)] }
     }
 }
@@ -101,7 +101,7 @@ impl FolderFrameSet {
 /// Whether the folder at `path` has images, or folders of a sensor.
 pub(super) fn holds_images(path: &Path) -> bool {
     SensorKind::ALL.into_iter().any(|sensor| path.join(sensor.name()).is_dir())
-        || pictures_in(path).is_ok_and(|names| !names.is_empty())
+        || images_in(path).is_ok_and(|names| !names.is_empty())
 }
 
 fn frame_sets_of_sensors(
@@ -111,7 +111,7 @@ fn frame_sets_of_sensors(
     let mut by_stem: BTreeMap<String, Vec<(SensorKind, PathBuf)>> = BTreeMap::new();
     for sensor in sensors {
         let folder = path.join(sensor.name());
-        for file in pictures_in(&folder)? {
+        for file in images_in(&folder)? {
             let stem =
                 Path::new(&file).file_stem().unwrap_or_default().to_string_lossy().into_owned();
             by_stem.entry(stem).or_default().push((*sensor, folder.join(file)));
@@ -123,14 +123,14 @@ fn frame_sets_of_sensors(
     Ok(frame_sets)
 }
 
-/// The names of the pictures in `folder`, in natural order.
-fn pictures_in(folder: &Path) -> Result<Vec<String>, RecordingError> {
+/// The names of the images in `folder`, in natural order.
+fn images_in(folder: &Path) -> Result<Vec<String>, RecordingError> {
     let refused = |source| RecordingError::Io { path: folder.to_owned(), source };
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(refused)? {
         let path = entry.map_err(refused)?.path();
         if let (true, Some(name)) =
-            (is_picture(&path), path.file_name().and_then(|name| name.to_str()))
+            (is_image(&path), path.file_name().and_then(|name| name.to_str()))
         {
             names.push(name.to_owned());
         }
@@ -143,12 +143,12 @@ fn pictures_in(folder: &Path) -> Result<Vec<String>, RecordingError> {
 mod tests {
     use super::*;
 
-    const PICTURE: &[u8] = b"P5 1 1 255\n7";
+    const IMAGE: &[u8] = b"P5 1 1 255\n7";
 
     fn write(folder: &Path, name: &str) {
         let path = folder.join(name);
         fs::create_dir_all(path.parent().unwrap()).unwrap();
-        fs::write(path, PICTURE).unwrap();
+        fs::write(path, IMAGE).unwrap();
     }
 
     #[test]
@@ -182,11 +182,11 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_without_pictures_is_refused_with_what_it_needs() {
+    fn a_folder_without_images_is_refused_with_what_it_needs() {
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), "notes.txt");
         let line = Folder::open(folder.path(), 10.0).unwrap_err().to_string();
-        assert!(line.contains("no pictures in this folder") && !line.contains('\n'), "{line}");
+        assert!(line.contains("no images in this folder") && !line.contains('\n'), "{line}");
     }
 
     #[test]

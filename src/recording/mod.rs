@@ -1,7 +1,7 @@
 //! Frames on disk: MCAP files, ROS bags and folders of images. Uses geometry and imaging.
 //!
 //! [`Recording::open`] finds out which it is; reading goes frame set by frame set, with a bounded
-//! amount in memory. A damaged picture is a frame that fails when it is decoded; a recording that
+//! amount in memory. A damaged image is a frame that fails when it is decoded; a recording that
 //! was cut off gives all that can be read before its error.
 
 mod bag;
@@ -50,7 +50,7 @@ impl Default for ReadOptions {
 /// A recording being read.
 #[derive(Debug)]
 pub enum Recording {
-    /// Pictures in a folder.
+    /// Images in a folder.
     Folder(Folder),
     /// An MCAP file of Plumb's or Foxglove's.
     Mcap(Box<McapReader>),

@@ -15,7 +15,7 @@ use mcap::records::op;
 use crate::recording::fields::{Fields, TooShort};
 use crate::recording::unpack::{Compression, UnpackBudget, read_exactly};
 
-/// The longest record that is believed: above an uncompressed picture of 120 megapixels in 16 bits.
+/// The longest record that is believed: above an uncompressed image of 120 megapixels in 16 bits.
 pub(super) const LONGEST_RECORD: u64 = 256 << 20;
 /// The longest record that describes others: schemas and metadata.
 const LONGEST_DESCRIPTION: u64 = 16 << 20;
@@ -200,7 +200,7 @@ impl RecordReader {
     /// Reads `length` bytes, at most `longest`; allocates no more than there really are.
     fn read_vec(&mut self, length: u64, longest: u64) -> Result<Vec<u8>, Broken> {
         if length > longest {
-            return Err(damaged("a record is longer than any picture"));
+            return Err(damaged("a record is longer than any image"));
         }
         self.read_exact(length)
     }

@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn shadows_lie_left_of_the_board_and_of_the_picture() {
+    fn shadows_lie_left_of_the_board_and_of_the_image() {
         let image =
             image(sensor(), Pose::from_axis_angle(Vector3::zeros(), Vector3::new(-0.1, -0.1, 0.7)));
         let row = image.row(60);

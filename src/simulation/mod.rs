@@ -2,7 +2,7 @@
 //! several.
 //!
 //! ```text
-//! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ PictureSensor::develop ──▶ image
+//! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ ImageSensor::develop ──▶ image
 //!   │                        ▲ BoardPattern: exact area integrals of the squares
 //!   └── FrameTruth           ▲ Background, Optics (blur), rays of any Lens
 //! ```
@@ -15,10 +15,10 @@
 mod background;
 mod board_pattern;
 mod depth_sensor;
+mod image_sensor;
 mod light_filter;
 mod noise;
 mod operator;
-mod picture_sensor;
 mod rays;
 mod renderer;
 mod rgbd_world;
@@ -29,8 +29,8 @@ mod world;
 pub use background::Background;
 pub use board_pattern::{BoardPattern, Shade};
 pub use depth_sensor::{DepthError, SimulatedDepthSensor};
+pub use image_sensor::ImageSensor;
 pub use operator::{Operator, OperatorKind, Skill};
-pub use picture_sensor::PictureSensor;
 pub use renderer::Renderer;
 pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
 pub use seat::Seat;

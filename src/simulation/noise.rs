@@ -11,7 +11,7 @@ pub(super) enum Purpose {
     Lens = 1,
     Waypoint = 2,
     Background = 3,
-    Picture = 4,
+    Image = 4,
     Rig = 5,
     Depth = 6,
     Seat = 7,

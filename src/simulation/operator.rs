@@ -47,7 +47,7 @@ impl OperatorKind {
 }
 
 /// What a person can do. The figures are those of unhurried adults: choice reactions take 0.5 to 1
-/// s with a picture to understand first, and hands at rest tremble by a few tenths of a millimeter
+/// s with an image to understand first, and hands at rest tremble by a few tenths of a millimeter
 /// at 8 to 12 Hz, slower drifts included here.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Skill {

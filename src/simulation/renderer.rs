@@ -6,14 +6,14 @@ use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 use crate::simulation::background::Background;
 use crate::simulation::board_pattern::BoardPattern;
+use crate::simulation::image_sensor::ImageSensor;
 use crate::simulation::light_filter::LightFilter;
-use crate::simulation::picture_sensor::PictureSensor;
 use crate::simulation::rays::{RayTable, SUBPIXELS};
 
 /// Renders one sensor's view of the board before a background that does not move.
 #[derive(Debug, Clone)]
 pub struct Renderer {
-    sensor: PictureSensor,
+    sensor: ImageSensor,
     pattern: BoardPattern,
     filter: LightFilter,
     rays: RayTable,
@@ -33,7 +33,7 @@ struct Area {
 
 impl Renderer {
     /// For `sensor`, which sees `pattern` before `background`.
-    pub fn new(sensor: PictureSensor, pattern: BoardPattern, background: &Background) -> Self {
+    pub fn new(sensor: ImageSensor, pattern: BoardPattern, background: &Background) -> Self {
         let filter = LightFilter::new(sensor.blur_px);
         let rays = RayTable::new(&sensor.lens, sensor.size, filter.reach);
         let inside = |sub: usize| ((sub % SUBPIXELS) as f64 + 0.5) / SUBPIXELS as f64;
@@ -62,7 +62,7 @@ impl Renderer {
     }
 
     /// The sensor that is rendered.
-    pub fn sensor(&self) -> &PictureSensor {
+    pub fn sensor(&self) -> &ImageSensor {
         &self.sensor
     }
 
@@ -279,7 +279,7 @@ mod tests {
         let size = ImageSize::new(96, 72);
         let board = Chessboard::new(BoardSize::new(5, 4).unwrap(), 0.1).unwrap();
         let pattern = BoardPattern { white: 1.0, black: 0.0, ..BoardPattern::new(board) };
-        let sensor = PictureSensor { blur_px, ..PictureSensor::new(size, lens) };
+        let sensor = ImageSensor { blur_px, ..ImageSensor::new(size, lens) };
         Renderer::new(sensor, pattern, &Background::new(1, 0))
     }
 

@@ -14,8 +14,8 @@ use crate::simulation::board_pattern::BoardPattern;
 use crate::simulation::depth_sensor::{
     DepthError, DepthRenderer, DepthScene, SimulatedDepthSensor,
 };
+use crate::simulation::image_sensor::ImageSensor;
 use crate::simulation::noise::{Purpose, stream};
-use crate::simulation::picture_sensor::PictureSensor;
 use crate::simulation::renderer::Renderer;
 use crate::simulation::world::{FrameTruth, World, WorldOptions, exposed};
 
@@ -25,7 +25,7 @@ pub struct RgbdOptions {
     /// The color camera, the board and how it is carried.
     pub color: WorldOptions,
     /// The infrared camera: its lens and size are the depth camera's.
-    pub infrared: PictureSensor,
+    pub infrared: ImageSensor,
     /// The depth camera.
     pub depth: SimulatedDepthSensor,
     /// Where the depth and infrared camera is.
@@ -87,13 +87,13 @@ impl RgbdOptions {
             holes: 20,
             dropout: 0.002,
         };
-        let infrared = PictureSensor {
+        let infrared = ImageSensor {
             blur_px: 0.9,
             full_well_e: 3000.0,
             vignetting: 0.4,
             gamma: 1.0,
             exposure_s: color.sensor.exposure_s,
-            ..PictureSensor::new(size, lens)
+            ..ImageSensor::new(size, lens)
         };
         let color_from_depth = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
         Self {

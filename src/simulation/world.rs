@@ -13,8 +13,8 @@ use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 use crate::imaging::gray::GrayImage;
 use crate::simulation::background::Background;
 use crate::simulation::board_pattern::BoardPattern;
+use crate::simulation::image_sensor::ImageSensor;
 use crate::simulation::noise::{Purpose, stream};
-use crate::simulation::picture_sensor::PictureSensor;
 use crate::simulation::renderer::Renderer;
 use crate::simulation::seat::Seat;
 use crate::simulation::walk::{Walk, WalkOptions};
@@ -27,7 +27,7 @@ pub struct WorldOptions {
     /// Frames a second.
     pub fps: f64,
     /// The camera.
-    pub sensor: PictureSensor,
+    pub sensor: ImageSensor,
     /// The board.
     pub board: Chessboard,
     /// How it is carried.
@@ -43,7 +43,7 @@ impl WorldOptions {
     /// second, and a board of 9×6 inner corners with squares of 25 mm.
     pub fn new(seed: u64, size: ImageSize) -> Self {
         let board = Chessboard { size: BoardSize { cols: 9, rows: 6 }, square_m: 0.025 };
-        let sensor = PictureSensor::new(size, ordinary_lens(seed, size));
+        let sensor = ImageSensor::new(size, ordinary_lens(seed, size));
         Self {
             seed,
             fps: 15.0,
@@ -64,10 +64,8 @@ impl WorldOptions {
         if number == 0 {
             return first;
         }
-        let own = PictureSensor::new(
-            size,
-            ordinary_lens(seed.wrapping_add(u64::from(number) << 32), size),
-        );
+        let own =
+            ImageSensor::new(size, ordinary_lens(seed.wrapping_add(u64::from(number) << 32), size));
         Self { seat: Some(Seat::on_rig(seed, number, first.sensor.lens)), sensor: own, ..first }
     }
 }
@@ -148,7 +146,7 @@ impl World {
     }
 
     /// The camera.
-    pub fn sensor(&self) -> &PictureSensor {
+    pub fn sensor(&self) -> &ImageSensor {
         self.renderer.sensor()
     }
 
@@ -174,7 +172,7 @@ impl World {
         let Exposure { light, camera_from_board, motion_px } = exposed(renderer, time_s, pose);
         let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
         SimulatedFrame {
-            image: self.sensor().develop(&light, self.seed, self.picture_number(index)),
+            image: self.sensor().develop(&light, self.seed, self.image_number(index)),
             truth,
         }
     }
@@ -195,13 +193,13 @@ impl World {
             exposed(&mut self.renderer, time_s, carried);
         let truth = FrameTruth { index, time_s, camera_from_board, motion_px };
         SimulatedFrame {
-            image: self.sensor().develop(&light, self.seed, self.picture_number(index)),
+            image: self.sensor().develop(&light, self.seed, self.image_number(index)),
             truth,
         }
     }
 
     /// No two cameras of a rig draw the same noise.
-    fn picture_number(&self, index: u64) -> u64 {
+    fn image_number(&self, index: u64) -> u64 {
         index + self.seat.map_or(0, |seat| u64::from(seat.number) << 40)
     }
 

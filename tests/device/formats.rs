@@ -15,10 +15,10 @@ const FORMATS: [&str; 9] = ["YUYV", "UYVY", "NV12", "GREY", "Y10", "Y12", "Y16",
 const GREY_RAMP: i64 = 20;
 const COLOR_BARS: i64 = 0;
 
-/// The same still picture in every format.
-pub fn every_format_gives_the_same_picture() -> String {
+/// The same still image in every format.
+pub fn every_format_gives_the_same_image() -> String {
     let bars: Vec<(GrayImage, RgbImage)> =
-        FORMATS.iter().map(|format| still_picture(format, COLOR_BARS)).collect();
+        FORMATS.iter().map(|format| still_image(format, COLOR_BARS)).collect();
     let luma = |k: usize| bars[k].0.pixels();
     assert_eq!(luma(0), luma(1), "UYVY is YUYV in another order");
     assert_eq!(luma(0), luma(2), "NV12 has the same luma");
@@ -29,7 +29,7 @@ pub fn every_format_gives_the_same_picture() -> String {
         assert_eq!(luma(3), luma(k), "{} is GREY with more bits", FORMATS[k]);
     }
     let ramps: Vec<GrayImage> =
-        FORMATS.iter().map(|format| still_picture(format, GREY_RAMP).0).collect();
+        FORMATS.iter().map(|format| still_image(format, GREY_RAMP).0).collect();
     for (format, ramp) in FORMATS.iter().zip(&ramps) {
         // Luma beside chroma has the range 16 to 235, alone it has the whole.
         let full = |value: u8| {
@@ -53,7 +53,7 @@ fn stretched(limited: u8) -> u8 {
     ((f64::from(limited) - 16.0) * 255.0 / 219.0).round().clamp(0.0, 255.0) as u8
 }
 
-fn still_picture(format: &str, pattern: i64) -> (GrayImage, RgbImage) {
+fn still_image(format: &str, pattern: i64) -> (GrayImage, RgbImage) {
     let mut options = options(VIVID, Some(format));
     options.controls = still_controls();
     options.controls.insert("test_pattern".to_owned(), pattern);

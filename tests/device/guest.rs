@@ -28,7 +28,7 @@ pub fn options(device: &str, format: Option<&str>) -> V4l2Options {
     V4l2Options { device: device.into(), mode, ..V4l2Options::default() }
 }
 
-/// A still picture without counters in it.
+/// A still image without counters in it.
 pub fn still_controls() -> BTreeMap<String, i64> {
     BTreeMap::from([("osd_text_mode".to_owned(), 2), ("gain_automatic".to_owned(), 0)])
 }

@@ -27,8 +27,8 @@ use realsense_rust::kind::Rs2Option;
 use serde_json::Value;
 
 use crate::served::recording;
-use crate::software_device::{Device, LiveDevice, Pictures};
-use crate::{POLL, described, pictures, walk_pictures};
+use crate::software_device::{Device, LiveDevice, SensorImages};
+use crate::{POLL, described, images, walk_images};
 
 /// Longer than anything asked for here takes, on a busy machine too.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -58,7 +58,7 @@ fn device(serial: &'static str, options: &[(Rs2Option, f32)]) -> Device {
     Device { fps: 30, options: options.to_vec(), ..described(serial, &truth()) }
 }
 
-/// A device that shows pictures over and over while it is switched on.
+/// A device that shows images over and over while it is switched on.
 struct Showing {
     device: Arc<Mutex<LiveDevice>>,
     is_on: Arc<AtomicBool>,
@@ -68,7 +68,7 @@ struct Showing {
 }
 
 impl Showing {
-    fn start(device: LiveDevice, sets: Vec<Pictures>, pace: Duration) -> Self {
+    fn start(device: LiveDevice, sets: Vec<SensorImages>, pace: Duration) -> Self {
         let (device, is_on) = (Arc::new(Mutex::new(device)), Arc::new(AtomicBool::new(true)));
         let (ends, shown) = (Arc::default(), Arc::default());
         let work = {
@@ -124,7 +124,7 @@ fn next(source: &mut dyn FrameSource) -> plumb::imaging::frame::FrameSet {
 #[test]
 fn every_sensor_of_a_live_device_comes_in_one_frame_set() {
     let context = context();
-    let fed = walk_pictures(4);
+    let fed = walk_images(4);
     let live = LiveDevice::plug_in(&context, &device("000000054321", &[]));
     let mut source = RealsenseCamera::in_context(RealsenseOptions::default(), Arc::clone(&context))
         .open()
@@ -150,7 +150,7 @@ fn every_sensor_of_a_live_device_comes_in_one_frame_set() {
         last = Some((set.sequence, time));
         if set.frames.len() == 4 {
             assert!(
-                fed.contains(&pictures(&set)),
+                fed.contains(&images(&set)),
                 "frame set {} is none of those shown",
                 set.sequence
             );
@@ -205,14 +205,14 @@ fn the_emitter_and_the_preset_are_set_and_given_back() {
 #[test]
 fn several_devices_are_distinguished_by_their_serial_numbers() {
     let context = context();
-    let sets = walk_pictures(2);
+    let sets = walk_images(2);
     let serials = ["000000000011", "000000000022"];
     let _showing: Vec<Showing> = serials
         .iter()
         .zip(&sets)
-        .map(|(serial, pictures)| {
+        .map(|(serial, images)| {
             let live = LiveDevice::plug_in(&context, &device(serial, &[]));
-            Showing::start(live, vec![pictures.clone()], Duration::from_millis(40))
+            Showing::start(live, vec![images.clone()], Duration::from_millis(40))
         })
         .collect();
     let open = |origin: Origin| {
@@ -234,7 +234,7 @@ fn several_devices_are_distinguished_by_their_serial_numbers() {
         let whole = std::iter::repeat_with(|| next(source.as_mut()))
             .find(|set| set.frames.len() == 4)
             .unwrap();
-        assert!(pictures(&whole) == *shown);
+        assert!(images(&whole) == *shown);
     }
     let error =
         open(Origin::Serial("000000000033".to_owned())).map(|_| ()).unwrap_err().to_string();
@@ -289,7 +289,7 @@ async fn until_views(events: &mut EventStream, count: u64) {
 async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let (context, folder) = (context(), tempfile::tempdir().unwrap());
     let live = LiveDevice::plug_in(&context, &device("000000012345", &SETTABLE));
-    let sets = walk_pictures(usize::MAX);
+    let sets = walk_images(usize::MAX);
     let count = sets.len();
     // Slower than the daemon searches, on a busy machine too.
     let showing = Showing::start(live, sets, Duration::from_millis(200));
@@ -344,7 +344,7 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     );
 }
 
-/// Holds a calibration against what the pictures were made of; the right infrared ones are the left
+/// Holds a calibration against what the images were made of; the right infrared ones are the left
 /// ones turned by half a turn, so that their camera is the left one, turned.
 fn is_true(calibration: &Calibration) {
     let truth = truth();
@@ -387,7 +387,7 @@ fn is_true(calibration: &Calibration) {
 async fn a_device_that_never_gives_anything_is_reset_in_the_end() {
     let (context, folder) = (context(), tempfile::tempdir().unwrap());
     let live = LiveDevice::plug_in(&context, &device("000000000007", &[]));
-    let showing = Showing::start(live, walk_pictures(1), Duration::from_millis(40));
+    let showing = Showing::start(live, walk_images(1), Duration::from_millis(40));
     showing.switch(false);
     let soon = Duration::from_millis(10);
     let supervision = Supervision {

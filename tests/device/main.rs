@@ -33,7 +33,7 @@ type Scenario = fn() -> String;
 /// Each returns what it measured, in a line, and panics when something is not as it must be.
 const SCENARIOS: &[(&str, Scenario)] = &[
     ("enumeration", enumeration::every_camera_is_listed_with_its_names_and_formats),
-    ("formats", formats::every_format_gives_the_same_picture),
+    ("formats", formats::every_format_gives_the_same_image),
     ("mode", formats::what_cannot_be_had_is_reported),
     ("controls", formats::controls_are_set_held_and_given_back),
     ("busy", faults::a_camera_in_use_is_reported_with_its_holder),

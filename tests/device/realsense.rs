@@ -33,7 +33,7 @@ use plumb::recording::{ReadOptions, Recording};
 use serde_json::{Value, json};
 use served::{Served, recording};
 use shared_data::shared_data;
-use software_device::{Device, Pictures, StatedCamera, Stream, record};
+use software_device::{Device, SensorImages, StatedCamera, Stream, record};
 
 const POLL: Duration = Duration::from_millis(200);
 
@@ -203,14 +203,14 @@ fn without_a_device_that_is_reported_at_once() {
 /// Slower than the daemon searches, on a busy machine too: every frame of the walk is to be searched.
 const PACE: Duration = Duration::from_millis(200);
 
-fn pictures(set: &FrameSet) -> Pictures {
+fn images(set: &FrameSet) -> SensorImages {
     let frame = |sensor| set.frame(sensor).unwrap();
     let depth = DepthImage::from_frame(frame(SensorKind::Depth)).unwrap();
     let depth = depth.readings().iter().flat_map(|reading| reading.to_le_bytes()).collect();
     let mut infrared = GrayImage::default();
     decode::luma(frame(SensorKind::Infrared), &mut infrared).unwrap();
     let color = decode::rgb(frame(SensorKind::Color)).unwrap().into_raw();
-    // What is read back has a right infrared picture; what is shown has none of its own, and shows
+    // What is read back has a right infrared image; what is shown has none of its own, and shows
     // the left one reversed.
     let mut infrared2 = GrayImage::default();
     let infrared2 = match set.frame(SensorKind::Infrared2) {
@@ -240,10 +240,10 @@ fn stated(lens: &Value) -> StatedCamera {
 }
 
 /// The shipped walk of a board before color, infrared and depth.
-fn walk_pictures(count: usize) -> Vec<Pictures> {
+fn walk_images(count: usize) -> Vec<SensorImages> {
     let mut walk = Recording::open(&recording("rgbd.mcap"), &ReadOptions::default()).unwrap();
     let sets = std::iter::from_fn(|| walk.next_frame_set().unwrap());
-    sets.take(count).map(|set| pictures(&set)).collect()
+    sets.take(count).map(|set| images(&set)).collect()
 }
 
 /// The camera that took it, by the library's means.
@@ -264,7 +264,7 @@ fn described(serial: &'static str, truth: &Value) -> Device {
 fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
     let truth: Value =
         serde_json::from_slice(&std::fs::read(recording("rgbd.truth.json")).unwrap()).unwrap();
-    let sets = walk_pictures(count);
+    let sets = walk_images(count);
     let device = described("000000012345", &truth);
     let path = folder.join("walk.bag");
     record(&path, &device, if count > 10 { PACE } else { Duration::from_millis(30) }, &sets);
@@ -276,7 +276,7 @@ fn made_bag(folder: &Path, count: usize) -> (PathBuf, Value) {
 fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
     let folder = tempfile::tempdir().unwrap();
     let (path, _) = made_bag(folder.path(), 6);
-    let fed = walk_pictures(6);
+    let fed = walk_images(6);
     let mut source = open(Origin::Bag(path)).unwrap();
     let description = source.description();
     assert_eq!(description.serial.as_deref(), Some("000000012345"));
@@ -288,7 +288,7 @@ fn a_made_recording_gives_every_sensor_as_it_was_recorded() {
     let error = loop {
         match source.next_frame(POLL) {
             Ok(set) if set.frames.len() == 4 => {
-                let seen = pictures(&set);
+                let seen = images(&set);
                 assert!(
                     fed.contains(&seen),
                     "frame set {} is none of those recorded",

@@ -28,7 +28,7 @@ pub enum Stream {
     Color,
 }
 
-/// In the order of [`Pictures`].
+/// In the order of [`Images`].
 const STREAMS: [Stream; 4] = [Stream::Depth, Stream::Infrared, Stream::Infrared2, Stream::Color];
 
 /// Intrinsics and distortion of a stream, as the device states them.
@@ -58,7 +58,7 @@ pub struct Device {
 }
 
 /// Frames taken together: depth (16 bit), left and right infrared (8 bit), color (RGB).
-pub type Pictures = [(Stream, Vec<u8>); 4];
+pub type SensorImages = [(Stream, Vec<u8>); 4];
 
 #[repr(C)]
 #[derive(Clone, Copy)]
@@ -221,7 +221,7 @@ struct SoftwareDevice {
 }
 
 /// Records `frame_sets` as `device` would give them, `pace` apart, into a .bag file.
-pub fn record(path: &Path, device: &Device, pace: Duration, frame_sets: &[Pictures]) {
+pub fn record(path: &Path, device: &Device, pace: Duration, frame_sets: &[SensorImages]) {
     let made = make(device);
     let file = CString::new(path.to_str().unwrap()).unwrap();
     let recorder = call!(rs2_create_record_device_ex(made.device, file.as_ptr(), 1));
@@ -240,8 +240,8 @@ pub fn record(path: &Path, device: &Device, pace: Duration, frame_sets: &[Pictur
             (sensor, list)
         })
         .collect();
-    for (number, pictures) in frame_sets.iter().enumerate() {
-        for (stream, pixels) in pictures {
+    for (number, images) in frame_sets.iter().enumerate() {
+        for (stream, pixels) in images {
             feed(&made, device, *stream, number, pixels);
         }
         // The recorder stamps by the clock: this is the pace of the playback.
@@ -404,8 +404,8 @@ impl LiveDevice {
     }
 
     /// Gives one frame of every sensor.
-    pub fn show(&mut self, pictures: &Pictures) {
-        for (stream, pixels) in pictures {
+    pub fn show(&mut self, images: &SensorImages) {
+        for (stream, pixels) in images {
             feed(&self.made, &self.device, *stream, self.shown, pixels);
         }
         self.shown += 1;

@@ -11,7 +11,7 @@ use plumb::imaging::decode;
 use plumb::imaging::gray::GrayImage;
 
 use crate::guest::{PATIENCE, camera, frames_until_error, luma_of, press};
-use crate::usb_camera::{CameraModel, Picture, UsbCamera};
+use crate::usb_camera::{CameraModel, UsbCamera, VideoFormat};
 use crate::walk::WALK;
 
 const SERIAL: &str = "A1B2C3D4";
@@ -21,11 +21,11 @@ fn plug_in() -> UsbCamera {
     let options = ReplayOptions { pace: Pace::Fastest, repeat: true, ..ReplayOptions::default() };
     let mut walk = Replay::open(Path::new(WALK), &options).unwrap();
     let mut luma = GrayImage::default();
-    UsbCamera::plug_in(CameraModel { serial: SERIAL, size: [640, 480], fps: 5 }, move |picture| {
+    UsbCamera::plug_in(CameraModel { serial: SERIAL, size: [640, 480], fps: 5 }, move |image| {
         let frame = walk.next_frame(Duration::ZERO).unwrap().frames.remove(0);
-        match picture {
-            Picture::Mjpg => frame.bytes.to_vec(),
-            Picture::Yuyv => {
+        match image {
+            VideoFormat::Mjpg => frame.bytes.to_vec(),
+            VideoFormat::Yuyv => {
                 decode::luma(&frame, &mut luma).unwrap();
                 luma.pixels().iter().flat_map(|y| [*y, 128]).collect()
             }
@@ -75,7 +75,7 @@ pub fn a_usb_camera_streams_holds_still_and_comes_back() -> String {
     let seen = luma_of(&yuyv.next_frame(PATIENCE).unwrap());
     assert!(
         shown.iter().any(|set| luma_of(set).pixels() == seen.pixels()),
-        "a picture that was not shown"
+        "an image that was not shown"
     );
     drop(yuyv);
 

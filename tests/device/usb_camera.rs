@@ -30,7 +30,7 @@ const PAYLOAD: usize = 32 * 512;
 
 /// What the camera shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Picture {
+pub enum VideoFormat {
     Mjpg,
     Yuyv,
 }
@@ -47,15 +47,15 @@ pub struct CameraModel {
 pub struct UsbCamera(UnixStream);
 
 impl UsbCamera {
-    /// Plugs it in. `picture` makes its frames, one after the other.
+    /// Plugs it in. `image` makes its frames, one after the other.
     pub fn plug_in(
         model: CameraModel,
-        picture: impl FnMut(Picture) -> Vec<u8> + Send + 'static,
+        image: impl FnMut(VideoFormat) -> Vec<u8> + Send + 'static,
     ) -> Self {
         let (ours, kernels) = UnixStream::pair().unwrap();
         let link = Arc::new(Link::default());
         let streaming = (ours.try_clone().unwrap(), Arc::clone(&link), model.fps);
-        thread::spawn(move || stream(&streaming.0, &streaming.1, streaming.2, picture));
+        thread::spawn(move || stream(&streaming.0, &streaming.1, streaming.2, image));
         let answering = ours.try_clone().unwrap();
         thread::spawn(move || answer_all(answering, &link, &model));
         let attach = format!("{PORT} {} {} {HIGH_SPEED}", kernels.as_raw_fd(), 0x1_0001);
@@ -79,10 +79,10 @@ struct Link {
 
 #[derive(Default)]
 struct State {
-    /// Sequence numbers and lengths of the bulk transfers that wait for a picture.
+    /// Sequence numbers and lengths of the bulk transfers that wait for an image.
     waiting: VecDeque<(u32, usize)>,
     /// What is streamed.
-    picture: Option<Picture>,
+    image: Option<VideoFormat>,
     ended: bool,
 }
 
@@ -136,7 +136,7 @@ fn answer_all(mut stream: UnixStream, link: &Link, model: &CameraModel) {
             SUBMIT if request.endpoint == 0 => {
                 let answer = controls.answer(&request);
                 let mut state = link.state.lock().unwrap();
-                state.picture = controls.streams;
+                state.image = controls.streams;
                 match answer {
                     Some(data) => {
                         let data = &data[..data.len().min(request.length as usize)];
@@ -167,23 +167,28 @@ fn answer_all(mut stream: UnixStream, link: &Link, model: &CameraModel) {
     link.changed.notify_all();
 }
 
-/// Answers bulk transfers with one payload each: two bytes of header, then a part of the picture.
-fn stream(stream: &UnixStream, link: &Link, fps: u32, mut picture: impl FnMut(Picture) -> Vec<u8>) {
+/// Answers bulk transfers with one payload each: two bytes of header, then a part of the image.
+fn stream(
+    stream: &UnixStream,
+    link: &Link,
+    fps: u32,
+    mut image: impl FnMut(VideoFormat) -> Vec<u8>,
+) {
     let mut frame: Vec<u8> = Vec::new();
     let (mut sent, mut parity, mut due) = (0, 0, Instant::now());
     let mut shown = None;
     loop {
         let mut state = link.state.lock().unwrap();
-        while !state.ended && (state.picture.is_none() || state.waiting.is_empty()) {
+        while !state.ended && (state.image.is_none() || state.waiting.is_empty()) {
             state = link.changed.wait(state).unwrap();
         }
         if state.ended {
             return;
         }
-        if sent == frame.len() || shown != state.picture {
-            shown = state.picture;
+        if sent == frame.len() || shown != state.image {
+            shown = state.image;
             drop(state);
-            frame = picture(shown.unwrap());
+            frame = image(shown.unwrap());
             (sent, parity) = (0, parity ^ 1);
             thread::sleep(due.saturating_duration_since(Instant::now()));
             due = due.max(Instant::now() - Duration::from_secs(1)) + Duration::from_secs(1) / fps;
@@ -207,7 +212,7 @@ struct Controls {
     strings: [&'static str; 3],
     /// The negotiated stream: the class's probe and commit structure.
     probe: [u8; 26],
-    streams: Option<Picture>,
+    streams: Option<VideoFormat>,
     camera: [CameraControl; 4],
     fps: u32,
     size: [u16; 2],
@@ -293,7 +298,8 @@ impl Controls {
                 let format = *data.get(2)?;
                 self.probe = probe_of(format.clamp(1, 2), self.size, self.fps);
                 if selector == 2 {
-                    self.streams = Some(if format == 2 { Picture::Yuyv } else { Picture::Mjpg });
+                    self.streams =
+                        Some(if format == 2 { VideoFormat::Yuyv } else { VideoFormat::Mjpg });
                 }
                 Some(Vec::new())
             }

@@ -48,26 +48,26 @@ fn asked(work: impl FnOnce()) -> u64 {
     ASKED.get() - before
 }
 
-/// Pictures with the board, with parts of it, and with none.
-fn pictures() -> Vec<GrayImage> {
+/// Images with the board, with parts of it, and with none.
+fn images() -> Vec<GrayImage> {
     let board = "9x6".parse().unwrap();
     let nuisances = [(false, false), (true, false), (false, true)];
     let scenes = (0..12)
         .flat_map(|seed| nuisances.map(|(covered, cropped)| (seed, Nuisance { covered, cropped })));
-    let mut pictures: Vec<_> =
+    let mut images: Vec<_> =
         scenes.map(|(seed, nuisance)| Scene::new(seed, board, nuisance).image).collect();
     let stripes = (0..240 * 180).map(|i| if i % 240 / 7 % 2 == 0 { 40 } else { 200 }).collect();
-    pictures.push(GrayImage::from_pixels(240, 180, stripes).unwrap());
-    pictures.push(GrayImage::filled(240, 180, 99));
-    pictures
+    images.push(GrayImage::from_pixels(240, 180, stripes).unwrap());
+    images.push(GrayImage::filled(240, 180, 99));
+    images
 }
 
-fn search(detector: &mut Detector, picture: &GrayImage, tracking: bool) -> bool {
+fn search(detector: &mut Detector, image: &GrayImage, tracking: bool) -> bool {
     let options = DetectOptions { allow_partial: true };
     let found = if tracking {
-        detector.track_board(picture.view(), &options).map(|tracked| tracked.detection)
+        detector.track_board(image.view(), &options).map(|tracked| tracked.detection)
     } else {
-        detector.find_board(picture.view(), &options)
+        detector.find_board(image.view(), &options)
     };
     found.is_ok_and(|detection| {
         detector.reuse(detection);
@@ -77,12 +77,12 @@ fn search(detector: &mut Detector, picture: &GrayImage, tracking: bool) -> bool 
 
 #[test]
 fn a_warm_detector_asks_for_no_memory() {
-    let pictures = pictures();
+    let images = images();
     for tracking in [false, true] {
         let mut detector = Detector::new("9x6".parse().unwrap());
         let round = |detector: &mut Detector| {
-            let twice = pictures.iter().flat_map(|picture| [picture, picture]);
-            twice.filter(|picture| search(detector, picture, tracking)).count()
+            let twice = images.iter().flat_map(|image| [image, image]);
+            twice.filter(|image| search(detector, image, tracking)).count()
         };
         assert!(
             asked(|| assert!(round(&mut detector) > 20)) > 0,

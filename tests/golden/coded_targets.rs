@@ -42,7 +42,7 @@ fn april_grid(family: &str, border: u32, first_id: u32) -> AprilGrid {
 }
 
 /// An image of the print of `target`, and the map from the sheet, in meters, to it.
-fn picture(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
+fn image(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let print = PrintedBoard::of(target);
     let margin_m = 0.02;
@@ -113,7 +113,7 @@ fn picture(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
 /// How many corners of `target` the detector of `asked`, the same board with its layout and border
 /// left out, finds; all must be right.
 fn found(target: &Target, asked: &Target, seed: u64) -> usize {
-    let (image, pixel_from_sheet) = picture(target, seed);
+    let (image, pixel_from_sheet) = image(target, seed);
     let mut detector = TargetDetector::new(*asked).expect("a target with markers");
     let detection = detector.find(image.view()).unwrap_or_else(|none| panic!("{target}: {none}"));
     let print = PrintedBoard::of(target);
@@ -167,7 +167,7 @@ fn other_boards_are_not_answered() {
         (Target::AprilGrid(AprilGrid { cols: 3, rows: 4, ..grid }), Target::AprilGrid(grid)),
     ];
     for (seed, (shown, asked)) in others.into_iter().enumerate() {
-        let (image, _) = picture(&shown, 200 + seed as u64);
+        let (image, _) = image(&shown, 200 + seed as u64);
         let mut detector = TargetDetector::new(asked).expect("a target with markers");
         let answer = detector.find(image.view());
         assert!(answer.is_err(), "{shown} for {asked}: {answer:?}");

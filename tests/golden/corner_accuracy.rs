@@ -13,7 +13,7 @@ use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::geometry::pose::Pose;
-use plumb::simulation::{Background, BoardPattern, PictureSensor, Renderer};
+use plumb::simulation::{Background, BoardPattern, ImageSensor, Renderer};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -59,13 +59,13 @@ pub(crate) fn ordinary(name: &'static str, rms_px: f64) -> Condition {
 }
 
 impl Condition {
-    pub(crate) fn sensor(&self) -> PictureSensor {
-        PictureSensor {
+    pub(crate) fn sensor(&self) -> ImageSensor {
+        ImageSensor {
             blur_px: self.blur_px,
             full_well_e: self.full_well_e,
             gamma: self.gamma,
             vignetting: self.vignetting,
-            ..PictureSensor::new(SIZE, self.lens)
+            ..ImageSensor::new(SIZE, self.lens)
         }
     }
 
@@ -234,7 +234,7 @@ fn hold(conditions: &[Condition]) {
 }
 
 #[test]
-fn sharp_pictures_leave_no_bias_and_scatter_as_predicted() {
+fn sharp_images_leave_no_bias_and_scatter_as_predicted() {
     hold(&[
         Condition { blur_px: 0.5, ..ordinary("blur 0.5", 0.005) },
         ordinary("blur 0.7", 0.0055),

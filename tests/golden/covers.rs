@@ -17,7 +17,7 @@ use crate::corner_accuracy::{Condition, SIZE, board, ordinary};
 const BOARDS: u64 = 8;
 const COVERS: u64 = 8;
 
-/// A rectangle in front of the board, with an edge as soft as the picture's.
+/// A rectangle in front of the board, with an edge as soft as the image's.
 struct Cover {
     middle: Pixel,
     along: [f64; 2],

@@ -1,4 +1,4 @@
-//! Never a wrong label: more than four thousand small seeded pictures of boards, whole, covered,
+//! Never a wrong label: more than four thousand small seeded images of boards, whole, covered,
 //! cropped, both at once, turned and inverted, and of boards of another size, with noise and blur.
 //! A board may be missed, within the rates below, which may only tighten; what is answered is
 //! right.
@@ -19,17 +19,17 @@ use rand_distr::{Distribution, Normal};
 const WIDTH: usize = 240;
 const HEIGHT: usize = 180;
 /// What is answered lies this near to the truth, in parts of the shortest step of the board in the
-/// picture.
+/// image.
 const TOLERANCE: f64 = 0.3;
 
-/// What is done to a picture.
+/// What is done to an image.
 #[derive(Clone, Copy)]
 pub(crate) struct Nuisance {
     pub(crate) covered: bool,
     pub(crate) cropped: bool,
 }
 
-/// A picture and where the board's corners truly are in it.
+/// An image and where the board's corners truly are in it.
 pub(crate) struct Scene {
     pub(crate) image: GrayImage,
     pub(crate) board: BoardSize,
@@ -49,7 +49,7 @@ impl Scene {
         Self::of(&mut rng, &pixel_from_board, board, cover.as_ref(), (&light, inverted))
     }
 
-    /// The picture of `board` where `pixel_from_board` puts it, in this light and inverted or not.
+    /// The image of `board` where `pixel_from_board` puts it, in this light and inverted or not.
     pub(crate) fn of(
         rng: &mut ChaCha8Rng,
         pixel_from_board: &Matrix3<f64>,
@@ -185,7 +185,7 @@ impl Cover {
     }
 }
 
-/// A pinhole camera before a tilted board, all of it in the picture unless `cropped`.
+/// A pinhole camera before a tilted board, all of it in the image unless `cropped`.
 pub(crate) fn pixel_from_board(
     rng: &mut ChaCha8Rng,
     board: BoardSize,
@@ -233,7 +233,7 @@ fn project(matrix: &Matrix3<f64>, col: f64, row: f64) -> [f64; 2] {
     [p.x / p.z, p.y / p.z]
 }
 
-/// What a point of the picture belongs to: nothing changes abruptly within.
+/// What a point of the image belongs to: nothing changes abruptly within.
 #[derive(Clone, Copy, PartialEq)]
 enum Part {
     Cover,
@@ -298,7 +298,7 @@ fn render(
     GrayImage::from_pixels(WIDTH, HEIGHT, pixels).unwrap()
 }
 
-/// What came of one picture.
+/// What came of one image.
 enum Outcome {
     /// Its cells are too small to ask for an answer.
     TooSmall,
@@ -360,7 +360,7 @@ fn outcome(detectors: &mut [Detector], number: usize, nuisance: Nuisance) -> Out
     if found.partial { Outcome::Part } else { Outcome::Whole }
 }
 
-/// What came of many pictures.
+/// What came of many images.
 struct Rates {
     /// The parts that are answered, and that are answered whole.
     answered: f64,
@@ -368,7 +368,7 @@ struct Rates {
     wrong: Vec<String>,
 }
 
-/// Searches for each of the boards in `count` pictures of each.
+/// Searches for each of the boards in `count` images of each.
 fn rates(count: usize, nuisance: Nuisance) -> Rates {
     let detectors = || BOARDS.map(|board| Detector::new(board.parse().unwrap()));
     let outcomes = in_parallel(count * BOARDS.len(), detectors, |detectors, number| {
@@ -427,11 +427,11 @@ fn boards_of_three_by_three_up_to_thirty_by_twenty_are_found() {
         (20, 30, 15.0, (640, 640)),
     ] {
         let middle = (size.0 as f64 / 2.0, size.1 as f64 / 2.0);
-        let picture =
-            Straight { size, corners: (cols, rows), middle, ..Straight::new(square_px) }.picture();
+        let image =
+            Straight { size, corners: (cols, rows), middle, ..Straight::new(square_px) }.image();
         let board = BoardSize { cols, rows };
-        let found = Detector::new(board)
-            .find_board(picture.view(), &DetectOptions { allow_partial: false });
+        let found =
+            Detector::new(board).find_board(image.view(), &DetectOptions { allow_partial: false });
         let found = found
             .unwrap_or_else(|reason| panic!("{board} with squares of {square_px} px: {reason}"));
         for corner in &found.corners {
@@ -446,7 +446,7 @@ fn boards_of_three_by_three_up_to_thirty_by_twenty_are_found() {
     }
 }
 
-/// Searches for a 9×6 board, or a part of one, in 60 pictures of each of `others`; none may be
+/// Searches for a 9×6 board, or a part of one, in 60 images of each of `others`; none may be
 /// answered.
 fn none_is_taken_for_nine_by_six(
     others: &[&str],
@@ -459,7 +459,7 @@ fn none_is_taken_for_nine_by_six(
         let seed = first_seed + (1000 * (number % others.len()) + index) as u64;
         let scene = Scene::new(seed, other.parse().unwrap(), nuisance);
         let found = detector.find_board(scene.image.view(), &DetectOptions { allow_partial });
-        assert!(found.is_err(), "a {other} board, picture {index}, is answered as 9x6");
+        assert!(found.is_err(), "a {other} board, image {index}, is answered as 9x6");
     };
     in_parallel(60 * others.len(), || Detector::new("9x6".parse().unwrap()), search);
 }
@@ -475,7 +475,7 @@ fn a_board_of_another_size_is_not_the_one_searched_for() {
     );
 }
 
-/// Cut off by the picture's border, a small board gives the same image as a part of a larger one.
+/// Cut off by the image's border, a small board gives the same image as a part of a larger one.
 #[test]
 fn a_small_board_cut_off_is_no_part_of_the_one_searched_for() {
     let others = ["4x4", "5x4", "6x3", "5x3"];
@@ -488,14 +488,14 @@ fn a_small_board_cut_off_is_no_part_of_the_one_searched_for() {
 }
 
 #[test]
-fn the_same_picture_gives_the_same_bits_whatever_was_seen_before() {
+fn the_same_image_gives_the_same_bits_whatever_was_seen_before() {
     let board: BoardSize = "7x5".parse().unwrap();
     let scene = |seed| Scene::new(seed, board, Nuisance { covered: false, cropped: false });
     let options = DetectOptions { allow_partial: true };
     let mut used = Detector::new(board);
     for seed in 0..20 {
-        let picture = scene(seed);
-        let fresh = Detector::new(board).find_board(picture.image.view(), &options);
-        assert_eq!(used.find_board(picture.image.view(), &options), fresh);
+        let scene = scene(seed);
+        let fresh = Detector::new(board).find_board(scene.image.view(), &options);
+        assert_eq!(used.find_board(scene.image.view(), &options), fresh);
     }
 }

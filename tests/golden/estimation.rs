@@ -125,7 +125,7 @@ fn what_cannot_be_calibrated_is_refused_with_what_to_do() {
         })
         .collect();
     let tiny = refusal(&camera.problem(&tiny, &mut SeededCamera::rng(5)));
-    assert!(tiny.to_string().contains("let it fill more of the picture"), "{tiny}");
+    assert!(tiny.to_string().contains("let it fill more of the image"), "{tiny}");
     let empty = refused(&|problem| problem.views.clear());
     assert!(matches!(empty, EstimationError::TooFewViews { usable: 0, .. }), "{empty}");
     let size = refused(&|problem| problem.image_size = ImageSize::new(0, 480));

@@ -14,7 +14,7 @@ use crate::detection::Scene;
 
 const SIDE: usize = 360;
 const MIDDLE: f64 = 179.5;
-/// Pixels a radian: an equidistant lens that shows 180° across the picture.
+/// Pixels a radian: an equidistant lens that shows 180° across the image.
 const FOCAL: f64 = 114.0;
 const DARK: f64 = 40.0;
 const BRIGHT: f64 = 190.0;
@@ -54,7 +54,7 @@ fn project(camera_from_board: &Matrix3<f64>, col: f64, row: f64) -> [f64; 2] {
     [MIDDLE + scale * p.x, MIDDLE + scale * p.y]
 }
 
-/// Brightness at a place of the picture.
+/// Brightness at a place of the image.
 fn light(board_from_camera: &Matrix3<f64>, board: BoardSize, x: f64, y: f64) -> f64 {
     let (dx, dy) = (x - MIDDLE, y - MIDDLE);
     let radius = dx.hypot(dy).max(1e-12);

@@ -1,4 +1,4 @@
-//! `auto` finds the model that made the pictures, and none with more parameters than they show.
+//! `auto` finds the model that made the images, and none with more parameters than they show.
 
 use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
 use plumb::estimation::uncertainty::{

@@ -22,7 +22,7 @@ fn says(solved: &SolvedCamera, word: &str) -> bool {
 }
 
 /// A camera that reads its rows one after another while the board moves at random, each view
-/// otherwise: per picture's height by `shift_m` along each axis and `turn` about each.
+/// otherwise: per image's height by `shift_m` along each axis and `turn` about each.
 fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamera, CameraProblem) {
     let camera = SeededCamera::ordinary();
     let mut rng = SeededCamera::rng(seed);

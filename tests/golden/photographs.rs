@@ -7,12 +7,12 @@ use serde_json::Value;
 
 use crate::shared_data::shared_data;
 
-/// The picture sensor of [`calibration`].
+/// The image sensor of [`calibration`].
 fn calibrate(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
     Some(calibration(name, pattern, board, square)?["sensors"]["color"].take())
 }
 
-/// Calibrates from `pattern` (a glob pattern inside the folder `name` of the real pictures); `None`
+/// Calibrates from `pattern` (a glob pattern inside the folder `name` of the real images); `None`
 /// where there are none.
 fn calibration(name: &str, pattern: &str, board: &str, square: &str) -> Option<Value> {
     let source = shared_data(name)?.join(pattern).display().to_string();
@@ -23,7 +23,7 @@ fn calibration(name: &str, pattern: &str, board: &str, square: &str) -> Option<V
     Some(serde_json::from_slice(&output.stdout).unwrap())
 }
 
-/// Every picture is used, and the error is at most `rms_px`.
+/// Every image is used, and the error is at most `rms_px`.
 fn expect(sensor: &Value, views: usize, rms_px: f64) {
     let listed = sensor["views"].as_array().unwrap();
     let unused: Vec<&Value> = listed.iter().filter(|view| view["used"] != true).collect();
@@ -75,7 +75,7 @@ fn a_compact_camera() {
 }
 
 #[test]
-fn halves_of_real_pictures_agree_or_the_verdict_says_why_not() {
+fn halves_of_real_images_agree_or_the_verdict_says_why_not() {
     // Nobody knows what the webcam did: its rows were read one after another, or it is said that
     // the model does not fit.
     let table: [(&str, &str, &str, &str, &[&str]); 5] = [

@@ -14,11 +14,11 @@ use plumb::geometry::pixel::{ImageSize, Pixel};
 use plumb::imaging::decode::luma;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
+use plumb::imaging::image_file::frame_from_file;
 
 use crate::shared_data::shared_data;
 
-/// What `detector` answers of the picture at `path`.
+/// What `detector` answers of the image at `path`.
 pub fn search(
     detector: &mut Detector,
     path: &Path,
@@ -29,12 +29,12 @@ pub fn search(
     detector.find_board(image.view(), &DetectOptions { allow_partial })
 }
 
-/// The pictures in the folder `name`, in the order of their names; there must be `count`.
-pub fn pictures(name: &str, count: usize) -> Option<Vec<PathBuf>> {
+/// The images in the folder `name`, in the order of their names; there must be `count`.
+pub fn images(name: &str, count: usize) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(shared_data(name)?).unwrap().map(|entry| entry.unwrap().path());
-    let is_picture =
+    let is_image =
         |path: &PathBuf| path.extension().is_some_and(|kind| kind == "jpg" || kind == "png");
-    let mut paths: Vec<PathBuf> = entries.filter(is_picture).collect();
+    let mut paths: Vec<PathBuf> = entries.filter(is_image).collect();
     paths.sort();
     assert_eq!(paths.len(), count, "{name}");
     Some(paths)
@@ -76,9 +76,9 @@ fn assert_even_grid(found: &Detection, path: &Path) {
     assert!(squares > 0);
 }
 
-/// All `count` pictures of a folder show the whole board.
+/// All `count` images of a folder show the whole board.
 fn assert_all_whole(folder: &str, count: usize, board: &str) {
-    let Some(paths) = pictures(folder, count) else { return };
+    let Some(paths) = images(folder, count) else { return };
     let board: BoardSize = board.parse().unwrap();
     let mut detector = Detector::new(board);
     for path in &paths {
@@ -103,7 +103,7 @@ fn every_board_in_a_full_fisheye_is_found_whole() {
 /// The spread of the estimates without each view in turn is what the stated deviations mean.
 #[test]
 fn stated_deviations_are_those_of_leaving_views_out() {
-    let Some(paths) = pictures("opencv-samples", 28) else { return };
+    let Some(paths) = images("opencv-samples", 28) else { return };
     let board = Chessboard::new("9x6".parse().unwrap(), 0.03).unwrap();
     let mut detector = Detector::new(board.size);
     let is_right = |path: &&PathBuf| {

@@ -1,4 +1,4 @@
-//! Where no board is answered, the reason is the true one: a rendered picture for each.
+//! Where no board is answered, the reason is the true one: a rendered image for each.
 
 use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use plumb::detection::detector::Detector;
@@ -30,7 +30,7 @@ impl Straight {
         }
     }
 
-    pub(crate) fn picture(&self) -> GrayImage {
+    pub(crate) fn image(&self) -> GrayImage {
         let (width, height) = self.size;
         let pixels = (0..width * height)
             .map(|at| self.light((at % width) as f64, (at / width) as f64) as u8)
@@ -63,22 +63,22 @@ fn step(t: f64) -> f64 {
     1.0 / (1.0 + (-1.702 * t).exp())
 }
 
-fn search(picture: &GrayImage, allow_partial: bool) -> Result<Detection, NoBoard> {
-    Detector::new(BOARD).find_board(picture.view(), &DetectOptions { allow_partial })
+fn search(image: &GrayImage, allow_partial: bool) -> Result<Detection, NoBoard> {
+    Detector::new(BOARD).find_board(image.view(), &DetectOptions { allow_partial })
 }
 
 fn reason(board: &Straight) -> NoBoard {
-    search(&board.picture(), false).expect_err("no board")
+    search(&board.image(), false).expect_err("no board")
 }
 
 #[test]
 fn the_board_itself_is_found() {
-    let found = search(&Straight::new(24.0).picture(), false).unwrap();
+    let found = search(&Straight::new(24.0).image(), false).unwrap();
     assert_eq!(found.corners.len(), 54);
 }
 
 #[test]
-fn a_flat_picture_has_too_little_contrast() {
+fn a_flat_image_has_too_little_contrast() {
     let flat = Straight { colors: [100.0, 104.0], ..Straight::new(24.0) };
     assert!(
         matches!(reason(&flat), NoBoard::LowContrast { range } if range <= 4),
@@ -88,7 +88,7 @@ fn a_flat_picture_has_too_little_contrast() {
 }
 
 #[test]
-fn a_picture_out_of_focus_is_too_blurred() {
+fn an_image_out_of_focus_is_too_blurred() {
     for blur_px in [22.0, 30.0] {
         let soft = Straight { blur_px, ..Straight::new(24.0) };
         let reason = reason(&soft);
@@ -114,14 +114,14 @@ fn a_board_beyond_the_border_is_cut_off() {
             matches!(reason, NoBoard::CutOff { seen, .. } if (20..54).contains(&seen)),
             "{middle:?}: {reason}"
         );
-        let part = search(&cut.picture(), true).unwrap();
+        let part = search(&cut.image(), true).unwrap();
         assert!(part.partial);
     }
 }
 
 #[test]
 fn a_covered_board_is_incomplete() {
-    let mut pixels = Straight::new(24.0).picture().into_pixels();
+    let mut pixels = Straight::new(24.0).image().into_pixels();
     for y in 90..135 {
         pixels[y * 320 + 120..y * 320 + 190].fill(128);
     }
@@ -134,13 +134,13 @@ fn a_covered_board_is_incomplete() {
 }
 
 #[test]
-fn a_picture_too_small_for_the_board_says_so() {
+fn an_image_too_small_for_the_board_says_so() {
     let reason = search(&GrayImage::filled(30, 20, 0), false).expect_err("too small");
     assert!(matches!(reason, NoBoard::ImageTooSmall { .. }), "{reason}");
 }
 
 #[test]
-fn a_picture_without_a_board_has_no_corners_of_one() {
+fn an_image_without_a_board_has_no_corners_of_one() {
     let stripes = (0..320 * 240).map(|at| if at % 320 / 16 % 2 == 0 { 40 } else { 200 }).collect();
     let reason =
         search(&GrayImage::from_pixels(320, 240, stripes).unwrap(), false).expect_err("stripes");

@@ -123,7 +123,7 @@ fn a_square_board_is_labelled_alike_by_both_sensors() {
     assert!(turn < 1e-3 && shift.norm() < 5e-4, "{turn} rad, {shift:?} m");
 }
 
-/// Mean over the picture of |bias| before and after correction and of a reading's σ at 1/z, in
+/// Mean over the image of |bias| before and after correction and of a reading's σ at 1/z, in
 /// meters: exact, without noise.
 fn left_at(rig: &SeededRgbd, solved: &SolvedRgbd, z_m: f64) -> [f64; 3] {
     let (size, mut sums, mut count) = (rig.depth.size, [0.0; 3], 0.0);

@@ -25,7 +25,7 @@ use plumb::imaging::decode::luma;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
+use plumb::imaging::image_file::frame_from_file;
 use serde_json::Value;
 
 use crate::seeded_rgbd::SeededRgbd;
@@ -140,18 +140,18 @@ fn off(
 ) -> Vec<f64> {
     let (normal, distance) = plane(color, view);
     let bytes = std::fs::read(data.join(format!("{number:04}-d.pgm"))).unwrap();
-    let picture = DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes)).unwrap();
+    let image = DepthImage::from_frame(&frame_from_file(SensorKind::Depth, bytes)).unwrap();
     let corners =
         view["plane_polygon_depth_px"].as_array().unwrap().iter().map(numbers).collect::<Vec<_>>();
     let polygon: Vec<Pixel> = match corners.len() {
         2 => corners[0].iter().zip(&corners[1]).map(|(x, y)| Pixel::new(*x, *y)).collect(),
         _ => corners.iter().map(|corner| Pixel::new(corner[0], corner[1])).collect(),
     };
-    let size = picture.size();
+    let size = image.size();
     let pixels = (0..size.width * size.height)
         .map(|k| Pixel::new(f64::from(k % size.width), f64::from(k / size.width)));
     let each = pixels
-        .zip(picture.readings())
+        .zip(image.readings())
         .filter(|(pixel, raw)| **raw < 2047 && inside(&polygon, *pixel));
     let point = |(pixel, raw): (Pixel, &u16)| camera.point_from_reading(pixel, f64::from(*raw));
     each.filter_map(point).map(|p| 1e3 * (normal.dot(&(*pose * p).coords) - distance)).collect()

@@ -16,7 +16,7 @@ fn input(rig: &SeededRgbd) -> RgbdInput {
     rig.input(&poses, &mut SeededCamera::rng(4))
 }
 
-/// Every depth picture changed.
+/// Every depth image changed.
 fn with_depth(mut input: RgbdInput, change: impl Fn(usize, &DepthImage) -> Vec<u16>) -> RgbdInput {
     for (index, capture) in input.captures.iter_mut().enumerate() {
         capture.depth = capture

@@ -124,7 +124,7 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
     );
 }
 
-/// Shears each picture of one sensor along its rows, each by another amount: what a rolling shutter
+/// Shears each image of one sensor along its rows, each by another amount: what a rolling shutter
 /// makes of a moving board.
 fn sheared(problem: &mut RigProblem, sensor: usize, std_px: f64, seed: u64) {
     let normal = Normal::new(0.0, std_px).unwrap();

@@ -59,7 +59,7 @@ impl SeededRgbd {
         }
     }
 
-    /// The same with a depth camera whose pictures the device itself has straightened.
+    /// The same with a depth camera whose images the device itself has straightened.
     pub fn without_distortion(self) -> Self {
         let lens = Lens::pinhole(self.depth.lens.matrix);
         Self { depth: SeededCamera { lens, ..self.depth }, ..self }
@@ -91,7 +91,7 @@ impl SeededRgbd {
                 } else {
                     Vec::new()
                 },
-                depth: Some(self.picture(&depth_from_board, rng)),
+                depth: Some(self.image(&depth_from_board, rng)),
             }
         });
         RgbdInput {
@@ -178,7 +178,7 @@ impl SeededRgbd {
     }
 
     /// The board on its plate before the wall.
-    fn picture(&self, depth_from_board: &Pose, rng: &mut ChaCha8Rng) -> DepthImage {
+    fn image(&self, depth_from_board: &Pose, rng: &mut ChaCha8Rng) -> DepthImage {
         let noise = Normal::new(0.0, self.noise_per_m).unwrap();
         let normal = *depth_from_board * Vector3::z();
         let height = normal.dot(&depth_from_board.translation());

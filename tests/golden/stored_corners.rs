@@ -13,7 +13,7 @@ use plumb::geometry::board::BoardSize;
 use plumb::geometry::homography::Homography;
 use plumb::geometry::pixel::Pixel;
 
-use crate::real_boards::{pictures, search};
+use crate::real_boards::{images, search};
 use crate::shared_data::shared_data;
 
 fn find(path: &Path, board: &str, allow_partial: bool) -> Result<Detection, NoBoard> {
@@ -46,12 +46,12 @@ struct Compared {
     off_plane_px: [f64; 2],
 }
 
-/// Finds the board in `picture` and compares its corners with those stored in `reference`, which
+/// Finds the board in `image` and compares its corners with those stored in `reference`, which
 /// may count from another corner of the board.
-fn compare(picture: &Path, reference: &Path) -> Compared {
+fn compare(image: &Path, reference: &Path) -> Compared {
     let (board, stored) = stored(reference);
-    let found = find(picture, &board.to_string(), true).unwrap();
-    assert!(!found.partial, "{}: {} corners", picture.display(), found.corners.len());
+    let found = find(image, &board.to_string(), true).unwrap();
+    assert!(!found.partial, "{}: {} corners", image.display(), found.corners.len());
     let (cols, rows) = (board.cols as usize, board.rows as usize);
     let slot = |turn: usize, k: usize| {
         let (col, row) = (k % cols, k / cols);
@@ -104,11 +104,11 @@ fn off_plane_px(board: BoardSize, pixels: &[Pixel]) -> f64 {
 /// Compares all of `pairs` and prints the list.
 fn compare_all(pairs: &[(PathBuf, PathBuf)]) -> Vec<(String, Compared)> {
     println!(
-        "| picture | mean x, y px | rms px | largest px | off a plane px: Plumb, stored |\n| --- | --- | --- | --- | --- |"
+        "| image | mean x, y px | rms px | largest px | off a plane px: Plumb, stored |\n| --- | --- | --- | --- | --- |"
     );
-    let compared = pairs.iter().map(|(picture, reference)| {
-        let name = picture.file_stem().unwrap().to_string_lossy().into_owned();
-        let compared = compare(picture, reference);
+    let compared = pairs.iter().map(|(image, reference)| {
+        let name = image.file_stem().unwrap().to_string_lossy().into_owned();
+        let compared = compare(image, reference);
         let Compared { mean_px: [x, y], rms_px, largest_px, off_plane_px: [ours, theirs] } =
             compared;
         println!(
@@ -128,10 +128,10 @@ fn boards_of_opencv_s_chess_set_are_where_they_are_stored() {
             (1..=3)
                 .map(|k| (format!("small_chessboard{k}.png"), format!("small_chessboard{k}.dat"))),
         )
-        .map(|(picture, reference)| (folder.join(picture), folder.join(reference)))
+        .map(|(image, reference)| (folder.join(image), folder.join(reference)))
         .collect();
     for (name, compared) in compare_all(&pairs) {
-        // The eighth picture is black and white only, its edges ragged by a pixel: OpenCV's own
+        // The eighth image is black and white only, its edges ragged by a pixel: OpenCV's own
         // refinement is up to 0.6 px off.
         let bound_px = if name == "chess8" { 1.0 } else { 0.5 };
         assert!(
@@ -162,20 +162,20 @@ fn both_cameras_of_opencv_s_stereo_board_see_all_of_it() {
     }
 }
 
-/// The picture's border cuts off one or two of the board's corners.
+/// The image's border cuts off one or two of the board's corners.
 #[test]
 fn boards_that_opencv_calls_absent_are_never_whole() {
     let Some(folder) = shared_data("opencv-extra-chess") else { return };
     for k in 1..=3 {
-        let picture = folder.join(format!("negative_{k}.png"));
-        assert!(find(&picture, "6x7", false).is_err(), "negative_{k}");
-        assert!(find(&picture, "6x7", true).is_ok_and(|found| found.partial), "negative_{k}");
+        let image = folder.join(format!("negative_{k}.png"));
+        assert!(find(&image, "6x7", false).is_err(), "negative_{k}");
+        assert!(find(&image, "6x7", true).is_ok_and(|found| found.partial), "negative_{k}");
     }
 }
 
 #[test]
 fn small_corners_lie_nearer_to_a_plane_than_those_stored() {
-    let Some(paths) = pictures("opencv-extra-subpixel", 33) else { return };
+    let Some(paths) = images("opencv-extra-subpixel", 33) else { return };
     let pairs: Vec<(PathBuf, PathBuf)> =
         paths.into_iter().map(|path| (path.clone(), path.with_extension("yml"))).collect();
     let compared = compare_all(&pairs);

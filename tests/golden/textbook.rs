@@ -15,7 +15,7 @@ use plumb::geometry::lens::Lens;
 use plumb::imaging::decode::luma;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
+use plumb::imaging::image_file::frame_from_file;
 
 use crate::shared_data::shared_data;
 
@@ -73,7 +73,7 @@ fn board_coordinates() {
 }
 
 #[test]
-fn homographies_map_the_board_onto_its_picture() {
+fn homographies_map_the_board_onto_its_image() {
     let Some(photographs) = photographs() else { return };
     for (number, (pairs, homography)) in
         NUMBERS.iter().zip(photographs.iter().zip(homographies(&photographs)))

@@ -1,5 +1,5 @@
-//! A board followed from picture to picture: as right as a search, whatever the board does between
-//! two pictures.
+//! A board followed from image to image: as right as a search, whatever the board does between
+//! two images.
 
 use nalgebra::{Matrix3, Rotation2};
 use plumb::detection::board_detection::DetectOptions;
@@ -13,14 +13,14 @@ use crate::detection::{Cover, Light, Scene, pixel_from_board};
 
 const BOARDS: [&str; 6] = ["9x6", "7x5", "5x4", "4x4", "6x9", "8x5"];
 
-/// Pictures of one board in one light.
+/// Images of one board in one light.
 struct Stream {
     rng: ChaCha8Rng,
     board: BoardSize,
     light: Light,
     inverted: bool,
     pixel_from_board: Matrix3<f64>,
-    /// How it goes on from one picture to the next.
+    /// How it goes on from one image to the next.
     motion: Matrix3<f64>,
 }
 
@@ -34,7 +34,7 @@ impl Stream {
         Self { rng, board, light, inverted, pixel_from_board, motion }
     }
 
-    fn picture(&mut self, cover: Option<&Cover>) -> Scene {
+    fn scene(&mut self, cover: Option<&Cover>) -> Scene {
         Scene::of(
             &mut self.rng,
             &self.pixel_from_board,
@@ -45,7 +45,7 @@ impl Stream {
     }
 
     /// Moves on, with a little more or less speed; turns back where the board would leave the
-    /// picture.
+    /// image.
     fn walk(&mut self, speed_px: f64) {
         let mut change = |most: f64| self.rng.random_range(-most..most);
         let turn = Rotation2::new(change(0.01));
@@ -105,14 +105,14 @@ fn a_board_that_moves_is_followed() {
     for (kind, board) in BOARDS.iter().enumerate() {
         for stream in 0..12 {
             let mut stream = Stream::new(10 * kind as u64 + stream, board.parse().unwrap());
-            if stream.picture(None).shortest_step_px() < 9.0
+            if stream.scene(None).shortest_step_px() < 9.0
                 || !inside(&stream.pixel_from_board, stream.board)
             {
                 continue;
             }
             let mut detector = Detector::new(stream.board);
             for number in 0..16 {
-                let tracked = search(&mut detector, &stream.picture(None));
+                let tracked = search(&mut detector, &stream.scene(None));
                 if number > 0 {
                     seen += 1;
                     followed += u32::from(tracked.is_some_and(|tracked| tracked.followed));
@@ -133,7 +133,7 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
             let mut detector = Detector::new(stream.board);
             for number in 0..20 {
                 let cover = (number % 7 == 5).then(|| Cover::new(&mut stream.rng));
-                let scene = stream.picture(cover.as_ref());
+                let scene = stream.scene(cover.as_ref());
                 let whole_board = inside(&stream.pixel_from_board, stream.board)
                     && scene.shortest_step_px() > 8.0;
                 let tracked = search(&mut detector, &scene);
@@ -157,7 +157,7 @@ fn another_board_in_its_place_is_not_taken_for_it() {
     for seed in 0..12 {
         let mut stream = Stream::new(2000 + seed, "7x5".parse().unwrap());
         let mut detector = Detector::new(stream.board);
-        search(&mut detector, &stream.picture(None));
+        search(&mut detector, &stream.scene(None));
         let board = stream.board;
         for other in ["8x5", "7x6", "9x7"] {
             // One more line of squares, the others where they were.
@@ -165,23 +165,23 @@ fn another_board_in_its_place_is_not_taken_for_it() {
             if !inside(&stream.pixel_from_board, stream.board) {
                 continue;
             }
-            let scene = stream.picture(None);
+            let scene = stream.scene(None);
             let answer = detector.track_board(scene.image.view(), &DetectOptions::default());
             assert!(answer.is_err(), "a {other} board is answered as {board}: {answer:?}");
             stream.board = board;
-            search(&mut detector, &stream.picture(None));
+            search(&mut detector, &stream.scene(None));
         }
     }
 }
 
 #[test]
-fn the_same_pictures_give_the_same_bits() {
+fn the_same_images_give_the_same_bits() {
     let walk = || {
         let mut stream = Stream::new(3000, "9x6".parse().unwrap());
         let mut detector = Detector::new(stream.board);
         let answers = (0..12).map(|_| {
             stream.walk(2.0);
-            detector.track_board(stream.picture(None).image.view(), &DetectOptions::default())
+            detector.track_board(stream.scene(None).image.view(), &DetectOptions::default())
         });
         answers.collect::<Vec<_>>()
     };
@@ -197,7 +197,7 @@ fn the_std_of_followed_corners_covers_their_error() {
         let mut stream = Stream::new(4000 + seed, "7x5".parse().unwrap());
         let mut detector = Detector::new(stream.board);
         for _ in 0..8 {
-            let scene = stream.picture(None);
+            let scene = stream.scene(None);
             let Some(TrackedBoard { detection, followed: true }) = search(&mut detector, &scene)
             else {
                 stream.walk(1.0);

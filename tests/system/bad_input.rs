@@ -23,10 +23,10 @@ impl BadFiles {
         files.write("empty.png", b"");
         files.write("dot.png", &encoded(&GrayImage::new(1, 1), ImageFormat::Png));
         files.write("huge.png", &png_header(20_000, 10_000));
-        files.write("words.png", b"no picture at all");
+        files.write("words.png", b"no image at all");
         files.write("cut.mcap", b"\x89MCAP0\r\n\x01\x20\x00\x00");
         files.write("words.mcap", b"no recording at all");
-        files.write("nothing/readme.txt", b"no pictures here");
+        files.write("nothing/readme.txt", b"no images here");
         files.write("small/other.png", &encoded(&GrayImage::new(64, 48), ImageFormat::Png));
         let point = |pixel: &str| {
             format!(
@@ -69,9 +69,9 @@ impl BadFiles {
     }
 }
 
-fn encoded(picture: &GrayImage, format: ImageFormat) -> Vec<u8> {
+fn encoded(image: &GrayImage, format: ImageFormat) -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
-    picture.write_to(&mut bytes, format).unwrap();
+    image.write_to(&mut bytes, format).unwrap();
     bytes.into_inner()
 }
 
@@ -97,8 +97,8 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     ("detect --board 9x6 --json @cut.jpg", 1, &["cut.jpg", "cut off"]),
     ("detect --board 9x6 --json @empty.png", 1, &["empty.png", "0 bytes"]),
     ("detect --board 9x6 --json @huge.png", 1, &["huge.png", "20000x10000", "120 megapixels"]),
-    ("detect --board 9x6 --json @words.png", 1, &["words.png", "not a picture"]),
-    ("detect --board 9x6 --json @nothing", 1, &["nothing", "no pictures in this folder"]),
+    ("detect --board 9x6 --json @words.png", 1, &["words.png", "not an image"]),
+    ("detect --board 9x6 --json @nothing", 1, &["nothing", "no images in this folder"]),
     ("detect --board 9x6 --json @*.bmp", 1, &["*.bmp", "no file has such a name"]),
     (
         "detect --board 9x6 --json @cut.jpg @empty.png",
@@ -120,7 +120,7 @@ const TABLE: &[(&str, i32, &[&str])] = &[
         1,
         &["gone.jpg", "no such file", "check the path"],
     ),
-    ("calibrate --board 9x6 --square 25mm @nothing", 1, &["nothing", "no pictures in this folder"]),
+    ("calibrate --board 9x6 --square 25mm @nothing", 1, &["nothing", "no images in this folder"]),
     ("calibrate --board 9x6 --square 25mm @cut.mcap", 1, &["cut.mcap"]),
     ("calibrate --board 9x6 --square 25mm @words.mcap", 1, &["words.mcap"]),
     ("calibrate --board 9x6 --square 25mm @cut.jpg", 1, &["cut.jpg", "cut off"]),
@@ -131,7 +131,7 @@ const TABLE: &[(&str, i32, &[&str])] = &[
     (
         "calibrate --board 9x6 --square 25mm @gray.jpg @gray.jpg",
         1,
-        &["no 9x6 chessboard", "any of 2 pictures", "gray.jpg"],
+        &["no 9x6 chessboard", "any of 2 images", "gray.jpg"],
     ),
     ("calibrate --board 9x6 --square 25mm @gray.jpg @small", 1, &["64x48", "320x240", "each size"]),
     ("solve", 2, &["PROBLEM.json"]),
@@ -202,7 +202,7 @@ fn a_port_in_use() {
 }
 
 #[test]
-fn a_bad_picture_among_good_ones_costs_only_itself() {
+fn a_bad_image_among_good_ones_costs_only_itself() {
     let files = BadFiles::new();
     let finished =
         plumb(files.arguments("detect --board 9x6 --json @cut.jpg @gray.jpg @gone.jpg @dot.png"));

@@ -1,11 +1,11 @@
-//! Pictures as cameras really send them.
+//! Images as cameras really send them.
 
 use std::fs;
 
 use plumb::imaging::decode;
 use plumb::imaging::frame::{Frame, SensorKind};
 use plumb::imaging::gray::GrayImage;
-use plumb::imaging::picture_file::frame_from_file;
+use plumb::imaging::image_file::frame_from_file;
 
 use crate::shared_data::shared_data;
 
@@ -51,7 +51,7 @@ fn the_same_frame_cut_short_is_refused_in_one_line() {
 }
 
 #[test]
-fn every_real_picture_decodes() {
+fn every_real_image_decodes() {
     let sets = [
         "opencv-samples",
         "boofcv-sony-chess",
@@ -65,13 +65,13 @@ fn every_real_picture_decodes() {
         let mut recording =
             plumb::recording::Recording::open(&folder, &plumb::recording::ReadOptions::default())
                 .unwrap();
-        let mut pictures = 0;
+        let mut images = 0;
         while let Some(set) = recording.next_frame_set().unwrap() {
             let frame = &set.frames[0];
             let image = luma(frame);
             assert_eq!(image.size(), frame.size, "{:?}", set.name);
-            pictures += 1;
+            images += 1;
         }
-        assert!(pictures > 10 || folder.ends_with("sceaux"), "{}: {pictures}", folder.display());
+        assert!(images > 10 || folder.ends_with("sceaux"), "{}: {images}", folder.display());
     }
 }

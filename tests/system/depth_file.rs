@@ -51,17 +51,17 @@ fn correction(quantity: CorrectedQuantity, grid: SplineGrid, terms: usize) -> De
     correction
 }
 
-/// Calibrations of every kind, each with a picture that has readings outside what was seen, none,
+/// Calibrations of every kind, each with an image that has readings outside what was seen, none,
 /// and the invalid one.
 fn cases() -> Vec<(Calibration, DepthImage)> {
     let grid = SplineGrid { size: SIZE, cols: 5, rows: 4 };
-    let picture = |reading: &dyn Fn(usize) -> u16| {
+    let image = |reading: &dyn Fn(usize) -> u16| {
         DepthImage::new(SIZE, (0..1200).map(reading).collect()).unwrap()
     };
     let metric = |k: usize| if k.is_multiple_of(7) { 0 } else { 300 + 3 * k as u16 };
     let disparity = |k: usize| if k.is_multiple_of(5) { 2047 } else { 400 + (k / 2) as u16 };
     vec![
-        (calibration(|_| {}, None), picture(&metric)),
+        (calibration(|_| {}, None), image(&metric)),
         (
             calibration(
                 |camera| {
@@ -69,7 +69,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
                 },
                 None,
             ),
-            picture(&metric),
+            image(&metric),
         ),
         (
             calibration(
@@ -79,7 +79,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
                 },
                 Some(306),
             ),
-            picture(&metric),
+            image(&metric),
         ),
         (
             calibration(
@@ -89,7 +89,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
                 },
                 Some(2047),
             ),
-            picture(&disparity),
+            image(&disparity),
         ),
     ]
 }
@@ -97,7 +97,7 @@ fn cases() -> Vec<(Calibration, DepthImage)> {
 /// Writes each case as a file and its readings as text, runs `read` on both, and compares with the
 /// library.
 fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
-    for (calibration, picture) in cases() {
+    for (calibration, image) in cases() {
         let (file, readings) = (folder.join("depth.txt"), folder.join("raw.txt"));
         std::fs::write(
             &file,
@@ -105,7 +105,7 @@ fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
         )
         .unwrap();
         let rows = (0..SIZE.height as usize)
-            .map(|y| picture.row(y).iter().map(ToString::to_string).collect::<Vec<_>>().join(" "));
+            .map(|y| image.row(y).iter().map(ToString::to_string).collect::<Vec<_>>().join(" "));
         std::fs::write(&readings, rows.collect::<Vec<_>>().join("\n") + "\n").unwrap();
         let ran = read(&file, &readings).output().unwrap();
         assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
@@ -115,11 +115,11 @@ fn compared(folder: &Path, read: impl Fn(&Path, &Path) -> Command) {
         let depth = calibration.depth().unwrap();
         let registration =
             DepthRegistration::new(&depth.camera, &depth.camera.lens, SIZE, &Pose::identity());
-        let ours = registration.depths_m(&picture, depth.invalid);
+        let ours = registration.depths_m(&image, depth.invalid);
         assert_eq!(theirs.len(), ours.len());
         assert!(ours.contains(&0.0) && ours.iter().filter(|depth| **depth > 0.0).count() > 900);
         for (k, (theirs, ours)) in theirs.iter().zip(&ours).enumerate() {
-            // Pictures are corrected in single precision.
+            // Images are corrected in single precision.
             assert!(
                 (theirs - f64::from(*ours)).abs() < 1e-6 * theirs.max(1.0),
                 "pixel {k}: {theirs}, but {ours}"

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use crate::program::plumb;
 use crate::served::Served;
 
-/// A picture of a board of inner corners, seen straight on, before white.
+/// An image of a board of inner corners, seen straight on, before white.
 struct Straight {
     corners: (i32, i32),
     square_px: f64,
@@ -31,7 +31,7 @@ impl Straight {
         soft_px: 0,
     };
 
-    /// The picture as a PGM.
+    /// The image as a PGM.
     fn pgm(&self) -> Vec<u8> {
         let sharp: Vec<f64> =
             (0..WIDTH * HEIGHT).map(|at| self.light(at % WIDTH, at / WIDTH)).collect();
@@ -61,7 +61,7 @@ impl Straight {
 
 #[test]
 fn detect_says_why_there_is_no_board() {
-    let pictures = [
+    let images = [
         ("whole", Straight::WHOLE, None),
         ("flat", Straight { colors: [100.0, 104.0], ..Straight::WHOLE }, Some("contrast")),
         ("soft", Straight { soft_px: 30, ..Straight::WHOLE }, Some("blur")),
@@ -74,18 +74,18 @@ fn detect_says_why_there_is_no_board() {
     ];
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(format!("{name}.pgm")).to_str().unwrap().to_owned();
-    for (name, picture, _) in &pictures {
-        std::fs::write(path(name), picture.pgm()).unwrap();
+    for (name, image, _) in &images {
+        std::fs::write(path(name), image.pgm()).unwrap();
     }
     let tiny = path("tiny");
     std::fs::write(&tiny, [b"P5 30 20 255\n".as_slice(), &[90; 600]].concat()).unwrap();
     let asked = ["detect", "--board", "9x6", "--json"].map(str::to_owned);
-    let paths = pictures.iter().map(|(name, ..)| path(name)).chain([tiny.clone()]);
+    let paths = images.iter().map(|(name, ..)| path(name)).chain([tiny.clone()]);
     let finished = plumb(asked.into_iter().chain(paths));
     let lines: Vec<Value> =
         finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.len(), pictures.len() + 1, "{finished:?}");
-    let expected = pictures.iter().map(|(_, _, reason)| *reason).chain([Some("30x20")]);
+    assert_eq!(lines.len(), images.len() + 1, "{finished:?}");
+    let expected = images.iter().map(|(_, _, reason)| *reason).chain([Some("30x20")]);
     for (line, expected) in lines.iter().zip(expected) {
         match expected {
             None => assert!(line["found"] == true && line["reason"].is_null(), "{line}"),
@@ -104,7 +104,7 @@ fn detect_says_why_there_is_no_board() {
 /// the metrics.
 #[test]
 fn a_session_counts_and_reports_each_reason_by_its_own_name() {
-    let pictures = [
+    let images = [
         (
             "low_contrast",
             Straight { colors: [100.0, 104.0], ..Straight::WHOLE },
@@ -123,10 +123,10 @@ fn a_session_counts_and_reports_each_reason_by_its_own_name() {
         ),
     ];
     let folder = tempfile::tempdir().unwrap();
-    let recording = folder.path().join("pictures");
+    let recording = folder.path().join("images");
     std::fs::create_dir(&recording).unwrap();
-    for (name, picture, _) in &pictures {
-        std::fs::write(recording.join(format!("{name}.pgm")), picture.pgm()).unwrap();
+    for (name, image, _) in &images {
+        std::fs::write(recording.join(format!("{name}.pgm")), image.pgm()).unwrap();
     }
     let path = recording.display().to_string();
     let source = format!("{{ kind = \"recording\", path = {path:?}, fps = 200, repeat = true }}");
@@ -135,20 +135,20 @@ fn a_session_counts_and_reports_each_reason_by_its_own_name() {
     let mut events = served.events("?camera=front", None);
     let target = json!({"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025});
     let session = served.post("/v1/cameras/front/sessions", &json!({ "target": target })).json();
-    let mut awaited: BTreeSet<&str> = pictures.iter().map(|(kind, ..)| *kind).collect();
+    let mut awaited: BTreeSet<&str> = images.iter().map(|(kind, ..)| *kind).collect();
     while !awaited.is_empty() {
         let event = events.until(|event| event.name == "detection").data;
         assert!(event["found"] == false && event["session"] == session["id"], "{event}");
         let (kind, reason) =
             (event["rejection"].as_str().unwrap(), event["reason"].as_str().unwrap());
         let (.., words) =
-            pictures.iter().find(|(name, ..)| *name == kind).unwrap_or_else(|| panic!("{event}"));
+            images.iter().find(|(name, ..)| *name == kind).unwrap_or_else(|| panic!("{event}"));
         assert!(reason.contains(words), "{event}");
         awaited.remove(kind);
     }
     let counted = served.get(&format!("/v1/sessions/{}", session["id"].as_str().unwrap())).json();
     let metrics = served.get("/metrics").text();
-    for (kind, ..) in &pictures {
+    for (kind, ..) in &images {
         assert!(counted["rejected"][kind].as_u64().unwrap() > 0, "{kind}: {counted}");
         let label = format!("plumb_frames_rejected_total{{camera=\"front\",reason=\"{kind}\"}} ");
         let count = metrics

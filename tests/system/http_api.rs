@@ -70,9 +70,9 @@ fn is_jpeg(answer: &Answer, size: (u32, u32)) {
         "{}",
         answer.text()
     );
-    let picture =
+    let image =
         image::load_from_memory_with_format(&answer.bytes, image::ImageFormat::Jpeg).unwrap();
-    assert_eq!((picture.width(), picture.height()), size);
+    assert_eq!((image.width(), image.height()), size);
 }
 
 #[test]
@@ -103,7 +103,7 @@ fn without_a_delivering_camera_it_is_alive_but_not_ready() {
 }
 
 #[test]
-fn a_camera_is_shown_with_its_picture() {
+fn a_camera_is_shown_with_its_image() {
     let (_folder, served) = started();
     let list = served.get("/v1/cameras");
     assert_eq!((list.status, list.media_type.as_str()), (200, "application/json"));

@@ -118,8 +118,8 @@ fn a_killed_daemon_goes_on_where_it_was() {
     until_session(&mut events, &id, has_kept(before + 1));
     let views = served.get(&format!("/v1/sessions/{id}/views")).json();
     assert!(views["views"].as_array().unwrap().len() as u64 > before);
-    let picture = served.get(&format!("/v1/sessions/{id}/views/0.jpg"));
-    assert_eq!((picture.status, &picture.bytes[..2]), (200, &[0xff, 0xd8][..]));
+    let image = served.get(&format!("/v1/sessions/{id}/views/0.jpg"));
+    assert_eq!((image.status, &image.bytes[..2]), (200, &[0xff, 0xd8][..]));
     let session = stop(&served, &id);
     assert_eq!((&session["state"], &session["id"]), (&json!("finished"), &json!(id)), "{session}");
 }

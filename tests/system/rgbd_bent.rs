@@ -62,15 +62,15 @@ impl Camera {
         (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)))
     }
 
-    fn picture(&self, color_from_board: &Pose, bulge_m: f64) -> GrayImage {
-        let mut picture = GrayImage::new(self.size.width, self.size.height);
+    fn image(&self, color_from_board: &Pose, bulge_m: f64) -> GrayImage {
+        let mut image = GrayImage::new(self.size.width, self.size.height);
         for (x, y) in self.pixels() {
             let seen = self.sees(color_from_board, bulge_m, Pixel::new(f64::from(x), f64::from(y)));
             let light =
                 seen.map_or(90.0, |(at, z)| lightness(&at, self.lens.matrix.fx * SQUARE_M / z));
-            picture.put_pixel(x, y, Luma([light as u8 + noise(x, y)]));
+            image.put_pixel(x, y, Luma([light as u8 + noise(x, y)]));
         }
-        picture
+        image
     }
 
     fn depth(&self, color_from_board: &Pose, bulge_m: f64) -> DepthImage {
@@ -95,7 +95,7 @@ fn lightness(at: &Point3<f64>, square_px: f64) -> f64 {
     if on_squares { 122.0 - 92.0 * side(across) * side(down) } else { 214.0 }
 }
 
-/// 0 to 3, and alike for every picture.
+/// 0 to 3, and alike for every image.
 fn noise(x: u32, y: u32) -> u8 {
     ((x.wrapping_mul(73_856_093) ^ y.wrapping_mul(19_349_663)).wrapping_mul(2_654_435_761) >> 30)
         as u8
@@ -127,8 +127,8 @@ fn render(folder: &Path, bulge_m: f64) {
             Vector3::new(0.05 * (1.7 * around).cos(), 0.04 * (1.3 * around).sin(), 0.4 + view_m);
         let color_from_board = Pose::new(rotation.rotation(), at - rotation.rotation() * middle);
         let place = |sensor: &str| folder.join(sensor).join(format!("{view:02}.png"));
-        color.picture(&color_from_board, bulge_m).save(place("color")).unwrap();
-        depth.picture(&color_from_board, bulge_m).save(place("infrared")).unwrap();
+        color.image(&color_from_board, bulge_m).save(place("color")).unwrap();
+        depth.image(&color_from_board, bulge_m).save(place("infrared")).unwrap();
         fs::write(place("depth"), depth.depth(&color_from_board, bulge_m).to_png()).unwrap();
     }
     fs::write(

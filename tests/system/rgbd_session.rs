@@ -67,7 +67,7 @@ fn color_and_depth_are_calibrated_together_through_the_daemon() {
     is_of_use(&served, session["calibration"].as_str().unwrap());
 }
 
-/// What a user does with it: the sensors in each other's pictures, live, and the numbers in other
+/// What a user does with it: the sensors in each other's images, live, and the numbers in other
 /// programs' formats.
 fn is_of_use(served: &Served, id: &str) {
     let frame = |query: &str| served.get(&format!("/v1/cameras/front/frame.jpg?{query}"));
@@ -90,13 +90,13 @@ fn is_of_use(served: &Served, id: &str) {
             "{query}: {}",
             answer.text()
         );
-        let picture = image::load_from_memory(&answer.bytes).unwrap().into_rgb8();
-        assert_eq!(picture.dimensions(), (640, 480), "{query}");
+        let image = image::load_from_memory(&answer.bytes).unwrap().into_rgb8();
+        assert_eq!(image.dimensions(), (640, 480), "{query}");
         let spread = |pixel: &&image::Rgb<u8>| {
             let [r, g, b] = pixel.0;
             r.max(g).max(b) - r.min(g).min(b) > 60
         };
-        let colorful = picture.pixels().filter(spread);
+        let colorful = image.pixels().filter(spread);
         assert!(
             query.contains("registered=depth") || colorful.count() > 200,
             "{query} shows no depth"

@@ -1,4 +1,4 @@
-//! What can be wrong with a folder of color and depth pictures: `plumb calibrate` says each in one
+//! What can be wrong with a folder of color and depth images: `plumb calibrate` says each in one
 //! clear line.
 
 use std::fs;
@@ -45,9 +45,9 @@ enum Change {
     DepthOfOtherMoments,
     Swapped,
     ColorInHalf,
-    /// Every second depth picture is missing.
+    /// Every second depth image is missing.
     DepthInHalf,
-    /// The fourth depth picture has zeros only.
+    /// The fourth depth image has zeros only.
     OneBlank,
     Stated(&'static str),
 }
@@ -178,7 +178,7 @@ const LARGE_UNITS: &str = "[depth]\nkind = \"depth\"\nunit_m = 0.00108\n";
 fn what_is_missing_blank_or_of_another_scale_is_reported() {
     let sets = taken();
     let table: [(Change, [&str; 2]); 3] = [
-        (Change::DepthInHalf, ["have no depth picture", "01"]),
+        (Change::DepthInHalf, ["have no depth", "01"]),
         (Change::OneBlank, ["reads 0 everywhere", "03"]),
         (Change::Stated(LARGE_UNITS), ["off the board in every view", "a square is"]),
     ];

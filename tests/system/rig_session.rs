@@ -1,5 +1,5 @@
 //! A rig of three cameras through the daemon: one session, one calibration, held to the truth that
-//! the pictures were made of.
+//! the images were made of.
 
 use std::time::{Duration, Instant};
 
@@ -242,8 +242,8 @@ fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
         views.iter().all(|view| view["rms_px"].as_f64().is_some()),
         "each view finds its residuals"
     );
-    let picture = served.get(views[1]["picture"].as_str().unwrap());
-    assert_eq!((picture.status, picture.media_type.as_str()), (200, "image/jpeg"));
+    let image = served.get(views[1]["picture"].as_str().unwrap());
+    assert_eq!((image.status, image.media_type.as_str()), (200, "image/jpeg"));
 }
 
 #[test]

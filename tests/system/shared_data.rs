@@ -1,8 +1,8 @@
-//! Real pictures that lie beside the project, never inside it.
+//! Real images that lie beside the project, never inside it.
 
 use std::path::{Path, PathBuf};
 
-/// The folder `name` of the real pictures, found upwards from the project; `None`, loudly, where
+/// The folder `name` of the real images, found upwards from the project; `None`, loudly, where
 /// there are none at all. A folder that is missing among the others is a failure of the test.
 pub fn shared_data(name: &str) -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -11,7 +11,7 @@ pub fn shared_data(name: &str) -> Option<PathBuf> {
         .find(|p| p.is_dir());
     let Some(root) = root else {
         eprintln!(
-            "SKIPPED: no shared/data beside the project, so nothing was tested on the real pictures of {name}"
+            "SKIPPED: no shared/data beside the project, so nothing was tested on the real images of {name}"
         );
         return None;
     };

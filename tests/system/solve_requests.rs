@@ -1,5 +1,5 @@
 //! What a solve can be asked for beyond a lens model, by file and over HTTP alike: a bowed board, a
-//! known camera matrix, square pixels; and its calibration for other pictures than those it was
+//! known camera matrix, square pixels; and its calibration for other images than those it was
 //! made with, in every format.
 
 use std::path::PathBuf;
@@ -152,7 +152,7 @@ fn and_so_may_a_request() {
 }
 
 #[test]
-fn a_calibration_is_exported_for_a_part_of_its_pictures_and_for_other_sizes() {
+fn a_calibration_is_exported_for_a_part_of_its_images_and_for_other_sizes() {
     let folder = tempfile::tempdir().unwrap();
     let file = written(&folder, &problem(0.0));
     let calibration = folder.path().join("camera.json").display().to_string();

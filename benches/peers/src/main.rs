@@ -1,6 +1,6 @@
-//! Corners as other detectors find them: `plumb-peers METHOD REPEATS PICTURE…` prints a line of
-//! JSON for each picture, `{"corners": [[x, y], …], "elapsed_ms": …}`, the fastest of so many
-//! times, without reading the picture.
+//! Corners as other detectors find them: `plumb-peers METHOD REPEATS IMAGE…` prints a line of
+//! JSON for each image, `{"corners": [[x, y], …], "elapsed_ms": …}`, the fastest of so many
+//! times, without reading the image.
 //!
 //! METHOD is `chess-corners` (its saddle-point refinement, the most exact it has) or
 //! `calib-targets` (its best of several thresholds, with the same refinement).
@@ -34,8 +34,8 @@ fn calib_targets() -> Find {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [method, repeats, pictures @ ..] = arguments.as_slice() else {
-        return Err("usage: plumb-peers chess-corners|calib-targets REPEATS PICTURE…".into());
+    let [method, repeats, paths @ ..] = arguments.as_slice() else {
+        return Err("usage: plumb-peers chess-corners|calib-targets REPEATS IMAGE…".into());
     };
     let mut find = match method.as_str() {
         "chess-corners" => chess_corners()?,
@@ -43,8 +43,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         other => return Err(format!("no detector is called {other}: chess-corners or calib-targets").into()),
     };
     let repeats: u32 = repeats.parse()?;
-    for picture in pictures {
-        let image = image::open(picture)?.into_luma8();
+    for path in paths {
+        let image = image::open(path)?.into_luma8();
         let (mut corners, mut fastest_ms) = (Corners::new(), f64::INFINITY);
         for _ in 0..repeats.max(1) {
             let start = Instant::now();

@@ -29,7 +29,7 @@ const PRIOR_RADIAL: f64 = 0.3;
 const PRIOR_TANGENTIAL: f64 = 0.003;
 
 impl LensInformation {
-    /// What is known before any picture of a camera with this lens: about where cameras' lenses
+    /// What is known before any image of a camera with this lens: about where cameras' lenses
     /// lie. It is weak enough that a few views outweigh it, and keeps every uncertainty finite.
     pub fn prior(lens: Lens, size: ImageSize) -> Self {
         let model = lens.model();

@@ -1,5 +1,5 @@
 //! What views teach: the information matrix of a lens, what one more view would add to it, and how
-//! far that lowers the uncertainty of projections. The next view to ask for, the worth of a picture
+//! far that lowers the uncertainty of projections. The next view to ask for, the worth of an image
 //! of a pool and of a frame of a session are all this one number.
 //!
 //! ```text
@@ -22,7 +22,7 @@
 //! | which of them to ask for, and how many more it takes | [`next_view`] |
 //! | how to get there, in words | [`movement`] |
 //! | what a session's views have taught so far, frame by frame | [`teaching`] |
-//! | which pictures of a pool to take | [`pool`] |
+//! | which images of a pool to take | [`pool`] |
 
 pub mod candidate_views;
 pub mod corner_noise;

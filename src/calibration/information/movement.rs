@@ -88,9 +88,9 @@ pub fn description(space: &CandidateSpace<'_>, there_from_board: &Pose) -> Optio
     let third = |part: f64| usize::from(part > 0.4) + usize::from(part > 0.6);
     let place =
         match (["upper", "", "lower"][third(part[1])], ["left", "", "right"][third(part[0])]) {
-            ("", "") => "in the middle of the picture".to_owned(),
-            ("", edge) | (edge, "") => format!("in the {edge} part of the picture"),
-            (vertical, horizontal) => format!("in the {vertical} {horizontal} of the picture"),
+            ("", "") => "in the middle of the image".to_owned(),
+            ("", edge) | (edge, "") => format!("in the {edge} part of the image"),
+            (vertical, horizontal) => format!("in the {vertical} {horizontal} of the image"),
         };
     let tilt = if there.tilt.norm() > TILT_STEP {
         format!("its {} towards the camera", side(there.tilt))

@@ -1,4 +1,4 @@
-//! Which pictures of a pool to take: in the order in which each teaches most beside those before
+//! Which images of a pool to take: in the order in which each teaches most beside those before
 //! it.
 
 use nalgebra::DMatrix;
@@ -13,7 +13,7 @@ use crate::calibration::information::view_information::{WeightedCorner, view_inf
 use crate::estimation::camera::{CameraEstimate, ViewEstimate};
 use crate::estimation::problem::{BoardView, CameraProblem};
 
-/// One picture of a pool in its place.
+/// One image of a pool in its place.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoolStep {
     /// Which of the problem's views.
@@ -150,7 +150,7 @@ pub struct SuggestedNext {
     pub message: String,
 }
 
-/// Pictures come without the blur of their edges: that of a lens in focus.
+/// Images come without the blur of their edges: that of a lens in focus.
 const POOL_BLUR_PX: f64 = 0.8;
 
 impl SuggestedNext {

@@ -184,7 +184,7 @@ impl Calibration {
     }
 }
 
-/// One picture sensor: its lens and how well it is known.
+/// One image sensor: its lens and how well it is known.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ImageCalibration {
     /// The size of the images it holds for.

@@ -100,7 +100,7 @@ fn note(suggested: &SuggestedView, views: usize, now: &Now<'_>) -> Option<String
     let ([few, _], goal_px) = (suggested.views_to_go?, now.goal_px?);
     (views >= VIEWS_BEFORE_DOUBT && few > now.room).then(|| {
         format!(
-            "{goal_px} px cannot be reached like this, it would take {few} more views: a larger board, sharper pictures or more light bring it nearer"
+            "{goal_px} px cannot be reached like this, it would take {few} more views: a larger board, sharper images or more light bring it nearer"
         )
     })
 }

@@ -74,7 +74,7 @@ fn what_is_new_to_one_camera_is_kept_of_all_that_see_it() {
 }
 
 #[test]
-fn a_board_that_moved_between_the_pictures_is_not_shared() {
+fn a_board_that_moved_between_the_images_is_not_shared() {
     let mut session = session(&["left", "right"], None);
     let at = |time_ms: i64, across: f64| {
         [sees(time_ms, board(across, 0.5, 0.0)), sees(time_ms + 15, board(across - 0.1, 0.5, 0.0))]

@@ -101,13 +101,13 @@ impl V4l2Camera {
         if multiplanar {
             return failed(
                 &node.path,
-                "gives its pictures in several planes, which Plumb does not read",
+                "gives its images in several planes, which Plumb does not read",
             );
         }
         if node.index > 0 {
             return failed(
                 &node.path,
-                "gives no pictures but what accompanies them; use the device's first node",
+                "gives no images but what accompanies them; use the device's first node",
             );
         }
         idle(node)

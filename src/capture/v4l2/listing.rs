@@ -56,7 +56,7 @@ fn listed(node: &DeviceNode) -> Option<ListedDevice> {
     };
     if !capability.streams_video() {
         device.problem =
-            Some("gives its pictures in several planes, which Plumb does not read".to_owned());
+            Some("gives its images in several planes, which Plumb does not read".to_owned());
         return capability.is_multiplanar().then_some(device);
     }
     device.driver = Some(capability.driver);

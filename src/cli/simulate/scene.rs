@@ -28,9 +28,9 @@
 //! tilt_deg = 50.0
 //! roll_deg = 25.0
 //! width = [0.38, 0.8]            # the card's width over the image's, farthest and nearest
-//! leaving = 0.0                  # part of the places with part of the board outside the picture
+//! leaving = 0.0                  # part of the places with part of the board outside the image
 //! [depth]                        # only if given: an infrared and a depth sensor beside the camera
-//! time_offset_ms = 0.0           # by how much they are taken later than the color picture they come with
+//! time_offset_ms = 0.0           # by how much they are taken later than the color image they come with
 //! noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth
 //! step_per_m = 0.002             # steps of inverse depth, in 1/m
 //! wall_m = 1.8                   # how far the wall behind the board is
@@ -277,7 +277,7 @@ mod tests {
         let scene = load(&text).unwrap();
         let defaults = SceneFile::load(None, None).unwrap();
         assert_eq!(scene.world.walk, defaults.world.walk);
-        let sensor = crate::simulation::PictureSensor {
+        let sensor = crate::simulation::ImageSensor {
             lens: defaults.world.sensor.lens,
             ..scene.world.sensor.clone()
         };

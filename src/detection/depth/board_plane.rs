@@ -35,14 +35,14 @@ impl Default for PlaneOptions {
 pub enum NoPlane {
     /// Every reading is the same.
     #[error(
-        "its depth picture reads {reading} everywhere: it was lost or not yet there, and takes no part"
+        "its depth image reads {reading} everywhere: it was lost or not yet there, and takes no part"
     )]
     Blank {
         /// Which.
         reading: u16,
     },
     /// The outline is almost entirely outside the image.
-    #[error("the board is outside the depth picture")]
+    #[error("the board is outside the depth image")]
     Outside,
     /// Too few readings inside the outline.
     #[error(

@@ -8,7 +8,7 @@ const FORMATS = ["json", "ros", "opencv", "kalibr", "mrcal", "colmap"];
 const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
   no_corners: "no board", no_grid: "corners without a grid", other_size: "another board", low_contrast: "too little contrast",
-  image_too_small: "picture too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
+  image_too_small: "image too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
   blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
@@ -167,10 +167,10 @@ function showPicture() {
   const sensor = $("sensor").value || "color";
   const edges = sensor.includes("&") || corners;
   const source = () => at`/v1/cameras/${camera.name}/preview.mjpg?overlay=${edges}&guidance=false&at=${Date.now()}` + `&sensor=${sensor}`;
-  picture.alt = `live picture of camera ${camera.name}`;
+  picture.alt = `live image of camera ${camera.name}`;
   picture.onload = () => show("placeholder", false);
   picture.onerror = () => {
-    say("placeholder", "no picture at the moment");
+    say("placeholder", "no image at the moment");
     setTimeout(() => { picture.src = source(); }, 1500);
   };
   picture.src = source();
@@ -178,7 +178,7 @@ function showPicture() {
 
 // One picture after the other: a browser keeps few connections to one place, and endless ones would take them all.
 function tile(name, corners) {
-  const picture = element("img", { alt: `live picture of camera ${name}` });
+  const picture = element("img", { alt: `live image of camera ${name}` });
   const next = () => {
     if (picture.parentNode && !picture.isConnected) return;
     picture.src = at`/v1/cameras/${name}/frame.jpg?overlay=${corners}&guidance=false&at=${Date.now()}`;

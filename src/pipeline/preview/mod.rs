@@ -232,7 +232,7 @@ mod tests {
             let shown: Vec<EncodedFrame> =
                 receivers.iter_mut().map(|r| r.borrow_and_update().clone().unwrap()).collect();
             assert!(shown.iter().all(|jpeg| Arc::ptr_eq(jpeg, &shown[0])));
-            // A picture of the same frame is the same, and another drawing of it another.
+            // An image of the same frame is the same, and another drawing of it another.
             let (again, was_drawn) = preview.encoded(&live, DRAWING, &state()).unwrap();
             assert!(Arc::ptr_eq(&again, &shown[0]) && !was_drawn);
             let outline_px = vec![Pixel::new(5.0, 5.0), Pixel::new(40.0, 30.0)];

@@ -5,7 +5,7 @@ use image::RgbImage;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode;
 use crate::imaging::depth_image::DepthImage;
-use crate::imaging::depth_picture;
+use crate::imaging::depth_shading;
 use crate::imaging::draw;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::registration::DepthRegistration;
@@ -30,10 +30,10 @@ impl Registration {
         let depths = self.depths(frames)?;
         let nearest = self.map.nearest_in_color(&depths);
         if !over_color {
-            return Ok(depth_picture::shaded(&nearest, self.color_size));
+            return Ok(depth_shading::shaded(&nearest, self.color_size));
         }
         let mut image = self.color(frames)?;
-        let edges = depth_picture::edges(&nearest, self.color_size);
+        let edges = depth_shading::edges(&nearest, self.color_size);
         image
             .pixels_mut()
             .zip(edges)
@@ -74,7 +74,7 @@ pub(super) fn shaded_depth(frames: &FrameSet) -> Result<RgbImage, PreviewError> 
     let image = raw_depth(frames)?;
     let depths: Vec<f32> =
         image.readings().iter().map(|reading| f32::from(*reading) * 1e-3).collect();
-    Ok(depth_picture::shaded(&depths, image.size()))
+    Ok(depth_shading::shaded(&depths, image.size()))
 }
 
 fn raw_depth(frames: &FrameSet) -> Result<DepthImage, PreviewError> {

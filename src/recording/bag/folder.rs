@@ -241,7 +241,7 @@ fn unpacked_message(packed: Vec<u8>, budget: &mut UnpackBudget) -> Result<Vec<u8
     reader.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(damaged)?;
     budget.take(bytes.len() as u64).map_err(Broken::Damaged)?;
     if bytes.len() as u64 > LONGEST_RECORD {
-        return Err(Broken::Damaged("a message is longer than any picture".into()));
+        return Err(Broken::Damaged("a message is longer than any image".into()));
     }
     Ok(bytes)
 }

@@ -139,7 +139,7 @@ impl Ros1Storage {
     fn length(&mut self, longest: u64) -> Result<u64, Broken> {
         let length = u64::from(Fields::packed(&self.read(4)?).u32()?);
         if length > longest {
-            return Err(damaged("a record is longer than any picture"));
+            return Err(damaged("a record is longer than any image"));
         }
         Ok(length)
     }

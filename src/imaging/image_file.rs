@@ -1,4 +1,4 @@
-//! A picture's file as a frame: JPEG and PNG stay as they are until someone needs their pixels.
+//! An image's file as a frame: JPEG and PNG stay as they are until someone needs their pixels.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -11,20 +11,20 @@ use crate::imaging::decode::{MAX_PIXELS, file_size};
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 use crate::imaging::plausible::{check_size, memory_limit};
 
-/// The endings of files that are taken for pictures, in any case of letters.
+/// The endings of files that are taken for images, in any case of letters.
 pub const EXTENSIONS: [&str; 10] =
     ["jpg", "jpeg", "png", "pgm", "ppm", "pnm", "bmp", "tif", "tiff", "webp"];
 
-/// Whether `path` is named like a picture.
-pub fn is_picture(path: &Path) -> bool {
+/// Whether `path` is named like an image.
+pub fn is_image(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
 }
 
-/// The frame that a picture's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,
+/// The frame that an image's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,
 /// BMP, TIFF and WebP are unpacked to mono8, rgb8, or, with 16 bits, to depth. A file that cannot
 /// be read as any of them becomes a frame all the same, of size 0×0, and decoding it says what is
-/// wrong: a damaged picture is one bad frame, not the end of a recording.
+/// wrong: a damaged image is one bad frame, not the end of a recording.
 pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
     let as_it_came = |format, size, bytes: Vec<u8>| Frame {
         sensor,
@@ -48,7 +48,7 @@ pub fn frame_from_file(sensor: SensorKind, bytes: Vec<u8>) -> Frame {
     as_it_came(PixelFormat::of_file(&bytes).unwrap_or(PixelFormat::Jpeg), size, bytes)
 }
 
-/// A BMP, TIFF or WebP: formats that no camera sends, but in which people keep pictures.
+/// A BMP, TIFF or WebP: formats that no camera sends, but in which people keep images.
 fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let format = image::guess_format(bytes).ok()?;
     if !matches!(format, ImageFormat::Bmp | ImageFormat::Tiff | ImageFormat::WebP) {
@@ -62,16 +62,14 @@ fn frame_from_unpacked(sensor: SensorKind, bytes: &[u8]) -> Option<Frame> {
     let (width, height) = decoder.dimensions();
     let bytes_per_pixel = u64::from(decoder.color_type().bytes_per_pixel());
     let size = check_size(ImageSize::new(width, height), bytes_per_pixel, bytes.len()).ok()?;
-    let picture = DynamicImage::from_decoder(decoder).ok()?;
-    let (format, pixels) = match picture {
+    let image = DynamicImage::from_decoder(decoder).ok()?;
+    let (format, pixels) = match image {
         DynamicImage::ImageLuma16(depth) if sensor == SensorKind::Depth => (
             PixelFormat::Depth16,
             depth.into_raw().into_iter().flat_map(u16::to_le_bytes).collect(),
         ),
-        picture if picture.color().has_color() => {
-            (PixelFormat::Rgb8, picture.into_rgb8().into_raw())
-        }
-        picture => (PixelFormat::Mono8, picture.into_luma8().into_raw()),
+        image if image.color().has_color() => (PixelFormat::Rgb8, image.into_rgb8().into_raw()),
+        image => (PixelFormat::Mono8, image.into_luma8().into_raw()),
     };
     let stride = size.width as usize * format.bytes_per_pixel()?;
     Some(Frame { sensor, size, format, stride, bytes: Arc::from(pixels) })
@@ -155,8 +153,8 @@ mod tests {
             (depth.format, depth.stride, &*depth.bytes),
             (PixelFormat::Depth16, 4, &[2, 1, 0xfe, 0xff][..])
         );
-        let picture = frame_from_file(SensorKind::Infrared, deep);
-        assert_eq!((picture.format, &*picture.bytes), (PixelFormat::Mono8, &[16, 0xff][..]));
+        let image = frame_from_file(SensorKind::Infrared, deep);
+        assert_eq!((image.format, &*image.bytes), (PixelFormat::Mono8, &[16, 0xff][..]));
     }
 
     #[test]
@@ -189,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_picture_is_a_frame_that_says_so_when_decoded() {
+    fn what_is_no_image_is_a_frame_that_says_so_when_decoded() {
         let huge = b"P5 99999 99999 255\n".to_vec();
         for bytes in [
             Vec::new(),

@@ -1,4 +1,4 @@
-//! The same calibration for other pictures than it was made with, a part of them or scaled, on
+//! The same calibration for other images than it was made with, a part of them or scaled, on
 //! explicit request only.
 
 use nalgebra::DMatrix;
@@ -11,21 +11,21 @@ use crate::calibration::solve::uncertainty_over;
 use crate::geometry::image_region::{ImageRegion, RegionError, lens_in_region};
 use crate::geometry::pixel::ImageSize;
 
-/// How the pictures that a calibration is wanted for come from those that it was made with.
+/// How the images that a calibration is wanted for come from those that it was made with.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct OtherPictures {
+pub struct OtherImages {
     /// The part of them that is shown, in their pixels. Default: the whole.
     pub crop: Option<ImageRegion>,
     /// What that is scaled to. Default: not scaled.
     pub size: Option<ImageSize>,
-    /// The sensor whose pictures they are. Default: all of a calibration's, where nothing is
+    /// The sensor whose images they are. Default: all of a calibration's, where nothing is
     /// cropped; else its only one.
     pub sensor: Option<String>,
 }
 
-/// Pictures that a calibration cannot be taken to.
+/// Images that a calibration cannot be taken to.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum PicturesError {
+pub enum OtherImagesError {
     /// No crop or scale explains them.
     #[error("{sensor}: {error}")]
     Region {
@@ -34,32 +34,32 @@ pub enum PicturesError {
         /// Why not.
         error: RegionError,
     },
-    /// A crop is of one sensor's pictures.
+    /// A crop is of one sensor's images.
     #[error("the calibration has several sensors, and a crop is of one: say which of {}", .known.join(", "))]
     SeveralSensors {
-        /// The names of its picture sensors.
+        /// The names of its image sensors.
         known: Vec<String>,
     },
     /// It has no such sensor.
-    #[error("the calibration has no picture sensor `{name}`: say one of {}", .known.join(", "))]
+    #[error("the calibration has no image sensor `{name}`: say one of {}", .known.join(", "))]
     UnknownSensor {
         /// The name that was asked for.
         name: String,
-        /// The names of its picture sensors.
+        /// The names of its image sensors.
         known: Vec<String>,
     },
 }
 
-/// `calibration` for other pictures: the lens, and every figure that counts pixels. Poses and depth
+/// `calibration` for other images: the lens, and every figure that counts pixels. Poses and depth
 /// stay.
 ///
 /// # Errors
-/// [`PicturesError`] where a sensor's pictures would be stretched, a crop is not inside them, or it
+/// [`OtherImagesError`] where a sensor's images would be stretched, a crop is not inside them, or it
 /// is not said whose it is.
-pub fn for_other_pictures(
+pub fn for_other_images(
     calibration: &Calibration,
-    other: &OtherPictures,
-) -> Result<Calibration, PicturesError> {
+    other: &OtherImages,
+) -> Result<Calibration, OtherImagesError> {
     if other.crop.is_none() && other.size.is_none() {
         return Ok(calibration.clone());
     }
@@ -67,10 +67,10 @@ pub fn for_other_pictures(
         calibration.image_sensors().map(|(id, _)| calibration.name_of(id)).collect();
     match &other.sensor {
         Some(name) if !known.contains(name) => {
-            return Err(PicturesError::UnknownSensor { name: name.clone(), known });
+            return Err(OtherImagesError::UnknownSensor { name: name.clone(), known });
         }
         None if other.crop.is_some() && known.len() > 1 => {
-            return Err(PicturesError::SeveralSensors { known });
+            return Err(OtherImagesError::SeveralSensors { known });
         }
         _ => {}
     }
@@ -81,7 +81,7 @@ pub fn for_other_pictures(
             && other.sensor.as_ref().is_none_or(|asked| *asked == name)
         {
             *image = sensor_for(image, other)
-                .map_err(|error| PicturesError::Region { sensor: name, error })?;
+                .map_err(|error| OtherImagesError::Region { sensor: name, error })?;
         }
     }
     let scale = changed.image_sensors().zip(calibration.image_sensors()).next();
@@ -93,8 +93,8 @@ pub fn for_other_pictures(
     Ok(changed)
 }
 
-/// How many pixels of the new pictures lie across one of the old ones.
-fn scale_between(old: &ImageCalibration, new: &ImageCalibration, other: &OtherPictures) -> f64 {
+/// How many pixels of the new images lie across one of the old ones.
+fn scale_between(old: &ImageCalibration, new: &ImageCalibration, other: &OtherImages) -> f64 {
     let shown = other.crop.map_or(old.image_size, |crop| crop.size);
     if old.image_size == new.image_size {
         1.0
@@ -105,7 +105,7 @@ fn scale_between(old: &ImageCalibration, new: &ImageCalibration, other: &OtherPi
 
 fn sensor_for(
     sensor: &ImageCalibration,
-    other: &OtherPictures,
+    other: &OtherImages,
 ) -> Result<ImageCalibration, RegionError> {
     let shown = other.crop.unwrap_or(ImageRegion { left: 0, top: 0, size: sensor.image_size });
     let size = other.size.unwrap_or(shown.size);
@@ -126,7 +126,7 @@ fn sensor_for(
         median: median * across,
         worst: worst * across,
     };
-    // Another part of the picture has another median and another worst place.
+    // Another part of the image has another median and another worst place.
     let uncertainty_px = if other.crop.is_some() && !lens_covariance.is_empty() {
         let count = lens_covariance.len();
         uncertainty_over(&lens, &DMatrix::from_fn(count, count, |i, j| lens_covariance[i][j]), size)
@@ -165,8 +165,8 @@ mod tests {
     use super::*;
     use crate::document::calibration::tests::{example, with_infrared};
 
-    fn scaled_to(size: ImageSize) -> OtherPictures {
-        OtherPictures { size: Some(size), ..OtherPictures::default() }
+    fn scaled_to(size: ImageSize) -> OtherImages {
+        OtherImages { size: Some(size), ..OtherImages::default() }
     }
 
     #[test]
@@ -174,7 +174,7 @@ mod tests {
         let whole = example();
         let sensor = whole.color().unwrap();
         let size = ImageSize::new(sensor.image_size.width / 2, sensor.image_size.height / 2);
-        let half = for_other_pictures(&whole, &scaled_to(size)).unwrap();
+        let half = for_other_images(&whole, &scaled_to(size)).unwrap();
         let halved = half.color().unwrap();
         assert_eq!(halved.image_size, size);
         assert!((halved.lens.matrix.fx - sensor.lens.matrix.fx / 2.0).abs() < 1e-12);
@@ -183,20 +183,18 @@ mod tests {
         assert_eq!(halved.lens_std[5..], sensor.lens_std[5..]);
         let held_out = |calibration: &Calibration| calibration.checks.held_out_rms_px.unwrap();
         assert!((held_out(&half) - held_out(&whole) / 2.0).abs() < 1e-12);
-        let back = for_other_pictures(&half, &scaled_to(sensor.image_size)).unwrap();
+        let back = for_other_images(&half, &scaled_to(sensor.image_size)).unwrap();
         assert_eq!(back.color().unwrap().image_size, sensor.image_size);
     }
 
     #[test]
-    fn a_part_of_the_pictures_sees_what_it_saw() {
+    fn a_part_of_the_images_sees_what_it_saw() {
         let whole = example();
         let sensor = whole.color().unwrap();
         let crop = ImageRegion { left: 40, top: 20, size: ImageSize::new(320, 240) };
-        let part = for_other_pictures(
-            &whole,
-            &OtherPictures { crop: Some(crop), ..OtherPictures::default() },
-        )
-        .unwrap();
+        let part =
+            for_other_images(&whole, &OtherImages { crop: Some(crop), ..OtherImages::default() })
+                .unwrap();
         let part = part.color().unwrap();
         assert_eq!((part.image_size, part.rms_px), (crop.size, sensor.rms_px));
         assert_eq!(
@@ -213,20 +211,20 @@ mod tests {
         let table = [
             (
                 several.clone(),
-                OtherPictures { crop: Some(crop), ..OtherPictures::default() },
+                OtherImages { crop: Some(crop), ..OtherImages::default() },
                 "which of color, infrared",
             ),
             (
                 several.clone(),
-                OtherPictures {
+                OtherImages {
                     sensor: Some("left".to_owned()),
                     ..scaled_to(ImageSize::new(320, 240))
                 },
-                "no picture sensor `left`",
+                "no image sensor `left`",
             ),
             (
                 several,
-                OtherPictures { crop: Some(crop), sensor: Some("infrared".to_owned()), size: None },
+                OtherImages { crop: Some(crop), sensor: Some("infrared".to_owned()), size: None },
                 "infrared: the region 320x240 at (600, 0) is not inside",
             ),
             (
@@ -236,7 +234,7 @@ mod tests {
             ),
         ];
         for (calibration, other, words) in table {
-            let error = for_other_pictures(&calibration, &other).unwrap_err().to_string();
+            let error = for_other_images(&calibration, &other).unwrap_err().to_string();
             assert!(error.contains(words), "{error}");
         }
     }

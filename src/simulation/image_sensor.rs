@@ -10,7 +10,7 @@ use crate::simulation::noise::{Purpose, stream};
 
 /// An 8-bit gray sensor behind a lens.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PictureSensor {
+pub struct ImageSensor {
     /// Its size in pixels.
     pub size: ImageSize,
     /// Its optics.
@@ -31,7 +31,7 @@ pub struct PictureSensor {
     pub vignetting: f64,
 }
 
-impl PictureSensor {
+impl ImageSensor {
     /// A good machine-vision camera: blur 0.7 px, 4 ms, 10 000 electrons, 6 e⁻ read noise, gamma
     /// 2.2, 25 % vignetting.
     pub fn new(size: ImageSize, lens: Lens) -> Self {
@@ -53,7 +53,7 @@ impl PictureSensor {
     pub fn develop(&self, light: &[f32], seed: u64, index: u64) -> GrayImage {
         let (width, height) = (self.size.width as usize, self.size.height as usize);
         let mut image = GrayImage::filled(width, height, 0);
-        let mut rng = stream(seed, Purpose::Picture, index);
+        let mut rng = stream(seed, Purpose::Image, index);
         let tone = ToneCurve::new(self.gamma);
         let center = self.size.center();
         let corner2 = center.x.powi(2) + center.y.powi(2);

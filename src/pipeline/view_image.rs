@@ -1,4 +1,4 @@
-//! The picture that is kept with a view.
+//! The image that is kept with a view.
 
 use std::sync::Arc;
 
@@ -8,10 +8,10 @@ use crate::imaging::gray::GrayImage;
 
 const JPEG_QUALITY: u8 = 92;
 
-/// A frame as a picture file: its media type and bytes. A file is kept as it came; anything else
+/// A frame as an image file: its media type and bytes. A file is kept as it came; anything else
 /// becomes a JPEG, for the eye, since the corners are kept with full precision beside it. `None`
 /// for a frame that cannot be decoded.
-pub(super) fn view_picture(frame: &Frame) -> Option<(&'static str, Arc<[u8]>)> {
+pub(super) fn view_image(frame: &Frame) -> Option<(&'static str, Arc<[u8]>)> {
     match frame.format {
         PixelFormat::Jpeg => Some(("image/jpeg", Arc::clone(&frame.bytes))),
         PixelFormat::Png => Some(("image/png", Arc::clone(&frame.bytes))),

@@ -86,9 +86,9 @@ mod tests {
 
     #[test]
     fn near_is_brighter_than_far_and_nothing_is_black() {
-        let picture = shaded(&[0.3, 1.0, 7.0, 0.0], ImageSize::new(4, 1));
-        let light = |x: u32| picture.get_pixel(x, 0).0.iter().map(|c| u32::from(*c)).sum::<u32>();
-        assert!(light(0) > light(1) && light(1) > light(2) && light(2) > light(3), "{picture:?}");
+        let image = shaded(&[0.3, 1.0, 7.0, 0.0], ImageSize::new(4, 1));
+        let light = |x: u32| image.get_pixel(x, 0).0.iter().map(|c| u32::from(*c)).sum::<u32>();
+        assert!(light(0) > light(1) && light(1) > light(2) && light(2) > light(3), "{image:?}");
         assert_eq!(light(3), 0);
     }
 }
