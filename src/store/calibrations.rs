@@ -1,13 +1,16 @@
 //! The tables of calibrations and of those that hold now.
 
-use rusqlite::{Connection, OptionalExtension, ToSql, params};
+use rusqlite::{Connection, OptionalExtension, Row, ToSql, params};
 
 use crate::calibration::result::Calibration;
 use crate::calibration::session_record::SessionRecord;
 use crate::document::calibration::CalibrationDocument;
 use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::{json, sessions};
+use crate::store::{checksum, json, sessions};
+
+const COLUMNS: &str =
+    "SELECT id, camera, session, created_at_ns, document, checksum FROM calibrations";
 
 impl Store {
     /// Writes a new calibration down; it never changes after that.
@@ -48,18 +51,19 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
     pub fn calibration(&self, id: &str) -> Result<Option<Calibration>, StoreError> {
-        let found = self
-            .select_calibrations("SELECT id, document FROM calibrations WHERE id = ?1", &[&id])?;
-        Ok(found.into_iter().next())
+        let found = self.select_calibrations(&format!("{COLUMNS} WHERE id = ?1"), &[&id])?;
+        found.into_iter().next().transpose()
     }
 
-    /// Every calibration of a camera, newest first.
+    /// Every calibration of a camera that can be read, newest first; [`Store::unreadable`] has the
+    /// others.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
+    /// [`StoreError::Failed`].
     pub fn calibrations(&self, camera: &str) -> Result<Vec<Calibration>, StoreError> {
-        let sql = "SELECT id, document FROM calibrations WHERE camera = ?1 ORDER BY created_at_ns DESC, id DESC";
-        self.select_calibrations(sql, &[&camera])
+        let sql = format!("{COLUMNS} WHERE camera = ?1 ORDER BY created_at_ns DESC, id DESC");
+        let found = self.select_calibrations(&sql, &[&camera])?;
+        Ok(self.readable(found.into_iter()))
     }
 
     /// Makes a calibration the one that holds for a camera now.
@@ -72,10 +76,15 @@ impl Store {
         }
         let sql = "INSERT INTO current_calibrations (camera, calibration) VALUES (?1, ?2)
             ON CONFLICT (camera) DO UPDATE SET calibration = excluded.calibration";
-        self.connection()
-            .execute(sql, params![camera, calibration_id])
-            .map_err(|e| self.failed(&e))?;
-        Ok(())
+        let mut connection = self.connection();
+        let mut write = || {
+            let transaction = connection.transaction()?;
+            transaction.execute(sql, params![camera, calibration_id])?;
+            let approved = "INSERT OR IGNORE INTO approvals (calibration) VALUES (?1)";
+            transaction.execute(approved, params![calibration_id])?;
+            transaction.commit()
+        };
+        write().map_err(|e| self.failed(&e))
     }
 
     /// Which calibration holds for a camera now.
@@ -94,15 +103,9 @@ impl Store {
         &self,
         sql: &str,
         values: &[&dyn ToSql],
-    ) -> Result<Vec<Calibration>, StoreError> {
-        let rows = || {
-            let connection = self.connection();
-            let mut statement = connection.prepare(sql)?;
-            let rows = statement.query_map(values, |row| Ok((row.get(0)?, row.get(1)?)))?;
-            rows.collect::<Result<Vec<(String, String)>, _>>()
-        };
-        let rows = rows().map_err(|e| self.failed(&e))?;
-        rows.iter().map(|(id, document)| read(id, document)).collect()
+    ) -> Result<Vec<Result<Calibration, StoreError>>, StoreError> {
+        let rows = self.select(("calibrations", sql), values, StoredCalibration::from_row)?;
+        Ok(rows.into_iter().map(|row| row.and_then(|row| row.to_calibration())).collect())
     }
 }
 
@@ -120,9 +123,15 @@ fn insert(
         calibration.camera,
         calibration.session,
         calibration.created_at_ns,
-        document
+        document,
+        checksum_of(
+            [Some(&calibration.id), calibration.camera.as_ref(), calibration.session.as_ref()],
+            calibration.created_at_ns,
+            document
+        )
     ];
-    let sql = "INSERT INTO calibrations (id, camera, session, created_at_ns, document) VALUES (?1, ?2, ?3, ?4, ?5)";
+    let sql = "INSERT INTO calibrations (id, camera, session, created_at_ns, document, checksum)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
     connection.execute(sql, row).map(drop)
 }
 
@@ -130,10 +139,41 @@ fn row_name(id: &str) -> String {
     format!("calibration {id}")
 }
 
-fn read(id: &str, document: &str) -> Result<Calibration, StoreError> {
-    let document: CalibrationDocument = json::read(document, || row_name(id))?;
-    Calibration::try_from(&document)
-        .map_err(|e| StoreError::Unreadable { row: row_name(id), detail: e.to_string() })
+fn checksum_of(names: [Option<&String>; 3], created_at_ns: i64, document: &str) -> u32 {
+    let [id, camera, session] = names.map(|name| name.map(String::as_bytes).unwrap_or_default());
+    checksum::of_columns(&[id, camera, session, &created_at_ns.to_le_bytes(), document.as_bytes()])
+}
+
+struct StoredCalibration {
+    id: String,
+    camera: Option<String>,
+    session: Option<String>,
+    created_at_ns: i64,
+    document: String,
+    checksum: Option<u32>,
+}
+
+impl StoredCalibration {
+    fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
+        Ok(Self {
+            id: row.get(0)?,
+            camera: row.get(1)?,
+            session: row.get(2)?,
+            created_at_ns: row.get(3)?,
+            document: row.get(4)?,
+            checksum: row.get(5)?,
+        })
+    }
+
+    fn to_calibration(&self) -> Result<Calibration, StoreError> {
+        let row = || row_name(&self.id);
+        let names = [Some(&self.id), self.camera.as_ref(), self.session.as_ref()];
+        let computed = checksum_of(names, self.created_at_ns, &self.document);
+        checksum::check(self.checksum, computed, row)?;
+        let document: CalibrationDocument = json::read(&self.document, row)?;
+        Calibration::try_from(&document)
+            .map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })
+    }
 }
 
 #[cfg(test)]

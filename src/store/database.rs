@@ -1,15 +1,20 @@
 //! The open database: one process at a time, every commit on disk before it returns.
 
+use std::collections::BTreeMap;
+use std::fs::{File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rusqlite::{Connection, ErrorCode};
+use rusqlite::{Connection, ErrorCode, Row, ToSql};
 
 use crate::store::error::StoreError;
+use crate::store::salvage::{self, RepairReport};
 use crate::store::upgrades;
 
 /// The database's name in the store's folder.
-const FILE_NAME: &str = "plumb.sqlite";
+pub(super) const FILE_NAME: &str = "plumb.sqlite";
+/// The file that the process which has the store open holds locked.
+const LOCK_NAME: &str = "plumb.lock";
 
 /// An open store; may be used from several threads.
 #[derive(Debug)]
@@ -17,6 +22,10 @@ pub struct Store {
     path: PathBuf,
     connection: Mutex<Connection>,
     least_free_bytes: u64,
+    /// Rows that could not be read, and why.
+    unreadable: Mutex<BTreeMap<String, String>>,
+    /// Held as long as the store is open: one process at a time.
+    _lock: File,
 }
 
 impl Store {
@@ -38,11 +47,88 @@ impl Store {
     pub fn open_with(folder: &Path, least_free_bytes: u64) -> Result<Self, StoreError> {
         let unusable = |detail: String| StoreError::Folder { path: folder.to_owned(), detail };
         std::fs::create_dir_all(folder).map_err(|e| unusable(e.to_string()))?;
+        let lock = lock(folder)?;
         let path = folder.join(FILE_NAME);
         let mut connection = Connection::open(&path).map_err(|e| unusable(e.to_string()))?;
         prepare(&connection).map_err(|e| opening(&path, &e))?;
         upgrades::bring_up_to_date(&mut connection, &path)?;
-        Ok(Self { path, connection: Mutex::new(connection), least_free_bytes })
+        salvage::keep_first_page(&connection, &path);
+        Ok(Self {
+            path,
+            connection: Mutex::new(connection),
+            least_free_bytes,
+            unreadable: Mutex::default(),
+            _lock: lock,
+        })
+    }
+
+    /// As [`Store::open_with`]; a damaged database is moved aside, and what can be read of it is
+    /// copied to a new one. `None` for one that was whole.
+    ///
+    /// # Errors
+    /// As [`Store::open`]; [`StoreError::Damaged`] where nothing of it can be read.
+    pub fn open_or_repair(
+        folder: &Path,
+        least_free_bytes: u64,
+    ) -> Result<(Self, Option<RepairReport>), StoreError> {
+        match Self::open_with(folder, least_free_bytes) {
+            Err(StoreError::Damaged { path, detail }) => {
+                let repaired = {
+                    let _lock = lock(folder)?;
+                    salvage::repair(&path, &detail)?
+                };
+                Ok((Self::open_with(folder, least_free_bytes)?, Some(repaired)))
+            }
+            opened => Ok((opened?, None)),
+        }
+    }
+
+    /// What was found unreadable since the store was opened: a line for each row, with the reason.
+    pub fn unreadable(&self) -> Vec<String> {
+        let unreadable = self.unreadable.lock().unwrap_or_else(PoisonError::into_inner);
+        unreadable.iter().map(|(row, detail)| format!("{row}: {detail}")).collect()
+    }
+
+    /// The rows that could be read; the others are remembered for [`Store::unreadable`].
+    pub(super) fn readable<T>(&self, rows: impl Iterator<Item = Result<T, StoreError>>) -> Vec<T> {
+        let mut unreadable = self.unreadable.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut kept = Vec::new();
+        for row in rows {
+            match row {
+                Ok(row) => kept.push(row),
+                Err(StoreError::Unreadable { row, detail }) => {
+                    unreadable.insert(row, detail);
+                }
+                Err(other) => {
+                    unreadable.insert("a row".to_owned(), other.to_string());
+                }
+            }
+        }
+        kept
+    }
+
+    /// The rows of a table that `sql` selects. A row with a column of another type than it was
+    /// made with is unreadable by itself.
+    pub(super) fn select<T>(
+        &self,
+        (table, sql): (&str, &str),
+        values: &[&dyn ToSql],
+        of_row: fn(&Row<'_>) -> Result<T, rusqlite::Error>,
+    ) -> Result<Vec<Result<T, StoreError>>, StoreError> {
+        let connection = self.connection();
+        let mut statement = connection.prepare(sql).map_err(|e| self.failed(&e))?;
+        let rows = statement.query_map(values, of_row).map_err(|e| self.failed(&e))?;
+        let row = |number: usize| format!("row {number} of the table {table}");
+        rows.enumerate()
+            .map(|(number, found)| match found {
+                Ok(found) => Ok(Ok(found)),
+                Err(error) if error.sqlite_error_code().is_some() => Err(self.failed(&error)),
+                Err(error) => {
+                    let detail = error.to_string();
+                    Ok(Err(StoreError::Unreadable { row: row(number), detail }))
+                }
+            })
+            .collect()
     }
 
     /// The folder that it was opened in.
@@ -103,13 +189,28 @@ fn free_bytes(_: &Path) -> Option<u64> {
     None
 }
 
-/// One process at a time, and every commit on disk before it returns.
+/// Takes the store in `folder` for this process, as long as the file that is returned lives. Others
+/// may still read the database, which a backup of a running store needs.
+fn lock(folder: &Path) -> Result<File, StoreError> {
+    let path = folder.join(LOCK_NAME);
+    let unusable = |e: std::io::Error| StoreError::Folder {
+        path: folder.to_owned(),
+        detail: format!("{LOCK_NAME}: {e}"),
+    };
+    let file = File::options().create(true).append(true).open(path).map_err(unusable)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: folder.join(FILE_NAME) }),
+        Err(TryLockError::Error(error)) => Err(unusable(error)),
+    }
+}
+
+/// Every commit is on disk before it returns.
 fn prepare(connection: &Connection) -> Result<(), rusqlite::Error> {
-    connection.pragma_update(None, "locking_mode", "EXCLUSIVE")?;
     connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "FULL")?;
     connection.pragma_update(None, "foreign_keys", true)?;
-    // Takes the lock now, and not with the first write.
+    // An older plumb that has it open holds it exclusively: noticed now, not with the first write.
     connection.execute_batch("BEGIN IMMEDIATE; COMMIT;")
 }
 

@@ -1,14 +1,15 @@
 //! The table of sessions.
 
-use rusqlite::{Connection, OptionalExtension, Row, params};
+use rusqlite::{Connection, Row, params};
 
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::document::session::SessionDocument;
 use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::json;
+use crate::store::{checksum, json};
 
-const COLUMNS: &str = "SELECT id, collecting_s, document FROM sessions";
+const COLUMNS: &str =
+    "SELECT id, camera, state, started_at_ns, collecting_s, document, checksum FROM sessions";
 
 impl Store {
     /// Writes a new session down.
@@ -17,16 +18,18 @@ impl Store {
     /// [`StoreError::NoRoom`]; [`StoreError::Failed`], also when its id is taken; [`StoreError::Unstorable`].
     pub fn begin_session(&self, record: &SessionRecord) -> Result<(), StoreError> {
         self.has_room(0)?;
+        let document = document(record)?;
         let row = params![
             record.id,
             record.camera,
             record.state.name(),
             record.started_at_ns,
             record.collecting_s,
-            document(record)?
+            document,
+            checksum_of(record, &document)
         ];
-        let sql = "INSERT INTO sessions (id, camera, state, started_at_ns, collecting_s, document)
-            VALUES (?1, ?2, ?3, ?4, ?5, ?6)";
+        let sql = "INSERT INTO sessions (id, camera, state, started_at_ns, collecting_s, document, checksum)
+            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7)";
         self.connection().execute(sql, row).map_err(|e| self.failed(&e))?;
         Ok(())
     }
@@ -59,27 +62,24 @@ impl Store {
     /// # Errors
     /// [`StoreError::Failed`], [`StoreError::Unreadable`].
     pub fn session(&self, id: &str) -> Result<Option<SessionRecord>, StoreError> {
-        let found = self
-            .connection()
-            .query_row(&format!("{COLUMNS} WHERE id = ?1"), [id], StoredSession::from_row)
-            .optional()
-            .map_err(|e| self.failed(&e))?;
-        found.map(StoredSession::into_record).transpose()
+        let sql = format!("{COLUMNS} WHERE id = ?1");
+        let rows = self.select(("sessions", &sql), &[&id], StoredSession::from_row)?;
+        rows.into_iter().map(|row| row.and_then(StoredSession::into_record)).next().transpose()
     }
 
-    /// Every session, newest first.
+    /// Every session that can be read, newest first; [`Store::unreadable`] has the others.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
+    /// [`StoreError::Failed`].
     pub fn sessions(&self) -> Result<Vec<SessionRecord>, StoreError> {
         self.select_sessions(&format!("{COLUMNS} ORDER BY started_at_ns DESC, id DESC"))
     }
 
     /// The sessions that were collecting or solving, oldest first: what a process that was killed
-    /// goes on with.
+    /// goes on with. One that cannot be read is left where it is: [`Store::unreadable`] has it.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
+    /// [`StoreError::Failed`].
     pub fn unfinished_sessions(&self) -> Result<Vec<SessionRecord>, StoreError> {
         self.select_sessions(&format!(
             "{COLUMNS} WHERE state IN ('{}', '{}') ORDER BY started_at_ns, id",
@@ -89,14 +89,8 @@ impl Store {
     }
 
     fn select_sessions(&self, sql: &str) -> Result<Vec<SessionRecord>, StoreError> {
-        let rows = || {
-            let connection = self.connection();
-            let mut statement = connection.prepare(sql)?;
-            let rows = statement.query_map([], StoredSession::from_row)?;
-            rows.collect::<Result<Vec<_>, _>>()
-        };
-        let rows = rows().map_err(|e| self.failed(&e))?;
-        rows.into_iter().map(StoredSession::into_record).collect()
+        let rows = self.select(("sessions", sql), &[], StoredSession::from_row)?;
+        Ok(self.readable(rows.into_iter().map(|row| row.and_then(StoredSession::into_record))))
     }
 }
 
@@ -106,8 +100,10 @@ pub(super) fn update_session(
     record: &SessionRecord,
     document: &str,
 ) -> Result<usize, rusqlite::Error> {
-    let row = params![record.id, record.state.name(), record.collecting_s, document];
-    let sql = "UPDATE sessions SET state = ?2, collecting_s = ?3, document = ?4 WHERE id = ?1";
+    let checksum = checksum_of(record, document);
+    let row = params![record.id, record.state.name(), record.collecting_s, document, checksum];
+    let sql = "UPDATE sessions SET state = ?2, collecting_s = ?3, document = ?4, checksum = ?5
+        WHERE id = ?1";
     connection.execute(sql, row)
 }
 
@@ -116,19 +112,55 @@ pub(super) fn document(record: &SessionRecord) -> Result<String, StoreError> {
     json::write(&SessionDocument::from(record), || format!("session {}", record.id))
 }
 
+fn checksum_of(record: &SessionRecord, document: &str) -> u32 {
+    let SessionRecord { id, camera, state, started_at_ns, collecting_s, .. } = record;
+    checksum_of_columns((id, camera, state.name()), (*started_at_ns, *collecting_s), document)
+}
+
+fn checksum_of_columns(
+    (id, camera, state): (&str, &str, &str),
+    (started_at_ns, collecting_s): (i64, f64),
+    document: &str,
+) -> u32 {
+    checksum::of_columns(&[
+        id.as_bytes(),
+        camera.as_bytes(),
+        state.as_bytes(),
+        &started_at_ns.to_le_bytes(),
+        &collecting_s.to_le_bytes(),
+        document.as_bytes(),
+    ])
+}
+
 struct StoredSession {
     id: String,
+    camera: String,
+    state: String,
+    started_at_ns: i64,
     collecting_s: f64,
     document: String,
+    checksum: Option<u32>,
 }
 
 impl StoredSession {
     fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
-        Ok(Self { id: row.get(0)?, collecting_s: row.get(1)?, document: row.get(2)? })
+        Ok(Self {
+            id: row.get(0)?,
+            camera: row.get(1)?,
+            state: row.get(2)?,
+            started_at_ns: row.get(3)?,
+            collecting_s: row.get(4)?,
+            document: row.get(5)?,
+            checksum: row.get(6)?,
+        })
     }
 
     fn into_record(self) -> Result<SessionRecord, StoreError> {
         let row = || format!("session {}", self.id);
+        let names = (self.id.as_str(), self.camera.as_str(), self.state.as_str());
+        let computed =
+            checksum_of_columns(names, (self.started_at_ns, self.collecting_s), &self.document);
+        checksum::check(self.checksum, computed, row)?;
         let document: SessionDocument = json::read(&self.document, row)?;
         let record = document.to_record(self.collecting_s);
         record.map_err(|e| StoreError::Unreadable { row: row(), detail: e.to_string() })

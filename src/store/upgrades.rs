@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use rusqlite::Connection;
+use rusqlite::{Connection, Transaction};
 
 use crate::store::error::StoreError;
 
@@ -14,6 +14,7 @@ const UPGRADES: &[&str] = &[
     include_str!("upgrades/003.sql"),
     include_str!("upgrades/004.sql"),
     include_str!("upgrades/005.sql"),
+    include_str!("upgrades/006.sql"),
 ];
 
 /// Marks the file as Plumb's: "Plmb" in ASCII.
@@ -41,11 +42,67 @@ pub(super) fn bring_up_to_date(connection: &mut Connection, path: &Path) -> Resu
         return Err(StoreError::Newer { path: path.to_owned(), found, known });
     }
     let verdict: String =
-        connection.pragma_query_value(None, "quick_check", |row| row.get(0)).map_err(broken)?;
+        connection.pragma_query_value(None, "integrity_check", |row| row.get(0)).map_err(broken)?;
     if verdict != "ok" {
         return Err(damaged(verdict.lines().next().unwrap_or_default().to_owned()));
     }
+    if found > 0 && version_of(connection).is_none_or(|version| version as i64 != found) {
+        return Err(damaged(format!("its tables are not those of schema {found}")));
+    }
     upgrade(connection, found).map_err(broken)
+}
+
+/// The version of a store by its tables and their columns, whatever its header says; `None` for what
+/// has those of no version that is known here.
+pub(super) fn version_of(connection: &Connection) -> Option<usize> {
+    let found = columns_of(connection).ok()?;
+    (1..=UPGRADES.len()).rev().find(|version| {
+        let mut made = Connection::open_in_memory();
+        let of_version = made.as_mut().ok().and_then(|made| {
+            let transaction = made.transaction().ok()?;
+            make_version(&transaction, *version).ok()?;
+            columns_of(&transaction).ok()
+        });
+        of_version.is_some_and(|of_version| of_version == found)
+    })
+}
+
+/// Each table with its columns.
+fn columns_of(connection: &Connection) -> Result<Vec<(String, String)>, rusqlite::Error> {
+    let sql = "SELECT tables.name, columns.name FROM sqlite_schema AS tables,
+        pragma_table_info(tables.name) AS columns
+        WHERE tables.type = 'table' AND tables.name NOT LIKE 'sqlite_%' ORDER BY tables.name, columns.cid";
+    let mut statement = connection.prepare(sql)?;
+    let columns = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
+    columns.collect()
+}
+
+/// Makes the tables of a version in an empty database.
+///
+/// # Errors
+/// Where the database cannot be written.
+pub(super) fn make_version(
+    transaction: &Transaction<'_>,
+    version: usize,
+) -> Result<(), rusqlite::Error> {
+    for upgrade in &UPGRADES[..version] {
+        transaction.execute_batch(upgrade)?;
+    }
+    transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
+    transaction.pragma_update(None, "user_version", version as i64)
+}
+
+/// The tables, each after those that it refers to.
+///
+/// # Errors
+/// Where the schema cannot be read.
+pub(super) fn tables_of(connection: &Connection) -> Result<Vec<String>, rusqlite::Error> {
+    // A table refers to older ones; one that is made anew is renamed last.
+    let sql = "SELECT name FROM sqlite_schema WHERE type = 'table' AND name NOT LIKE 'sqlite_%'
+        ORDER BY name = 'sessions' DESC, name = 'calibrations' DESC, name = 'views' DESC, rowid";
+    let mut statement = connection.prepare(sql)?;
+    let names = statement.query_map([], |row| row.get(0))?;
+    names.collect()
 }
 
 fn upgrade(connection: &mut Connection, found: i64) -> Result<(), rusqlite::Error> {
@@ -70,6 +127,9 @@ mod tests {
     use crate::store::example_tests::{calibration, keep, numbered, record, view, views};
     use crate::store::{Picture, SensorView, Store};
 
+    /// The views of version 5.
+    const VIEWS_UNCHECKED: &str = "INSERT INTO older.views SELECT session, frame_set, camera, sensor, number, sequence,
+        name, host_time_ns, device_time_ns, width, height, unit_m, detection, media_type, picture FROM main.views";
     /// The views of versions 1 to 4.
     const OLD_VIEWS: &str = "INSERT INTO older.views SELECT session, number, sequence, name, host_time_ns, device_time_ns,
         width, height, detection, media_type, picture FROM main.views WHERE number IS NOT NULL";
@@ -120,13 +180,19 @@ mod tests {
         newest
             .execute("ATTACH ?1 AS older", [folder.join("older.sqlite").to_str().unwrap()])
             .unwrap();
-        for table in ["sessions", "calibrations"] {
-            newest
-                .execute_batch(&format!("INSERT INTO older.{table} SELECT * FROM main.{table}"))
-                .unwrap();
+        let tables = [
+            ("sessions", "id, camera, state, started_at_ns, collecting_s, document"),
+            ("calibrations", "id, camera, session, created_at_ns, document"),
+        ];
+        for (table, columns) in tables {
+            let copy = format!("INSERT INTO older.{table} SELECT {columns} FROM main.{table}");
+            newest.execute_batch(&copy).unwrap();
         }
-        let from = [(1, OLD_VIEWS), (3, OLD_AUXILIARY), (4, OLD_RIGS)];
-        for (_, copy) in from.into_iter().filter(|(first, _)| version >= *first) {
+        let copies: &[(usize, &str)] = match version {
+            5.. => &[(5, VIEWS_UNCHECKED)],
+            _ => &[(1, OLD_VIEWS), (3, OLD_AUXILIARY), (4, OLD_RIGS)],
+        };
+        for (_, copy) in copies.iter().filter(|(first, _)| version >= *first) {
             newest.execute_batch(copy).unwrap();
         }
         newest.execute_batch("DETACH older").unwrap();

@@ -1,7 +1,7 @@
 //! The table of views: what each sensor gave in a frame set that a session kept, with its picture.
 
 use rusqlite::types::Value;
-use rusqlite::{Connection, OptionalExtension, Row, params};
+use rusqlite::{Connection, Row, params};
 
 use crate::calibration::sensor::SensorId;
 use crate::calibration::session::KeptView;
@@ -13,7 +13,7 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::SensorKind;
 use crate::store::database::Store;
 use crate::store::error::StoreError;
-use crate::store::{json, sessions};
+use crate::store::{checksum, json, sessions};
 
 /// A kept picture, as it was given.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -85,22 +85,19 @@ impl Store {
     }
 
     /// What every sensor gave in the frame sets of a session, frame set by frame set, the sensors
-    /// with a number first; none for a session that is not there.
+    /// with a number first; none for a session that is not there. Views that cannot be read are
+    /// left out: [`Store::unreadable`] has them.
     ///
     /// # Errors
-    /// [`StoreError::Failed`], [`StoreError::Unreadable`].
+    /// [`StoreError::Failed`].
     pub fn sensor_views(&self, session_id: &str) -> Result<Vec<SensorView>, StoreError> {
-        let rows = || {
-            let connection = self.connection();
-            let mut statement = connection.prepare(
-                "SELECT frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns, width, height,
-                unit_m, detection FROM views WHERE session = ?1 ORDER BY frame_set, number IS NULL, number, camera, sensor",
-            )?;
-            let rows = statement.query_map([session_id], StoredView::from_row)?;
-            rows.collect::<Result<Vec<_>, _>>()
-        };
-        let rows = rows().map_err(|e| self.failed(&e))?;
-        rows.into_iter().map(|row| row.into_view(session_id)).collect()
+        let sql = format!(
+            "SELECT {FACTS}, checksum FROM views WHERE session = ?1
+            ORDER BY frame_set, number IS NULL, number, camera, sensor"
+        );
+        let rows = self.select(("views", &sql), &[&session_id], StoredView::from_row)?;
+        let views = rows.into_iter().map(|row| row.and_then(|row| row.into_view(session_id)));
+        Ok(self.readable(views))
     }
 
     /// The picture that a sensor gave in a session's frame set.
@@ -130,14 +127,45 @@ impl Store {
         place: &str,
         values: &[&dyn rusqlite::ToSql],
     ) -> Result<Option<Picture>, StoreError> {
-        let sql = format!("SELECT media_type, picture FROM views WHERE session = ?1 AND {place}");
-        self.connection()
-            .query_row(&sql, values, |row| {
-                Ok(Picture { media_type: row.get(0)?, bytes: row.get(1)? })
-            })
-            .optional()
-            .map_err(|e| self.failed(&e))
+        let sql = format!(
+            "SELECT media_type, picture, picture_checksum, frame_set, sensor FROM views
+            WHERE session = ?1 AND {place}"
+        );
+        let rows = self.select(("views", &sql), values, StoredPicture::from_row)?;
+        rows.into_iter().map(|row| row.and_then(StoredPicture::into_picture)).next().transpose()
     }
+}
+
+/// A view without its picture.
+const FACTS: &str =
+    "session, frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns,
+    width, height, unit_m, detection";
+
+struct StoredPicture {
+    picture: Picture,
+    checksum: Option<u32>,
+    row: String,
+}
+
+impl StoredPicture {
+    fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
+        let (frame_set, sensor): (u32, String) = (row.get(3)?, row.get(4)?);
+        Ok(Self {
+            picture: Picture { media_type: row.get(0)?, bytes: row.get(1)? },
+            checksum: row.get(2)?,
+            row: format!("the picture of {sensor} in frame set {frame_set}"),
+        })
+    }
+
+    fn into_picture(self) -> Result<Picture, StoreError> {
+        let Self { picture, checksum, row } = self;
+        checksum::check(checksum, picture_checksum(&picture), || row.clone())?;
+        Ok(picture)
+    }
+}
+
+fn picture_checksum(picture: &Picture) -> u32 {
+    checksum::of_columns(&[picture.media_type.as_bytes(), &picture.bytes])
 }
 
 /// A camera's name as the column has it.
@@ -162,11 +190,25 @@ fn insert_view(
     (view, picture, detection): (&SensorView, &Picture, &Value),
 ) -> Result<usize, rusqlite::Error> {
     let frame = &view.frame;
+    let stored = StoredView {
+        session: session_id.to_owned(),
+        camera: camera_column(&view.sensor).to_owned(),
+        sensor: view.sensor.kind.name().to_owned(),
+        frame_set: view.frame_set,
+        number: view.number,
+        frame: frame.clone(),
+        unit_m: view.unit_m,
+        detection: match detection {
+            Value::Text(text) => Some(text.clone()),
+            _ => None,
+        },
+        checksum: None,
+    };
     let row = params![
         session_id,
         view.frame_set,
-        camera_column(&view.sensor),
-        view.sensor.kind.name(),
+        stored.camera,
+        stored.sensor,
         view.number,
         // SQLite has no unsigned integers: the bits are kept.
         frame.sequence as i64,
@@ -178,15 +220,20 @@ fn insert_view(
         view.unit_m,
         detection,
         picture.media_type,
-        picture.bytes
+        picture.bytes,
+        stored.computed_checksum(),
+        picture_checksum(picture)
     ];
-    let sql = "INSERT INTO views (session, frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns,
-        width, height, unit_m, detection, media_type, picture)
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15)";
-    connection.execute(sql, row)
+    let sql = format!(
+        "INSERT INTO views ({FACTS}, media_type, picture, checksum, picture_checksum)
+        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"
+    );
+    connection.execute(&sql, row)
 }
 
+/// A view as its columns have it, without its picture.
 struct StoredView {
+    session: String,
     camera: String,
     sensor: String,
     frame_set: u32,
@@ -194,31 +241,52 @@ struct StoredView {
     frame: FrameFacts,
     unit_m: Option<f64>,
     detection: Option<String>,
+    checksum: Option<u32>,
 }
 
 impl StoredView {
     fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
         let frame = FrameFacts {
-            sequence: row.get::<_, i64>(4)? as u64,
-            name: row.get(5)?,
-            host_time_ns: row.get(6)?,
-            device_time_ns: row.get(7)?,
-            image_size: ImageSize::new(row.get(8)?, row.get(9)?),
+            sequence: row.get::<_, i64>(5)? as u64,
+            name: row.get(6)?,
+            host_time_ns: row.get(7)?,
+            device_time_ns: row.get(8)?,
+            image_size: ImageSize::new(row.get(9)?, row.get(10)?),
         };
         Ok(Self {
-            frame_set: row.get(0)?,
-            camera: row.get(1)?,
-            sensor: row.get(2)?,
-            number: row.get(3)?,
+            session: row.get(0)?,
+            frame_set: row.get(1)?,
+            camera: row.get(2)?,
+            sensor: row.get(3)?,
+            number: row.get(4)?,
             frame,
-            unit_m: row.get(10)?,
-            detection: row.get(11)?,
+            unit_m: row.get(11)?,
+            detection: row.get(12)?,
+            checksum: row.get(13)?,
         })
     }
 
+    /// The checksum of the columns but for the picture.
+    fn computed_checksum(&self) -> u32 {
+        let FrameFacts { sequence, name, host_time_ns, device_time_ns, image_size } = &self.frame;
+        let ImageSize { width, height } = image_size;
+        let numbers = format!(
+            "{} {:?} {sequence} {name:?} {host_time_ns} {device_time_ns:?} {width} {height} {:?}",
+            self.frame_set,
+            self.number,
+            self.unit_m.map(f64::to_bits)
+        );
+        let detection = self.detection.as_deref().unwrap_or_default();
+        let texts = [&self.session, &self.camera, &self.sensor, &numbers, detection];
+        checksum::of_columns(&texts.map(str::as_bytes))
+    }
+
     fn into_view(self, session_id: &str) -> Result<SensorView, StoreError> {
-        let Self { camera, sensor, frame_set, number, frame, unit_m, detection } = self;
+        let computed = self.computed_checksum();
+        let Self { camera, sensor, frame_set, number, frame, unit_m, detection, checksum, .. } =
+            self;
         let row = || row_name(session_id, frame_set, &sensor);
+        checksum::check(checksum, computed, row)?;
         let unreadable = |detail: String| StoreError::Unreadable { row: row(), detail };
         let kind = SensorKind::from_name(&sensor)
             .ok_or_else(|| unreadable("no such sensor".to_owned()))?;
