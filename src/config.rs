@@ -12,6 +12,9 @@
 //! [store]
 //! path = "plumb-data"            # default; made if it is not there
 //! min_free_mb = 100              # default; with less of the disk free, sessions pause
+//! keep_days = 90                 # default: all; sessions that began longer ago are deleted
+//! keep_sessions = 500            # default: all; the newest so many are kept
+//! keep_mb = 20000                # default: all; the oldest are deleted when the store holds more
 //!
 //! [calibration]
 //! auto_approve = true            # default; a `good` calibration becomes current by itself
@@ -39,6 +42,7 @@ pub use crate::config::error::ConfigError;
 use crate::config::place::Place;
 pub use crate::config::source::SourceConfig;
 use crate::config::source::WrittenSource;
+use crate::store::Retention;
 
 /// Where the daemon listens by default.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8600);
@@ -57,6 +61,9 @@ pub struct Config {
     pub store_path: PathBuf,
     /// What stays free of the disk that it is on, in bytes. Default: 100 million.
     pub least_free_bytes: u64,
+    /// Which sessions are kept. Default: all of them. Approved calibrations and their sessions are
+    /// kept in any case.
+    pub retention: Retention,
     /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
     pub auto_approve: bool,
     /// The cameras, in the order of the file.
@@ -158,6 +165,9 @@ struct ServerTable {
 struct StoreTable {
     path: Option<PathBuf>,
     min_free_mb: Option<u32>,
+    keep_days: Option<u32>,
+    keep_sessions: Option<u32>,
+    keep_mb: Option<u32>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -229,7 +239,21 @@ impl Written {
         let least_free_bytes =
             1_000_000 * u64::from(tables.store.min_free_mb.unwrap_or(DEFAULT_MIN_FREE_MB));
         let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
-        Ok(Config { listen, token, store_path, least_free_bytes, auto_approve, cameras, rigs })
+        let retention = Retention {
+            days: tables.store.keep_days,
+            sessions: tables.store.keep_sessions,
+            megabytes: tables.store.keep_mb,
+        };
+        Ok(Config {
+            listen,
+            token,
+            store_path,
+            least_free_bytes,
+            retention,
+            auto_approve,
+            cameras,
+            rigs,
+        })
     }
 }
 
@@ -352,6 +376,7 @@ mod tests {
             token: None,
             store_path: "plumb-data".into(),
             least_free_bytes: 100_000_000,
+            retention: Retention::default(),
             auto_approve: true,
             cameras: Vec::new(),
             rigs: Vec::new(),

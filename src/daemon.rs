@@ -21,10 +21,11 @@ pub use crate::daemon::error::DaemonError;
 use crate::config::Config;
 use crate::daemon::reload::Reload;
 use crate::daemon::sources::{plan_of, rig_of};
+use crate::document::time;
 use crate::http::{self, Service};
 use crate::pipeline::FleetOptions;
 use crate::pipeline::fleet::Fleet;
-use crate::store::Store;
+use crate::store::{Retention, Store};
 
 /// Threads that answer requests; frames and solves have their own.
 const HTTP_THREADS: usize = 2;
@@ -58,7 +59,11 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let listener = runtime
         .block_on(TcpListener::bind(address))
         .map_err(|source| DaemonError::Listen { address, source })?;
-    let store = Arc::new(Store::open_with(&config.store_path, config.least_free_bytes)?);
+    let (store, repaired) = Store::open_or_repair(&config.store_path, config.least_free_bytes)?;
+    if let Some(report) = repaired {
+        tracing::error!("{report}");
+    }
+    let store = Arc::new(store);
     let plans = config.cameras.iter().map(plan_of).collect();
     let options = FleetOptions { auto_approve: config.auto_approve, ..FleetOptions::default() };
     let fleet = Arc::new(Fleet::start(plans, Arc::clone(&store), &options)?);
@@ -68,6 +73,7 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     }
     let reload = Reload { fleet: Arc::clone(&fleet), file: file.clone(), config: config.clone() };
     runtime.block_on(async { reload.with_each_hangup() })?;
+    runtime.spawn(prune_by_the_hour(Arc::clone(&store), config.retention));
     let listening = listener.local_addr().unwrap_or(address);
     tracing::info!(
         file = file.map(|file| file.display().to_string()),
@@ -83,6 +89,30 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     systemd::stopping();
     fleet.shutdown();
     served.map_err(|source| DaemonError::System { what: "HTTP ended", source })
+}
+
+/// Deletes the sessions that the configuration does not keep: at the start, and each hour.
+async fn prune_by_the_hour(store: Arc<Store>, retention: Retention) {
+    const HOUR: Duration = Duration::from_secs(3600);
+    if retention == Retention::default() {
+        return;
+    }
+    let mut hours = tokio::time::interval(HOUR);
+    loop {
+        hours.tick().await;
+        let store = Arc::clone(&store);
+        let now_ns = time::utc_ns(jiff::Timestamp::now());
+        let pruned =
+            tokio::task::spawn_blocking(move || store.prune(&retention, now_ns, false)).await;
+        match pruned {
+            Ok(Ok(pruned)) if pruned.sessions.is_empty() => {}
+            Ok(Ok(pruned)) => {
+                tracing::info!(sessions = ?pruned.sessions, "deleted as [store] says");
+            }
+            Ok(Err(error)) => tracing::warn!("old sessions could not be deleted: {error}"),
+            Err(_) => return,
+        }
+    }
 }
 
 /// Resolves with the first signal to end.

@@ -37,6 +37,7 @@ pub mod serve;
 pub mod simulate;
 pub mod solve;
 pub mod sources;
+pub mod store;
 pub mod target;
 pub mod target_args;
 mod target_sheet;
@@ -75,6 +76,7 @@ enum Command {
     Focus(focus::Args),
     Record(record::Args),
     Simulate(simulate::Args),
+    Store(store::Args),
     Target(target::Args),
     Uncertainty(uncertainty::Args),
     Undistort(undistort::Args),
@@ -95,6 +97,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Focus(args) => focus::run(&args),
         Command::Record(args) => record::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Store(args) => store::run(&args),
         Command::Target(args) => target::run(&args),
         Command::Uncertainty(args) => uncertainty::run(&args),
         Command::Undistort(args) => undistort::run(&args),

@@ -295,6 +295,9 @@ impl SessionDocument {
 pub struct SessionsDocument {
     /// Newest first.
     pub sessions: Vec<SessionDocument>,
+    /// What the store cannot read any more, a line each; left out where there is nothing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unreadable: Vec<String>,
 }
 
 /// A view that a session kept.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use axum::http::{HeaderName, HeaderValue};
+use axum::http::{HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 
 use crate::calibration::result::Calibration;
@@ -167,6 +167,22 @@ pub(super) async fn approve(
     let (fleet, approved) = (Arc::clone(&shared.fleet), id.clone());
     on_a_blocking_thread(move || fleet.approve(&approved)).await??;
     Ok(Json((&calibration(&shared, &id).await?).into()))
+}
+
+/// Deletes a calibration that was never approved.
+#[utoipa::path(delete, path = "/v1/calibrations/{id}", tag = "calibrations",
+    params(("id" = String, Path, description = "the calibration's")),
+    responses(
+        (status = 204, description = "deleted"),
+        (status = 404, description = "no such calibration", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it was approved", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn delete(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<StatusCode, Problem> {
+    shared.stored(move |store| store.delete_calibration(&id)).await?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// The calibration `id`, as it was stored.

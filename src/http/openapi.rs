@@ -40,6 +40,7 @@ use crate::http::{
         calibrations::stated,
         calibrations::one,
         calibrations::approve,
+        calibrations::delete,
         uncertainty::numbers,
         uncertainty::uncertainty_image,
         board::board_image,

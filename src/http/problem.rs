@@ -158,6 +158,7 @@ impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         match error {
             StoreError::Missing { .. } => Self::not_found(error.to_string()),
+            StoreError::Held { .. } => Self::conflict(error.to_string()),
             _ => Self::broken(error.to_string()),
         }
     }

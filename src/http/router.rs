@@ -44,7 +44,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/sessions/{id}/stop", post(sessions::stop))
         .route("/v1/sessions/{id}/views", get(views::list))
         .route("/v1/sessions/{id}/views/{image}", get(views::view_image))
-        .route("/v1/calibrations/{id}", get(calibrations::one))
+        .route("/v1/calibrations/{id}", get(calibrations::one).delete(calibrations::delete))
         .route("/v1/calibrations/{id}/uncertainty", get(uncertainty::numbers))
         .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::uncertainty_image))
         .route("/v1/calibrations/{id}/board.png", get(board::board_image))

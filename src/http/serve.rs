@@ -46,7 +46,7 @@ pub async fn serve(
 ) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
     let Service { fleet, store, token } = service;
-    let solves = Semaphore::new(SOLVES);
+    let solves = Arc::new(Semaphore::new(SOLVES));
     let streams = Arc::new(Semaphore::new(STREAMS));
     let shared = Shared { fleet, store, token, solves, streams, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Request, State};
-use axum::http::StatusCode;
-use axum::http::header::LOCATION;
+use axum::http::header::{LINK, LOCATION};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::response::IntoResponse;
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
@@ -48,23 +48,52 @@ pub(super) fn created(record: &SessionRecord) -> impl IntoResponse + use<> {
     (StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(record)))
 }
 
-/// Every session, newest first.
+/// How many sessions a page has unless `limit` says: at ≈ 1.2 kB each, a page is below 64 kB.
+const PAGE: u32 = 50;
+/// The most that a page may have.
+const LARGEST_PAGE: u32 = 1000;
+
+/// The sessions, newest first, page by page: the header `Link` has the address of the next page.
 #[utoipa::path(get, path = "/v1/sessions", tag = "sessions",
-    params(("camera" = Option<String>, Query, description = "only this camera's")),
-    responses((status = 200, description = "the sessions", body = SessionsDocument)))]
+    params(
+        ("camera" = Option<String>, Query, description = "only this camera's"),
+        ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 50 when left out", minimum = 1, maximum = 1000),
+        ("cursor" = Option<String>, Query, description = "those after this session, as the header `Link` of the page before says"),
+    ),
+    responses(
+        (status = 200, description = "the sessions", body = SessionsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
+        (status = 404, description = "no session of that cursor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a limit that cannot be", body = Problem, content_type = "application/problem+json"),
+    ))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
     parameters: Parameters,
-) -> Result<Json<SessionsDocument>, Problem> {
-    let stored = shared.stored(Store::sessions).await?;
+) -> Result<impl IntoResponse, Problem> {
+    let limit = parameters.count("limit")?.unwrap_or(PAGE);
+    if limit > LARGEST_PAGE {
+        return Err(Problem::field("limit", &format!("`{limit}` is more than {LARGEST_PAGE}")));
+    }
+    let camera = parameters.text("camera").map(str::to_owned);
+    let after = parameters.text("cursor").map(str::to_owned);
+    let wanted = camera.clone();
+    let asked =
+        move |store: &Store| store.sessions_page(wanted.as_deref(), after.as_deref(), limit);
+    let (stored, has_more) = shared.stored(asked).await?;
     let live = shared.fleet.live_sessions();
-    let wanted = |camera: &str| parameters.text("camera").is_none_or(|wanted| wanted == camera);
     let newest = |record: &SessionRecord| {
         let live = live.iter().find(|live| live.id == record.id);
         live.map_or_else(|| record.into(), |live| SessionDocument::from(live.as_ref()))
     };
-    let sessions = stored.iter().filter(|record| wanted(&record.camera)).map(newest).collect();
-    Ok(Json(SessionsDocument { sessions }))
+    let mut headers = HeaderMap::new();
+    if let Some(last) = stored.last().filter(|_| has_more) {
+        // Camera names and identifiers need no escapes: letters, digits, `-` and `_`.
+        let camera = camera.map(|camera| format!("&camera={camera}")).unwrap_or_default();
+        let next = format!("</v1/sessions?limit={limit}&cursor={}{camera}>; rel=\"next\"", last.id);
+        headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
+    }
+    let sessions = stored.iter().map(newest).collect();
+    let unreadable = shared.store.unreadable();
+    Ok((headers, Json(SessionsDocument { sessions, unreadable })))
 }
 
 /// One session.
@@ -114,18 +143,28 @@ pub(super) async fn stop(
     Ok((StatusCode::OK, Json(over)))
 }
 
-/// Gives a session up. Its views stay.
+/// Gives a session up; its views stay. With `purge=true`, one that is over is deleted with its
+/// views and their images; the calibrations that it led to stay.
 #[utoipa::path(delete, path = "/v1/sessions/{id}", tag = "sessions",
-    params(("id" = String, Path, description = "the session's")),
+    params(
+        ("id" = String, Path, description = "the session's"),
+        ("purge" = Option<bool>, Query, description = "whether one that is over is deleted; false when left out"),
+    ),
     responses(
-        (status = 200, description = "aborted", body = SessionDocument),
+        (status = 200, description = "aborted, or deleted: as it was last", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "it is over already", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it is over already; with `purge=true`: it is not over, or an approved calibration came from it", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn abort(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
+    parameters: Parameters,
 ) -> Result<Json<SessionDocument>, Problem> {
+    if parameters.flag("purge", false)? {
+        let record = session(&shared, &id).await?;
+        shared.stored(move |store| store.delete_session(&id)).await?;
+        return Ok(Json((&record).into()));
+    }
     let aborted = shared.fleet.abort_session(&id).await;
     Ok(Json((&or_stored(&shared, &id, aborted).await?).into()))
 }

@@ -26,8 +26,8 @@ pub(super) struct Shared {
     pub(super) fleet: Arc<Fleet>,
     pub(super) store: Arc<Store>,
     pub(super) token: Option<String>,
-    /// How many stateless solves may run at once.
-    pub(super) solves: Semaphore,
+    /// How many stateless solves may run at once, their bodies in memory.
+    pub(super) solves: Arc<Semaphore>,
     /// How many endless answers may go out at once.
     pub(super) streams: Arc<Semaphore>,
     /// Becomes true when the daemon goes down: endless answers end.

@@ -28,10 +28,16 @@ pub(super) async fn solve(
     State(shared): State<Arc<Shared>>,
     request: Request,
 ) -> Result<Json<CalibrationDocument>, Problem> {
-    let document: ProblemDocument = document(request, LARGE_BODY).await?;
     let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
-    let _place = shared.solves.acquire().await.map_err(|_| stopping())?;
-    Ok(Json(on_a_blocking_thread(move || solved(&document)).await??))
+    // Before the body is read, so that the bodies of all together are bounded.
+    let place = Arc::clone(&shared.solves).acquire_owned().await.map_err(|_| stopping())?;
+    let document: ProblemDocument = document(request, LARGE_BODY).await?;
+    // The place is the computation's, which goes on when the client has left.
+    let solved = move || {
+        let _place = place;
+        solved(&document)
+    };
+    Ok(Json(on_a_blocking_thread(solved).await??))
 }
 
 fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {

@@ -63,7 +63,11 @@ impl Fleet {
         };
         // A fleet that is dropped half started ends the threads that it has.
         fleet.replace_cameras(&[], plans)?;
-        for record in fleet.shared.store.unfinished_sessions()? {
+        let unfinished = fleet.shared.store.unfinished_sessions()?;
+        for row in fleet.shared.store.unreadable() {
+            tracing::error!("the store cannot read {row}; see `plumb store check`");
+        }
+        for record in unfinished {
             if record.members.is_empty() && fleet.link(&record.camera).is_err() {
                 let SessionRecord { id, camera, .. } = record;
                 tracing::warn!(
@@ -203,6 +207,8 @@ impl Fleet {
 
     /// The counters in Prometheus's text format, version 0.0.4.
     pub fn metrics_text(&self) -> String {
+        let unreadable = self.shared.store.unreadable().len();
+        self.shared.metrics.unreadable_rows.set(i64::try_from(unreadable).unwrap_or(i64::MAX));
         self.shared.metrics.text()
     }
 

@@ -42,6 +42,8 @@ pub(super) struct Metrics {
     pub(super) paused: IntGauge,
     /// Times that something could not be stored.
     pub(super) store_failures: IntCounter,
+    /// Rows of the store that were found unreadable.
+    pub(super) unreadable_rows: IntGauge,
     state: IntGaugeVec,
     /// Decoding and detection of one frame, in seconds.
     pub(super) detection_seconds: HistogramVec,
@@ -91,6 +93,11 @@ impl Metrics {
             "times that something could not be stored",
         )?;
         registry.register(Box::new(store_failures.clone()))?;
+        let unreadable_rows = IntGauge::new(
+            "plumb_store_unreadable_rows",
+            "rows of the store that were found unreadable since the start",
+        )?;
+        registry.register(Box::new(unreadable_rows.clone()))?;
         Ok(Self {
             frames: counter("plumb_frames_total", "frame sets received", &["camera"])?,
             dropped: counter(
@@ -137,6 +144,7 @@ impl Metrics {
             kept_depth_bytes,
             paused,
             store_failures,
+            unreadable_rows,
             previews: counter(
                 "plumb_previews_drawn_total",
                 "frames drawn and encoded for all who watch them",

@@ -66,6 +66,15 @@ impl Store {
         Ok(self.readable(found.into_iter()))
     }
 
+    /// Every calibration that can be read, of whatever camera, newest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`].
+    pub(super) fn every_calibration(&self) -> Result<Vec<Calibration>, StoreError> {
+        let sql = format!("{COLUMNS} ORDER BY created_at_ns DESC, id DESC");
+        Ok(self.readable(self.select_calibrations(&sql, &[])?.into_iter()))
+    }
+
     /// Makes a calibration the one that holds for a camera now.
     ///
     /// # Errors

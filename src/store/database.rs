@@ -25,7 +25,7 @@ pub struct Store {
     /// Rows that could not be read, and why.
     unreadable: Mutex<BTreeMap<String, String>>,
     /// Held as long as the store is open: one process at a time.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl Store {
@@ -58,7 +58,7 @@ impl Store {
             connection: Mutex::new(connection),
             least_free_bytes,
             unreadable: Mutex::default(),
-            _lock: lock,
+            _lock: Some(lock),
         })
     }
 
@@ -80,6 +80,17 @@ impl Store {
                 Ok((Self::open_with(folder, least_free_bytes)?, Some(repaired)))
             }
             opened => Ok((opened?, None)),
+        }
+    }
+
+    /// The store behind a connection that only reads; nothing is locked.
+    pub(super) fn of_reader(path: PathBuf, connection: Connection) -> Self {
+        Self {
+            path,
+            connection: Mutex::new(connection),
+            least_free_bytes: 0,
+            unreadable: Mutex::default(),
+            _lock: None,
         }
     }
 

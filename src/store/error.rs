@@ -32,6 +32,19 @@ pub enum StoreError {
         /// The newest version that is known here.
         known: i64,
     },
+    /// Written by an older program, and only to be read.
+    #[error(
+        "store {}: has schema {found} and this program's is {known}; `plumb serve` brings it up to date",
+        path.display()
+    )]
+    Older {
+        /// The database.
+        path: PathBuf,
+        /// Its schema's version.
+        found: i64,
+        /// This program's.
+        known: i64,
+    },
     /// Not a database, another program's, or a broken one.
     #[error("store {}: damaged or not a plumb store: {detail}; move it away, or restore it from a copy", path.display())]
     Damaged {
@@ -61,6 +74,14 @@ pub enum StoreError {
     Missing {
         /// What was asked for.
         row: String,
+    },
+    /// What may not be deleted.
+    #[error("store: {row} stays: {reason}")]
+    Held {
+        /// What was to be deleted.
+        row: String,
+        /// Why it stays.
+        reason: String,
     },
     /// The disk is fuller than it may become.
     #[error(

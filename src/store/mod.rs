@@ -13,6 +13,8 @@ mod checksum;
 mod database;
 pub mod error;
 mod json;
+mod reader;
+mod retention;
 mod salvage;
 mod sessions;
 mod upgrades;
@@ -20,6 +22,8 @@ mod views;
 
 pub use crate::store::database::Store;
 pub use crate::store::error::StoreError;
+pub use crate::store::reader::{StoreCheck, StoreReader};
+pub use crate::store::retention::{Pruned, Retention};
 pub use crate::store::salvage::RepairReport;
 pub use crate::store::views::{Picture, SensorView};
 

@@ -1,6 +1,6 @@
 //! The table of sessions.
 
-use rusqlite::{Connection, Row, params};
+use rusqlite::{Connection, Row, ToSql, params};
 
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::document::session::SessionDocument;
@@ -73,6 +73,40 @@ impl Store {
     /// [`StoreError::Failed`].
     pub fn sessions(&self) -> Result<Vec<SessionRecord>, StoreError> {
         self.select_sessions(&format!("{COLUMNS} ORDER BY started_at_ns DESC, id DESC"))
+    }
+
+    /// A page of the sessions that can be read, newest first: at most `limit`, after the session
+    /// `after`, of one camera where `camera` says so. Whether there are more.
+    ///
+    /// # Errors
+    /// [`StoreError::Failed`]; [`StoreError::Missing`] where there is no session `after`.
+    pub fn sessions_page(
+        &self,
+        camera: Option<&str>,
+        after: Option<&str>,
+        limit: u32,
+    ) -> Result<(Vec<SessionRecord>, bool), StoreError> {
+        let start = match after {
+            None => (i64::MAX, String::new()),
+            Some(id) => {
+                let sql = "SELECT started_at_ns, id FROM sessions WHERE id = ?1";
+                let rows =
+                    self.select(("sessions", sql), &[&id], |row| Ok((row.get(0)?, row.get(1)?)))?;
+                let missing = || StoreError::Missing { row: format!("session {id}") };
+                rows.into_iter().next().ok_or_else(missing)??
+            }
+        };
+        let sql = format!(
+            "{COLUMNS} WHERE (?1 IS NULL OR camera = ?1) AND (started_at_ns, id) < (?2, ?3)
+            ORDER BY started_at_ns DESC, id DESC LIMIT ?4"
+        );
+        // One more than asked for says whether there are more.
+        let values: [&dyn ToSql; 4] = [&camera, &start.0, &start.1, &(i64::from(limit) + 1)];
+        let mut rows = self.select(("sessions", &sql), &values, StoredSession::from_row)?;
+        let has_more = rows.len() > limit as usize;
+        rows.truncate(limit as usize);
+        let records = rows.into_iter().map(|row| row.and_then(StoredSession::into_record));
+        Ok((self.readable(records), has_more))
     }
 
     /// The sessions that were collecting or solving, oldest first: what a process that was killed
@@ -207,6 +241,40 @@ mod tests {
             ids(store.sessions().unwrap()),
             ["aborted", "failed", "finished", "solving", "collecting"]
         );
+    }
+
+    #[test]
+    fn pages_have_every_session_once_newest_first() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).unwrap();
+        for number in 0..23_i64 {
+            let id = format!("s{number:02}");
+            let camera = if number % 2 == 0 { "front" } else { "back" }.to_owned();
+            // Several that began at the same time.
+            let started_at_ns = number / 4;
+            store.begin_session(&SessionRecord { camera, started_at_ns, ..record(&id) }).unwrap();
+        }
+        for (camera, count) in [(None, 23), (Some("front"), 12), (Some("none"), 0)] {
+            let (mut ids, mut after) = (Vec::new(), None);
+            loop {
+                let (page, has_more) = store.sessions_page(camera, after.as_deref(), 5).unwrap();
+                assert!(page.len() == 5 || !has_more);
+                ids.extend(page.into_iter().map(|session| session.id));
+                after = ids.last().cloned();
+                if !has_more {
+                    break;
+                }
+            }
+            let all = store.sessions().unwrap();
+            let of_camera =
+                all.into_iter().filter(|session| camera.is_none_or(|name| name == session.camera));
+            assert_eq!(ids, of_camera.map(|session| session.id).collect::<Vec<_>>());
+            assert_eq!(ids.len(), count);
+        }
+        assert!(matches!(
+            store.sessions_page(None, Some("s99"), 5),
+            Err(StoreError::Missing { .. })
+        ));
     }
 
     #[test]

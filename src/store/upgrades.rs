@@ -52,6 +52,11 @@ pub(super) fn bring_up_to_date(connection: &mut Connection, path: &Path) -> Resu
     upgrade(connection, found).map_err(broken)
 }
 
+/// The newest version.
+pub(super) fn known() -> usize {
+    UPGRADES.len()
+}
+
 /// The version of a store by its tables and their columns, whatever its header says; `None` for what
 /// has those of no version that is known here.
 pub(super) fn version_of(connection: &Connection) -> Option<usize> {
