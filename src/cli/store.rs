@@ -30,7 +30,7 @@ enum Task {
 
 /// Which store.
 #[derive(Debug, clap::Args)]
-struct Place {
+struct StorePlace {
     /// The store's folder: `path` in [store] of plumb.toml, else plumb-data, unless given.
     #[arg(long, value_name = "DIR")]
     store: Option<PathBuf>,
@@ -42,7 +42,7 @@ struct Place {
 #[derive(Debug, clap::Args)]
 struct Check {
     #[command(flatten)]
-    place: Place,
+    place: StorePlace,
     /// Prints JSON.
     #[arg(long)]
     json: bool,
@@ -51,7 +51,7 @@ struct Check {
 #[derive(Debug, clap::Args)]
 struct Backup {
     #[command(flatten)]
-    place: Place,
+    place: StorePlace,
     /// The file to write; named plumb.sqlite in a folder of its own it is a store by itself.
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
@@ -60,13 +60,13 @@ struct Backup {
 #[derive(Debug, clap::Args)]
 struct Repair {
     #[command(flatten)]
-    place: Place,
+    place: StorePlace,
 }
 
 #[derive(Debug, clap::Args)]
 struct Prune {
     #[command(flatten)]
-    place: Place,
+    place: StorePlace,
     /// Deletes sessions that began longer ago, in days.
     #[arg(long, value_name = "N")]
     keep_days: Option<u32>,
@@ -162,7 +162,7 @@ fn prune(args: &Prune) -> Result<(), Failure> {
     output::print_line(&format!("{count} sessions of {kilobytes} kB {what}"))
 }
 
-fn folder_of(place: &Place) -> Result<PathBuf, Failure> {
+fn folder_of(place: &StorePlace) -> Result<PathBuf, Failure> {
     if let Some(folder) = &place.store {
         return Ok(folder.clone());
     }

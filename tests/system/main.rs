@@ -32,4 +32,5 @@ mod service;
 mod shared_data;
 mod snapshots;
 mod solve_requests;
+mod store_upkeep;
 mod words;

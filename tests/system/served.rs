@@ -26,6 +26,8 @@ pub struct Answer {
     pub media_type: String,
     /// The `Location`, if there is one.
     pub location: Option<String>,
+    /// The `Link`, if there is one.
+    pub link: Option<String>,
     /// The body.
     pub bytes: Vec<u8>,
 }
@@ -173,10 +175,11 @@ fn answer(response: Response<ureq::Body>) -> Answer {
     let header =
         |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
     let (media_type, location) = (header("content-type").unwrap_or_default(), header("location"));
+    let link = header("link");
     let status = response.status().as_u16();
     let mut bytes = Vec::new();
     response.into_body().into_reader().read_to_end(&mut bytes).unwrap();
-    Answer { status, media_type, location, bytes }
+    Answer { status, media_type, location, link, bytes }
 }
 
 /// Server-sent events as they come.
