@@ -6,8 +6,8 @@
 //! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what that
 //! costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its table.
 //!
-//! The fit of a corner (`refine/`) has no thresholds here: its few bounds follow from its own
-//! statistics, and are stated there.
+//! The bounds of a corner's fit are in `refine/thresholds.rs`, those of boards with markers in
+//! `coded/thresholds.rs`.
 
 /// Where a threshold's value comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

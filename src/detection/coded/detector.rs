@@ -4,12 +4,16 @@
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::seen_ends;
-use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, MOST_BEYOND};
+use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
+use crate::detection::coded::thresholds::{
+    LARGE_SIDE_PX, LEAST_CORNERS, LEAST_LATTICE, LEAST_SIDE_PX, MOST_BEYOND, MOST_OFF_EDGE,
+    MOST_READ, MOST_STARTS, SAME_CROSSING_PX,
+};
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
@@ -21,24 +25,6 @@ use crate::detection::search::seeds::Neighborhood;
 use crate::detection::thresholds::{SeedThresholds, Thresholds};
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
-
-/// Fewer crossings are no lattice.
-const LEAST_LATTICE: usize = 6;
-/// Fewer corners are not answered.
-const LEAST_CORNERS: usize = 4;
-/// Cells from which a lattice is grown, on one level.
-const MOST_STARTS: usize = 48;
-/// Lattices whose markers are read, on one level.
-const MOST_READ: usize = 6;
-/// A candidate this near to a crossing is that crossing, in pixels of the level.
-const SAME_PX: f32 = 2.5;
-/// Tangent of how far a crossing may lie off the edge that leads to it: less than the payloads'
-/// crossings do.
-const OFF_EDGE: f32 = 0.16;
-/// Images whose longer side is more are searched at half their size first.
-const LARGE: usize = 1500;
-/// An image whose shorter side is less holds no target.
-const LEAST_SIDE: usize = 24;
 
 /// Finds one target with markers in images. Its buffers are kept from image to image.
 #[derive(Debug)]
@@ -84,7 +70,7 @@ impl TargetDetector {
             response: Response::default(),
             candidates: CandidateSearch::default(),
             neighborhood: Neighborhood::new(SeedThresholds {
-                off_edge: OFF_EDGE,
+                off_edge: MOST_OFF_EDGE,
                 ..SeedThresholds::DEFAULT
             }),
             used: Vec::new(),
@@ -110,17 +96,17 @@ impl TargetDetector {
     /// [`NoTarget`] says why there is none.
     pub fn find(&mut self, image: GrayView<'_>) -> Result<TargetDetection, NoTarget> {
         let (width, height) = (image.width(), image.height());
-        if width.min(height) < LEAST_SIDE {
+        if width.min(height) < LEAST_SIDE_PX {
             let target = self.target.to_string();
             return Err(NoTarget::ImageTooSmall { width, height, target });
         }
         let coarsest = coarsest_level(image.size(), 1);
         self.pyramid.build(image, coarsest);
         let mut seen = Unlabelled::default();
-        let half = usize::from(width.max(height) > LARGE).min(coarsest);
+        let half = usize::from(width.max(height) > LARGE_SIDE_PX).min(coarsest);
         let order = (0..=coarsest).map(|level| if level <= half { half - level } else { level });
         for level in order {
-            if (width.min(height) >> level) < LEAST_SIDE {
+            if (width.min(height) >> level) < LEAST_SIDE_PX {
                 continue;
             }
             if let Some(label) = self.search_level(image, level, &mut seen)
@@ -203,8 +189,9 @@ impl TargetDetector {
         let used = &mut self.used;
         for &(i, j) in &self.grid.members {
             let Some(p) = self.grid.pixel(i, j) else { continue };
-            self.neighborhood
-                .visit_near(&self.candidates.found, p, SAME_PX, |index| used[index] = true);
+            self.neighborhood.visit_near(&self.candidates.found, p, SAME_CROSSING_PX, |index| {
+                used[index] = true;
+            });
         }
     }
 

@@ -6,19 +6,11 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
+use crate::detection::coded::thresholds::{END_BESIDE, END_BEYOND, END_WITHIN, LEAST_END_SQUARES};
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::imaging::gray::GrayView;
-
-/// Where an outer square is sampled, within and beyond the board, in squares from the outermost
-/// line of corners.
-const WITHIN: f32 = 0.93;
-const BEYOND: f32 = 1.12;
-/// How far from a corner its four squares are sampled, in squares.
-const BESIDE: f32 = 0.06;
-/// Squares of a side that must show that it ends.
-const LEAST_SQUARES: usize = 3;
 
 /// How many sides of the board of `lines` corners, placed so in `grid`, are seen to be its ends.
 pub(super) fn seen_ends(
@@ -59,7 +51,7 @@ pub(super) fn seen_ends(
                     None => {}
                 }
             }
-            ends >= LEAST_SQUARES && bright >= 1
+            ends >= LEAST_END_SQUARES && bright >= 1
         })
         .count()
 }
@@ -87,8 +79,8 @@ fn square_ends(
         let y = start.1 + u * out.1 + v * along.1;
         sample(image, chart.at(x, y)?)
     };
-    let beside = at(BESIDE, BESIDE)? - at(-BESIDE, BESIDE)?;
-    let middle = (at(BESIDE, BESIDE)? + at(-BESIDE, BESIDE)?) / 2.0;
+    let beside = at(END_BESIDE, END_BESIDE)? - at(-END_BESIDE, END_BESIDE)?;
+    let middle = (at(END_BESIDE, END_BESIDE)? + at(-END_BESIDE, END_BESIDE)?) / 2.0;
     let contrast = 0.5 * (near.contrast.abs() + far.contrast.abs());
     if beside.abs() < 0.4 * contrast {
         return None;
@@ -96,7 +88,7 @@ fn square_ends(
     let is_bright = beside > 0.0;
     let mut ends = true;
     for v in [0.3, 0.5, 0.7] {
-        let (within, beyond) = (at(WITHIN, v)? > middle, at(BEYOND, v)? > middle);
+        let (within, beyond) = (at(END_WITHIN, v)? > middle, at(END_BEYOND, v)? > middle);
         ends &= within == is_bright && beyond;
     }
     Some((ends, is_bright))

@@ -5,31 +5,18 @@ use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{LatticeScene, MOST_REACH_PX, expect_bent, settle};
+use crate::detection::coded::lattice::{LatticeScene, expect_bent, settle};
 use crate::detection::coded::print::LabelledPrint;
+use crate::detection::coded::thresholds::{
+    MOST_MISPLACED_SHARE, MOST_MISPLACEMENT, MOST_MOVED, MOST_REACH_PX, MOST_REFINED_MISPLACEMENT,
+    STANDING_SCORE, STANDING_STD_PX, SUSPECT_SHARE, SUSPECT_STDS,
+};
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::GridCorner;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
-
-/// How far a crossing may lie from where its neighbors put it, before and after refinement, in
-/// units of the narrower interval.
-const MOST_OFF: f32 = 0.25;
-const MOST_OFF_REFINED: f32 = 0.12;
-/// The part of that which a suspect one may: refinement refused it, or gave it this many times the
-/// median standard deviation, as at the edge of a highlight or of a cover.
-const SUSPECT_SHARE: f32 = 0.4;
-const SUSPECT_STDS: f64 = 5.0;
-/// A lattice with more misplaced crossings than this part of them is none.
-const MOST_MISPLACED: f32 = 0.2;
-/// How far refinement may move a crossing, in the same units.
-const MOST_MOVED: f64 = 0.25;
-/// Least correlation with a crossing of one that is reported without refinement, and its standard
-/// deviation.
-const STANDING_SCORE: f32 = 0.65;
-const STANDING_STD_PX: f64 = 0.5;
 
 impl TargetDetector {
     /// The detection of the board that lies in `grid` as `label` says, found on `level`.
@@ -48,11 +35,11 @@ impl TargetDetector {
             self.complete(view, label);
         }
         self.pyramid = pyramid;
-        if !self.drop_misplaced(MOST_OFF) {
+        if !self.drop_misplaced(MOST_MISPLACEMENT) {
             return None;
         }
         self.refine(image, label);
-        if !self.drop_misplaced(MOST_OFF_REFINED) {
+        if !self.drop_misplaced(MOST_REFINED_MISPLACEMENT) {
             return None;
         }
         Some(self.detection(label))
@@ -89,7 +76,7 @@ impl TargetDetector {
     /// Drops the crossing that lies farthest from where the others put it, until all lie within
     /// `most`. False if too many must go.
     fn drop_misplaced(&mut self, most: f32) -> bool {
-        let budget = (MOST_MISPLACED * self.grid.members.len() as f32) as usize + 1;
+        let budget = (MOST_MISPLACED_SHARE * self.grid.members.len() as f32) as usize + 1;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
         for _ in 0..=budget {
             let mut worst = (most, None);

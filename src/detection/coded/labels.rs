@@ -9,28 +9,12 @@
 
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::{Sheet, Sheets};
+use crate::detection::coded::thresholds::{
+    CLEAR_AGREEMENT, CONTRADICTING_AGREEMENT, LABEL_MARGIN, LEAST_CLEAR_SIGNIFICANCE,
+    LEAST_ON_BOARD, LEAST_READ_WEIGHT, LEAST_SIGNIFICANCE, MOST_CONTRADICTIONS,
+};
 use crate::detection::grid::{Bounds, Grid};
 use crate::detection::verify::placement::BoardPlacement;
-
-/// Least sum of agreements, in its own deviations by chance.
-const LEAST_SIGNIFICANCE: f32 = 6.7;
-/// The same of cells that all agree nearly fully, which chance does not do.
-const LEAST_CLEAR_SIGNIFICANCE: f32 = 4.6;
-/// An agreement so full that chance does not explain it.
-const CLEAR: f32 = 0.88;
-/// How much larger it must be than that of any other place.
-const MARGIN: f32 = 1.5;
-/// Cells that agree less than this, though another code agrees more than [`CLEAR`], contradict.
-const CONTRADICTS: f32 = 0.5;
-/// Contradictions that are believed to be chance, as a share of the cells that agree.
-const MOST_CONTRADICTIONS: f32 = 0.1;
-/// Least weight of a cell that is counted as read.
-const READ: f32 = 0.8;
-
-/// Lines of a lattice that may lie beyond the board: what is around it has crossings too. And the
-/// least part of the crossings that lie on it.
-pub(super) const MOST_BEYOND: i32 = 2;
-const LEAST_ON_BOARD: f32 = 0.85;
 
 /// Where a lattice lies.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -81,8 +65,10 @@ impl BestLabel {
         let Some(bounds) = grid.anchored_bounds() else { return };
         let sheet = &sheets.ways[way];
         for cell in 0..reading.cells.len() {
-            self.contradictions +=
-                usize::from(reading.cells[cell].weight >= READ && reading.best(cell) > CLEAR);
+            self.contradictions += usize::from(
+                reading.cells[cell].weight >= LEAST_READ_WEIGHT
+                    && reading.best(cell) > CLEAR_AGREEMENT,
+            );
         }
         self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
         for turns in 0..4 {
@@ -116,13 +102,15 @@ impl BestLabel {
         let sheet = &sheets.ways[best.way];
         let (mut agree, mut against, mut clear) = (0, 0, 0);
         for (index, cell) in reading.cells.iter().enumerate() {
-            if cell.weight < READ {
+            if cell.weight < LEAST_READ_WEIGHT {
                 continue;
             }
             let own = own_agreement(sheet, reading, index, best.placement).unwrap_or(0.0);
-            agree += usize::from(own > CONTRADICTS);
-            clear += usize::from(own > CLEAR);
-            against += usize::from(own <= CONTRADICTS && reading.best(index) > CLEAR);
+            agree += usize::from(own > CONTRADICTING_AGREEMENT);
+            clear += usize::from(own > CLEAR_AGREEMENT);
+            against += usize::from(
+                own <= CONTRADICTING_AGREEMENT && reading.best(index) > CLEAR_AGREEMENT,
+            );
         }
         let least = if clear >= 2 && clear == agree + against {
             LEAST_CLEAR_SIGNIFICANCE
@@ -134,7 +122,7 @@ impl BestLabel {
         }
         let best = BoardLabel { markers: agree, ..best };
         match self.second {
-            Some(second) if best.significance < second.significance + MARGIN => {
+            Some(second) if best.significance < second.significance + LABEL_MARGIN => {
                 BoardLabels::Two(best, BoardLabel { markers: agree, ..second })
             }
             _ => BoardLabels::One(best),

@@ -4,34 +4,17 @@ use std::collections::VecDeque;
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
+use crate::detection::coded::thresholds::{
+    CLOSE_REACH_PX, LEAST_ALTERNATION, LEAST_CONTRAST, LEAST_CROSSING_SCORE, LEAST_KNOWN_CONTRAST,
+    LEAST_KNOWN_SCORE, LEAST_REACH_PX, MOST_GROWN_MISPLACEMENT, MOST_REACH_PX, REACH,
+    TRIAL_CROSSINGS,
+};
 use crate::detection::grid::in_steps;
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::search::candidates::Candidate;
 use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::imaging::gray::GrayView;
-
-/// Least correlation with a crossing.
-const LEAST_SCORE: f32 = 0.55;
-/// The same for a place of a board that is labelled.
-const LEAST_KNOWN_SCORE: f32 = 0.5;
-/// Least contrast, as a share of the nearest crossings'.
-const LEAST_CONTRAST: f32 = 0.35;
-/// The same of a board that is labelled: a highlight takes most of it.
-const LEAST_KNOWN_CONTRAST: f32 = 0.2;
-/// Least alternation of the four squares, as a share of the contrast.
-const LEAST_ALTERNATION: f32 = 0.25;
-/// How far a crossing may lie from where its neighbors put it, in units of the narrower interval.
-const MOST_OFF: f32 = 0.3;
-/// How far a window reaches, as a part of the undisturbed room around a crossing, within bounds in
-/// pixels.
-const REACH: f32 = 0.85;
-const LEAST_REACH_PX: f32 = 2.5;
-pub(super) const MOST_REACH_PX: f32 = 9.0;
-/// Beside something that covers the rest.
-const CLOSE_REACH_PX: f32 = 4.5;
-/// Crossings that are searched for before a wrong start must have shown itself.
-const TRIAL: usize = 7;
 
 /// Grows lattices; its buffers are kept.
 #[derive(Debug, Default)]
@@ -70,8 +53,8 @@ impl LatticeGrowth {
                     Node { pixel, contrast, near_contrast: contrast, score: 0.5, tight: false };
                 spare.set(i, j, node);
             }
-            self.grow(scene, spare, TRIAL);
-            if spare.members.len() > TRIAL {
+            self.grow(scene, spare, TRIAL_CROSSINGS);
+            if spare.members.len() > TRIAL_CROSSINGS {
                 spare.forget_attempts();
                 self.grow(scene, spare, usize::MAX);
             }
@@ -181,13 +164,13 @@ impl Expected {
         let (least_score, least_contrast) = if self.labelled {
             (LEAST_KNOWN_SCORE, LEAST_KNOWN_CONTRAST)
         } else {
-            (LEAST_SCORE, LEAST_CONTRAST)
+            (LEAST_CROSSING_SCORE, LEAST_CONTRAST)
         };
         let is_it = |node: &Node| {
             in_steps(node.pixel - self.pixel, cell).is_some_and(|off| {
                 node.contrast * self.polarity >= least_contrast * self.contrast
-                    && off.x.abs() <= MOST_OFF
-                    && off.y.abs() <= MOST_OFF
+                    && off.x.abs() <= MOST_GROWN_MISPLACEMENT
+                    && off.y.abs() <= MOST_GROWN_MISPLACEMENT
             })
         };
         let nearest = self.candidate(scene, cell);
@@ -210,7 +193,7 @@ impl Expected {
         let alike = |candidate: &Candidate| {
             turn(candidate.edges[0], edges[0]) < 0.5 && turn(candidate.edges[1], edges[1]) < 0.5
         };
-        let reach = (MOST_OFF * cell[0].norm().max(cell[1].norm())).max(1.5);
+        let reach = (MOST_GROWN_MISPLACEMENT * cell[0].norm().max(cell[1].norm())).max(1.5);
         scene.neighborhood.nearest(scene.candidates, self.pixel, reach, alike)
     }
 }

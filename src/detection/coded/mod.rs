@@ -30,3 +30,4 @@ mod order;
 mod print;
 mod reading;
 mod sheet;
+mod thresholds;

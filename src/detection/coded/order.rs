@@ -4,13 +4,11 @@
 //! payload cell, while a crossing of the board has the same black (of an inverted board white) on
 //! both sides as far as a square or a marker's border reaches.
 
+use crate::detection::coded::thresholds::SQUARE_DISTANCES_PX;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::search::candidates::Candidate;
 use crate::imaging::gray::GrayView;
-
-/// Distances from the crossing at which its squares are sampled, along their diagonals in pixels.
-const DISTANCES_PX: [f32; 8] = [4.0, 5.5, 7.5, 10.0, 13.5, 18.0, 24.0, 32.0];
 
 /// Fills `order` with the indices of `candidates`, those whose squares reach farthest first.
 pub(super) fn by_reach(
@@ -29,7 +27,7 @@ fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
     let (bright, dark) = (first + second, first - second);
     let middle = {
         let near = |way: Vec2| {
-            let way = way / way.norm().max(1e-3) * DISTANCES_PX[0];
+            let way = way / way.norm().max(1e-3) * SQUARE_DISTANCES_PX[0];
             Some(sample(image, candidate.pixel + way)? + sample(image, candidate.pixel - way)?)
         };
         match (near(bright), near(dark)) {
@@ -39,7 +37,7 @@ fn reach(image: GrayView<'_>, candidate: &Candidate) -> usize {
     };
     let run = |way: Vec2, sign: f32| {
         let way = way / way.norm().max(1e-3);
-        DISTANCES_PX
+        SQUARE_DISTANCES_PX
             .iter()
             .take_while(|&&distance| {
                 let (p, q) = (candidate.pixel + way * distance, candidate.pixel - way * distance);

@@ -2,13 +2,10 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::{Sheet, Sheets, unit};
+use crate::detection::coded::thresholds::LEAST_PAYLOAD_CONTRAST;
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
 use crate::imaging::gray::GrayView;
-
-/// A payload whose black and white differ by less than this part of the crossings' contrast says
-/// nothing.
-const LEAST_DEPTH: f32 = 0.12;
 
 /// A cell that may hold a marker.
 #[derive(Debug, Clone, Copy)]
@@ -97,7 +94,8 @@ impl MarkerReading {
         let squares = sheets.bits * sheets.bits;
         // A pattern of black and white in equal parts has a deviation of half its contrast.
         let depth = 2.0 * depth / contrast.max(1.0);
-        self.cells.push(MarkerCell { at, weight: (depth / LEAST_DEPTH).min(1.0).powi(2) });
+        self.cells
+            .push(MarkerCell { at, weight: (depth / LEAST_PAYLOAD_CONTRAST).min(1.0).powi(2) });
         let values = &self.values;
         self.agreement.extend(
             sheets

@@ -1,0 +1,44 @@
+//! A corner's standard deviation as one product of named factors.
+
+/// The factors of a corner's standard deviation. Each is 1 where its own evidence is missing.
+///
+/// Beside an occluder the verification bounds the product from below
+/// (`VerificationThresholds::least_tight_std_px`); it is the only other thing that changes it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct CornerStd {
+    /// Of the fit: its covariance, with the noise of its own residuals, in pixels per axis.
+    pub fit_px: f64,
+    /// How much worse the corner fits than the board's others ([`super::misfit`]).
+    pub misfit: f64,
+    /// How much more the halves of edges differ than residuals predict, over the board
+    /// ([`super::scatter`]).
+    pub scatter: f64,
+    /// How much more corners scatter about the board's lines than all of this predicts
+    /// ([`super::straightness`]).
+    pub straightness: f64,
+}
+
+impl CornerStd {
+    /// The standard deviation per axis, in pixels.
+    pub fn px(&self) -> f64 {
+        self.scatter * self.misfit * self.fit_px * self.straightness
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_factor_scales_it() {
+        let plain = CornerStd { fit_px: 0.02, misfit: 1.0, scatter: 1.0, straightness: 1.0 };
+        assert_eq!(plain.px(), 0.02);
+        for scaled in [
+            CornerStd { misfit: 3.0, ..plain },
+            CornerStd { scatter: 3.0, ..plain },
+            CornerStd { straightness: 3.0, ..plain },
+        ] {
+            assert!((scaled.px() - 0.06).abs() < 1e-15, "{scaled:?}");
+        }
+    }
+}

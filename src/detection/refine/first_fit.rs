@@ -1,0 +1,152 @@
+//! The first fit of each corner: in a small window by itself, started from the corner before it.
+
+use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::fit::FitOptions;
+use crate::detection::refine::fitted::Fitted;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::lattice::axes_of;
+use crate::detection::refine::normal_equations::Noise;
+use crate::detection::refine::refiner::Refiner;
+use crate::detection::refine::thresholds::{
+    FIRST_ALIKE, FIRST_ENOUGH, FIRST_REACH, FIRST_TOLERANCE_AMPLITUDE, FIRST_TOLERANCE_LEVELS,
+    LEAST_START_AMPLITUDE, LEAST_START_BLUR_PX, MOST_START_CONTRAST, MOST_START_OFFSET,
+    MOST_WINDOWS, RECENTER, WIDER,
+};
+use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
+use crate::imaging::gray::GrayView;
+
+/// What neighboring corners have in common. The last three are in units of half the difference of
+/// the quadrants' means, which blur makes smaller than that of black and white.
+#[derive(Debug, Clone, Copy)]
+struct Before {
+    blur_px: f64,
+    /// The model's amplitude, without its sign.
+    contrast: f64,
+    /// Its level less the mean of the quarters' means.
+    offset: f64,
+    gamma_term: f64,
+}
+
+impl Before {
+    /// Of a sharp corner in an ordinary image: a start, forgotten after the first fit.
+    const TYPICAL: Self = Self { blur_px: 1.0, contrast: 1.3, offset: 0.0, gamma_term: 0.0 };
+}
+
+impl Refiner {
+    /// The first fits.
+    pub(super) fn fit_each(&mut self, image: GrayView<'_>, corners: &[GridCorner]) {
+        self.fitted.clear();
+        self.noise.clear();
+        self.scatter.clear();
+        let mut before = Before::TYPICAL;
+        for corner in corners {
+            let fitted = self
+                .fit_alone(image, corner, &before)
+                .filter(|fitted| fitted.may_be_corner(corner));
+            if let Some(fitted) = &fitted {
+                before = self.as_before(fitted);
+                self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
+            }
+            self.fitted.push(fitted);
+        }
+    }
+
+    /// The first fit of a corner: in a small window, whose size follows the blur and which moves
+    /// with the corner. Where that fails the guess may be far off: a window of larger bins covers
+    /// more.
+    fn fit_alone(
+        &mut self,
+        image: GrayView<'_>,
+        corner: &GridCorner,
+        before: &Before,
+    ) -> Option<Fitted> {
+        let axes = axes_of(corner)?;
+        let guess = [corner.pixel.x, corner.pixel.y];
+        let (mut origin, mut blur_px, mut coarser) =
+            (guess, before.blur_px.max(LEAST_START_BLUR_PX), 1);
+        let mut best = None;
+        for _ in 0..MOST_WINDOWS {
+            let window = Window::new(
+                origin,
+                axes,
+                blur_px,
+                (FIRST_REACH * coarser as f64, 1.0 - self.taken),
+            )
+            .coarsened(coarser);
+            let Some(first) = self
+                .fit_in(image, window, &Before { blur_px, ..*before })
+                .filter(Fitted::has_settled)
+            else {
+                (origin, coarser) = (guess, 2 * coarser);
+                continue;
+            };
+            let (center, seen) = (first.center(), first.blur_px());
+            let stayed = length([center[0] - origin[0], center[1] - origin[1]])
+                < RECENTER * window.bin as f64;
+            if coarser == 1 {
+                best = Some(first);
+                if seen < WIDER * blur_px && stayed {
+                    break;
+                }
+                blur_px = blur_px.max(seen);
+            }
+            (origin, coarser) = (center, 1);
+        }
+        best
+    }
+
+    /// Start values for the next corner, from the one just fitted.
+    fn as_before(&self, fitted: &Fitted) -> Before {
+        let model = &fitted.fit.model;
+        let [minus, plus] = self.quarter_means;
+        let half = ((plus - minus) / 2.0).abs().max(LEAST_START_AMPLITUDE);
+        Before {
+            blur_px: fitted.blur_px(),
+            contrast: (model.amplitude.abs() / half).clamp(1.0, MOST_START_CONTRAST),
+            offset: ((model.level - (plus + minus) / 2.0) / half)
+                .clamp(-MOST_START_OFFSET, MOST_START_OFFSET),
+            gamma_term: (model.gamma_term / half).clamp(-MOST_START_OFFSET, MOST_START_OFFSET),
+        }
+    }
+
+    fn fit_in(&mut self, image: GrayView<'_>, window: Window, before: &Before) -> Option<Fitted> {
+        self.gather(image, &window)?;
+        let start = self.start(&window, before)?;
+        // The noise is not known yet: black and white are taken as equally noisy; the scale does
+        // not matter.
+        let noise = Noise {
+            black: 1.0,
+            white: 1.0,
+            tolerance: FIRST_TOLERANCE_AMPLITUDE * start.amplitude.abs() + FIRST_TOLERANCE_LEVELS,
+        };
+        // The first step may leave the position and still find black, white and blur.
+        let options = FitOptions {
+            iterations: [2, 8],
+            enough: FIRST_ENOUGH,
+            alike: FIRST_ALIKE,
+            with_flat: true,
+        };
+        self.fit(window, start, &noise, &options)
+    }
+
+    /// The model before the first fit: along the axes, with black and white from the means of the
+    /// four quadrants, corrected as at the corner before.
+    fn start(&mut self, window: &Window, before: &Before) -> Option<CornerModel> {
+        let bin = window.bin as f64;
+        let along = window.axes.map(|axis| axis.map(|v| v / length(axis)));
+        self.quarter_means = self.samples.quarter_means(along);
+        let [minus, plus] = self.quarter_means;
+        let sigma = (before.blur_px * before.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
+        let amplitude = (plus - minus) / 2.0;
+        (amplitude.abs() > LEAST_START_AMPLITUDE).then_some(CornerModel {
+            center: [0.0; 2],
+            along,
+            sharpness: [1.0 / sigma; 2],
+            curvature: [0.0; 2],
+            level: (plus + minus) / 2.0 + before.offset * amplitude.abs(),
+            amplitude: before.contrast * amplitude,
+            gamma_term: before.gamma_term * amplitude.abs(),
+            gradient: [0.0; 2],
+        })
+    }
+}

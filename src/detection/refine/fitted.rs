@@ -1,0 +1,96 @@
+//! The fit of one corner, and the tests whether it is the requested corner at all.
+
+use crate::detection::refine::corner_model::length;
+use crate::detection::refine::fit::CornerFit;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::lattice::Known;
+use crate::detection::refine::misfit::Quality;
+use crate::detection::refine::normal_equations::Noise;
+use crate::detection::refine::refined_corner::RefinedCorner;
+use crate::detection::refine::thresholds::{
+    ALWAYS_MOVED_CELLS, ALWAYS_MOVED_PX, LEAST_AMPLITUDE, LEAST_BLUR_VARIANCE, LEAST_INLIERS,
+    LEAST_SETTLED_INLIERS, MOST_CORRELATION, MOST_MOVED_CELLS, MOST_RESIDUAL, MOST_SETTLED_STEP,
+    MOST_STEP,
+};
+use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
+use crate::geometry::pixel::Pixel;
+
+/// The fit of one corner, with the window and the noise it was made with.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fitted {
+    pub(super) window: Window,
+    pub(super) fit: CornerFit,
+    /// The noise that weighted its samples.
+    pub(super) noise: Noise,
+    /// Inlier ratio: the share of samples that agree with the model.
+    pub(super) inlier_ratio: f64,
+}
+
+impl Fitted {
+    pub(super) fn center(&self) -> [f64; 2] {
+        let bin = self.window.bin as f64;
+        [0, 1].map(|k| self.window.origin[k] + bin * self.fit.model.center[k])
+    }
+
+    pub(super) fn blur_px(&self) -> f64 {
+        let bin = self.window.bin as f64;
+        let [a, b] = self.fit.model.sharpness;
+        let variance = bin * bin * (0.5 / (a * a) + 0.5 / (b * b) - PIXEL_VARIANCE);
+        variance.max(LEAST_BLUR_VARIANCE).sqrt()
+    }
+
+    pub(super) fn known(&self) -> Known {
+        let model = &self.fit.model;
+        let white = (model.level + model.amplitude.abs()).max(1.0).ln();
+        Known { at: self.center(), along: model.along, white }
+    }
+
+    /// Whether the fit has converged to something that explains most of the contrast.
+    pub(super) fn has_settled(&self) -> bool {
+        self.inlier_ratio > LEAST_SETTLED_INLIERS && self.fit.last_step < MOST_SETTLED_STEP
+    }
+
+    /// Whether this may be the requested corner.
+    pub(super) fn may_be_corner(&self, corner: &GridCorner) -> bool {
+        let [x, y] = self.center();
+        let cell = self.window.axes.map(length).into_iter().fold(f64::INFINITY, f64::min);
+        let moved = length([x - corner.pixel.x, y - corner.pixel.y]);
+        let model = &self.fit.model;
+        moved < (MOST_MOVED_CELLS * cell).min(f64::max(ALWAYS_MOVED_PX, ALWAYS_MOVED_CELLS * cell))
+            && model.amplitude.abs() > LEAST_AMPLITUDE
+            && model.correlation().abs() < MOST_CORRELATION
+    }
+
+    /// Whether the second fit is accepted. True corners keep a margin to each bound in the worst
+    /// conditions (motion blur over several pixels, heavy noise); of other positions in images of
+    /// boards one in a hundred passes.
+    pub(super) fn is_corner(&self, corner: &GridCorner) -> bool {
+        let model = &self.fit.model;
+        self.may_be_corner(corner)
+            && self.inlier_ratio > LEAST_INLIERS
+            && self.fit.last_step < MOST_STEP
+            && model.gamma_term.abs() < model.amplitude.abs()
+            && self.fit.residual_rms < MOST_RESIDUAL * model.amplitude.abs()
+    }
+
+    pub(super) fn quality(&self) -> Quality {
+        let samples = self.fit.residuals.effective.max(1.0);
+        Quality { mean_square: self.fit.mean_square, inlier_ratio: self.inlier_ratio, samples }
+    }
+
+    /// The covariance of the position for a mean variance of 1 per axis.
+    pub(super) fn shape(&self) -> [f64; 3] {
+        let [xx, xy, yy] = self.fit.covariance;
+        [xx, xy, yy].map(|v| v / ((xx + yy) / 2.0))
+    }
+
+    pub(super) fn refined(&self) -> RefinedCorner {
+        let [x, y] = self.center();
+        RefinedCorner {
+            pixel: Pixel::new(x, y),
+            std_px: self.fit.position_std() * self.window.bin as f64,
+            blur_px: self.blur_px(),
+            contrast: 2.0 * self.fit.model.amplitude.abs(),
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! The refinement of a board's corners: two fits of each, compared and combined over the board.
+
+use crate::detection::refine::beside::Beside;
+use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::corner_std::CornerStd;
+use crate::detection::refine::fit::{FitOptions, fit};
+use crate::detection::refine::fitted::Fitted;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::halves::disagreements;
+use crate::detection::refine::lattice::{Known, Lattice};
+use crate::detection::refine::misfit::CornerMisfit;
+use crate::detection::refine::noise::PooledNoise;
+use crate::detection::refine::normal_equations::{ModelColumns, Noise};
+use crate::detection::refine::print::{BoardPrint, PrintPatch};
+use crate::detection::refine::refined_corner::RefinedCorner;
+use crate::detection::refine::samples::Samples;
+use crate::detection::refine::scatter::Scatter;
+use crate::detection::refine::straightness::{Placed, Straightness};
+use crate::detection::refine::thresholds::{ENOUGH_CORNERS, FEWEST_SAMPLES, LEAST_INSIDE, SHADED};
+use crate::detection::refine::window::Window;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// Refines corners; its buffers are reused from call to call.
+#[derive(Debug, Default)]
+pub struct Refiner {
+    /// The part of the way to the neighbors that is not free of other edges.
+    pub(super) taken: f64,
+    pub(super) samples: Samples,
+    pub(super) columns: ModelColumns,
+    pub(super) lattice: Lattice,
+    pub(super) noise: PooledNoise,
+    pub(super) scatter: Scatter,
+    pub(super) misfit: CornerMisfit,
+    pub(super) straightness: Straightness,
+    /// Each corner's factor from its misfit; `None` if it is rejected.
+    pub(super) misfit_factors: Vec<Option<f64>>,
+    /// The factors of each corner's standard deviation.
+    pub(super) stds: Vec<CornerStd>,
+    /// The covariance of each corner in units of the square of its standard deviation: xx, xy, yy.
+    pub(super) shapes: Vec<[f64; 3]>,
+    pub(super) fitted: Vec<Option<Fitted>>,
+    pub(super) known: Vec<Option<Known>>,
+    pub(super) patch: PrintPatch,
+    /// Where the corners are by now.
+    pub(super) placed: Vec<Option<Pixel>>,
+    /// Widths of the blur at the corners.
+    pub(super) blurs_px: Vec<f64>,
+    pub(super) powers: Vec<f64>,
+    /// Of each corner, whether its light is its own.
+    pub(super) shaded: Vec<bool>,
+    /// The last window of a first fit.
+    pub(super) quarter_means: [f64; 2],
+}
+
+impl Refiner {
+    /// A refiner with empty buffers.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// One for boards whose next edges lie at this part of the way to the given neighbors.
+    pub fn with_room(room: f64) -> Self {
+        Self { taken: 1.0 - room, ..Self::default() }
+    }
+
+    /// Refines each of `corners` of one board in `image` into `refined`, in their order, replacing
+    /// its content. `None`: the image shows no chessboard corner there, or does not determine its
+    /// position. Does not allocate after a board as large.
+    pub fn refine(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) {
+        self.refine_printed(image, corners, None, refined);
+    }
+
+    /// The same of a board on which more is printed than its corners' edges.
+    pub fn refine_printed(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        print: Option<&mut dyn BoardPrint>,
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) {
+        self.fit_each(image, corners);
+        self.compare_fits();
+        self.lattice.fill(corners, &self.known);
+        if print.is_none() {
+            self.shaded.fill(false);
+        }
+        let nearby = print.and_then(|print| self.fit_printed(image, corners, print));
+        let noise = self.noise.of_pixels();
+        let fitted = std::mem::take(&mut self.fitted);
+        refined.clear();
+        self.misfit.clear();
+        self.straightness.clear();
+        self.shapes.clear();
+        for (slot, (corner, first)) in corners.iter().zip(&fitted).enumerate() {
+            let beside = Beside { print: nearby.map(|it| (slot, it)), shaded: self.shaded[slot] };
+            let second = first
+                .as_ref()
+                .and_then(|first| self.fit_within_board(image, corner, first, (noise, beside)));
+            let second = second.filter(|second| second.is_corner(corner));
+            self.misfit.take(second.as_ref().map(Fitted::quality));
+            if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
+                self.note_scatter(refined.len(), second);
+            }
+            self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
+            if let Some(second) = &second {
+                self.straightness.note_window(second.window.extent);
+            }
+            refined.push(second.as_ref().map(Fitted::refined));
+        }
+        self.fitted = fitted;
+        self.set_stds(refined);
+    }
+
+    /// What is known of the corners that fit as well as the others.
+    pub(super) fn compare_fits(&mut self) {
+        self.misfit.clear();
+        self.fitted
+            .iter()
+            .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
+        self.shaded.clear();
+        self.shaded.extend(self.misfit.worse_than(SHADED));
+        self.known.clear();
+        let fits = self.misfit.fits();
+        self.known.extend(
+            self.fitted
+                .iter()
+                .zip(fits)
+                .map(|(fitted, fits)| fitted.as_ref().filter(|_| fits).map(Fitted::known)),
+        );
+    }
+
+    /// Sets each corner's standard deviation to the product of its factors; a corner that fits far
+    /// worse than the others becomes `None`.
+    fn set_stds(&mut self, refined: &mut [Option<RefinedCorner>]) {
+        self.misfit_factors.clear();
+        self.misfit_factors.extend(self.misfit.std_factors());
+        let scatter = self.scatter.std_factor(&self.misfit_factors);
+        self.stds.clear();
+        for (corner, misfit) in refined.iter_mut().zip(&self.misfit_factors) {
+            *corner = corner.filter(|_| misfit.is_some());
+            let fit_px = corner.map_or(0.0, |corner| corner.std_px);
+            let misfit = misfit.unwrap_or(1.0);
+            self.stds.push(CornerStd { fit_px, misfit, scatter, straightness: 1.0 });
+        }
+        let straightness = self.straightness_of(refined);
+        for (corner, std) in refined.iter_mut().zip(&self.stds) {
+            let std = CornerStd { straightness, ..*std };
+            corner.iter_mut().for_each(|corner| corner.std_px = std.px());
+        }
+    }
+
+    /// The factor by which corners scatter more or less about the board's lines than `stds` predict.
+    fn straightness_of(&mut self, refined: &[Option<RefinedCorner>]) -> f64 {
+        for axis in 0..2 {
+            let lines = self.lattice.lines(axis).map(|(place, line)| {
+                let (shapes, stds) = (&self.shapes, &self.stds);
+                let placed = line.filter_map(move |slot| {
+                    let (pixel, std_px) = (refined[slot]?.pixel, stds[slot].px());
+                    let covariance = shapes[slot].map(|share| share * std_px * std_px);
+                    Some(Placed { pixel, covariance })
+                });
+                (place, placed)
+            });
+            self.straightness.take(axis, lines);
+        }
+        self.straightness.std_factor()
+    }
+
+    /// Records corner `slot`'s difference between the near and far edge offsets, normalized by its
+    /// predicted variance.
+    fn note_scatter(&mut self, slot: usize, fitted: &Fitted) {
+        let Fitted { window, fit, noise, .. } = fitted;
+        let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
+        for disagreement in
+            disagreements(&self.samples, &fit.model, reach, &self.columns).into_iter().flatten()
+        {
+            self.scatter.take(slot, noise.corrected_disagreement(disagreement) / fit.mean_square);
+        }
+    }
+
+    pub(super) fn gather(&mut self, image: GrayView<'_>, window: &Window) -> Option<()> {
+        (self.samples.gather(image, window) > LEAST_INSIDE && self.samples.count >= FEWEST_SAMPLES)
+            .then_some(())
+    }
+
+    pub(super) fn fit(
+        &mut self,
+        window: Window,
+        start: CornerModel,
+        noise: &Noise,
+        options: &FitOptions,
+    ) -> Option<Fitted> {
+        let fit = fit(&self.samples, start, noise, options, &mut self.columns)?;
+        Some(Fitted {
+            window,
+            fit,
+            noise: *noise,
+            inlier_ratio: fit.residuals.effective / self.samples.count as f64,
+        })
+    }
+}
+
+/// Whether a corner's edge halves are compared: of many corners, every other one is enough.
+fn is_compared(corners: &[GridCorner], corner: &GridCorner) -> bool {
+    corners.len() < ENOUGH_CORNERS || (corner.index.col + corner.index.row) % 2 == 0
+}

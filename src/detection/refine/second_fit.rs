@@ -1,0 +1,96 @@
+//! The second fit of a corner: in a large window, with the edges' curvature, the light and the noise
+//! estimated from the whole board.
+
+use crate::detection::refine::beside::{Beside, Nearby};
+use crate::detection::refine::corner_model::{CornerModel, length};
+use crate::detection::refine::fit::FitOptions;
+use crate::detection::refine::fitted::Fitted;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::lattice::axes_of;
+use crate::detection::refine::normal_equations::Noise;
+use crate::detection::refine::refiner::Refiner;
+use crate::detection::refine::shading::take_off_shading;
+use crate::detection::refine::thresholds::{
+    MOST_AGREE, PATIENT_TOLERANCE, SECOND_ENOUGH, SECOND_REACH, SECOND_TOLERANCE_AMPLITUDE,
+    SECOND_TOLERANCE_STDS, SHADED_TOLERANCES,
+};
+use crate::detection::refine::window::Window;
+use crate::imaging::gray::GrayView;
+
+impl Refiner {
+    /// The second fit, in a large window near the edges, with the board's priors.
+    pub(super) fn fit_within_board(
+        &mut self,
+        image: GrayView<'_>,
+        corner: &GridCorner,
+        first: &Fitted,
+        (noise, beside): ([f64; 2], Beside<'_>),
+    ) -> Option<Fitted> {
+        let free = if beside.print.is_some() { 1.0 } else { 1.0 - self.taken };
+        let axes = axes_of(corner)?;
+        let window = Window::new(first.center(), axes, first.blur_px(), (SECOND_REACH, free));
+        let window = window.along_edges(first.fit.model.along, first.blur_px());
+        self.gather(image, &window)?;
+        let bin = window.bin as f64;
+        let mut start = first.fit.model.rescaled(first.window.bin as f64, bin);
+        let around = self.lattice.surroundings(corner.index, first.window.axes);
+        start.center = [0.0; 2];
+        start.curvature = around.curvature.map(|c| c * bin);
+        start.gradient = around.light_gradient.map(|g| g * bin);
+        if let Some((slot, Nearby { print, blur, power })) = beside.print
+            && self.patch.render(print, slot, &window, blur)
+        {
+            self.patch.take_off(&mut self.samples, &start, power);
+        }
+        let [black, white] = noise.map(|std| std / bin);
+        let noise = Noise {
+            black,
+            white,
+            tolerance: SECOND_TOLERANCE_STDS * black.max(white)
+                + SECOND_TOLERANCE_AMPLITUDE * start.amplitude.abs(),
+        };
+        let options = FitOptions {
+            iterations: [1, 4],
+            enough: SECOND_ENOUGH,
+            alike: 0.0,
+            with_flat: beside.print.is_some(),
+        };
+        let second = self.fit(window, start, &noise, &options)?;
+        if beside.shaded {
+            return self.fit_shaded(window, second.fit.model, &noise, &options);
+        }
+        if second.inlier_ratio > MOST_AGREE {
+            return Some(second);
+        }
+        // Many outliers may belong to another corner or a hand, or the start was too far off for so
+        // narrow a tolerance.
+        let patient = Noise {
+            tolerance: noise.tolerance + PATIENT_TOLERANCE * start.amplitude.abs(),
+            ..noise
+        };
+        let start = self
+            .fit(window, start, &patient, &FitOptions { iterations: [2, 8], ..options })?
+            .fit
+            .model;
+        self.fit(window, start, &noise, &options)
+    }
+
+    /// Fits of a corner under light of its own, each after more of that is taken off.
+    fn fit_shaded(
+        &mut self,
+        window: Window,
+        mut model: CornerModel,
+        noise: &Noise,
+        options: &FitOptions,
+    ) -> Option<Fitted> {
+        let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
+        let amplitude = model.amplitude.abs();
+        for tolerance in SHADED_TOLERANCES {
+            let patient = Noise { tolerance: noise.tolerance + tolerance * amplitude, ..*noise };
+            let options = FitOptions { iterations: [1, 4], ..*options };
+            model = self.fit(window, model, &patient, &options)?.fit.model;
+            take_off_shading(&mut self.samples, &self.columns, reach[0].max(reach[1]));
+        }
+        self.fit(window, model, noise, options)
+    }
+}
