@@ -14,7 +14,7 @@ use crate::daemon::sources::opener_of;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{FrameSet, SensorKind};
-use crate::recording::{McapWriter, RecordingError, Ros2Writer};
+use crate::recording::{McapWriter, RecordingError, RepairedRecording, Ros2Writer, repair};
 
 /// How long one wait for a frame is: a request to stop is seen between two.
 const WAIT: Duration = Duration::from_millis(200);
@@ -23,11 +23,14 @@ const WAIT: Duration = Duration::from_millis(200);
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The camera's name in the configuration
-    #[arg(long, value_name = "NAME")]
-    camera: String,
+    #[arg(long, value_name = "NAME", required_unless_present = "repair")]
+    camera: Option<String>,
     /// The recording to write; with --ros2 a folder
-    #[arg(long, value_name = "FILE.mcap")]
-    out: PathBuf,
+    #[arg(long, value_name = "FILE.mcap", required_unless_present = "repair")]
+    out: Option<PathBuf>,
+    /// Record nothing: give a recording that was cut off its index, in place
+    #[arg(long, value_name = "FILE.mcap", conflicts_with_all = ["camera", "out", "ros2", "seconds"])]
+    repair: Option<PathBuf>,
     /// Write a ROS 2 bag: a folder with an MCAP file and its metadata.yaml
     #[arg(long)]
     ros2: bool,
@@ -42,6 +45,17 @@ pub struct Args {
     json: bool,
 }
 
+impl Args {
+    /// The camera's name; clap has seen to it that there is one unless a recording is repaired.
+    fn camera(&self) -> &str {
+        self.camera.as_deref().unwrap_or_default()
+    }
+
+    fn out(&self) -> &Path {
+        self.out.as_deref().unwrap_or(Path::new(""))
+    }
+}
+
 /// The recording being written.
 enum Writer {
     Foxglove(McapWriter),
@@ -51,9 +65,9 @@ enum Writer {
 impl Writer {
     fn create(args: &Args) -> Result<Self, RecordingError> {
         if args.ros2 {
-            return Ros2Writer::create(&args.out, &args.camera).map(Self::Ros2);
+            return Ros2Writer::create(args.out(), args.camera()).map(Self::Ros2);
         }
-        McapWriter::create(&args.out, &args.camera).map(Self::Foxglove)
+        McapWriter::create(args.out(), args.camera()).map(Self::Foxglove)
     }
 
     fn write(&mut self, set: &FrameSet) -> Result<(), RecordingError> {
@@ -100,23 +114,26 @@ struct Recorded<'a> {
 /// When there is no such camera, it cannot be opened or is lost, or the file cannot be written.
 /// What was recorded until then stays.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    if let Some(path) = &args.repair {
+        return repaired(path, args.json);
+    }
     let config = Config::load(Some(&args.config), &Overrides::default()).map_err(Failure::usage)?;
     let camera = find_camera(&config, args)?;
     let of_camera =
-        |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera));
+        |error: &CaptureError| Failure::failed(format!("camera `{}`: {error}", args.camera()));
     let mut source = opener_of(&camera.source).open().map_err(|error| of_camera(&error))?;
     let mut writer = Writer::create(args).map_err(Failure::failed)?;
     let stop = stopped_by_signal()?;
-    let mut recorded = Recorded { path: &args.out, camera: &args.camera, frame_sets: 0, lost: 0 };
+    let mut recorded = Recorded { path: args.out(), camera: args.camera(), frame_sets: 0, lost: 0 };
     let outcome = record(source.as_mut(), &mut writer, &mut recorded, (&stop, args.seconds));
     writer.finish().map_err(Failure::failed)?;
     outcome.map_err(|failure| {
         let line = failure.line().unwrap_or_default();
         Failure::failed(format!(
             "camera `{}`: {line}; {} frame sets are in {}",
-            args.camera,
+            args.camera(),
             recorded.frame_sets,
-            args.out.display()
+            args.out().display()
         ))
     })?;
     if args.json {
@@ -125,9 +142,26 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let Recorded { frame_sets, lost, .. } = recorded;
     output::print_line(&format!(
         "{}: {frame_sets} frame sets of {}, {lost} lost",
-        args.out.display(),
-        args.camera
+        args.out().display(),
+        args.camera()
     ))
+}
+
+fn repaired(path: &Path, json: bool) -> Result<(), Failure> {
+    let RepairedRecording { frame_sets, fault } = repair(path).map_err(Failure::failed)?;
+    let fault = fault.map(|fault| fault.to_string());
+    if json {
+        return output::print_json(&serde_json::json!({
+            "path": path, "frame_sets": frame_sets, "fault": fault
+        }));
+    }
+    let file = path.display();
+    output::print_line(&match fault {
+        None => format!("{file}: {frame_sets} frame sets, with its index"),
+        Some(fault) => {
+            format!("{file}: {frame_sets} frame sets kept, with an index; it was: {fault}")
+        }
+    })
 }
 
 fn record(
@@ -180,11 +214,11 @@ fn write_factory_lenses(
 
 fn find_camera<'a>(config: &'a Config, args: &Args) -> Result<&'a CameraConfig, Failure> {
     let known: Vec<&str> = config.cameras.iter().map(|camera| camera.name.as_str()).collect();
-    config.cameras.iter().find(|camera| camera.name == args.camera).ok_or_else(|| {
+    config.cameras.iter().find(|camera| camera.name == args.camera()).ok_or_else(|| {
         let file = args.config.display();
         Failure::usage(format!(
             "{file} has no camera `{}`; it has {}",
-            args.camera,
+            args.camera(),
             known.join(", ")
         ))
     })

@@ -72,9 +72,9 @@ pub struct RecordingDocument {
     pub bytes: u64,
 }
 
-/// The newest recording of each camera since the daemon started.
+/// The recordings that lie on disk.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RecordingsDocument {
-    /// In the order of the configuration.
+    /// The newest of each camera in the order of the configuration, then the others, newest first.
     pub recordings: Vec<RecordingDocument>,
 }

@@ -49,6 +49,7 @@ use crate::http::{
         recordings::list,
         recordings::one,
         recordings::stop,
+        recordings::delete,
         events::follow,
     ),
     components(schemas(

@@ -9,14 +9,12 @@ use axum::http::StatusCode;
 use axum::http::header::LOCATION;
 use axum::response::IntoResponse;
 
-use crate::document::recording::{
-    RecordDocument, RecordingDocument, RecordingStateName, RecordingsDocument,
-};
-use crate::document::time;
+use crate::document::recording::{RecordDocument, RecordingDocument, RecordingsDocument};
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, SMALL_BODY, document};
 use crate::http::shared::{Shared, on_a_blocking_thread};
-use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
+use crate::pipeline::recorder::{RecordError, RecordingLimits};
+use crate::pipeline::recording_notes::recording_document;
 
 /// Records a camera to an MCAP file in the store's folder; frames are written as they came.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/recordings", tag = "recordings",
@@ -50,13 +48,15 @@ pub(super) async fn start(
     Ok((StatusCode::CREATED, [(LOCATION, location)], Json(recording_document(&status))))
 }
 
-/// The newest recording of each camera since the daemon started.
+/// The recordings that lie on disk, those that go on first.
 #[utoipa::path(get, path = "/v1/recordings", tag = "recordings",
     responses((status = 200, description = "the recordings", body = RecordingsDocument)))]
-pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<RecordingsDocument> {
-    Json(RecordingsDocument {
-        recordings: shared.fleet.recordings().iter().map(recording_document).collect(),
-    })
+pub(super) async fn list(
+    State(shared): State<Arc<Shared>>,
+) -> Result<Json<RecordingsDocument>, Problem> {
+    let fleet = Arc::clone(&shared.fleet);
+    let recordings = on_a_blocking_thread(move || fleet.recordings()).await?;
+    Ok(Json(RecordingsDocument { recordings: recordings.iter().map(recording_document).collect() }))
 }
 
 /// One recording.
@@ -70,7 +70,9 @@ pub(super) async fn one(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
 ) -> Result<Json<RecordingDocument>, Problem> {
-    let found = shared.fleet.recordings().into_iter().find(|recording| recording.id == id);
+    let fleet = Arc::clone(&shared.fleet);
+    let recordings = on_a_blocking_thread(move || fleet.recordings()).await?;
+    let found = recordings.into_iter().find(|recording| recording.id == id);
     Ok(Json(recording_document(&found.ok_or(RecordError::UnknownRecording { id })?)))
 }
 
@@ -90,23 +92,21 @@ pub(super) async fn stop(
     Ok(Json(recording_document(&on_a_blocking_thread(move || fleet.stop_recording(&id)).await??)))
 }
 
-fn recording_document(status: &RecordingStatus) -> RecordingDocument {
-    RecordingDocument {
-        id: status.id.clone(),
-        camera: status.camera.clone(),
-        path: status.path.display().to_string(),
-        state: match status.state {
-            RecordingState::Recording => RecordingStateName::Recording,
-            RecordingState::Finished => RecordingStateName::Finished,
-            RecordingState::Failed => RecordingStateName::Failed,
-        },
-        reason: status.reason.clone(),
-        started_at: time::from_utc_ns(status.started_at_ns),
-        finished_at: status.finished_at_ns.map(time::from_utc_ns),
-        frame_sets: status.frame_sets,
-        dropped: status.dropped,
-        bytes: status.bytes,
-    }
+/// Deletes a recording that has ended, with its file.
+#[utoipa::path(delete, path = "/v1/recordings/{id}", tag = "recordings",
+    params(("id" = String, Path, description = "the recording's")),
+    responses(
+        (status = 204, description = "deleted"),
+        (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "it goes on: stop it first", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn delete(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+) -> Result<StatusCode, Problem> {
+    let fleet = Arc::clone(&shared.fleet);
+    on_a_blocking_thread(move || fleet.delete_recording(&id)).await??;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 impl From<RecordError> for Problem {
@@ -116,7 +116,9 @@ impl From<RecordError> for Problem {
             RecordError::UnknownCamera { .. } | RecordError::UnknownRecording { .. } => {
                 Self::not_found(detail)
             }
-            RecordError::Busy { .. } | RecordError::Over { .. } => Self::conflict(detail),
+            RecordError::Busy { .. } | RecordError::Over { .. } | RecordError::GoesOn { .. } => {
+                Self::conflict(detail)
+            }
             RecordError::File { .. } => Self::broken(detail),
         }
     }

@@ -52,7 +52,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/solve", post(solve::solve))
         .route("/v1/cameras/{camera}/recordings", post(recordings::start))
         .route("/v1/recordings", get(recordings::list))
-        .route("/v1/recordings/{id}", get(recordings::one))
+        .route("/v1/recordings/{id}", get(recordings::one).delete(recordings::delete))
         .route("/v1/recordings/{id}/stop", post(recordings::stop))
         .route("/v1/events", get(events::follow))
         .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi::document()))

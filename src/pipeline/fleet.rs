@@ -1,6 +1,7 @@
 //! All cameras and rigs of the daemon as one live object: the only thing that the layers above talk
 //! to. What concerns sessions is in `fleet_sessions`.
 
+use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 
 use tokio::sync::watch;
@@ -19,6 +20,7 @@ use crate::pipeline::preview::drawing::{Drawing, EncodedFrame};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
+use crate::pipeline::recording_notes;
 use crate::pipeline::running::{
     CameraPlan, FleetOptions, RunningCamera, RunningInstrument, SharedParts, start_camera,
     start_rig, stop, stop_and_wait,
@@ -178,7 +180,7 @@ impl Fleet {
         let link = self
             .link(name)
             .map_err(|UnknownCamera { camera }| RecordError::UnknownCamera { camera })?;
-        link.recorder.start(name, &self.shared.store.folder().join("recordings"), limits)
+        link.recorder.start(name, &self.recordings_folder(), limits)
     }
 
     /// Ends recording `id`; its file is whole when this returns.
@@ -200,9 +202,35 @@ impl Fleet {
         camera.recorder.finish().ok_or_else(over)
     }
 
-    /// The newest recording of each camera since the daemon started.
+    /// The recordings that lie on disk: the newest of each camera since the daemon started, then
+    /// the others, newest first.
     pub fn recordings(&self) -> Vec<RecordingStatus> {
-        self.running().iter().filter_map(|running| running.camera.recorder.status()).collect()
+        let newest = |running: &RunningCamera| running.camera.recorder.status();
+        let mut found: Vec<_> = self.running().iter().filter_map(newest).collect();
+        found.retain(|status| status.path.exists());
+        let older = recording_notes::read_all(&self.recordings_folder(), |id| {
+            found.iter().any(|status| status.id == id)
+        });
+        found.extend(older);
+        found
+    }
+
+    /// Deletes recording `id`, which has ended.
+    ///
+    /// # Errors
+    /// [`RecordError::UnknownRecording`], [`RecordError::GoesOn`], [`RecordError::File`].
+    pub fn delete_recording(&self, id: &str) -> Result<(), RecordError> {
+        let found = self.recordings().into_iter().find(|status| status.id == id);
+        let status = found.ok_or_else(|| RecordError::UnknownRecording { id: id.to_owned() })?;
+        if status.state == RecordingState::Recording {
+            return Err(RecordError::GoesOn { id: status.id });
+        }
+        let refused = |e: std::io::Error| RecordError::File { detail: e.to_string() };
+        recording_notes::delete(&status).map_err(refused)
+    }
+
+    fn recordings_folder(&self) -> PathBuf {
+        self.shared.store.folder().join("recordings")
     }
 
     /// The counters in Prometheus's text format, version 0.0.4.

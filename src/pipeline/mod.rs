@@ -42,6 +42,7 @@ mod pausing;
 pub mod preview;
 mod preview_thread;
 pub mod recorder;
+pub mod recording_notes;
 mod running;
 mod search;
 mod seen;

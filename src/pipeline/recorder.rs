@@ -8,10 +8,14 @@ use std::thread::JoinHandle;
 
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::clock::utc_now_ns;
+use crate::pipeline::recording_notes;
 use crate::recording::{McapWriter, RecordingError};
 
 /// Frame sets that wait for the disk before any is dropped.
 const QUEUE: usize = 64;
+
+/// How often it is noted how far a recording is, in frame time.
+const NOTE_EVERY_NS: i64 = 1_000_000_000;
 
 /// When a recording ends by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -77,18 +81,22 @@ pub enum RecordError {
         /// The recording that goes on.
         recording: String,
     },
-    /// The file could not be begun.
-    #[error("the recording could not be begun: {detail}")]
+    /// The file could not be begun or deleted.
+    #[error("the recording could not be begun or deleted: {detail}")]
     File {
         /// What the system said.
         detail: String,
     },
     /// No such recording.
-    #[error(
-        "there is no recording `{id}`; see GET /v1/recordings for those since the daemon started"
-    )]
+    #[error("there is no recording `{id}`; see GET /v1/recordings for those there are")]
     UnknownRecording {
         /// The id that was asked for.
+        id: String,
+    },
+    /// It has not ended.
+    #[error("recording {id} goes on; stop it first")]
+    GoesOn {
+        /// Its id.
         id: String,
     },
     /// It has ended.
@@ -143,6 +151,7 @@ impl RecorderLink {
             dropped: 0,
             bytes: 0,
         };
+        recording_notes::write(&status).map_err(|e| failed(e.to_string()))?;
         let shown = Arc::new(Mutex::new(status.clone()));
         let (frames, waiting) = sync_channel(QUEUE);
         let written = Arc::clone(&shown);
@@ -200,6 +209,7 @@ fn write_all(
     let path = lock(status).path.clone();
     let size = || std::fs::metadata(&path).map_or(0, |file| file.len());
     let mut began_ns = None;
+    let mut noted_ns = None;
     let mut outcome: Result<Option<String>, RecordingError> = Ok(None);
     for frame_set in frames {
         if let Err(error) = writer.write(&frame_set) {
@@ -213,6 +223,11 @@ fn write_all(
             status.bytes = bytes;
         }
         let now_ns = frame_set.host_time.utc_ns;
+        if now_ns - *noted_ns.get_or_insert(now_ns) >= NOTE_EVERY_NS {
+            noted_ns = Some(now_ns);
+            // The recording is worth more than its note.
+            let _ = recording_notes::write(&lock(status).clone());
+        }
         let elapsed_s = (now_ns - *began_ns.get_or_insert(now_ns)) as f64 * 1e-9;
         if let Some(reached) = reached(limits, elapsed_s, bytes) {
             outcome = Ok(Some(reached));
@@ -229,6 +244,7 @@ fn write_all(
             (RecordingState::Failed, Some(format!("{error}; what was written until then stays")))
         }
     };
+    let _ = recording_notes::write(&status);
 }
 
 fn reached(limits: RecordingLimits, elapsed_s: f64, bytes: u64) -> Option<String> {

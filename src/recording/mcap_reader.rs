@@ -92,6 +92,14 @@ impl McapReader {
         Ok(())
     }
 
+    /// The camera whose frames it holds, as far as the file has been read.
+    pub fn camera(&self) -> Option<&str> {
+        self.topics.values().find_map(|(topic, _)| match topic {
+            Topic::Frames { camera, .. } => Some(camera.as_str()),
+            Topic::Calibration { .. } => None,
+        })
+    }
+
     /// How many frame sets there are, if the file has its index.
     pub fn frame_set_count(&self) -> Option<usize> {
         self.frame_set_count

@@ -17,12 +17,18 @@ use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens};
 /// finished.
 ///
 /// Frames are stored as they came; a recording that ends without [`Self::finish`] can be read up to
-/// its last whole chunk.
+/// its last whole chunk, and loses less than a second: chunks end by time, too.
 pub struct McapWriter {
     path: PathBuf,
     camera: String,
     writer: mcap::Writer<BufWriter<File>>,
+    /// When the chunk that is being written began, in frame time.
+    chunk_began_ns: Option<i64>,
 }
+
+/// The longest that frames wait in memory for their chunk to be full: half of the second that a
+/// killed process may lose.
+const LONGEST_CHUNK_NS: i64 = 500_000_000;
 
 impl std::fmt::Debug for McapWriter {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
@@ -50,7 +56,7 @@ impl McapWriter {
             .compression_threads(0)
             .library(concat!("plumb ", env!("CARGO_PKG_VERSION")));
         let writer = options.create(file).map_err(|error| write_error(path, error))?;
-        Ok(Self { path: path.to_owned(), camera: camera.to_owned(), writer })
+        Ok(Self { path: path.to_owned(), camera: camera.to_owned(), writer, chunk_began_ns: None })
     }
 
     /// Appends the frames of `set`: logged at its host time, published at its device time where it
@@ -70,6 +76,13 @@ impl McapWriter {
                 continue;
             };
             self.append(&topic, &message, set.sequence as u32, [log_time, publish_time])?;
+        }
+        let now_ns = set.host_time.utc_ns;
+        let began_ns = *self.chunk_began_ns.get_or_insert(now_ns);
+        // A clock that was set back ends the chunk as well.
+        if !(0..LONGEST_CHUNK_NS).contains(&now_ns.saturating_sub(began_ns)) {
+            self.writer.flush().map_err(|error| write_error(&self.path, error))?;
+            self.chunk_began_ns = None;
         }
         Ok(())
     }

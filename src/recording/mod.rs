@@ -13,6 +13,7 @@ mod mcap_writer;
 mod messages;
 mod natural_order;
 mod records;
+mod repair;
 mod ros2_messages;
 mod ros2_writer;
 mod topic_names;
@@ -26,6 +27,7 @@ pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};
 pub use mcap_writer::McapWriter;
 pub use natural_order::natural_order;
+pub use repair::{RepairedRecording, repair};
 pub use ros2_writer::Ros2Writer;
 
 use crate::imaging::factory::FactoryCalibration;
