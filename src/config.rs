@@ -1,6 +1,6 @@
 //! The daemon's configuration: TOML text → [`Written`] (what it says) → [`Config`] (what it means).
 //!
-//! Reading is apart from checking: [`Written::parse`] needs no file system, [`Written::check`]
+//! Reading is separate from checking: [`Written::parse`] needs no file system, [`Written::check`]
 //! checks that what is named exists. Every refusal names the key, the file and the line.
 //! Relative paths are taken from the directory that the daemon runs in.
 //!

@@ -35,7 +35,7 @@ pub enum Rejection {
         /// The most that is kept.
         limit_px: f64,
     },
-    /// The board moves between frames: its corners are smeared, and a rolling shutter bends it.
+    /// The board moves between frames: its corners are smeared, and a rolling shutter distorts it.
     #[error("moving at {speed_px_per_s:.0} px/s, at most {limit_px_per_s:.0} px/s can be used")]
     Moving {
         /// Speed of the fastest corner since the frame before, in pixels a second.

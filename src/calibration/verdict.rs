@@ -19,7 +19,7 @@ const SPLIT_HALF: [f64; 2] = [2.5, 6.0];
 const CORRELATION: [f64; 2] = [0.5, 0.8];
 /// How many times larger the uncertainty is than if each corner erred by itself.
 const SHARED: [f64; 2] = [2.0, 8.0];
-/// The part of the corners that took no part.
+/// The share of outliers among the corners.
 const OUTLIERS: [f64; 2] = [0.02, 0.25];
 /// The part of the image with corners.
 const COVERAGE: [f64; 2] = [0.6, 0.15];
@@ -234,7 +234,7 @@ fn rejected_corners(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let worst = used_views().max_by_key(|view| view.used.iter().filter(|used| !**used).count())?;
     let part = rejected as f64 / all.max(1) as f64;
     let reason = format!(
-        "{rejected} of {all} corners are far off and were not used, most in view `{}`: check focus, reflections and what covers the board",
+        "{rejected} of {all} corners are far off and were not used, most in view `{}`: check focus, reflections and what hides parts of the board",
         worst.name
     );
     worse_than_good(graded(part, OUTLIERS), reason)

@@ -193,7 +193,7 @@ impl LensChange {
     }
 }
 
-/// Corners that took part, or are off by no more than `limit_px`.
+/// Corners that were used, or are off by no more than `limit_px`.
 fn fitting_corners(estimate: &CameraEstimate, limit_px: f64) -> usize {
     let of_view = estimate.views.iter().flat_map(|view| view.used.iter().zip(&view.residuals_px));
     of_view.filter(|(used, [x, y])| **used || x.hypot(*y) <= limit_px).count()

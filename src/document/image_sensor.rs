@@ -77,7 +77,7 @@ pub struct ComparedLensDocument {
 pub struct ViewDocument {
     /// Its path or sequence number.
     pub name: String,
-    /// Whether it took part in the estimate.
+    /// Whether it was used in the estimate.
     pub used: bool,
     /// Why not.
     pub reason: Option<String>,

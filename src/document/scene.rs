@@ -85,7 +85,7 @@ pub struct SceneSensorDocument {
 pub struct SceneViewDocument {
     /// Its path or sequence number.
     pub name: String,
-    /// Whether it took part in the estimate.
+    /// Whether it was used in the estimate.
     pub used: bool,
     /// Why not.
     pub reason: Option<String>,

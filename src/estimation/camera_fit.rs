@@ -1,4 +1,4 @@
-//! One lens model fitted to the views of one camera, and which views took part.
+//! One lens model fitted to the views of one camera, and which views were used.
 
 use nalgebra::DMatrix;
 
@@ -76,7 +76,7 @@ impl CameraFit {
         (known(0) && known(1)).then_some(covariance)
     }
 
-    /// The views that take part, by index.
+    /// The used views, by index.
     pub(crate) fn good_views(&self) -> Vec<usize> {
         (0..self.faults.len()).filter(|view| self.faults[*view].is_none()).collect()
     }
@@ -222,7 +222,7 @@ fn name_mirrored(prepared: &Prepared, state: &State, faults: &mut [Option<ViewFa
     !odd.is_empty()
 }
 
-/// Poses for the views that took no part, for their residuals to be seen.
+/// Poses for the unused views, for their residuals to be seen.
 fn place_rejected_views(prepared: &Prepared, fit: &mut CameraFit) {
     for view in 0..fit.faults.len() {
         let Some(fault) = fit.faults[view] else { continue };

@@ -29,7 +29,7 @@ pub struct Smoothness {
     /// deviation.
     pub amplitude: f64,
     /// The same for how much a node may differ from the straight line through its neighbors.
-    pub bend: f64,
+    pub curvature: f64,
 }
 
 /// A correction that was tried.
@@ -76,11 +76,11 @@ impl Prior {
                     }
                 }
             }
-            let bend = (smoothness.bend * unit).powi(-2);
+            let curvature = (smoothness.curvature * unit).powi(-2);
             let mut second = |nodes: [usize; 3]| {
                 for (a, wa) in nodes.iter().zip([1.0, -2.0, 1.0]) {
                     for (b, wb) in nodes.iter().zip([1.0, -2.0, 1.0]) {
-                        hessian[(term * count + a, term * count + b)] += bend * wa * wb;
+                        hessian[(term * count + a, term * count + b)] += curvature * wa * wb;
                     }
                 }
             };
@@ -173,9 +173,9 @@ pub fn choose_correction(
 const COARSE: [u32; 2] = [4, 3];
 const FINER: [[u32; 2]; 3] = [[2, 2], [4, 3], [8, 6]];
 const SMOOTH: [Smoothness; 3] = [
-    Smoothness { amplitude: 0.2, bend: 0.01 },
-    Smoothness { amplitude: 0.2, bend: 0.003 },
-    Smoothness { amplitude: 0.2, bend: 0.03 },
+    Smoothness { amplitude: 0.2, curvature: 0.01 },
+    Smoothness { amplitude: 0.2, curvature: 0.003 },
+    Smoothness { amplitude: 0.2, curvature: 0.03 },
 ];
 
 /// The nearest and the farthest depth of the tiles.

@@ -75,7 +75,7 @@ pub enum EstimationError {
     ParallelViews,
     /// B of Zhang's method is not positive definite.
     #[error(
-        "no camera matrix fits these homographies: the lens bends the image too strongly for the closed form, or corners are mislabelled"
+        "no camera matrix fits these homographies: the lens distorts the image too strongly for the closed form, or corners are mislabelled"
     )]
     NoCameraMatrix,
     /// No start led to a plausible camera.

@@ -175,7 +175,7 @@ fn residual_correlation(estimate: &CameraEstimate) -> Option<f64> {
     (pairs >= MIN_PAIRS && squares > 0.0).then_some(together / squares)
 }
 
-/// The views that take part, or enough of them, evenly.
+/// The used views, or enough of them, evenly.
 fn some_views(fit: &CameraFit) -> Vec<usize> {
     fit.some_frame_sets().into_iter().flatten().collect()
 }

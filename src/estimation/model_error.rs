@@ -78,7 +78,7 @@ pub(crate) fn noise_floor_px_of(problem: &CameraProblem, estimate: &CameraEstima
         .then_some(best.sqrt())
 }
 
-/// A corner that takes part.
+/// A used corner.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
     /// Its own variance per axis, as it was given.

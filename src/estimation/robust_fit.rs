@@ -7,8 +7,7 @@ use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::robust::{Loss, median_scale};
 use crate::estimation::view_fault::ViewFault;
 
-/// Corners further off than this many standard deviations take no part: of Gaussian ones, four in a
-/// million.
+/// Residual limit of an inlier, in standard deviations: four of a million Gaussian ones are beyond.
 pub(crate) const LIMIT: f64 = 5.0;
 
 /// Where Huber's loss turns linear, in standard deviations.
@@ -100,14 +99,14 @@ fn huber(scale: f64) -> Loss {
 
 /// The scale of the residuals of all views without a fault.
 pub(crate) fn scale_of(observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
-    let taking_part = observations
+    let used = observations
         .iter()
         .zip(residuals)
         .filter(|(observation, _)| observation.used.contains(&true));
-    median_scale(taking_part.flat_map(|(_, residuals)| residuals.iter().copied()))
+    median_scale(used.flat_map(|(_, residuals)| residuals.iter().copied()))
 }
 
-/// The part of the corners taking part that are further off than `limit`.
+/// The share of the used corners whose residuals exceed `limit`.
 fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[f64; 2]>]) -> f64 {
     let corners = || {
         observations
@@ -120,8 +119,8 @@ fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[
     beyond as f64 / corners().count().max(1) as f64
 }
 
-/// Lets those corners take part that are within `limit` (and can be projected at all); answers
-/// whether that changed.
+/// Selects the inliers: corners that can be projected, with residuals within `limit`. Returns whether
+/// the selection changed.
 pub(crate) fn select(
     observations: &mut [BoardObservation],
     residuals: &[Vec<[f64; 2]>],

@@ -1,4 +1,4 @@
-//! Where to start without any guess: Zhang's closed form, or, where a lens bends the image too
+//! Where to start without any guess: Zhang's closed form, or, where a lens distorts the image too
 //! strongly for it, the focal length under which linear poses fit best.
 
 use nalgebra::{Point2, Point3, Vector3};

@@ -88,7 +88,7 @@ fn a_refit_states_its_error_or_is_refused() {
     assert!(matches!(line, ExportError::Refit { worst_px, .. } if worst_px > 0.5), "{line}");
 }
 
-/// Two cameras of a rig, a quarter of a meter apart.
+/// Two cameras of a rig, a quarter of a meter from each other.
 fn rig() -> Calibration {
     let id = |camera: &str| SensorId::of(camera, SensorKind::Color);
     let camera = |name: &str| CalibratedSensor::image(id(name), example().color().unwrap().clone());

@@ -171,8 +171,8 @@ mod tests {
         };
         for a in 0..40 {
             for b in (a..60).flat_map(|b| (0..4).map(move |turns| (b, turns))) {
-                let apart = (code(a, 0) ^ code(b.0, b.1)).count_ones();
-                assert!(apart >= 11 || b == (a, 0), "{a} {b:?} {apart}");
+                let distance = (code(a, 0) ^ code(b.0, b.1)).count_ones();
+                assert!(distance >= 11 || b == (a, 0), "{a} {b:?} {distance}");
             }
         }
     }

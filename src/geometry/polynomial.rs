@@ -38,8 +38,8 @@ fn roots(coefficients: &[f64], end: f64) -> Vec<f64> {
 }
 
 /// Newton's method, held between two places where the sign differs: where it would leave them, or
-/// its steps do not halve, the way between them is halved, in the logarithm where they are far
-/// apart.
+/// its steps do not halve, the way between them is halved, in the logarithm where their ratio
+/// is large.
 fn root_between(coefficients: &[f64], mut low: f64, mut high: f64) -> f64 {
     let sign = evaluate(coefficients, low).signum();
     let middle = |low: f64, high: f64| match low {

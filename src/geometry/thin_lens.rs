@@ -98,8 +98,8 @@ impl ThinLens {
     pub fn depth_of_field(self, blur_px: f64) -> DepthOfField {
         let aperture_m = self.focal_m / self.f_number;
         let magnified = self.focal_m / (1.0 - self.focal_m / self.focus_m);
-        let apart = blur_px * self.pixel_m / (aperture_m * magnified);
-        let (near, far) = (1.0 / self.focus_m + apart, 1.0 / self.focus_m - apart);
+        let difference = blur_px * self.pixel_m / (aperture_m * magnified);
+        let (near, far) = (1.0 / self.focus_m + difference, 1.0 / self.focus_m - difference);
         DepthOfField {
             near_m: 1.0 / near,
             far_m: if far > 0.0 { 1.0 / far } else { f64::INFINITY },

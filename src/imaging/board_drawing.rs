@@ -32,7 +32,7 @@ const LETTERING: u32 = 2;
 
 /// Draws a board seen from its front, x to the right and y down: dark where it is nearest to the
 /// camera, bright where it is farthest; arrows from where points were stated, so many times
-/// longer as the caption says. `None` without two points that are apart.
+/// longer as the caption says. `None` without two different points.
 pub fn draw_board(board: BoardOffsets<'_>) -> Option<RgbImage> {
     let place = BoardOnPage::of(board.points)?;
     let heights = || board.offsets_m.iter().map(|o| o[2]);
@@ -92,7 +92,7 @@ struct BoardOnPage {
     pixels_per_m: f64,
     margin_px: f64,
     size: [u32; 2],
-    /// About how far points are apart, in meters.
+    /// About the distance between neighboring points, in meters.
     spacing: f64,
 }
 
@@ -185,7 +185,7 @@ mod tests {
             light(70, 32),
             light(735, 32)
         );
-        // 1e-4 m is drawn 200 times longer: 20 of 25 mm, 84 px apart, downward.
+        // 1e-4 m is drawn 200 times longer: 20 of 25 mm, 84 px, downward.
         let place = BoardOnPage::of(&points).unwrap();
         let corner = place.pixel([points[4][0], points[4][1]]);
         let white =

@@ -26,7 +26,7 @@ enum ColorProjection {
     Table(DistortionLookup),
 }
 
-/// Every lens that bends the plane, as the rational one with coefficients of 0.
+/// Every lens with a distorted image plane, as a rational one with some coefficients 0.
 #[derive(Debug, Clone, Copy)]
 struct PlaneLens {
     focal: [f32; 2],
@@ -87,7 +87,7 @@ impl ColorView {
 }
 
 impl PlaneLens {
-    /// `None` for a lens that does not bend the plane.
+    /// `None` for another kind of lens.
     fn new(lens: &Lens, size: ImageSize) -> Option<Self> {
         let [k1, k2, p1, p2, k3, k4, k5, k6] = lens.distortion.as_rational()?;
         let (numerator, denominator, tangential) = ([k1, k2, k3], [k4, k5, k6], [p1, p2]);
@@ -125,19 +125,19 @@ impl PlaneLens {
 fn radius_limit(lens: &Lens, size: ImageSize) -> f64 {
     let [low, high] = seen(lens, size);
     let shown = low.abs().sup(&high.abs()).norm();
-    let bends_on = |radius: f64| {
+    let is_one_to_one = |radius: f64| {
         let directions = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)];
         directions.iter().all(|(x, y)| {
             lens.pixel_from_point(&Point3::new(x * radius, y * radius, 1.0)).is_some()
         })
     };
     let (mut inside, mut outside) = (0.0, shown);
-    if bends_on(shown) {
+    if is_one_to_one(shown) {
         return shown;
     }
     for _ in 0..40 {
         let between = 0.5 * (inside + outside);
-        if bends_on(between) {
+        if is_one_to_one(between) {
             inside = between;
         } else {
             outside = between;

@@ -141,14 +141,14 @@ fn write_on_contour(
     let inside = |place: &&(u32, u32)| {
         fits(place.0, width, image.width()) && fits(place.1, height, image.height())
     };
-    let apart = |place: &(u32, u32)| {
+    let distance = |place: &(u32, u32)| {
         let far = |other: &(u32, u32)| {
             place.0.abs_diff(other.0).pow(2) + place.1.abs_diff(other.1).pow(2)
         };
         taken.iter().map(far).min().unwrap_or(u32::MAX)
     };
     // The first of those that are equally far.
-    let best = contour.iter().filter(inside).rev().max_by_key(|place| apart(place)).copied();
+    let best = contour.iter().filter(inside).rev().max_by_key(|place| distance(place)).copied();
     let clear = |place: &(u32, u32)| {
         taken
             .iter()

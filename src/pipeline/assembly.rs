@@ -28,7 +28,7 @@ use crate::pipeline::seen::SeenFrame;
 /// Frames of one camera that may wait for the others'; with more, the others are gone on without.
 /// Half a second at 30 frames a second.
 const LIMIT: usize = 16;
-/// Images further apart in time are not of one frame set, in nanoseconds: a little more than lies
+/// Largest time between images of one frame set, in nanoseconds: a little more than lies
 /// between frames at 30 a second.
 const TOGETHER_NS: i64 = 40_000_000;
 /// Images nearer in time than this are of one frame set, whatever comes next, in nanoseconds.

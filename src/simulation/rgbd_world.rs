@@ -39,7 +39,7 @@ pub struct RgbdOptions {
 }
 
 impl RgbdOptions {
-    /// A stereo depth camera beside the color camera of `color`: 25 mm and a degree apart, 640 ×
+    /// A stereo depth camera beside the color camera of `color`: 25 mm away and rotated by a degree, 640 ×
     /// 480, with an error of some per cent; lens, pose and error follow from the seed.
     pub fn new(color: WorldOptions) -> Self {
         // Each camera of a rig is another device.
@@ -214,11 +214,11 @@ mod tests {
         for index in 0..4 {
             let (late, frame) = (world.frame(index), together.frame(index));
             let through_rig = options.color_from_depth * frame.infrared_from_board;
-            let apart =
+            let distance_m =
                 (through_rig.translation() - frame.truth.camera_from_board.translation()).norm();
             assert!(
-                apart < 1e-12 && through_rig.angle_to(&frame.truth.camera_from_board) < 1e-7,
-                "{apart}"
+                distance_m < 1e-12 && through_rig.angle_to(&frame.truth.camera_from_board) < 1e-7,
+                "{distance_m}"
             );
             assert_eq!((&late.color, late.truth), (&frame.color, frame.truth));
             let shift =

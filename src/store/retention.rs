@@ -181,7 +181,7 @@ mod tests {
     use crate::calibration::session_record::SessionRecord;
     use crate::store::example_tests::{calibration, keep, record, view, views};
 
-    /// Ten sessions a day apart, `s0` the oldest; a calibration of `s1` was approved, `s9` runs.
+    /// Ten sessions on ten days, `s0` the oldest; a calibration of `s1` was approved, `s9` runs.
     fn filled(folder: &std::path::Path) -> Store {
         let store = Store::open(folder).unwrap();
         for number in 0..10 {

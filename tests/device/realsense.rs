@@ -373,14 +373,14 @@ fn a_made_walk_is_calibrated_by_the_daemon() {
     let found = named(&calibration["extrinsics"], "color_from_depth");
     let truly = named(&truth["extrinsics"], "color_from_depth");
     let distance_m = (translation(found) - translation(truly)).norm();
-    let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
+    let rotation_error_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
     assert!(
-        distance_m < 1e-3 && apart_deg < 0.05,
-        "{distance_m} m, {apart_deg}°; {}",
+        distance_m < 1e-3 && rotation_error_deg < 0.05,
+        "{distance_m} m, {rotation_error_deg}°; {}",
         calibration["verdict"]
     );
     eprintln!(
-        "color from depth: off by {:.2} mm and {apart_deg:.4}°; {}",
+        "color from depth: off by {:.2} mm and {rotation_error_deg:.4}°; {}",
         distance_m * 1e3,
         calibration["verdict"]
     );

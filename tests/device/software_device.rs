@@ -220,7 +220,7 @@ struct SoftwareDevice {
     profiles: [Handle; 4],
 }
 
-/// Records `frame_sets` as `device` would give them, `pace` apart, into a .bag file.
+/// Records `frame_sets` as `device` would give them, one every `pace`, into a .bag file.
 pub fn record(path: &Path, device: &Device, pace: Duration, frame_sets: &[SensorImages]) {
     let made = make(device);
     let file = CString::new(path.to_str().unwrap()).unwrap();

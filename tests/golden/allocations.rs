@@ -52,8 +52,9 @@ fn asked(work: impl FnOnce()) -> u64 {
 fn images() -> Vec<GrayImage> {
     let board = "9x6".parse().unwrap();
     let nuisances = [(false, false), (true, false), (false, true)];
-    let scenes = (0..12)
-        .flat_map(|seed| nuisances.map(|(covered, cropped)| (seed, Nuisance { covered, cropped })));
+    let scenes = (0..12).flat_map(|seed| {
+        nuisances.map(|(occluded, cropped)| (seed, Nuisance { occluded, cropped }))
+    });
     let mut images: Vec<_> =
         scenes.map(|(seed, nuisance)| Scene::new(seed, board, nuisance).image).collect();
     let stripes = (0..240 * 180).map(|i| if i % 240 / 7 % 2 == 0 { 40 } else { 200 }).collect();

@@ -1,4 +1,4 @@
-//! Never a wrong label: more than four thousand small seeded images of boards, whole, covered,
+//! Never a wrong label: more than four thousand small seeded images of boards, whole, occluded,
 //! cropped, both at once, turned and inverted, and of boards of another size, with noise and blur.
 //! A board may be missed, within the rates below, which may only tighten; what is answered is
 //! right.
@@ -25,7 +25,7 @@ const TOLERANCE: f64 = 0.3;
 /// What is done to an image.
 #[derive(Clone, Copy)]
 pub(crate) struct Nuisance {
-    pub(crate) covered: bool,
+    pub(crate) occluded: bool,
     pub(crate) cropped: bool,
 }
 
@@ -44,9 +44,9 @@ impl Scene {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let pixel_from_board = pixel_from_board(&mut rng, board, nuisance.cropped);
         let inverted = rng.random_bool(0.3);
-        let cover = nuisance.covered.then(|| Cover::new(&mut rng));
+        let occluder = nuisance.occluded.then(|| Occluder::new(&mut rng));
         let light = Light::new(&mut rng, inverted);
-        Self::of(&mut rng, &pixel_from_board, board, cover.as_ref(), (&light, inverted))
+        Self::of(&mut rng, &pixel_from_board, board, occluder.as_ref(), (&light, inverted))
     }
 
     /// The image of `board` where `pixel_from_board` puts it, in this light and inverted or not.
@@ -54,7 +54,7 @@ impl Scene {
         rng: &mut ChaCha8Rng,
         pixel_from_board: &Matrix3<f64>,
         board: BoardSize,
-        cover: Option<&Cover>,
+        occluder: Option<&Occluder>,
         (light, inverted): (&Light, bool),
     ) -> Self {
         let corners = (0..board.rows * board.cols)
@@ -62,19 +62,19 @@ impl Scene {
                 project(pixel_from_board, f64::from(k % board.cols), f64::from(k / board.cols))
             })
             .collect();
-        let image = render(rng, pixel_from_board, board, cover, light);
+        let image = render(rng, pixel_from_board, board, occluder, light);
         Self { image, board, corners, inverted }
     }
 
     /// Shortest way between neighboring corners, in pixels.
     pub(crate) fn shortest_step_px(&self) -> f64 {
         let cols = self.board.cols as usize;
-        let apart = |a: usize, b: usize| {
+        let distance = |a: usize, b: usize| {
             (self.corners[a][0] - self.corners[b][0]).hypot(self.corners[a][1] - self.corners[b][1])
         };
         let along =
-            (0..self.corners.len()).filter(|k| k % cols + 1 < cols).map(|k| apart(k, k + 1));
-        let down = (0..self.corners.len() - cols).map(|k| apart(k, k + cols));
+            (0..self.corners.len()).filter(|k| k % cols + 1 < cols).map(|k| distance(k, k + 1));
+        let down = (0..self.corners.len() - cols).map(|k| distance(k, k + cols));
         along.chain(down).fold(f64::MAX, f64::min)
     }
 
@@ -160,14 +160,14 @@ impl Light {
 }
 
 /// A band in front of the board.
-pub(crate) struct Cover {
+pub(crate) struct Occluder {
     middle: [f64; 2],
     along: [f64; 2],
     half: [f64; 2],
     value: f64,
 }
 
-impl Cover {
+impl Occluder {
     pub(crate) fn new(rng: &mut ChaCha8Rng) -> Self {
         let angle: f64 = rng.random_range(0.0..std::f64::consts::PI);
         Self {
@@ -236,7 +236,7 @@ fn project(matrix: &Matrix3<f64>, col: f64, row: f64) -> [f64; 2] {
 /// What a point of the image belongs to: nothing changes abruptly within.
 #[derive(Clone, Copy, PartialEq)]
 enum Part {
-    Cover,
+    Occluder,
     Square(i32, i32),
     Margin,
     Behind,
@@ -247,14 +247,14 @@ fn render(
     rng: &mut ChaCha8Rng,
     pixel_from_board: &Matrix3<f64>,
     board: BoardSize,
-    cover: Option<&Cover>,
+    occluder: Option<&Occluder>,
     light: &Light,
 ) -> GrayImage {
     let board_from_pixel = pixel_from_board.try_inverse().unwrap();
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     let part_at = |x: f64, y: f64| {
-        if cover.is_some_and(|cover| cover.hides(x, y)) {
-            return Part::Cover;
+        if occluder.is_some_and(|occluder| occluder.hides(x, y)) {
+            return Part::Occluder;
         }
         let [c, r] = project(&board_from_pixel, x, y);
         let within = |edge: f64| {
@@ -269,7 +269,7 @@ fn render(
     let value = |part: Part, x: f64, y: f64| {
         let shade = 1.0 + light.slope[0] * (x - 120.0) + light.slope[1] * (y - 90.0);
         match part {
-            Part::Cover => cover.map_or(0.0, |cover| cover.value),
+            Part::Occluder => occluder.map_or(0.0, |occluder| occluder.value),
             Part::Square(c, r) => shade * light.squares[(c + r).rem_euclid(2) as usize],
             Part::Margin => shade * light.margin,
             Part::Behind => {
@@ -341,7 +341,7 @@ const BOARDS: [&str; 8] = ["9x6", "6x9", "7x5", "5x4", "4x4", "7x7", "3x3", "8x5
 fn outcome(detectors: &mut [Detector], number: usize, nuisance: Nuisance) -> Outcome {
     let (kind, index) = (number % BOARDS.len(), number / BOARDS.len());
     let board: BoardSize = BOARDS[kind].parse().unwrap();
-    let set = 100_000 * u64::from(nuisance.covered) + 200_000 * u64::from(nuisance.cropped);
+    let set = 100_000 * u64::from(nuisance.occluded) + 200_000 * u64::from(nuisance.cropped);
     let seed = (1000 * kind + index) as u64 + set;
     let scene = Scene::new(seed, board, nuisance);
     if scene.shortest_step_px() < 7.0 {
@@ -390,28 +390,28 @@ fn rates(count: usize, nuisance: Nuisance) -> Rates {
 
 #[test]
 fn whole_boards_are_found_and_never_mislabelled() {
-    let Rates { answered, whole, wrong } = rates(150, Nuisance { covered: false, cropped: false });
+    let Rates { answered, whole, wrong } = rates(150, Nuisance { occluded: false, cropped: false });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.95 && whole >= 0.9, "answered {answered:.3}, whole {whole:.3}");
 }
 
 #[test]
 fn cropped_boards_are_never_mislabelled() {
-    let Rates { answered, wrong, .. } = rates(125, Nuisance { covered: false, cropped: true });
+    let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: false, cropped: true });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.4, "answered {answered:.3}");
 }
 
 #[test]
-fn covered_boards_are_never_mislabelled() {
-    let Rates { answered, wrong, .. } = rates(125, Nuisance { covered: true, cropped: false });
+fn occluded_boards_are_never_mislabelled() {
+    let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: true, cropped: false });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.5, "answered {answered:.3}");
 }
 
 #[test]
-fn covered_and_cropped_boards_are_never_mislabelled() {
-    let Rates { answered, wrong, .. } = rates(125, Nuisance { covered: true, cropped: true });
+fn occluded_and_cropped_boards_are_never_mislabelled() {
+    let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: true, cropped: true });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.7, "answered {answered:.3}");
 }
@@ -470,7 +470,7 @@ fn a_board_of_another_size_is_not_the_one_searched_for() {
     none_is_taken_for_nine_by_six(
         &others,
         500_000,
-        Nuisance { covered: false, cropped: false },
+        Nuisance { occluded: false, cropped: false },
         false,
     );
 }
@@ -482,7 +482,7 @@ fn a_small_board_cut_off_is_no_part_of_the_one_searched_for() {
     none_is_taken_for_nine_by_six(
         &others,
         600_000,
-        Nuisance { covered: false, cropped: true },
+        Nuisance { occluded: false, cropped: true },
         true,
     );
 }
@@ -490,7 +490,7 @@ fn a_small_board_cut_off_is_no_part_of_the_one_searched_for() {
 #[test]
 fn the_same_image_gives_the_same_bits_whatever_was_seen_before() {
     let board: BoardSize = "7x5".parse().unwrap();
-    let scene = |seed| Scene::new(seed, board, Nuisance { covered: false, cropped: false });
+    let scene = |seed| Scene::new(seed, board, Nuisance { occluded: false, cropped: false });
     let options = DetectOptions { allow_partial: true };
     let mut used = Detector::new(board);
     for seed in 0..20 {

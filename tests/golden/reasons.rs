@@ -120,13 +120,13 @@ fn a_board_beyond_the_border_is_cut_off() {
 }
 
 #[test]
-fn a_covered_board_is_incomplete() {
+fn an_occluded_board_is_incomplete() {
     let mut pixels = Straight::new(24.0).image().into_pixels();
     for y in 90..135 {
         pixels[y * 320 + 120..y * 320 + 190].fill(128);
     }
-    let covered = GrayImage::from_pixels(320, 240, pixels).unwrap();
-    let reason = search(&covered, false).expect_err("covered");
+    let occluded = GrayImage::from_pixels(320, 240, pixels).unwrap();
+    let reason = search(&occluded, false).expect_err("occluded");
     assert!(
         matches!(reason, NoBoard::Incomplete { seen, .. } if (30..54).contains(&seen)),
         "{reason}"

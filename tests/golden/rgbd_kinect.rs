@@ -250,7 +250,7 @@ fn the_document_reprojects_as_it_says() {
         for corner in &capture.color {
             let pixel = color.lens.pixel_from_point(&(pose * corner.point_in_board)).unwrap();
             let off_px = pixel.distance_px(corner.pixel);
-            // Corners that took no part are not in the figure; which these are it does not say.
+            // Outliers are not in the figure; which these are it does not say.
             if off_px < 5.0 * view.rms_px.unwrap() {
                 (of_view, corners) = (of_view + off_px * off_px, corners + 1.0);
             }

@@ -73,13 +73,14 @@ fn compare(image: &Path, reference: &Path) -> Compared {
     let stored = (0..4).map(ordered).min_by(|a, b| squares(a).total_cmp(&squares(b))).unwrap();
     let count = stored.len() as f64;
     let pixels: Vec<Pixel> = found.corners.iter().map(|corner| corner.pixel).collect();
-    let apart = || {
+    let differences = || {
         pixels.iter().zip(&stored).map(|(found, stored)| [found.x - stored.x, found.y - stored.y])
     };
     Compared {
-        mean_px: [0, 1].map(|axis| apart().map(|apart| apart[axis]).sum::<f64>() / count),
+        mean_px: [0, 1]
+            .map(|axis| differences().map(|difference| difference[axis]).sum::<f64>() / count),
         rms_px: (squares(&stored) / count).sqrt(),
-        largest_px: apart().map(|[x, y]| x.hypot(y)).fold(0.0, f64::max),
+        largest_px: differences().map(|[x, y]| x.hypot(y)).fold(0.0, f64::max),
         off_plane_px: [off_plane_px(board, &pixels), off_plane_px(board, &stored)],
     }
 }

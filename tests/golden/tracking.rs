@@ -9,7 +9,7 @@ use plumb::geometry::board::BoardSize;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use crate::detection::{Cover, Light, Scene, pixel_from_board};
+use crate::detection::{Light, Occluder, Scene, pixel_from_board};
 
 const BOARDS: [&str; 6] = ["9x6", "7x5", "5x4", "4x4", "6x9", "8x5"];
 
@@ -34,12 +34,12 @@ impl Stream {
         Self { rng, board, light, inverted, pixel_from_board, motion }
     }
 
-    fn scene(&mut self, cover: Option<&Cover>) -> Scene {
+    fn scene(&mut self, occluder: Option<&Occluder>) -> Scene {
         Scene::of(
             &mut self.rng,
             &self.pixel_from_board,
             self.board,
-            cover,
+            occluder,
             (&self.light, self.inverted),
         )
     }
@@ -132,8 +132,8 @@ fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
             let mut stream = Stream::new(500 + 10 * kind as u64 + stream, board.parse().unwrap());
             let mut detector = Detector::new(stream.board);
             for number in 0..20 {
-                let cover = (number % 7 == 5).then(|| Cover::new(&mut stream.rng));
-                let scene = stream.scene(cover.as_ref());
+                let occluder = (number % 7 == 5).then(|| Occluder::new(&mut stream.rng));
+                let scene = stream.scene(occluder.as_ref());
                 let whole_board = inside(&stream.pixel_from_board, stream.board)
                     && scene.shortest_step_px() > 8.0;
                 let tracked = search(&mut detector, &scene);

@@ -31,9 +31,9 @@ fn the_truth_lies_within_the_predicted_uncertainty() {
         let number = |of: &Value| of[name].as_f64().unwrap();
         let (found, std) = (number(&sensor["lens"]), number(&sensor["lens_std"]));
         let exact = number(&truth["sensors"]["color"]["lens"]);
-        let apart = (found - exact).abs();
+        let error = (found - exact).abs();
         assert!(
-            apart < 3.0 * std && apart < 0.001 * exact,
+            error < 3.0 * std && error < 0.001 * exact,
             "{name}: {found} ± {std}, truth {exact}"
         );
     }

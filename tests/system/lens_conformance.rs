@@ -240,9 +240,9 @@ fn agrees_with_opencv() {
             assert_eq!((points_m.len(), pixels.len()), (169, 169));
             for (point, [x, y]) in points_m.iter().zip(pixels) {
                 let pixel = lens.pixel_from_point(&Point3::from(*point)).unwrap();
-                let apart = pixel.distance_px(Pixel::new(*x, *y));
+                let distance_px = pixel.distance_px(Pixel::new(*x, *y));
                 assert!(
-                    apart < 1e-9,
+                    distance_px < 1e-9,
                     "{} at {point:?}: {pixel:?}, OpenCV ({x}, {y})",
                     lens.model()
                 );

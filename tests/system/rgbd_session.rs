@@ -58,10 +58,10 @@ fn color_and_depth_are_calibrated_together_through_the_daemon() {
     let found = named(&calibration["extrinsics"], "color_from_depth");
     let truly = named(&truth["extrinsics"], "color_from_depth");
     let distance_m = (vector(&found["translation"]) - vector(&truly["translation"])).norm();
-    let apart_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
+    let rotation_error_deg = rotation(found).angle_to(&rotation(truly)).to_degrees();
     assert!(
-        distance_m < 1e-3 && apart_deg < 0.05,
-        "{distance_m} m, {apart_deg}°, ± {}; {verdict}",
+        distance_m < 1e-3 && rotation_error_deg < 0.05,
+        "{distance_m} m, {rotation_error_deg}°, ± {}; {verdict}",
         found["translation_std"]
     );
     is_of_use(&served, session["calibration"].as_str().unwrap());

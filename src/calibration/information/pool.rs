@@ -49,7 +49,7 @@ impl Pool {
     }
 
     /// The views in order: each the one that lowers the goal most beside those before it. Views
-    /// that took no part in the estimate are left out.
+    /// that the estimate did not use are left out.
     pub fn order(&self) -> Vec<PoolStep> {
         let mut left: Vec<&(usize, DMatrix<f64>)> = self.views.iter().collect();
         let mut known = self.nothing.clone();
@@ -122,7 +122,7 @@ const BETTER: f64 = 0.999;
 const MOST_EXCHANGES: usize = 50;
 
 /// The information of one view of an estimate on the parameters in `free`, with the noise that the
-/// estimate found: `None` for a view that took no part.
+/// estimate found: `None` for an unused view.
 pub fn information_in(
     estimate: &CameraEstimate,
     free: &[usize],

@@ -230,7 +230,7 @@ pub struct ProjectionUncertainty {
 pub struct CalibratedView {
     /// Its path or sequence number.
     pub name: String,
-    /// Whether it took part in the estimate.
+    /// Whether it was used in the estimate.
     pub used: bool,
     /// Why not.
     pub reason: Option<String>,

@@ -46,7 +46,7 @@ pub(super) struct ImagePairs {
     pub rotated: Vec<RotatedPair>,
     /// Pairs between which nothing moved.
     pub still: usize,
-    /// The number of agreeing matches between each image and the next.
+    /// The number of inlier matches between each image and the next.
     pub between_neighbors: Vec<usize>,
 }
 

@@ -36,7 +36,7 @@ pub enum SceneRefusal {
         "no two images show the same scene: between neighbors a median of {between_neighbors} matches agree; take smaller steps, and something whose texture does not repeat"
     )]
     NothingAgrees {
-        /// The median number of agreeing matches between an image and the next.
+        /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
     /// The same image, or a camera on a tripod.
@@ -63,7 +63,7 @@ pub enum SceneRefusal {
         used: usize,
         /// All.
         images: usize,
-        /// The median number of agreeing matches between an image and the next.
+        /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
     /// Focal length and depth trade.

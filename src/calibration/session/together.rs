@@ -47,11 +47,11 @@ impl Together {
         let (Some(first), Some(second)) = (&frame_set[one], &frame_set[other]) else {
             return false;
         };
-        let apart_s = (first.frame.host_time_ns - second.frame.host_time_ns) as f64 * 1e-9;
+        let elapsed_s = (first.frame.host_time_ns - second.frame.host_time_ns) as f64 * 1e-9;
         let speeds = self.motion_px_per_s[one].zip(self.motion_px_per_s[other]);
         let fastest = speeds.map(|(a, b)| a.max(b));
-        apart_s.abs() <= SAME_TIME_S
-            || fastest.is_some_and(|speed| speed * apart_s.abs() <= SHARED_MOTION_PX)
+        elapsed_s.abs() <= SAME_TIME_S
+            || fastest.is_some_and(|speed| speed * elapsed_s.abs() <= SHARED_MOTION_PX)
     }
 }
 

@@ -5,7 +5,7 @@ use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{LatticeScene, expect_bent, settle};
+use crate::detection::coded::lattice::{LatticeScene, expect_curved, settle};
 use crate::detection::coded::print::LabelledPrint;
 use crate::detection::coded::thresholds::{
     MOST_MISPLACED_SHARE, MOST_MISPLACEMENT, MOST_MOVED, MOST_REACH_PX, MOST_REFINED_MISPLACEMENT,
@@ -93,11 +93,11 @@ impl TargetDetector {
                         .map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()))
                 };
                 let mut off = off_from(expected);
-                // Where a lens bends lines, those that end here show it.
+                // Under lens distortion the lines that end here are curved.
                 if off > most
-                    && let Some(bent) = expect_bent(&self.sheets, &self.grid, (i, j))
+                    && let Some(curved) = expect_curved(&self.sheets, &self.grid, (i, j))
                 {
-                    off = off.min(off_from(bent));
+                    off = off.min(off_from(curved));
                 }
                 let suspect = self.grid.get(i, j).is_some_and(|node| node.tight);
                 let off = if suspect { off / SUSPECT_SHARE } else { off };

@@ -137,8 +137,8 @@ impl LatticeGrowth {
             labelled,
         };
         place.detect(scene).or_else(|| {
-            let bent = expect_bent(scene.sheets, grid, at)?;
-            Expected { pixel: bent, ..place }.detect(scene)
+            let curved = expect_curved(scene.sheets, grid, at)?;
+            Expected { pixel: curved, ..place }.detect(scene)
         })
     }
 }
@@ -200,7 +200,7 @@ impl Expected {
 
 /// Where the lines that end beside the crossing (i, j) put it if they go on bending: a polynomial
 /// of second order through the last three crossings of each.
-pub(super) fn expect_bent(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<Vec2> {
+pub(super) fn expect_curved(sheets: &Sheets, grid: &Grid, (i, j): (i32, i32)) -> Option<Vec2> {
     let (mut sum, mut count) = (Vec2::zeros(), 0.0);
     for (di, dj) in [(1, 0), (0, 1), (-1, 0), (0, -1)] {
         let at = |k: i32| sheets.line(if dj == 0 { i + k * di } else { j + k * dj });

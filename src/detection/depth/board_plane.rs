@@ -35,7 +35,7 @@ impl Default for PlaneOptions {
 pub enum NoPlane {
     /// Every reading is the same.
     #[error(
-        "its depth image reads {reading} everywhere: it was lost or not yet there, and takes no part"
+        "its depth image reads {reading} everywhere: it was lost or not yet there, and is not used"
     )]
     Blank {
         /// Which.

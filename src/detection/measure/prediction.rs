@@ -1,5 +1,5 @@
 //! A corner measured where it is predicted: by its neighbors, by the homography of the board, or by
-//! the surface that lens distortion bends it to.
+//! the surface that lens distortion makes of it.
 //!
 //! Position, directions of the edges and which squares are bright are all predicted, so that a
 //! corner needs no candidate.

@@ -9,7 +9,7 @@ pub(super) const LANES: usize = 16;
 /// Minimum corners per term.
 const SAMPLES_PER_TERM: usize = 2;
 /// Pivot threshold relative to the diagonal; rejects near-collinear basis terms.
-const APART: f64 = 1e-6;
+const LEAST_PIVOT: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 2;
 /// A sample this many times the mean square off has lost three quarters of its weight (Geman &
@@ -115,10 +115,10 @@ impl FieldSums {
 
     /// The coefficients of the order up to `order` that generalized cross-validation prefers
     /// (Craven and Wahba, 1979), of `count` samples; and the mean square of the highest order.
-    /// `apart` is the pivot threshold. `None`: the samples do not determine even a mean.
-    pub fn solve(mut self, order: usize, count: usize, apart: f64) -> Option<SolvedField> {
+    /// `least_pivot` is the pivot threshold. `None`: the samples do not determine even a mean.
+    pub fn solve(mut self, order: usize, count: usize, least_pivot: f64) -> Option<SolvedField> {
         let Self { normal, right, trust, squares } = &mut self;
-        let sound = factor(normal, TERMS[order], apart);
+        let sound = factor(normal, TERMS[order], least_pivot);
         // The part of the squares that each term explains.
         for row in 0..sound {
             right[row] = (right[row] - dot(&normal[row][..row], &right[..row])) / normal[row][row];
@@ -162,7 +162,7 @@ impl BoardField {
                 terms: TERMS[order],
                 mean_square,
             });
-            let Some(solved) = sums.solve(order, samples.len(), APART) else { break };
+            let Some(solved) = sums.solve(order, samples.len(), LEAST_PIVOT) else { break };
             (field.solution, mean_square) =
                 (solved.solution, solved.mean_square.max(f64::MIN_POSITIVE));
         }
@@ -284,13 +284,13 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Replaces the first `terms` of `normal` by the lower triangular L with L·Lᵀ; returns how many of
 /// them the samples determine.
-fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, apart: f64) -> usize {
+fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, least_pivot: f64) -> usize {
     for row in 0..terms {
         for col in 0..=row {
             let rest = normal[row][col] - dot(&normal[row][..col], &normal[col][..col]);
             if col < row {
                 normal[row][col] = rest / normal[col][col];
-            } else if rest > apart * normal[row][row] {
+            } else if rest > least_pivot * normal[row][row] {
                 normal[row][row] = rest.sqrt();
             } else {
                 return row;

@@ -36,18 +36,18 @@ impl WithSimd for Halves<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let mut apart = [None; 2];
-        for (edge, apart) in apart.iter_mut().enumerate() {
-            // Of all pixels, then of the near ones: squared derivatives by the shift, derivatives
+        let mut disagreements = [None; 2];
+        for (edge, disagreement) in disagreements.iter_mut().enumerate() {
+            // Of all pixels, then of the near ones: squared derivatives by the offset, derivatives
             // times residuals.
             let [all, all_score, near, near_score] = self.sums(simd, edge);
             let far = all - near;
             if near.min(far) > LEAST_SHARE * all {
                 let difference = near_score / near - (all_score - near_score) / far;
-                *apart = Some(difference * difference * near * far / all);
+                *disagreement = Some(difference * difference * near * far / all);
             }
         }
-        apart
+        disagreements
     }
 }
 

@@ -14,10 +14,10 @@ use crate::detection::refine::field::{
 use crate::geometry::pixel::Pixel;
 
 /// Highest order of the curvature polynomial.
-const BEND_ORDER: usize = 4;
+const LINE_CURVATURE_ORDER: usize = 4;
 /// Pivot threshold relative to the diagonal; rejects near-collinear basis terms, as high powers of
 /// t on short lines are.
-const APART: f64 = 1e-3;
+const LEAST_PIVOT: f64 = 1e-3;
 /// Least squares are repeated against outliers.
 const ROUNDS: usize = 2;
 /// Mean square of normally distributed numbers under the robust weights (1 + z²/6)⁻².
@@ -101,7 +101,7 @@ impl Straightness {
         self.points.iter_mut().for_each(|point| point.t /= scale);
         pulp::Arch::new().dispatch(Preparation { lines: self });
         let free: usize = self.lines().map(|line| line.len() - 2).sum();
-        let order = highest_order(free, BEND_ORDER);
+        let order = highest_order(free, LINE_CURVATURE_ORDER);
         let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
         let mut scatter = None;
         for _ in 0..ROUNDS {
@@ -111,7 +111,8 @@ impl Straightness {
                 terms: TERMS[order],
                 mean_square,
             };
-            let Some(solved) = pulp::Arch::new().dispatch(summation).solve(order, free, APART)
+            let Some(solved) =
+                pulp::Arch::new().dispatch(summation).solve(order, free, LEAST_PIVOT)
             else {
                 return;
             };

@@ -100,7 +100,7 @@ fn mean(a: u8, b: u8) -> u8 {
 }
 
 #[inline(always)]
-fn apart(a: u8, b: u8) -> u8 {
+fn absolute_difference(a: u8, b: u8) -> u8 {
     a.max(b) - a.min(b)
 }
 
@@ -157,10 +157,10 @@ fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
             };
         }
         let means = pairs!(mean);
-        let unlike = pairs!(apart);
+        let unlike = pairs!(absolute_difference);
         let range = of_eight!(u8::max, means) - of_eight!(u8::min, means);
         let center = mean(mean(middle[0][i], middle[1][i]), mean(middle[2][i], middle[3][i]));
-        let offset = apart(center, of_eight!(mean, means));
+        let offset = absolute_difference(center, of_eight!(mean, means));
         out[i] = range
             .saturating_sub(of_eight!(mean, unlike))
             .saturating_sub(offset)

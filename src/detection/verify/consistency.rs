@@ -57,7 +57,7 @@ fn drop_misplaced(grid: &mut Grid, thresholds: &ConsistencyThresholds) -> bool {
 /// from the prediction on a curved board.
 pub(in crate::detection) fn outlier(grid: &Grid, i: i32, j: i32, most: f32) -> Option<f32> {
     let off = off_neighbors(grid, i, j)?;
-    Some(if off > most { off_curve(grid, i, j).map_or(off, |bent| off.min(bent)) } else { off })
+    Some(if off > most { off_curve(grid, i, j).map_or(off, |curved| off.min(curved)) } else { off })
 }
 
 /// Distance of the corner (i, j) from the prediction on a curved board, in steps.

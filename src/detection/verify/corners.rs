@@ -120,8 +120,8 @@ pub(in crate::detection) fn drop_outliers(
             // A line along an occluder's edge is no reference for itself: it may follow that edge,
             // corner by corner.
             let tight = grid.get(i, j).is_some_and(|node| node.tight);
-            let bent = off_curve(grid, i, j).filter(|_| tight).unwrap_or(off);
-            let holds = off.min(bent) < thresholds.most_off_near_occluder;
+            let off_curved = off_curve(grid, i, j).filter(|_| tight).unwrap_or(off);
+            let holds = off.min(off_curved) < thresholds.most_off_near_occluder;
             return if tight { holds } else { near(off) };
         }
         // At the end of a line there are few neighbors, and slant or curvature biases their

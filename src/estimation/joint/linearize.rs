@@ -35,7 +35,7 @@ pub(crate) struct Columns {
     /// Turned points (without the shift), then points in the camera frame: x, y, z each.
     points: [Vec<f64>; 6],
     distorted: DistortedColumns,
-    /// The residuals in pixels, and √weight / std of each corner; 0 for one that takes no part.
+    /// The residuals in pixels, and √weight / std of each corner; 0 for an unused one.
     miss: [Vec<f64>; 2],
     factor: Vec<f64>,
     values: Vec<f64>,
@@ -53,7 +53,7 @@ impl Columns {
 const LANES: usize = 8;
 
 /// Linearizes one observation into `local`, with its unweighted residuals (in units of each corner's
-/// standard deviation) in `residuals`. Answers false where a corner that takes part cannot be
+/// standard deviation) in `residuals`. Answers false where a used corner cannot be
 /// projected.
 pub(crate) fn linearize_observation(
     (layout, state): (&Layout, &State),
@@ -134,7 +134,7 @@ impl ObservationRef<'_> {
         }
     }
 
-    /// Residuals, weights and cost; false where a corner that takes part is not projected.
+    /// Residuals, weights and cost; false where a used corner is not projected.
     #[inline(always)]
     fn weigh(&mut self) -> bool {
         let matrix = self.state.lenses[self.observation.sensor].matrix;

@@ -43,7 +43,7 @@ pub(crate) struct Minimum {
 const EXACT: f64 = 1e-11;
 
 impl Minimum {
-    /// Where a walk from `start` begins. `None` where a corner that takes part cannot be projected.
+    /// Where a walk from `start` begins. `None` where a used corner cannot be projected.
     pub(crate) fn start(
         layout: &Layout,
         start: State,

@@ -43,7 +43,7 @@ pub(crate) struct BoardObservation {
     pub(crate) pixels: Vec<Pixel>,
     /// 1 over each corner's relative standard deviation, in 1/px.
     pub(crate) inverse_std: Vec<f64>,
-    /// Whether each corner takes part.
+    /// Whether each corner is used.
     pub(crate) used: Vec<bool>,
 }
 

@@ -11,7 +11,7 @@ use crate::estimation::robust::Loss;
 /// The normal equations of all observations at one state.
 #[derive(Debug, Clone)]
 pub(crate) struct NormalEquations {
-    /// Σ ρ of the loss over the corners that take part.
+    /// Σ ρ of the loss over the used corners.
     pub(crate) cost: f64,
     pub(crate) global: DMatrix<f64>,
     pub(crate) global_gradient: DVector<f64>,
@@ -40,7 +40,7 @@ pub(crate) struct Step {
     pub(crate) predicted_decrease: f64,
 }
 
-/// The normal equations at `state`; `None` where a corner that takes part cannot be projected.
+/// The normal equations at `state`; `None` where a used corner cannot be projected.
 pub(crate) fn linearize(
     layout: &Layout,
     state: &State,

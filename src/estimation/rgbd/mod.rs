@@ -24,7 +24,7 @@ use crate::estimation::rgbd::corners::CornerBlocks;
 use crate::estimation::rgbd::planes::Planes;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
 
-const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, bend: 0.01 };
+const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
 /// Calibrates color and depth.
 ///

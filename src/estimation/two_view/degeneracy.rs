@@ -63,9 +63,9 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     if inliers.len() < LEAST_INLIERS {
         return None;
     }
-    let agreeing: Vec<PointPair> = inliers.iter().map(|k| pairs[*k]).collect();
-    let fundamental = refine_fundamental(&model, &agreeing).unwrap_or(model);
-    let planar = Planar { pairs: &agreeing, size };
+    let inlier_pairs: Vec<PointPair> = inliers.iter().map(|k| pairs[*k]).collect();
+    let fundamental = refine_fundamental(&model, &inlier_pairs).unwrap_or(model);
+    let planar = Planar { pairs: &inlier_pairs, size };
     // Plane or not is asked at F's own precision.
     let limit_px = limit_px.max(1.0) * 1.5;
     let options = RansacOptions { max_limit_px: 8.0, ..RansacOptions::default() };
@@ -73,10 +73,10 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
     let on_homography = homography.as_ref().map_or(0, |homography| {
         let explained =
             |k: &usize| planar.squared_residual_px2(homography, *k) <= limit_px * limit_px;
-        (0..agreeing.len()).filter(explained).count()
+        (0..inlier_pairs.len()).filter(explained).count()
     });
-    let displacement_px = median_displacement_px(&agreeing);
-    let kind = if on_homography as f64 > HOMOGRAPHY_PART * agreeing.len() as f64 {
+    let displacement_px = median_displacement_px(&inlier_pairs);
+    let kind = if on_homography as f64 > HOMOGRAPHY_PART * inlier_pairs.len() as f64 {
         TwoViewKind::Homography
     } else {
         TwoViewKind::General

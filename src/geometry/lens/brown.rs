@@ -34,7 +34,10 @@ impl PlaneDistortion<5> for Brown {
     }
 
     #[inline(always)]
-    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 5>) {
+    fn distorted_with_jacobians(
+        &self,
+        ideal: Vector2<f64>,
+    ) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 5>) {
         let (x, y) = (ideal.x, ideal.y);
         let (p1, p2) = (self.p1, self.p2);
         let (xx, xy, yy) = (x * x, x * y, y * y);
@@ -43,7 +46,7 @@ impl PlaneDistortion<5> for Brown {
         let factor = self.radial_factor(r2);
         let slope = 2.0 * (self.k1 + r2 * (2.0 * self.k2 + 3.0 * r2 * self.k3));
         let (ax, ay) = (r2 + 2.0 * xx, r2 + 2.0 * yy);
-        let bent = Vector2::new(
+        let distorted = Vector2::new(
             factor * x + 2.0 * p1 * xy + p2 * ax,
             factor * y + p1 * ay + 2.0 * p2 * xy,
         );
@@ -66,7 +69,7 @@ impl PlaneDistortion<5> for Brown {
             2.0 * xy,
             y * r6,
         );
-        (bent, by_ideal, by_coefficients)
+        (distorted, by_ideal, by_coefficients)
     }
 }
 

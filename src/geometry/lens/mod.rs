@@ -250,7 +250,7 @@ impl Distortion {
 pub struct Lens {
     /// fx, fy, cx, cy, skew.
     pub matrix: CameraMatrix,
-    /// What bends the rays before it.
+    /// The distortion, applied before the camera matrix.
     pub distortion: Distortion,
 }
 

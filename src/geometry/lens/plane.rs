@@ -1,4 +1,4 @@
-//! What the models share that bend the image *plane*: pinhole, radial, brown, rational.
+//! What the models share that distort the image *plane*: pinhole, radial, brown, rational.
 //!
 //! Such a model maps ideal normalized coordinates (x/z, y/z) to distorted ones, and is one-to-one
 //! up to a largest radius.
@@ -25,7 +25,10 @@ pub(super) trait PlaneDistortion<const N: usize> {
 
     /// The distorted coordinates of ideal ones, their 2×2 derivative, and the derivative by the
     /// coefficients.
-    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, N>);
+    fn distorted_with_jacobians(
+        &self,
+        ideal: Vector2<f64>,
+    ) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, N>);
 }
 
 pub(super) fn distort<const N: usize>(
@@ -33,8 +36,8 @@ pub(super) fn distort<const N: usize>(
     point: &Point3<f64>,
 ) -> Option<Vector2<f64>> {
     let ideal = ideal_from_point(model, point)?;
-    let (bent, by_ideal, _) = model.bend(ideal);
-    (by_ideal.determinant() > 0.0).then_some(bent)
+    let (distorted_ideal, by_ideal, _) = model.distorted_with_jacobians(ideal);
+    (by_ideal.determinant() > 0.0).then_some(distorted_ideal)
 }
 
 /// Without branches, so that a loop over points becomes vector code.
@@ -49,7 +52,7 @@ pub(super) fn distort_or_axis<const N: usize>(
     let inside = (point.z > 0.0) & (x * x + y * y < model.radius2_limit());
     let inverse_z = if inside { inverse_z } else { 1.0 };
     let ideal = if inside { Vector2::new(x, y) } else { Vector2::zeros() };
-    let (normalized, by_ideal, by_coefficients) = model.bend(ideal);
+    let (normalized, by_ideal, by_coefficients) = model.distorted_with_jacobians(ideal);
     let along = |axis: usize| {
         let (by_x, by_y) = (by_ideal[(axis, 0)] * inverse_z, by_ideal[(axis, 1)] * inverse_z);
         [by_x, by_y, -(by_x * ideal.x + by_y * ideal.y)]
@@ -91,8 +94,8 @@ pub(super) fn undistort<const N: usize>(
     }
     let mut best = f64::INFINITY;
     for _ in 0..50 {
-        let (bent, by_ideal, _) = model.bend(ideal);
-        let miss = bent - distorted;
+        let (distorted_ideal, by_ideal, _) = model.distorted_with_jacobians(ideal);
+        let miss = distorted_ideal - distorted;
         let determinant = by_ideal.determinant();
         if determinant <= 0.0 {
             return None;

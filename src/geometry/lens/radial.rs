@@ -26,7 +26,10 @@ impl PlaneDistortion<1> for Radial {
     }
 
     #[inline(always)]
-    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 1>) {
+    fn distorted_with_jacobians(
+        &self,
+        ideal: Vector2<f64>,
+    ) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 1>) {
         let r2 = ideal.norm_squared();
         let factor = self.radial_factor(r2);
         let slope = 2.0 * self.k1;

@@ -46,7 +46,10 @@ impl PlaneDistortion<8> for Rational {
     }
 
     #[inline(always)]
-    fn bend(&self, ideal: Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 8>) {
+    fn distorted_with_jacobians(
+        &self,
+        ideal: Vector2<f64>,
+    ) -> (Vector2<f64>, Matrix2<f64>, SMatrix<f64, 2, 8>) {
         let (x, y) = (ideal.x, ideal.y);
         let (p1, p2) = (self.p1, self.p2);
         let (xx, xy, yy) = (x * x, x * y, y * y);
@@ -55,7 +58,7 @@ impl PlaneDistortion<8> for Rational {
         let (factor, half_slope, denominator) = self.factor_and_slope(r2);
         let slope = 2.0 * half_slope;
         let (ax, ay) = (r2 + 2.0 * xx, r2 + 2.0 * yy);
-        let bent = Vector2::new(
+        let distorted = Vector2::new(
             factor * x + 2.0 * p1 * xy + p2 * ax,
             factor * y + p1 * ay + 2.0 * p2 * xy,
         );
@@ -79,7 +82,7 @@ impl PlaneDistortion<8> for Rational {
             column(r4 * below),
             column(r6 * below),
         ]);
-        (bent, by_ideal, by_coefficients)
+        (distorted, by_ideal, by_coefficients)
     }
 }
 

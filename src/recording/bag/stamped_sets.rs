@@ -1,7 +1,7 @@
 //! Frames of one camera, put together by their stamps.
 //!
-//! A bag is in the order in which messages arrived: color and depth of one moment may be apart and
-//! interleaved with the next. A few sets wait until each has all its frames.
+//! A bag is in the order in which messages arrived: color and depth of one frame set may be
+//! interleaved with those of the next. A few sets wait until each has all its frames.
 
 use std::collections::VecDeque;
 

@@ -1,7 +1,7 @@
-//! Boards with something in front of them: what is answered beside a cover is as certain as it
+//! Boards with something in front of them: what is answered beside an occluder is as certain as it
 //! says.
 //!
-//! A cover ends beside a corner, crosses its window or hides a part of it. Its edge may be taken
+//! An occluder ends beside a corner, crosses its window or hides a part of it. Its edge may be taken
 //! for one of the corner's own, and it darkens or brightens what the window sees: such corners must
 //! be left out or stated to be uncertain, and must mislead no other.
 
@@ -15,10 +15,10 @@ use rand_chacha::ChaCha8Rng;
 use crate::corner_accuracy::{Condition, SIZE, board, ordinary};
 
 const BOARDS: u64 = 8;
-const COVERS: u64 = 8;
+const OCCLUDERS: u64 = 8;
 
 /// A rectangle in front of the board, with an edge as soft as the image's.
-struct Cover {
+struct Occluder {
     middle: Pixel,
     along: [f64; 2],
     half: [f64; 2],
@@ -26,7 +26,7 @@ struct Cover {
     softness_px: f64,
 }
 
-impl Cover {
+impl Occluder {
     /// One of whose longer edges passes within half a cell of `corner`.
     fn beside(corner: Pixel, cell_px: f64, blur_px: f64, rng: &mut ChaCha8Rng) -> Self {
         let angle = rng.random_range(0.0..std::f64::consts::TAU);
@@ -71,7 +71,7 @@ impl Cover {
     }
 }
 
-/// What was answered of many covered boards.
+/// What was answered of many occluded boards.
 #[derive(Default)]
 struct Figures {
     visible: usize,
@@ -97,15 +97,15 @@ impl Figures {
             Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(seed, 4));
         let bare = renderer.light(&[camera_from_board]);
         let mut detector = Detector::new(board.size);
-        for index in 0..COVERS {
+        for index in 0..OCCLUDERS {
             let near = truth[rng.random_range(0..truth.len())];
-            let cover = Cover::beside(near, condition.cell_px, condition.blur_px, &mut rng);
+            let occluder = Occluder::beside(near, condition.cell_px, condition.blur_px, &mut rng);
             let mut light = bare.clone();
-            cover.shade(&mut light);
+            occluder.shade(&mut light);
             let image = sensor.develop(&light, seed, index);
             let options = DetectOptions { allow_partial: true };
             let visible: Vec<bool> =
-                truth.iter().map(|corner| cover.is_clear_of(*corner)).collect();
+                truth.iter().map(|corner| occluder.is_clear_of(*corner)).collect();
             self.visible += visible.iter().filter(|&&visible| visible).count();
             let Ok(detection) = detector.find_board(image.view(), &options) else { continue };
             for corner in &detection.corners {
@@ -122,14 +122,14 @@ impl Figures {
 }
 
 #[test]
-fn no_corner_beside_a_cover_is_far_off_and_nearly_all_are_seen() {
+fn no_corner_beside_an_occluder_is_far_off_and_nearly_all_are_seen() {
     let mut figures = Figures::default();
     for seed in 0..BOARDS {
         let condition = Condition {
             blur_px: [0.6, 1.2][seed as usize % 2],
             gamma: [1.0, 2.2][seed as usize / 2 % 2],
             cell_px: [20.0, 34.0][seed as usize / 4 % 2],
-            ..ordinary("beside a cover", 0.0)
+            ..ordinary("beside an occluder", 0.0)
         };
         figures.add_board(&condition, 500 + seed);
     }
