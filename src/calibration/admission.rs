@@ -205,8 +205,8 @@ impl Default for AdmissionOptions {
 }
 
 const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
-/// Two boards further from each other than this part of the diagonal are not one motion: the recording has a
-/// cut, or is a pile of photographs.
+/// Two boards further from each other than this part of the diagonal are not one motion: the
+/// recording has a cut, or is a pile of photographs.
 const CUT: f64 = 0.25;
 
 /// The frame before, with what was seen in it.

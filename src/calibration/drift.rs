@@ -123,9 +123,9 @@ mod tests {
     /// A tilted board as `lens` shows it, without noise.
     fn view(lens: &Lens, k: usize) -> BoardView {
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap();
-        let turn = Vector3::new(0.5 - 0.2 * k as f64, 0.1 + 0.15 * k as f64, 0.1);
-        let shift = Vector3::new(-0.12 + 0.02 * k as f64, -0.08, 0.4);
-        let camera_from_board = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
+        let rotation = Vector3::new(0.5 - 0.2 * k as f64, 0.1 + 0.15 * k as f64, 0.1);
+        let translation = Vector3::new(-0.12 + 0.02 * k as f64, -0.08, 0.4);
+        let camera_from_board = Pose::new(UnitQuaternion::from_scaled_axis(rotation), translation);
         let corners = (0..6).flat_map(|row| (0..9).map(move |col| (col, row)));
         let correspondences = corners.map(|(col, row)| {
             let point_in_board = board.corner_in_board(col, row);

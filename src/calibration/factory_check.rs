@@ -2,10 +2,10 @@
 //! the board on views that the latter was not fitted to.
 //!
 //! The board's planes are the corners' alone, so that they lean to neither; depth that was found in
-//! half of the views is judged by planes of that half's lens. Every view is judged by what the other
-//! half of the views gives; the factory's is given by none. Color's own lens, which
-//! may be off by what its corners leave open, scales all of its planes alike: what was found
-//! follows that, so that it must be better by more.
+//! half of the views is judged by planes of that half's lens. Every view is judged by what the
+//! other half of the views gives; the factory's is given by none. Color's own lens, which may be
+//! off by what its corners leave open, scales all of its planes alike: what was found follows that,
+//! so that it must be better by more.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 

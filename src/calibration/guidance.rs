@@ -195,9 +195,9 @@ fn outline(
     let middle =
         Vector2::new((suggested.center[0] - 0.5) * width, (suggested.center[1] - 0.5) * height)
             / square_px;
-    let turn = Vector3::new(-suggested.tilt[1], suggested.tilt[0], 0.0);
+    let rotation = Vector3::new(-suggested.tilt[1], suggested.tilt[0], 0.0);
     let camera_from_middle =
-        Pose::from_axis_angle(turn, Vector3::new(middle.x, middle.y, distance));
+        Pose::from_axis_angle(rotation, Vector3::new(middle.x, middle.y, distance));
     let corner = |x: f64, y: f64| {
         let point = camera_from_middle * nalgebra::Point3::new(x * half.x, y * half.y, 0.0);
         let center = size.center();

@@ -24,8 +24,8 @@ const MOST_LEFT: f64 = 0.02;
 const FURTHEST: (f64, f64) = (0.5, 45.0);
 
 /// # Errors
-/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far from each other for
-/// one device.
+/// [`RgbdError`]: another unit, depth that does not follow the board, or sensors too far from each
+/// other for one device.
 pub(super) fn check_joint(joint: &RgbdEstimate) -> Result<(), RgbdError> {
     let tiles = || joint.judged.iter().flatten();
     let factors = || tiles().map(|judged| judged.plane / judged.tile.inverse_depth);

@@ -191,7 +191,7 @@ fn with_uncertainty(
     }
 }
 
-/// Where in the image the used corners were seen.
+/// Where in the image the corners were seen that took part.
 fn corner_coverage(problem: &CameraProblem, estimate: &CameraEstimate) -> Coverage {
     let mut cells = Coverage::empty(problem.image_size).cells().to_vec();
     let grid = Coverage::empty(problem.image_size);

@@ -255,7 +255,7 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
 }
 
 impl Alone<'_> {
-    /// The pose of every used view, with its frame set.
+    /// The pose of every view that took part, with its frame set.
     fn poses(&self) -> SensorPoses {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
         let pose = |((frame_set, _), view): (

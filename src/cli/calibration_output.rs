@@ -107,22 +107,22 @@ fn summary(calibration: &Calibration) -> String {
 fn place_line(calibration: &Calibration, known: &Extrinsics) -> String {
     let [target, source] = [&known.target, &known.source].map(|id| calibration.name_of(id));
     let pose = &known.target_from_source;
-    let shift: Vec<String> = pose
+    let translation: Vec<String> = pose
         .translation()
         .iter()
         .zip(known.translation_std_m)
         .map(|(value, std)| value_with_std(1e3 * value, 1e3 * std))
         .collect();
-    let turn = pose.rotation().scaled_axis();
-    let turn: Vec<String> = turn
+    let rotation = pose.rotation().scaled_axis();
+    let rotation: Vec<String> = rotation
         .iter()
         .zip(known.rotation_std)
         .map(|(value, std)| value_with_std(value.to_degrees(), std.to_degrees()))
         .collect();
     format!(
         "{target} from {source}: shifted by {} mm, turned by {} degrees about x, y, z",
-        shift.join(", "),
-        turn.join(", ")
+        translation.join(", "),
+        rotation.join(", ")
     )
 }
 

@@ -27,8 +27,9 @@ pub struct Args {
     /// not depend on it.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// The problem: `{"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]}`,
-    /// meters and pixels; with "method":"dlt" one view of points that do not lie on a plane.
+    /// The problem:
+    /// `{"image_size":[w,h],"views":[{"name","object":[[X,Y,Z],…],"image":[[u,v],…]}]}`, meters and
+    /// pixels; with "method":"dlt" one view of points that do not lie on a plane.
     #[arg(value_name = "PROBLEM.json")]
     problem: PathBuf,
 }

@@ -55,9 +55,9 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 struct Verified {
     holds: bool,
-    /// How far projections are off where corners are seen, beyond their noise, in pixels; where these
-    /// views determine a lens of their own that is certainly another, how far it projects from the
-    /// calibrated one in the median over the image.
+    /// How far projections are off where corners are seen, beyond their noise, in pixels; where
+    /// these views determine a lens of their own that is certainly another, how far it projects
+    /// from the calibrated one in the median over the image.
     moved_px: f64,
     /// The most that the calibration's own uncertainty allows.
     limit_px: f64,

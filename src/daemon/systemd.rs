@@ -1,5 +1,5 @@
-//! Notifications to systemd: that the daemon is ready, that it is alive, that it ends. Without systemd,
-//! nothing happens.
+//! Notifications to systemd: that the daemon is ready, that it is alive, that it ends. Without
+//! systemd, nothing happens.
 
 use std::io::ErrorKind;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};

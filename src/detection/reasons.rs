@@ -7,8 +7,8 @@ use crate::detection::measure::cross::Vec2;
 use crate::geometry::board::BoardSize;
 use crate::imaging::gray::GrayView;
 
-/// Blur is read from the 99.9th percentile of the gradient magnitude: edges are a few thousandths of
-/// an image that shows a board.
+/// Blur is read from the 99.9th percentile of the gradient magnitude: edges are a few thousandths
+/// of an image that shows a board.
 const STEEPEST: usize = 1000;
 /// A corner this near to the image's border has no window, in pixels.
 const BORDER_PX: f32 = 1.0;

@@ -3,8 +3,9 @@
 //!
 //! They are one value, [`Thresholds`], that goes through the pipeline beside the image: nothing in
 //! `search/`, `measure/`, `verify/` or `tracking/` compares with a number of its own. The
-//! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what that
-//! costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its table.
+//! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what
+//! that costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its
+//! table.
 //!
 //! The bounds of a corner's fit are in `refine/thresholds.rs`, those of boards with markers in
 //! `coded/thresholds.rs`.
@@ -106,7 +107,8 @@ macro_rules! thresholds {
 }
 
 thresholds! {
-    /// Candidates for corners: maxima of the response, each measured twice (`search/candidates.rs`).
+    /// Candidates for corners: maxima of the response, each measured twice
+    /// (`search/candidates.rs`).
     CandidateThresholds {
         /// Tiles of the response (4×4 pixels) whose maximum is examined, per corner of the board.
         /// One square of the board among them is enough.
@@ -133,7 +135,8 @@ thresholds! {
         least_contrast: f32 = 3.0, "gray levels", ThresholdOrigin::Swept;
         /// Farthest that a candidate may move from its response.
         most_moved_px: f32 = 2.5, "px", ThresholdOrigin::Swept;
-        /// Least cosine, negated, between the two ends of an edge seen from the corner: straight is 1.
+        /// Least cosine, negated, between the two ends of an edge seen from the corner: straight is
+        /// 1.
         least_straight: f32 = 0.6, "cosine", ThresholdOrigin::Swept;
     }
 }

@@ -23,8 +23,8 @@ pub struct SceneCalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// `{"kind": "scene"}`.
     pub target: SceneTargetDocument,
-    /// The unit of lengths: null, since images do not determine it; the greatest distance between two used
-    /// cameras is 1.
+    /// The unit of lengths: null, since images do not determine it; the greatest distance between
+    /// two used cameras is 1.
     pub scene_unit: Option<String>,
     /// The sensor, under `color`.
     pub sensors: SceneSensorsDocument,

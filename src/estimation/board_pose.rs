@@ -20,8 +20,8 @@ pub struct BoardPose {
     pub camera_from_board: Pose,
     /// Root mean square of the distance between seen and projected, in pixels.
     pub rms_px: f64,
-    /// Covariance for corners with a standard deviation of their `std_px`: a turn about the
-    /// camera's axes (radians) and a shift of the view's mean point (meters).
+    /// Covariance for corners with a standard deviation of their `std_px`: a rotation about the
+    /// camera's axes (radians) and a translation of the view's mean point (meters).
     pub covariance: Matrix6<f64>,
 }
 

@@ -86,8 +86,8 @@ impl CameraFit {
         self.some_frame_sets().into_iter().flatten().collect()
     }
 
-    /// The good observations of each frame set, by index: of all frame sets that have any, or of enough of
-    /// them, evenly. For a camera by itself a frame set is a view.
+    /// The good observations of each frame set, by index: of all frame sets that have any, or of
+    /// enough of them, evenly. For a camera by itself a frame set is a view.
     pub(crate) fn some_frame_sets(&self) -> Vec<Vec<usize>> {
         let mut all: Vec<Vec<usize>> =
             vec![Vec::new(); self.robust.minimum.state.rig_from_board.len()];

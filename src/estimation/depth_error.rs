@@ -101,8 +101,8 @@ impl Prior {
 
 /// A triangulating sensor measures 1/z up to a scale and an offset. A curvature beyond that, common
 /// to the whole image, has the same effect as a translation of the sensor along its axis
-/// (1/(z + t) = 1/z − t/z² …): it is held to this part of 1/z at the middle of the depths seen, and is
-/// free to differ from one part of the image to another.
+/// (1/(z + t) = 1/z − t/z² …): it is held to this part of 1/z at the middle of the depths seen, and
+/// is free to differ from one part of the image to another.
 const LINEAR_TERMS: usize = 2;
 const MEAN_CURVATURE: f64 = 0.002;
 

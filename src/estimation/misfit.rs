@@ -4,7 +4,7 @@
 //! while the rows of the image were read one after another. Twelve unknowns a view always explain
 //! something, so motion must explain far more than a board of any shape does, or clearly more than
 //! the same with columns in place of rows: that differs only by perspective, since a shear along
-//! rows is one along columns and a turn.
+//! rows is one along columns and a rotation.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 
@@ -193,7 +193,7 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
 fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (observation, lens) = (&fit.observations[view], fit.lens());
     let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
-    let (turn, half) = (pose.rotation_matrix(), half_extent(fit));
+    let (rotation, half) = (pose.rotation_matrix(), half_extent(fit));
     let used: Vec<usize> = (0..observation.points.len()).filter(|k| observation.used[*k]).collect();
     let spread = fit.layout.sensors[0].lens.spread(lens);
     let columns = fit.layout.len + extra.shape + extra.per_view();
@@ -202,14 +202,14 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
     for (row, k) in used.into_iter().enumerate() {
         let (point, seen, weight) =
             (observation.points[k], observation.pixels[k], observation.inverse_std[k]);
-        let turned: Vector3<f64> = turn * point.coords;
+        let turned: Vector3<f64> = rotation * point.coords;
         let projection = lens.project(&Point3::from(turned + pose.translation()))?;
         let by_point: Matrix2x3<f64> = projection.by_point * weight;
         residual[2 * row] = (projection.pixel.x - seen.x) * weight;
         residual[2 * row + 1] = (projection.pixel.y - seen.y) * weight;
         let by_lens = projection.by_parameters.columns(0, spread.nrows()) * &spread * weight;
         let mut moved = Matrix3xX::zeros(columns - fit.layout.len);
-        let normal = turn.column(2).into_owned();
+        let normal = rotation.column(2).into_owned();
         for (column, height) in shape_at(&point, half).into_iter().take(extra.shape).enumerate() {
             moved.set_column(column, &(normal * height));
         }

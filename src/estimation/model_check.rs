@@ -19,9 +19,9 @@ use crate::geometry::lens::Lens;
 /// What two halves of the views say of each other.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ModelCheck {
-    /// The difference of the halves' projections, after the best compensating turn, over what their
-    /// uncertainties predict at that pixel: the root of the mean square over the image, about 1
-    /// when the model is right. `None` with fewer than six views.
+    /// The difference of the halves' projections, after the best compensating rotation, over what
+    /// their uncertainties predict at that pixel: the root of the mean square over the image, about
+    /// 1 when the model is right. `None` with fewer than six views.
     pub split_half_ratio: Option<f64>,
     /// Root mean square error of each half's views under the other half's lens, in pixels.
     pub held_out_rms_px: Option<f64>,

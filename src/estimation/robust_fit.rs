@@ -35,8 +35,8 @@ pub(crate) struct RobustFit {
     pub(crate) limit: f64,
 }
 
-/// Fits from `start`; chooses `used` of the observations whose `faults` entry is `None`, and adds the
-/// faults of views that have too few good corners. `None` where nothing can be projected or
+/// Fits from `start`; chooses `used` of the observations whose `faults` entry is `None`, and adds
+/// the faults of views that have too few good corners. `None` where nothing can be projected or
 /// everything was rejected.
 pub(crate) fn robust_fit(
     layout: &Layout,
@@ -119,8 +119,8 @@ fn part_beyond(limit: f64, observations: &[BoardObservation], residuals: &[Vec<[
     beyond as f64 / corners().count().max(1) as f64
 }
 
-/// Selects the inliers: corners that can be projected, with residuals within `limit`. Returns whether
-/// the selection changed.
+/// Selects the inliers: corners that can be projected, with residuals within `limit`. Returns
+/// whether the selection changed.
 pub(crate) fn select(
     observations: &mut [BoardObservation],
     residuals: &[Vec<[f64; 2]>],

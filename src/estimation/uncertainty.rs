@@ -1,5 +1,5 @@
 //! How far a projection can be trusted, where in the image: after the camera motion that
-//! compensates best, since what a turn of the camera explains is no error of its lens (mrcal's
+//! compensates best, since what a rotation of the camera explains is no error of its lens (mrcal's
 //! projection uncertainty and difference). Pixels that are known many times worse than most, as a
 //! corner of the image that no view reached, have little to say in that motion: what is unknown
 //! there would else be carried all over the image.
@@ -13,9 +13,9 @@ use crate::geometry::pixel::{Bearing, ImageSize, Pixel};
 /// How far away the things are that are seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Distance {
-    /// So far that only a turn of the camera compensates.
+    /// So far that only a rotation of the camera compensates.
     Infinity,
-    /// At this many meters: a turn and a shift compensate.
+    /// At this many meters: a rotation and a translation compensate.
     Meters(f64),
 }
 
@@ -117,9 +117,9 @@ impl Sample {
         let mut by_motion = Matrix2x6::zeros();
         for axis in 0..2 {
             let row = by_point.row(axis).transpose();
-            let by_turn = point.coords.cross(&row);
+            let by_rotation = point.coords.cross(&row);
             for k in 0..3 {
-                by_motion[(axis, k)] = by_turn[k];
+                by_motion[(axis, k)] = by_rotation[k];
                 by_motion[(axis, 3 + k)] = shifts * row[k];
             }
         }
@@ -127,14 +127,14 @@ impl Sample {
     }
 }
 
-/// Inverts the normal matrix of a motion, of which only the turn may be determined.
+/// Inverts the normal matrix of a motion, of which only the rotation may be determined.
 fn invert_motion(normal: &Matrix6<f64>, distance: Distance) -> Option<Matrix6<f64>> {
     match distance {
         Distance::Meters(_) => normal.cholesky().map(|c| c.inverse()),
         Distance::Infinity => {
-            let turn = normal.fixed_view::<3, 3>(0, 0).into_owned().cholesky()?.inverse();
+            let rotation = normal.fixed_view::<3, 3>(0, 0).into_owned().cholesky()?.inverse();
             let mut inverse = Matrix6::zeros();
-            inverse.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+            inverse.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
             Some(inverse)
         }
     }
@@ -238,9 +238,9 @@ fn weights_of(spreads: &[Option<Matrix2<f64>>]) -> Vec<f64> {
 }
 
 /// Where `second` projects what `first` sees at each pixel of the grid, minus that pixel, after the
-/// best compensating turn, in pixels; `None` where either sees nothing. Against a prediction it is
-/// to be held with that one's `weights` ([`UncertaintyMap::weights`]); without any (an empty slice)
-/// all pixels have the same to say in the turn.
+/// best compensating rotation, in pixels; `None` where either sees nothing. Against a prediction it
+/// is to be held with that one's `weights` ([`UncertaintyMap::weights`]); without any (an empty
+/// slice) all pixels have the same to say in the rotation.
 pub fn projection_difference(
     first: &Lens,
     second: &Lens,
@@ -249,9 +249,9 @@ pub fn projection_difference(
 ) -> Vec<Option<[f64; 2]>> {
     let seen: Vec<_> =
         grid.pixels().map(|pixel| (pixel, first.bearing_from_pixel(pixel))).collect();
-    let mut turn = nalgebra::UnitQuaternion::identity();
-    let difference = |pixel: Pixel, bearing: Bearing, turn: &nalgebra::UnitQuaternion<f64>| {
-        let projection = second.project(&Point3::from(turn * bearing.into_inner()))?;
+    let mut rotation = nalgebra::UnitQuaternion::identity();
+    let difference = |pixel: Pixel, bearing: Bearing, rotation: &nalgebra::UnitQuaternion<f64>| {
+        let projection = second.project(&Point3::from(rotation * bearing.into_inner()))?;
         Some((projection, [projection.pixel.x - pixel.x, projection.pixel.y - pixel.y]))
     };
     for _ in 0..4 {
@@ -259,23 +259,25 @@ pub fn projection_difference(
         for (index, (pixel, bearing)) in seen.iter().enumerate() {
             let (pixel, Some(bearing)) = (*pixel, *bearing) else { continue };
             let weight = weights.get(index).copied().unwrap_or(1.0);
-            let Some((projection, rest)) = difference(pixel, bearing, &turn) else { continue };
-            let turned = turn * bearing.into_inner();
+            let Some((projection, rest)) = difference(pixel, bearing, &rotation) else { continue };
+            let turned = rotation * bearing.into_inner();
             let mut by_motion = Matrix2x6::zeros();
             for axis in 0..2 {
-                let by_turn = turned.cross(&projection.by_point.row(axis).transpose());
-                by_motion.fixed_view_mut::<1, 3>(axis, 0).copy_from(&by_turn.transpose());
+                let by_rotation = turned.cross(&projection.by_point.row(axis).transpose());
+                by_motion.fixed_view_mut::<1, 3>(axis, 0).copy_from(&by_rotation.transpose());
             }
             normal += by_motion.transpose() * by_motion * weight;
             gradient += by_motion.transpose() * nalgebra::Vector2::from(rest) * weight;
         }
         let Some(inverse) = invert_motion(&normal, Distance::Infinity) else { break };
         let step = -(inverse * gradient);
-        turn =
-            nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned()) * turn;
+        rotation = nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned())
+            * rotation;
         if step.norm() < 1e-8 {
             break;
         }
     }
-    seen.iter().map(|(pixel, bearing)| Some(difference(*pixel, (*bearing)?, &turn)?.1)).collect()
+    seen.iter()
+        .map(|(pixel, bearing)| Some(difference(*pixel, (*bearing)?, &rotation)?.1))
+        .collect()
 }

@@ -85,9 +85,13 @@ fn entry(sensor: &Sensor<'_>, lens: &Lens, model: KalibrModel) -> String {
 
 /// Where the camera before is in this one's frame, row by row.
 fn step(this_from_before: &Pose) -> String {
-    let (turn, shift) = (this_from_before.rotation_matrix(), this_from_before.translation());
+    let (rotation, translation) =
+        (this_from_before.rotation_matrix(), this_from_before.translation());
     let row = |k: usize| {
-        format!("  - [{}]\n", list(&[turn[(k, 0)], turn[(k, 1)], turn[(k, 2)], shift[k]]))
+        format!(
+            "  - [{}]\n",
+            list(&[rotation[(k, 0)], rotation[(k, 1)], rotation[(k, 2)], translation[k]])
+        )
     };
     format!("  T_cn_cnm1:\n{}{}{}  - [0.0, 0.0, 0.0, 1.0]\n", row(0), row(1), row(2))
 }

@@ -54,8 +54,8 @@ pub enum OtherImagesError {
 /// stay.
 ///
 /// # Errors
-/// [`OtherImagesError`] where a sensor's images would be stretched, a crop is not inside them, or it
-/// is not said whose it is.
+/// [`OtherImagesError`] where a sensor's images would be stretched, a crop is not inside them, or
+/// it is not said whose it is.
 pub fn for_other_images(
     calibration: &Calibration,
     other: &OtherImages,

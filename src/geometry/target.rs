@@ -242,8 +242,8 @@ impl Target {
         matches!(self, Self::Chessboard(board) if board.size.orientation_ambiguous())
     }
 
-    /// The motions after which it appears the same, as `board_from_board`, the identity first: only a
-    /// plain chessboard has others.
+    /// The motions after which it appears the same, as `board_from_board`, the identity first: only
+    /// a plain chessboard has others.
     pub fn symmetries(&self) -> Vec<Pose> {
         match self {
             Self::Chessboard(board) => board.symmetries(),

@@ -16,7 +16,8 @@ use crate::http::shared::Shared;
 use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
-/// Starts a session: the camera searches for the board and keeps the views that teach something new.
+/// Starts a session: the camera searches for the board and keeps the views that teach something
+/// new.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", tag = "sessions",
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,

@@ -334,8 +334,9 @@ mod tests {
             "no red beside the box: {row:?}"
         );
         assert_eq!(row[3], [0; 3], "a hole stays one");
-        // The color camera stands 25 mm to the left, so the box hides a strip of the wall at its right:
-        // (25 mm / 0.5 m - 25 mm / 2 m) * 58 px = 2.2 px, and a reading covers a little more.
+        // The color camera stands 25 mm to the left, so the box hides a strip of the wall at its
+        // right: (25 mm / 0.5 m - 25 mm / 2 m) * 58 px = 2.2 px, and a reading covers a little
+        // more.
         assert!((2..=4).contains(&count([0; 3], 40, 64)), "{row:?}");
         assert_eq!(count([0; 3], 10, 20), 0, "{row:?}");
 

@@ -117,8 +117,8 @@ impl Assembly {
         }
     }
 
-    /// Takes a frame of the camera at `place`, and passes on what it completes. A frame whose source
-    /// waits for it waits for room.
+    /// Takes a frame of the camera at `place`, and passes on what it completes. A frame whose
+    /// source waits for it waits for room.
     ///
     /// Whether it was taken: live frames are not while the session is held.
     pub(super) fn put(&self, place: usize, frame: SeenFrame) -> bool {

@@ -1,5 +1,5 @@
-//! Reports that the camera's current calibration may not hold any more: the device was moved, or the
-//! views that a session keeps do not agree with it.
+//! Reports that the camera's current calibration may not hold any more: the device was moved, or
+//! the views that a session keeps do not agree with it.
 
 use crate::calibration::drift::{Drift, DriftWatch};
 use crate::calibration::result::ImageCalibration;

@@ -380,8 +380,8 @@ fn count(fleet: &Fleet, metric: &str) -> u64 {
     line.map_or(0, |value| value.trim().parse().unwrap())
 }
 
-/// A rig of which one camera gives every third frame, then none, then is unplugged: the session goes
-/// on with what the others give, says what it waits for, and ends when it is asked to.
+/// A rig of which one camera gives every third frame, then none, then is unplugged: the session
+/// goes on with what the others give, says what it waits for, and ends when it is asked to.
 #[tokio::test]
 async fn a_rig_goes_on_without_the_camera_that_does_not() {
     const COMPLETE: &str = "plumb_rig_frame_sets_total{complete=\"true\",rig=\"head\"}";

@@ -1,6 +1,6 @@
 //! Store first, announce then: how what a session keeps gets to the disk, and what becomes of the
-//! session while it does not. Such a session is paused and says why; it takes no frames, and goes on
-//! by itself as soon as what waits is stored.
+//! session while it does not. Such a session is paused and says why; it takes no frames, and goes
+//! on by itself as soon as what waits is stored.
 
 use std::sync::Arc;
 

@@ -1,6 +1,6 @@
 //! A person with a board before a camera: one who follows what is asked for, one who waves the
-//! board about, one who fills the bars of ROS's calibrator. Reaction takes time, hands have a limited
-//! speed and tremble, and one request in ten is misunderstood.
+//! board about, one who fills the bars of ROS's calibrator. Reaction takes time, hands have a
+//! limited speed and tremble, and one request in ten is misunderstood.
 
 use std::f64::consts::TAU;
 

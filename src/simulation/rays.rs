@@ -11,7 +11,8 @@ pub(super) const SUBPIXELS: usize = 4;
 
 /// The rays through the corners of all pixels of an image and of `pad` pixels around it.
 ///
-/// Inside a pixel they are taken as bilinear: the strongest distortion moves them by some 1e-4 px there.
+/// Inside a pixel they are taken as bilinear: the strongest distortion moves them by some 1e-4 px
+/// there.
 #[derive(Debug, Clone)]
 pub(super) struct RayTable {
     /// Pixels along x, the pad included.

@@ -39,8 +39,9 @@ pub struct RgbdOptions {
 }
 
 impl RgbdOptions {
-    /// A stereo depth camera beside the color camera of `color`: 25 mm away and rotated by a degree, 640 ×
-    /// 480, with an error of some per cent; lens, pose and error follow from the seed.
+    /// A stereo depth camera beside the color camera of `color`: 25 mm away and rotated by a
+    /// degree, 640 × 480, with an error of some per cent; lens, pose and error follow from the
+    /// seed.
     pub fn new(color: WorldOptions) -> Self {
         // Each camera of a rig is another device.
         let number = color.seat.map_or(0, |seat| u64::from(seat.number));
@@ -58,8 +59,9 @@ impl RgbdOptions {
         let brown =
             Brown::from_coefficients([around(-0.05, 0.02), around(0.02, 0.01), 2e-4, -1e-4, 0.0]);
         let lens = Lens { matrix, distortion: Distortion::Brown(brown) };
-        let turn = Vector3::new(around(0.0, 0.01), around(0.0, 0.015), around(0.0, 0.006));
-        let shift = Vector3::new(around(0.025, 0.003), around(0.0, 0.001), around(0.001, 0.001));
+        let rotation = Vector3::new(around(0.0, 0.01), around(0.0, 0.015), around(0.0, 0.006));
+        let translation =
+            Vector3::new(around(0.025, 0.003), around(0.0, 0.001), around(0.001, 0.001));
         let error = DepthError {
             scale: [
                 around(0.006, 0.002),
@@ -95,7 +97,7 @@ impl RgbdOptions {
             exposure_s: color.sensor.exposure_s,
             ..ImageSensor::new(size, lens)
         };
-        let color_from_depth = Pose::new(UnitQuaternion::from_scaled_axis(turn), shift);
+        let color_from_depth = Pose::new(UnitQuaternion::from_scaled_axis(rotation), translation);
         Self {
             color,
             infrared,
@@ -221,9 +223,9 @@ mod tests {
                 "{distance_m}"
             );
             assert_eq!((&late.color, late.truth), (&frame.color, frame.truth));
-            let shift =
+            let translation =
                 late.infrared_from_board.translation() - frame.infrared_from_board.translation();
-            moved = moved.max(shift.norm());
+            moved = moved.max(translation.norm());
             let seen = frame.depth.readings().iter().filter(|reading| **reading > 0).count();
             assert!(seen * 10 > frame.depth.readings().len() * 7, "{seen} readings");
         }

@@ -29,8 +29,12 @@ impl Seat {
         let mut rng = stream(seed, Purpose::Seat, u64::from(number));
         let mut about = |spread: f64| Vector3::from_fn(|_, _| rng.random_range(-spread..spread));
         let across = f64::from(number);
-        let turn = Vector3::new(0.0, -TOE_IN * across, 0.0) + about(0.03);
+        let rotation = Vector3::new(0.0, -TOE_IN * across, 0.0) + about(0.03);
         let place = Vector3::new(STEP_M * across, 0.0, 0.0) + about(0.01);
-        Self { number, camera_from_first: Pose::from_axis_angle(turn, place).inverse(), first_lens }
+        Self {
+            number,
+            camera_from_first: Pose::from_axis_angle(rotation, place).inverse(),
+            first_lens,
+        }
     }
 }

@@ -283,8 +283,8 @@ async fn until_views(events: &mut EventStream, count: u64) {
     .await;
 }
 
-/// As the daemon has it by default: reported within 2 s, taken up again by its serial number, and the
-/// session goes on.
+/// As the daemon has it by default: reported within 2 s, taken up again by its serial number, and
+/// the session goes on.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     let (context, folder) = (context(), tempfile::tempdir().unwrap());

@@ -200,7 +200,8 @@ fn without_a_device_that_is_reported_at_once() {
     assert!(listing.missing.unwrap().contains("the library sees no camera"));
 }
 
-/// Slower than the daemon searches, on a busy machine too: every frame of the walk is to be searched.
+/// Slower than the daemon searches, on a busy machine too: every frame of the walk is to be
+/// searched.
 const PACE: Duration = Duration::from_millis(200);
 
 fn images(set: &FrameSet) -> SensorImages {

@@ -1,5 +1,5 @@
-//! The daemon beside a camera that goes wrong: which state it reports, with which reason, and that a
-//! session goes on.
+//! The daemon beside a camera that goes wrong: which state it reports, with which reason, and that
+//! a session goes on.
 
 use std::fs;
 use std::process::{Command, Stdio};

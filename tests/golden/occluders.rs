@@ -1,9 +1,9 @@
 //! Boards with something in front of them: what is answered beside an occluder is as certain as it
 //! says.
 //!
-//! An occluder ends beside a corner, crosses its window or hides a part of it. Its edge may be taken
-//! for one of the corner's own, and it darkens or brightens what the window sees: such corners must
-//! be left out or stated to be uncertain, and must mislead no other.
+//! An occluder ends beside a corner, crosses its window or hides a part of it. Its edge may be
+//! taken for one of the corner's own, and it darkens or brightens what the window sees: such
+//! corners must be left out or stated to be uncertain, and must mislead no other.
 
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;

@@ -11,8 +11,8 @@ use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
 
-/// Two sensors of different lens and noise, six centimeters from each other, and what each sees of `frame_sets`
-/// boards.
+/// Two sensors of different lens and noise, six centimeters from each other, and what each sees of
+/// `frame_sets` boards.
 fn stereo(frame_sets: usize, seed: u64) -> (RigProblem, Pose) {
     let (problem, right_from_left, _) = stereo_with_poses(frame_sets, seed);
     (problem, right_from_left)

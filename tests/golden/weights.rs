@@ -27,10 +27,10 @@ fn equally_weighted(problem: &CameraProblem) -> CameraProblem {
     equal
 }
 
-/// Over seeded views of which each corner errs by `noise_px` and is stated to err by `stated_px` (both
-/// of the view, the corner and a standard normal number): the mean square of the focal length's
-/// error in its own predicted standard deviations, that error's mean square beside the one with
-/// equal weights, and the median common error in pixels.
+/// Over seeded views of which each corner errs by `noise_px` and is stated to err by `stated_px`
+/// (both of the view, the corner and a standard normal number): the mean square of the focal
+/// length's error in its own predicted standard deviations, that error's mean square beside the one
+/// with equal weights, and the median common error in pixels.
 fn over_seeds(noise_px: impl Fn(usize) -> f64, stated_px: impl Fn(usize, f64) -> f64) -> [f64; 3] {
     let camera = SeededCamera { noise_px: 1e-9, ..SeededCamera::ordinary() };
     let normal = Normal::new(0.0, 1.0).unwrap();

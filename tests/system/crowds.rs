@@ -1,5 +1,5 @@
-//! Clients that take and do not give: silent ones, readers that do not read, and too many of either.
-//! Whoever asks about health is answered all the same.
+//! Clients that take and do not give: silent ones, readers that do not read, and too many of
+//! either. Whoever asks about health is answered all the same.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;

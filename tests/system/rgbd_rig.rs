@@ -1,5 +1,5 @@
-//! Two cameras with color, infrared and depth as one rig through the daemon: every sensor of both is
-//! placed, and held to the truth that the recordings were made of.
+//! Two cameras with color, infrared and depth as one rig through the daemon: every sensor of both
+//! is placed, and held to the truth that the recordings were made of.
 
 use std::path::Path;
 

@@ -3,8 +3,8 @@
 //! A corner lies where two edges cross. An edge with a Gaussian blur of width w, seen over a length
 //! s, is known to a variance ∝ w / s (the Fisher information of its place is ∫ (dI/dx)² dx per unit
 //! of length ∝ 1 / w). The length is the side of a square in the image, which a tilt shortens. The
-//! blur follows the thin lens: constant in focus, beyond it linear in 1/distance. The remainder, one
-//! factor, is the light and the detector: the views that are there show it.
+//! blur follows the thin lens: constant in focus, beyond it linear in 1/distance. The remainder,
+//! one factor, is the light and the detector: the views that are there show it.
 
 use nalgebra::{Matrix2, Point3, Vector3};
 

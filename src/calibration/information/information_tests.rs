@@ -100,8 +100,8 @@ fn numeric_information(
             motion[column - free.len()] = step;
             let turn =
                 UnitQuaternion::from_scaled_axis(Vector3::new(motion[0], motion[1], motion[2]));
-            let shift = Vector3::new(motion[3], motion[4], motion[5]);
-            pose = Pose::new(turn * pose.rotation(), turn * pose.translation() + shift);
+            let translation = Vector3::new(motion[3], motion[4], motion[5]);
+            pose = Pose::new(turn * pose.rotation(), turn * pose.translation() + translation);
         }
         let lens = Lens::from_parameters(lens.model(), &parameters).unwrap();
         let pixel = |c: &WeightedCorner| lens.pixel_from_point(&(pose * c.point_in_board)).unwrap();

@@ -142,8 +142,8 @@ impl Teaching {
         self.sum_up();
     }
 
-    /// The number of the view that teaches least beside the others, with how much less sure projections would be
-    /// without it (as [`Self::gain`]).
+    /// The number of the view that teaches least beside the others, with how much less sure
+    /// projections would be without it (as [`Self::gain`]).
     pub fn least_informative(&self) -> Option<(u32, f64)> {
         let losses = self.views.iter().filter_map(|view| {
             let matrix = &self.known.matrix - &view.information;

@@ -30,7 +30,7 @@ pub fn view_information(
     let mean =
         corners.iter().map(|corner| corner.point_in_board.coords).sum::<nalgebra::Vector3<f64>>()
             / corners.len().max(1) as f64;
-    // Turned about the board's middle: turn and shift then hardly depend on each other.
+    // Turned about the board's middle: rotation and translation then hardly depend on each other.
     let middle_in_camera = (*camera_from_board * Point3::from(mean)).coords;
     for corner in corners {
         let point_in_camera = *camera_from_board * corner.point_in_board;
@@ -51,7 +51,8 @@ pub fn view_information(
         coupling += weighted * motion;
         by_pose += motion.transpose() * motion * weight;
     }
-    // Turns are in radians and shifts in meters: the same scale for both before they are inverted.
+    // Rotations are in radians and translations in meters: the same scale for both before they are
+    // inverted.
     let scale = by_pose.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
     let scales = Matrix6::from_diagonal(&scale);
     let inverse = scales * (scales * by_pose * scales).cholesky()?.inverse() * scales;

@@ -1,5 +1,5 @@
-//! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list of
-//! sensors, whatever the instrument: one camera, a depth camera, a rig.
+//! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list
+//! of sensors, whatever the instrument: one camera, a depth camera, a rig.
 
 mod verdict;
 
@@ -255,7 +255,7 @@ pub struct Extrinsics {
     pub translation_std_m: [f64; 3],
 }
 
-/// Standard deviations of a pose's turn (radians) and translation (meters), axis by axis.
+/// Standard deviations of a pose's rotation (radians) and translation (meters), axis by axis.
 pub fn pose_std(covariance: &Matrix6<f64>) -> (Vector3<f64>, Vector3<f64>) {
     let std = |k: usize| covariance[(k, k)].max(0.0).sqrt();
     (Vector3::from_fn(|k, _| std(k)), Vector3::from_fn(|k, _| std(k + 3)))

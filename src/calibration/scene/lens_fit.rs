@@ -20,7 +20,8 @@ pub(super) struct LensFit {
 
 const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
 
-/// Models with more coefficients are not compared by `auto`: eight are beyond what scenes determine.
+/// Models with more coefficients are not compared by `auto`: eight are beyond what scenes
+/// determine.
 const MOST_COEFFICIENTS: usize = 5;
 
 /// A larger model is taken if it lowers the cost by more than this, per parameter, in squared

@@ -288,8 +288,8 @@ impl CameraPart {
     }
 
     /// What a view must teach to be kept: its share of what the others taught, and soon after the
-    /// last one a good part of what the suggested view would, since the board is on its way there. A
-    /// named frame is an image of its own.
+    /// last one a good part of what the suggested view would, since the board is on its way there.
+    /// A named frame is an image of its own.
     fn needed(&self, frame: &FrameFacts) -> f64 {
         let share = 0.5 * self.options.worth / self.views.len().max(1) as f64;
         let since_s = self.views.last().map_or(f64::INFINITY, |last| {

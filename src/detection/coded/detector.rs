@@ -242,8 +242,8 @@ impl TargetDetector {
         }
     }
 
-    /// Searches for those corners of the labelled board that growing did not reach, and forgets what
-    /// lies beyond it.
+    /// Searches for those corners of the labelled board that growing did not reach, and forgets
+    /// what lies beyond it.
     pub(super) fn complete(&mut self, view: GrayView<'_>, label: BoardLabel) {
         let [across, down] = self.sheets.ways[label.way].lines;
         let places: Vec<(i32, i32)> = (0..down)

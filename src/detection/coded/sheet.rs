@@ -143,8 +143,8 @@ impl Sheets {
     }
 }
 
-/// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the sheet
-/// is turned by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
+/// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the
+/// sheet is turned by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
 fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) -> Vec<f32> {
     let n = dictionary.bits();
     let mut codes = Vec::with_capacity(count * 4 * n * n);

@@ -125,8 +125,8 @@ pub(super) const LEAST_ON_BOARD: f32 = 0.85;
 
 // Where the board ends (`ends`).
 
-/// Where an outer square is sampled inside the board, in squares from the outermost line of corners.
-/// Chosen: short of the print's edge by the blur.
+/// Where an outer square is sampled inside the board, in squares from the outermost line of
+/// corners. Chosen: short of the print's edge by the blur.
 pub(super) const END_WITHIN: f32 = 0.93;
 
 /// The same outside the board. Chosen.
@@ -152,7 +152,8 @@ pub(super) const MOST_REFINED_MISPLACEMENT: f32 = 0.12;
 pub(super) const SUSPECT_SHARE: f32 = 0.4;
 
 /// A crossing is suspect if refinement refused it, or with this many times the median standard
-/// deviation, as at the edge of a highlight or an occluder. Chosen; as `suspect_stds` of chessboards.
+/// deviation, as at the edge of a highlight or an occluder. Chosen; as `suspect_stds` of
+/// chessboards.
 pub(super) const SUSPECT_STDS: f64 = 5.0;
 
 /// A lattice with a larger share of misplaced crossings is none. Chosen.

@@ -1,5 +1,5 @@
-//! Measuring one corner or one edge in the image: what the search, the verification and the tracking
-//! share.
+//! Measuring one corner or one edge in the image: what the search, the verification and the
+//! tracking share.
 
 pub(in crate::detection) mod cross;
 pub(in crate::detection) mod edges;

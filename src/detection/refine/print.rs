@@ -17,9 +17,9 @@ pub trait BoardPrint {
     /// Moves the print to where its corners are, in the order in which they are refined.
     fn place(&mut self, corners: &[Option<Pixel>]);
 
-    /// The print near the corner of this number, at a position in the image in pixels, 1 where it is
-    /// white and −1 where it is black: as it is, and as the two edges through the corner alone would
-    /// have it. `None` where that is not known.
+    /// The print near the corner of this number, at a position in the image in pixels, 1 where it
+    /// is white and −1 where it is black: as it is, and as the two edges through the corner alone
+    /// would have it. `None` where that is not known.
     fn near(&self, corner: usize, pixel: [f64; 2]) -> Option<[f32; 2]>;
 
     /// How far from a corner its edges are the only ones, as a part of the way to its neighbors.
@@ -58,8 +58,8 @@ impl PrintBlur {
         Self { sigma_px, line_px: [0.0; 2] }
     }
 
-    /// A motion in the direction `angle` that has `share` of the variance across two edges at a right
-    /// angle, which together are 2·`blur_px`².
+    /// A motion in the direction `angle` that has `share` of the variance across two edges at a
+    /// right angle, which together are 2·`blur_px`².
     fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
         let variance = 2.0 * blur_px * blur_px;
         // A uniform motion over 2h has a variance of h²/3.
@@ -122,8 +122,8 @@ pub(super) struct PrintPatch {
 }
 
 impl PrintPatch {
-    /// Renders the print around `corner` in the samples of `window`, blurred. False where nothing but
-    /// the corner's two edges is printed.
+    /// Renders the print around `corner` in the samples of `window`, blurred. False where nothing
+    /// but the corner's two edges is printed.
     pub fn render(
         &mut self,
         print: &dyn BoardPrint,
@@ -293,8 +293,8 @@ fn move_along(
     std::mem::swap(layer, moved);
 }
 
-/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as of
-/// a camera with a gamma.
+/// Gray values of a pattern, 1 white and −1 black, of which a power is in proportion to light, as
+/// of a camera with a gamma.
 struct Transfer {
     middle: f64,
     half: f64,

@@ -155,7 +155,8 @@ impl Refiner {
         }
     }
 
-    /// The factor by which corners scatter more or less about the board's lines than `stds` predict.
+    /// The factor by which corners scatter more or less about the board's lines than `stds`
+    /// predict.
     fn straightness_of(&mut self, refined: &[Option<RefinedCorner>]) -> f64 {
         for axis in 0..2 {
             let lines = self.lattice.lines(axis).map(|(place, line)| {

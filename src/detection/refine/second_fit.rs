@@ -1,5 +1,5 @@
-//! The second fit of a corner: in a large window, with the edges' curvature, the light and the noise
-//! estimated from the whole board.
+//! The second fit of a corner: in a large window, with the edges' curvature, the light and the
+//! noise estimated from the whole board.
 
 use crate::detection::refine::beside::{Beside, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};

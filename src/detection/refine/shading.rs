@@ -1,11 +1,12 @@
 //! Light that changes over one corner's window: a highlight, the edge of a shadow.
 //!
-//! A highlight adds light to black and white alike, and its slope is taken for a shift of the edges:
-//! of the products of distances to the two edges, a shift of one edge is even in its own distance
-//! and odd in the other's, and so is a slope. The board's polynomial over all corners cannot follow
-//! it. Where a corner fits worse than the others, a polynomial of third order over its own window is
-//! fitted to what the model leaves and taken off, and the model is fitted again, and so on: one is
-//! as narrow as the blur, the other as wide as the window, so a few rounds separate them.
+//! A highlight adds light to black and white alike, and its slope is taken for a shift of the
+//! edges: of the products of distances to the two edges, a shift of one edge is even in its own
+//! distance and odd in the other's, and so is a slope. The board's polynomial over all corners
+//! cannot follow it. Where a corner fits worse than the others, a polynomial of third order over
+//! its own window is fitted to what the model leaves and taken off, and the model is fitted again,
+//! and so on: one is as narrow as the blur, the other as wide as the window, so a few rounds
+//! separate them.
 
 use nalgebra::{SMatrix, SVector};
 

@@ -344,8 +344,8 @@ mod tests {
         (1..=DRAWS).map(|seed| factor_of(seed, k1, noise, [0.4; 2])).sum::<f64>() / DRAWS as f64
     }
 
-    /// A 9×6 board in perspective, stretched by a lens (`k1` at a radius of 300 px), with noise of so
-    /// many standard deviations.
+    /// A 9×6 board in perspective, stretched by a lens (`k1` at a radius of 300 px), with noise of
+    /// so many standard deviations.
     fn factor_of(seed: u64, k1: f64, noise: f64, extent: [f64; 2]) -> f64 {
         let mut state = seed;
         let mut normal = || {

@@ -31,16 +31,16 @@ pub(super) const LEAST_START_AMPLITUDE: f64 = 0.5;
 pub(super) const MOST_START_CONTRAST: f64 = 2.0;
 /// Largest offset of the corner before, in units of the quadrants' amplitude. Chosen.
 pub(super) const MOST_START_OFFSET: f64 = 0.3;
-/// Tolerance of a residual in the first fit, where the noise is unknown: this part of the amplitude,
-/// plus `FIRST_TOLERANCE_LEVELS`. Chosen.
+/// Tolerance of a residual in the first fit, where the noise is unknown: this part of the
+/// amplitude, plus `FIRST_TOLERANCE_LEVELS`. Chosen.
 pub(super) const FIRST_TOLERANCE_AMPLITUDE: f64 = 0.3;
 /// In gray levels. Chosen: three standard deviations of a dim sensor's noise.
 pub(super) const FIRST_TOLERANCE_LEVELS: f64 = 6.0;
 /// The first fit ends with a step below this, in standard deviations of the blur. Derived:
 /// convergence is quadratic, so the remaining error is about its square.
 pub(super) const FIRST_ENOUGH: f64 = 0.07;
-/// A first step that changes no other unknown by more than this, as a share of it or in radians, may
-/// be the only one. Chosen.
+/// A first step that changes no other unknown by more than this, as a share of it or in radians,
+/// may be the only one. Chosen.
 pub(super) const FIRST_ALIKE: f64 = 0.25;
 
 /// Tolerance of a residual in the second fit, in standard deviations of the noise. Chosen.
@@ -77,14 +77,15 @@ pub(super) const LEAST_AMPLITUDE: f64 = 1.0;
 /// Largest cosine between the two edges, in absolute value: at 10 degrees they are nearly one line.
 /// Chosen.
 pub(super) const MOST_CORRELATION: f64 = 0.985;
-/// Least inlier ratio of an accepted corner. Chosen: true corners keep a margin under motion blur of
-/// several pixels and heavy noise.
+/// Least inlier ratio of an accepted corner. Chosen: true corners keep a margin under motion blur
+/// of several pixels and heavy noise.
 pub(super) const LEAST_INLIERS: f64 = 0.42;
 /// Largest last step of an accepted corner, in samples. Chosen.
 pub(super) const MOST_STEP: f64 = 0.25;
 /// Largest rms residual of an accepted corner, as a part of its amplitude. Chosen.
 pub(super) const MOST_RESIDUAL: f64 = 0.6;
-/// Least variance of the blur, in pixels squared: a sharper edge is only a pixel's own width. Chosen.
+/// Least variance of the blur, in pixels squared: a sharper edge is only a pixel's own width.
+/// Chosen.
 pub(super) const LEAST_BLUR_VARIANCE: f64 = 0.01;
 
 /// Corners from which on every other one's edge halves are enough for the scatter. Chosen: 20

@@ -1,8 +1,8 @@
 //! Which pixels could be chessboard corners: the strongest local maxima of the response, each
 //! measured a second time.
 //!
-//! However cluttered the image, only a bounded number of maxima and at most [`CandidateThresholds::most`] candidates go
-//! on: the time is bounded by the number of pixels.
+//! However cluttered the image, only a bounded number of maxima and at most
+//! [`CandidateThresholds::most`] candidates go on: the time is bounded by the number of pixels.
 
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};

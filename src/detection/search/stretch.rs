@@ -1,5 +1,5 @@
-//! A corner farther off than its neighbors predict, as where a lens compresses the board: found at a
-//! candidate.
+//! A corner farther off than its neighbors predict, as where a lens compresses the board: found at
+//! a candidate.
 
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;

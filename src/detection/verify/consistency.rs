@@ -6,8 +6,8 @@ use crate::detection::measure::Probe;
 use crate::detection::measure::edges::{EdgeCount, count_edges};
 use crate::detection::thresholds::ConsistencyThresholds;
 
-/// Drops the corners of `grid` that do not hold in the image. False if too few hold to accept any of
-/// it.
+/// Drops the corners of `grid` that do not hold in the image. False if too few hold to accept any
+/// of it.
 pub(in crate::detection) fn verify(probe: Probe<'_>, grid: &mut Grid) -> bool {
     let total = drop_loose(probe, grid);
     let thresholds = &probe.thresholds.consistency;

@@ -39,7 +39,7 @@ pub(crate) struct BoardBasis {
     pub(crate) point_of: Vec<Vec<usize>>,
     /// Half the extent along x and y, in meters.
     pub(crate) half_extent: [f64; 2],
-    /// Out of the plane: group, and the value at each point. The curvatures along x, along both and
+    /// Out of the plane: group, and the value at each point. The bends along x, along both and
     /// along y are a group each, then those of one degree are.
     pub(super) heights: Vec<(usize, Vec<f64>)>,
     /// In the plane: aspect and shear, as (x, y) at each point.

@@ -34,7 +34,7 @@ pub(super) struct ViewJacobian<'a> {
     first_local: usize,
 }
 
-/// The Jacobians of the used views, or of enough of them, evenly; `of_motion` is the λ of
+/// The Jacobians of the views that take part, or of enough of them, evenly; `of_motion` is the λ of
 /// a motion where there is one.
 pub(super) fn view_jacobians<'a>(
     scene: Scene<'a>,

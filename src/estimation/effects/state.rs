@@ -13,7 +13,7 @@ pub(super) struct Scene<'a> {
     pub(super) layout: &'a Layout,
     pub(super) basis: &'a BoardBasis,
     pub(super) observations: &'a [BoardObservation],
-    /// The used observations, by index.
+    /// The observations that take part, by index.
     pub(super) good: &'a [usize],
     /// The height of the images, in rows.
     pub(super) rows: f64,

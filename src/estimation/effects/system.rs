@@ -54,7 +54,7 @@ struct Room {
 }
 
 impl System {
-    /// `None` where a used corner cannot be projected.
+    /// `None` where a corner that takes part cannot be projected.
     pub(super) fn at(scene: Scene<'_>, state: &EffectsState) -> Option<Self> {
         let globals = scene.global_len();
         let mut system = Self {

@@ -1,7 +1,8 @@
 //! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane,
 //!
 //! ```text
-//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std),   n = R e_z, (R, t) = sensor_from_board
+//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std),   n = R e_z, (R, t) =
+//! sensor_from_board
 //! ```
 //!
 //! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a
@@ -157,10 +158,10 @@ fn linearize_tile(
         (observation.sensor, &ray, &(normal * (-inverse_std / distance))),
         &mut row.globals,
     );
-    let by_turn =
+    let by_rotation =
         (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
     let by_shift = normal * (plane / distance * inverse_std);
-    row.by_pose = [by_turn.x, by_turn.y, by_turn.z, by_shift.x, by_shift.y, by_shift.z];
+    row.by_pose = [by_rotation.x, by_rotation.y, by_rotation.z, by_shift.x, by_shift.y, by_shift.z];
     true
 }
 

@@ -1,10 +1,10 @@
 //! Residuals and their derivatives, one observation of the board at a time, squared into normal
 //! equations.
 //!
-//! A observation's derivatives are kept as columns (one parameter each; all corners' x, then all corners'
-//! y), so that every product of the normal equations is a dot product of two contiguous columns.
-//! Local columns: the lens's free parameters, the warp's two, the pose's six (turn ω, shift τ in
-//! the sensor's frame), the residual.
+//! A observation's derivatives are kept as columns (one parameter each; all corners' x, then all
+//! corners' y), so that every product of the normal equations is a dot product of two contiguous
+//! columns. Local columns: the lens's free parameters, the warp's two, the pose's six (rotation ω,
+//! translation τ in the sensor's frame), the residual.
 
 use nalgebra::{Matrix3, Vector3};
 use pulp::{Arch, Simd, WithSimd};
@@ -14,7 +14,8 @@ use crate::estimation::robust::Loss;
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::columns::DistortedColumns;
 
-/// The normal equations of one observation in its local columns: `products[i * columns + j]` for i ≤ j.
+/// The normal equations of one observation in its local columns: `products[i * columns + j]` for i
+/// ≤ j.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LocalEquations {
     pub(crate) columns: usize,
@@ -32,7 +33,7 @@ impl LocalEquations {
 /// Room for one observation's columns, kept between observations.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
-    /// Turned points (without the shift), then points in the camera frame: x, y, z each.
+    /// Turned points (without the translation), then points in the camera frame: x, y, z each.
     points: [Vec<f64>; 6],
     distorted: DistortedColumns,
     /// The residuals in pixels, and √weight / std of each corner; 0 for an unused one.
@@ -52,8 +53,8 @@ impl Columns {
 /// Columns are padded with zeros to a multiple of this: the widest vectors there are.
 const LANES: usize = 8;
 
-/// Linearizes one observation into `local`, with its unweighted residuals (in units of each corner's
-/// standard deviation) in `residuals`. Answers false where a used corner cannot be
+/// Linearizes one observation into `local`, with its unweighted residuals (in units of each
+/// corner's standard deviation) in `residuals`. Answers false where a used corner cannot be
 /// projected.
 pub(crate) fn linearize_observation(
     (layout, state): (&Layout, &State),
@@ -241,8 +242,8 @@ fn fill_lens_column(
     };
 }
 
-/// The six columns of the pose: the shift is the pixel by the point, the turn (turned point) ×
-/// that.
+/// The six columns of the pose: the translation is the pixel by the point, the rotation (turned
+/// point) × that.
 #[inline(always)]
 fn fill_pose_columns(
     points: &[Vec<f64>; 6],
@@ -252,8 +253,8 @@ fn fill_pose_columns(
     columns: &mut [f64],
 ) {
     let half = factor.len();
-    let (turn, shift) = columns.split_at_mut(6 * half);
-    for (axis, column) in shift.chunks_exact_mut(2 * half).enumerate() {
+    let (rotation, translation) = columns.split_at_mut(6 * half);
+    for (axis, column) in translation.chunks_exact_mut(2 * half).enumerate() {
         let [by_x, by_y] = distorted.by_point(axis);
         let (x, y) = column.split_at_mut(half);
         for (index, factor) in factor.iter().enumerate() {
@@ -261,12 +262,12 @@ fn fill_pose_columns(
             y[index] = matrix.fy * by_y[index] * factor;
         }
     }
-    for (axis, column) in turn.chunks_exact_mut(2 * half).enumerate() {
+    for (axis, column) in rotation.chunks_exact_mut(2 * half).enumerate() {
         let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
         let (p_next, p_last) = (&points[next][..half], &points[last][..half]);
         for (axis, column) in column.chunks_exact_mut(half).enumerate() {
-            let by_next = &shift[(2 * next + axis) * half..][..half];
-            let by_last = &shift[(2 * last + axis) * half..][..half];
+            let by_next = &translation[(2 * next + axis) * half..][..half];
+            let by_last = &translation[(2 * last + axis) * half..][..half];
             for (index, value) in column.iter_mut().enumerate() {
                 *value = p_next[index] * by_last[index] - p_last[index] * by_next[index];
             }

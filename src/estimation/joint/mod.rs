@@ -122,7 +122,8 @@ impl State {
         self.warp[0] * by_x + self.warp[1] * by_y
     }
 
-    /// (projected − observed) / std of each corner of an observation; infinite where nothing is projected.
+    /// (projected − observed) / std of each corner of an observation; infinite where nothing is
+    /// projected.
     pub(crate) fn residuals(
         &self,
         layout: &Layout,
@@ -182,12 +183,12 @@ impl State {
     }
 }
 
-/// A pose after a small turn about its target's axes, exp(ω) R, and a shift t + τ; `step` is (ω,
-/// τ).
+/// A pose after a small rotation about its target's axes, exp(ω) R, and a translation t + τ; `step`
+/// is (ω, τ).
 pub(crate) fn moved(a_from_b: &Pose, step: &[f64]) -> Pose {
-    let turn = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+    let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
     Pose::new(
-        turn * a_from_b.rotation(),
+        rotation * a_from_b.rotation(),
         a_from_b.translation() + Vector3::new(step[3], step[4], step[5]),
     )
 }

@@ -1,6 +1,6 @@
 //! The normal equations in block-arrow form: one dense block for the global parameters, one 6×6
-//! block per frame set, and what couples them. Frame sets are eliminated one by one (Schur complement),
-//! so cost is linear in their number.
+//! block per frame set, and what couples them. Frame sets are eliminated one by one (Schur
+//! complement), so cost is linear in their number.
 
 use nalgebra::{DMatrix, DVector, Matrix6};
 
@@ -19,7 +19,8 @@ pub(crate) struct NormalEquations {
     /// Global × frame sets: row `frame_set * global parameters + k` couples global parameter k with
     /// that frame set's pose.
     pub(crate) coupling: Vec<[f64; 6]>,
-    /// Per observation, per corner: (projected − observed) / std; infinite where nothing is projected.
+    /// Per observation, per corner: (projected − observed) / std; infinite where nothing is
+    /// projected.
     pub(crate) residuals: Vec<Vec<[f64; 2]>>,
     /// Per observation, what it said by itself; empty where equations were put together otherwise.
     pub(crate) local: Vec<LocalEquations>,
@@ -98,8 +99,8 @@ impl NormalEquations {
         self.global.fill_lower_triangle_with_upper_triangle();
     }
 
-    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` is its [`chain`], where it
-    /// has a pose of its own.
+    /// Adds what `sensor` saw at `frame_set`, but for its cost; `chained` is its [`chain`], where
+    /// it has a pose of its own.
     #[expect(clippy::needless_range_loop, reason = "indices of matrices")]
     pub(crate) fn add(
         &mut self,
@@ -275,8 +276,8 @@ impl NormalEquations {
         self.pose_covariance(frame_set, global, None)
     }
 
-    /// As [`Self::frame_set_covariance`], of the board's pose as a sensor sees it that has a pose of
-    /// its own: where that lies among the global parameters, and A and B of [`chain`].
+    /// As [`Self::frame_set_covariance`], of the board's pose as a sensor sees it that has a pose
+    /// of its own: where that lies among the global parameters, and A and B of [`chain`].
     pub(crate) fn pose_covariance(
         &self,
         frame_set: usize,

@@ -1,5 +1,5 @@
-//! The normal equations of each observation separately at one state, so that those of any subset can
-//! be assembled without another pass over its corners.
+//! The normal equations of each observation separately at one state, so that those of any subset
+//! can be assembled without another pass over its corners.
 
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::normal::{NormalEquations, chain};

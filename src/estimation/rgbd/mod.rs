@@ -1,8 +1,8 @@
 //! Color, infrared and depth as one instrument: lenses, where the sensors are, and the depth
 //! camera's systematic error, with the covariance of what follows from it.
 //!
-//! Corners and planes are not weighted against each other: a depth camera's unknown systematic error
-//! is as large as what its planes could add to corners, and would bias the lenses. So corners
+//! Corners and planes are not weighted against each other: a depth camera's unknown systematic
+//! error is as large as what its planes could add to corners, and would bias the lenses. So corners
 //! (color, and infrared where it sees the board) come first and determine lenses, board poses and
 //! the sensors' relative pose; planes then determine the rest: the correction, and for a camera
 //! without an infrared image its lens and pose. The covariance of the corners' estimate is carried

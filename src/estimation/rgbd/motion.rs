@@ -33,7 +33,8 @@ pub struct TimeOffset {
     pub jitter_s: f64,
 }
 
-/// Poses further from each other in time than this many times the median distance are not one motion.
+/// Poses further from each other in time than this many times the median distance are not one
+/// motion.
 const GAP: f64 = 2.5;
 
 /// The longest time between poses that determine a velocity, in seconds.
@@ -145,8 +146,8 @@ const MEDIAN_OF_SIX: f64 = 5.348;
 /// translations. `None` for too few frame sets, or a board that never moves.
 ///
 /// Frames too far from each other to follow the motion give velocities too high at one and too low
-/// at the next, which cancel in least squares but not in a robust fit. So frame sets weigh the same,
-/// but for outliers, and the variance is that of the residuals (H. White, *A
+/// at the next, which cancel in least squares but not in a robust fit. So frame sets weigh the
+/// same, but for outliers, and the variance is that of the residuals (H. White, *A
 /// heteroskedasticity-consistent covariance matrix estimator*, 1980).
 pub fn time_offset(
     second_from_first: &Pose,
@@ -199,8 +200,8 @@ pub fn time_offset(
     })
 }
 
-/// The difference of the two sensors' board poses in one frame set, in meters (rotations times radius),
-/// and by what.
+/// The difference of the two sensors' board poses in one frame set, in meters (rotations times
+/// radius), and by what.
 struct OffsetRow {
     difference: SVector<f64, 6>,
     /// By a turn and a shift of the sensors' pose, and by time.

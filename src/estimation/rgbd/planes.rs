@@ -1,7 +1,7 @@
 //! Estimates from planes: the correction of depth, and for a depth camera without an infrared image
 //! its lens and pose. The board's poses are those of the corners: held where infrared sees them
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
-//! not bias the lens.
+//! not bend the lens.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
@@ -179,7 +179,7 @@ impl<'a> Planes<'a> {
         })
     }
 
-    /// Selects the inlier tiles, on the plane; returns whether the selection changed.
+    /// Lets those tiles take part that lie on the plane; answers whether that changed.
     fn select(&mut self, residuals: &[Vec<f64>], pose_jitter: f64) -> bool {
         let sizes = residuals.iter().flatten().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
         let limit = pose_jitter * LIMIT * median(sizes).unwrap_or(0.0) / 0.6745;
@@ -194,7 +194,7 @@ impl<'a> Planes<'a> {
         changed
     }
 
-    /// Root mean square of the residuals of inlier tiles.
+    /// Root mean square of the residuals of tiles that take part.
     fn scatter(&self, residuals: &[Vec<f64>]) -> f64 {
         let pairs = self.planes.iter().zip(residuals).flat_map(|(p, r)| p.used.iter().zip(r));
         let (sum, count) = pairs
@@ -234,7 +234,7 @@ impl<'a> Planes<'a> {
             .sqrt()
     }
 
-    /// Inlier ratio of the board's own tiles.
+    /// Part of the board's own tiles that take part.
     fn following(&self) -> f64 {
         let own = self.planes.iter().flat_map(|plane| {
             plane.used.iter().take(self.problem.views[plane.frame_set].tiles.len())

@@ -1,18 +1,18 @@
-//! Pose jitter: the board's motion between the exposures of color and of infrared. Each view has its
-//! own small rotation and translation (ω, τ), Gaussian about zero (or about the board's estimated
-//! motion), with variances estimated from all views.
+//! Pose jitter: the board's motion between the exposures of color and of infrared. Each view has
+//! its own small rotation and translation (ω, τ), Gaussian about zero (or about the board's
+//! estimated motion), with variances estimated from all views.
 //!
-//! The pose jitter of a view is eliminated from its normal equations by the Schur complement H − H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point
-//! (*Bayesian interpolation*, 1992): the sum of squares over the number of well determined
-//! parameters.
+//! The pose jitter of a view is eliminated from its normal equations by the Schur complement H −
+//! H_p (H_pp + Σ⁻¹)⁻¹ H_pᵀ. Its variances follow by D. MacKay's fixed point (*Bayesian
+//! interpolation*, 1992): the sum of squares over the number of well determined parameters.
 
 use nalgebra::{Matrix6, Vector6};
 
 use crate::estimation::joint::linearize::LocalEquations;
 use crate::geometry::median::median;
 
-/// Variances of the pose jitter, common to all views: of the rotation about each axis in rad², of the
-/// translation along each in m².
+/// Variances of the pose jitter, common to all views: of the rotation about each axis in rad², of
+/// the translation along each in m².
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct PoseJitter {
     pub(super) rotation: f64,
@@ -73,9 +73,9 @@ impl PoseJitter {
             .where_shown(&differences, self)
     }
 
-    /// Without the variances that the views do not show: one that only followed chance would make the
-    /// sensors' pose less certain than it is. `held` are the variances at which the views' spreads
-    /// were computed.
+    /// Without the variances that the views do not show: one that only followed chance would make
+    /// the sensors' pose less certain than it is. `held` are the variances at which the views'
+    /// spreads were computed.
     fn where_shown<'a>(
         mut self,
         differences: &(impl Iterator<Item = &'a PoseDifference> + Clone),

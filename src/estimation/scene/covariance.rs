@@ -19,13 +19,13 @@ pub struct LensCovariance {
     pub shared: f64,
 }
 
-/// The covariance of the lens at the minimum `state` of `bundle`, whose observations have their true
-/// standard deviations; `None` where something is not determined at all.
+/// The covariance of the lens at the minimum `state` of `bundle`, whose observations have their
+/// true standard deviations; `None` where something is not determined at all.
 ///
-/// Observations err together by image (motion blur, rolling shutter), by scene point (a wrong match)
-/// and by region of the image (what the lens model does not follow): the clustered covariance of
-/// K.-Y. Liang and S. L. Zeger, 1986, each way, the excesses added (A. C. Cameron, J. Gelbach and
-/// D. Miller, *Robust inference with multiway clustering*, 2011).
+/// Observations err together by image (motion blur, rolling shutter), by scene point (a wrong
+/// match) and by region of the image (what the lens model does not follow): the clustered
+/// covariance of K.-Y. Liang and S. L. Zeger, 1986, each way, the excesses added (A. C. Cameron, J.
+/// Gelbach and D. Miller, *Robust inference with multiway clustering*, 2011).
 pub fn lens_covariance(bundle: &Bundle, state: &SceneState) -> Option<LensCovariance> {
     let reduced = bundle.reduced(state, 0.0);
     let kept = kept_parameters(bundle, state);

@@ -22,8 +22,8 @@ pub fn essential_from_pose(rotation: &Matrix3<f64>, translation: &Vector3<f64>) 
     translation.cross_matrix() * rotation
 }
 
-/// From at least 8 pairs of normalized coordinates (HZ section 9.6): the nearest essential matrix to
-/// the eight-point answer.
+/// From at least 8 pairs of normalized coordinates (HZ section 9.6): the nearest essential matrix
+/// to the eight-point answer.
 pub fn essential_from_many(pairs: &[PointPair]) -> Option<Matrix3<f64>> {
     Some(nearest_essential(&fundamental_from_many(pairs)?))
 }

@@ -3,8 +3,8 @@
 //! Samples are drawn, fitted and scored a contrario: of all residual limits the one whose inliers
 //! are the least likely to agree by chance (L. Moisan and B. Stival, *A probabilistic criterion to
 //! detect rigid point matches between two images and estimate the fundamental matrix*, 2004). So
-//! the inliers' scale comes from the data. Each new best is fitted again to its inliers (O. Chum, J.
-//! Matas and J. Kittler, *Locally optimized RANSAC*, 2003). Deterministic: the samples are drawn
+//! the inliers' scale comes from the data. Each new best is fitted again to its inliers (O. Chum,
+//! J. Matas and J. Kittler, *Locally optimized RANSAC*, 2003). Deterministic: the samples are drawn
 //! from a generator with a fixed seed.
 
 use rand::{Rng, SeedableRng};

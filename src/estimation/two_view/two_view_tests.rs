@@ -34,11 +34,11 @@ impl World {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = |reach: f64| random.random_range(-reach..reach);
         let turn = Vector3::new(uniform(0.1), uniform(0.2), uniform(0.3));
-        let shift = Vector3::new(1.0, uniform(0.3), uniform(0.3));
+        let translation = Vector3::new(1.0, uniform(0.3), uniform(0.3));
         let points = (0..count)
             .map(|_| Point3::new(uniform(2.0), uniform(1.5), 7.0 + uniform(2.0)))
             .collect();
-        Self { second_from_first: Pose::from_axis_angle(turn, -shift), points }
+        Self { second_from_first: Pose::from_axis_angle(turn, -translation), points }
     }
 
     fn normalized(&self) -> Vec<PointPair> {

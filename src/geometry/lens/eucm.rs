@@ -9,8 +9,8 @@ use crate::geometry::pixel::Bearing;
 
 /// With d = √(β (X² + Y²) + Z²): (x_d, y_d) = (X, Y)/(α d + (1 − α) Z).
 ///
-/// B. Khomutenko, G. Garcia and P. Martinet, *An enhanced unified camera model*, RA-L 2016, with 0 ≤
-/// α ≤ 1 and β > 0; others see nothing. The valid region is that of V. Usenko, N. Demmel and D.
+/// B. Khomutenko, G. Garcia and P. Martinet, *An enhanced unified camera model*, RA-L 2016, with 0
+/// ≤ α ≤ 1 and β > 0; others see nothing. The valid region is that of V. Usenko, N. Demmel and D.
 /// Cremers, *The double sphere camera model*, 3DV 2018, eq. 30. Sees points beside and behind the
 /// camera.
 #[derive(Debug, Clone, Copy, PartialEq)]

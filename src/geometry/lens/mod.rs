@@ -9,9 +9,9 @@
 //! ```
 //!
 //! One model a file; a new one is a file and its line in the list below, and a line of the
-//! conformance tests. Every model knows its *valid region*: the largest connected set around the optical axis
-//! in which it is one-to-one. Outside it, projecting and unprojecting answer `None` instead of a
-//! plausible wrong number.
+//! conformance tests. Every model knows its *valid region*: the largest connected set around the
+//! optical axis in which it is one-to-one. Outside it, projecting and unprojecting answer `None`
+//! instead of a plausible wrong number.
 
 mod brown;
 pub mod columns;
