@@ -192,8 +192,8 @@ impl McapReader {
     /// new one.
     fn gather(&mut self, frame: Frame, header: &MessageHeader) -> Option<FrameSet> {
         if let Some(gathering) = &mut self.gathering {
-            let apart = header.log_time.abs_diff(gathering.log_time) > TOGETHER_NS;
-            if !apart && gathering.set.frame(frame.sensor).is_none() {
+            let is_later = header.log_time.abs_diff(gathering.log_time) > TOGETHER_NS;
+            if !is_later && gathering.set.frame(frame.sensor).is_none() {
                 gathering.set.frames.push(frame);
                 gathering.set.frames.sort_by_key(|frame| frame.sensor);
                 return None;

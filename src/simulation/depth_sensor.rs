@@ -3,8 +3,8 @@
 //! Everything happens in inverse depth q = 1/z, in which a stereo matcher measures:
 //!
 //! ```text
-//! q' = q · (1 + scale(u, v)) + offset(u, v) + noise,   rounded to steps;   reading = 1/q' in the
-//! device's unit, rounded
+//! q' = q · (1 + scale(u, v)) + offset(u, v) + noise,   rounded to steps
+//! reading = 1/q' in the device's unit,   rounded
 //! ```
 //!
 //! so that noise and steps in z grow with z². Both fields are known smooth functions, see

@@ -21,6 +21,23 @@ const DENIED: &[(&[&str], &str)] = &[
     (&["witness", "witnesses"], "reference"),
     (&["slack"], "pose jitter, tolerance"),
     (&["usual"], "median, ordinary"),
+    (&["agreeing"], "inlier"),
+    (&["bend", "bends"], "distortion, curvature"),
+    (&["apart"], "distance, difference, separate"),
+    (&["picture", "pictures"], "image"),
+];
+
+/// Where a denied word stands for now. It only ever gets shorter: `picture` is a column of the store,
+/// and the others await the end of other work on their files.
+const NOT_YET: &[(&str, &[&str])] = &[
+    ("picture", &["src/store", "src/pipeline", "src/http/views.rs"]),
+    ("pictures", &["src/store", "CHANGELOG.md"]),
+    ("picture", &["src/calibration/rgbd_calibration.rs", "src/calibration/solve_rgbd.rs"]),
+    ("pictures", &["src/calibration/rgbd_calibration.rs", "src/calibration/solve_rgbd.rs"]),
+    ("pictures", &["src/calibration/solve_rig.rs", "src/estimation/rgbd", "src/cli/store.rs"]),
+    ("picture", &["src/estimation/rgbd"]),
+    ("bend", &["src/estimation/rgbd/planes.rs"]),
+    ("bends", &["src/estimation/effects/board_basis.rs"]),
 ];
 
 /// Spellings that are not US English, as parts of words.
@@ -36,8 +53,16 @@ const SPELLINGS: &[(&str, &str)] = &[
 ];
 
 /// Where a denied word or spelling is the right one: another program's name, or the field's term.
-const ALLOWED_TEXT: &[&str] =
-    &["line of sight", "lines of sight", "line_of_sight", "GREY", "METRES", "older.companions"];
+const ALLOWED_TEXT: &[&str] = &[
+    "line of sight",
+    "lines of sight",
+    "line_of_sight",
+    "GREY",
+    "METRES",
+    "older.companions",
+    "hard_pictures",
+    "\"picture\"",
+];
 
 /// Names that mean the same in every file: the arguments of one command.
 const TYPES_PER_FILE: &[&str] = &["Args"];
@@ -60,6 +85,10 @@ fn the_vocabulary_is_the_fields() {
             };
             for word in words(&line) {
                 let denied = DENIED.iter().find(|(denied, _)| denied.contains(&word.as_str()));
+                let allowed = |(later, paths): &(&str, &[&str])| {
+                    *later == word && paths.iter().any(|path| file.starts_with(path))
+                };
+                let denied = denied.filter(|_| !NOT_YET.iter().any(allowed));
                 faults.extend(denied.map(|(_, instead)| fault(&word, instead)));
             }
             for (british, us) in SPELLINGS {

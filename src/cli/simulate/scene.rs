@@ -4,22 +4,36 @@
 //! seed = 1
 //! frames = 150
 //! fps = 15
-//! seat = 0                       # of a rig: 1 is its second camera, whose board is carried about
-//! before its first one clutter = 24                   # rectangles on the wall behind the board
-//! [board] cols = 9 rows = 6 square_m = 0.025 [camera] width = 640 height = 480 blur_px = 0.7
-//! # σ of the optical blur exposure_ms = 4.0 gain = 0.9                     # the level of white, 1
-//! is full scale full_well_e = 10000.0          # electrons at full scale: shot noise read_noise_e
-//! = 6.0 gamma = 2.2 vignetting = 0.25 jpeg_quality = 90 lens = { model = "brown", fx = 560, fy =
-//! 560, cx = 320, cy = 240, k1 = -0.2, k2 = 0.05, p1 = 0, p2 = 0, k3 = 0 }   # default: follows
-//! from the seed [walk] still_s = 0.4                  # how long the board is held still at each
-//! place travel_s = 0.6                 # how long it takes to the next tilt_deg = 50.0 roll_deg =
-//! 25.0 width = [0.38, 0.8]            # the card's width over the image's, farthest and nearest
+//! seat = 0                       # of a rig: 1 is its second camera, whose board is carried about before its first one
+//! clutter = 24                   # rectangles on the wall behind the board
+//! [board]
+//! cols = 9
+//! rows = 6
+//! square_m = 0.025
+//! [camera]
+//! width = 640
+//! height = 480
+//! blur_px = 0.7                  # σ of the optical blur
+//! exposure_ms = 4.0
+//! gain = 0.9                     # the level of white, 1 is full scale
+//! full_well_e = 10000.0          # electrons at full scale: shot noise
+//! read_noise_e = 6.0
+//! gamma = 2.2
+//! vignetting = 0.25
+//! jpeg_quality = 90
+//! lens = { model = "brown", fx = 560, fy = 560, cx = 320, cy = 240, k1 = -0.2, k2 = 0.05, p1 = 0, p2 = 0, k3 = 0 }   # default: follows from the seed
+//! [walk]
+//! still_s = 0.4                  # how long the board is held still at each place
+//! travel_s = 0.6                 # how long it takes to the next
+//! tilt_deg = 50.0
+//! roll_deg = 25.0
+//! width = [0.38, 0.8]            # the card's width over the image's, farthest and nearest
 //! leaving = 0.0                  # part of the places with part of the board outside the image
 //! [depth]                        # only if given: an infrared and a depth sensor beside the camera
-//! time_offset_ms = 0.0           # by how much they are taken later than the color image they come
-//! with noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth step_per_m
-//! = 0.002             # steps of inverse depth, in 1/m wall_m = 1.8                   # how far
-//! the wall behind the board is
+//! time_offset_ms = 0.0           # by how much they are taken later than the color image they come with
+//! noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth
+//! step_per_m = 0.002             # steps of inverse depth, in 1/m
+//! wall_m = 1.8                   # how far the wall behind the board is
 //! ```
 
 use std::path::Path;

@@ -1,8 +1,8 @@
 //! Depth in the joint problem: the corrected 1/z of every tile against that of the board's plane,
 //!
 //! ```text
-//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std),   n = R e_z, (R, t) =
-//! sensor_from_board
+//! e = (correct(1/z, pixel) − n·ray(pixel) / n·t) / (gain · std)
+//! n = R e_z, (R, t) = sensor_from_board
 //! ```
 //!
 //! where the gain ∂correct/∂(1/z) is what the correction does to the reading's noise: without it, a
