@@ -7,6 +7,7 @@
 
 use nalgebra::Point3;
 
+use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::BoardObservation;
 
 /// The highest degree of the polynomials out of the plane: of a surface that is smooth over a third
@@ -90,6 +91,25 @@ impl BoardBasis {
             stretches,
             has_own,
         })
+    }
+
+    /// With only those functions that are of one of `effects`, and which of the coefficients those
+    /// are.
+    pub(super) fn only(&self, effects: &[Effect]) -> (Self, Vec<usize>) {
+        let wanted = |effect: Effect| effects.contains(&effect);
+        let kept: Vec<usize> = effects
+            .iter()
+            .filter(|effect| !effect.is_motion())
+            .flat_map(|effect| effect.range(self))
+            .collect();
+        let heights = self.heights.iter().filter(|(group, _)| wanted(Effect::Height(*group)));
+        let narrow = Self {
+            heights: heights.cloned().collect(),
+            stretches: if wanted(Effect::Stretch) { self.stretches.clone() } else { Vec::new() },
+            has_own: self.has_own && wanted(Effect::Own),
+            ..self.clone()
+        };
+        (narrow, kept)
     }
 
     /// The groups of heights there are.

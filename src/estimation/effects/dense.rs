@@ -1,7 +1,7 @@
 //! Cholesky factors and inverses of dense symmetric matrices by blocks, so that nearly all of the
 //! work is matrix products (G. H. Golub, C. F. Van Loan, *Matrix Computations*, 4.2.9).
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 /// Columns of a block: a factor of a block is small beside the products that it saves.
 const BLOCK: usize = 32;
@@ -49,15 +49,19 @@ impl Factor {
     }
 
     /// bᵀ A⁻¹ b.
-    pub(super) fn half_square(&self, b: &nalgebra::DVector<f64>) -> f64 {
+    pub(super) fn half_square(&self, b: &DVector<f64>) -> f64 {
         self.lower.solve_lower_triangular(b).map_or(f64::NAN, |half| half.norm_squared())
     }
 
-    /// A⁻¹.
-    pub(super) fn inverse(&self) -> DMatrix<f64> {
+    /// x of L x = b.
+    pub(super) fn half_solve(&self, b: &DVector<f64>) -> Option<DVector<f64>> {
+        self.lower.solve_lower_triangular(b)
+    }
+
+    /// L⁻¹.
+    pub(super) fn root_of_inverse(&self) -> DMatrix<f64> {
         let size = self.lower.nrows();
         let mut of_lower = DMatrix::zeros(size, size);
-        let mut inverse = DMatrix::zeros(size, size);
         for (block, at) in (0..size).step_by(BLOCK).enumerate() {
             let width = BLOCK.min(size - at);
             let own = &self.diagonal_inverses[block];
@@ -66,15 +70,46 @@ impl Factor {
                 of_lower.view_mut((at, 0), (width, at)).gemm(-1.0, own, &left, 0.0);
             }
             of_lower.view_mut((at, at), (width, width)).copy_from(own);
-            let rows = of_lower.view((at, 0), (width, at + width)).into_owned();
-            inverse.view_mut((0, 0), (at + width, at + width)).gemm(
-                1.0,
-                &rows.transpose(),
-                &rows,
-                1.0,
-            );
         }
-        inverse
+        of_lower
+    }
+}
+
+/// Rᵀ R of a lower-triangular R.
+pub(super) fn square_of_lower(lower: &DMatrix<f64>) -> DMatrix<f64> {
+    let size = lower.nrows();
+    let mut square = DMatrix::zeros(size, size);
+    for at in (0..size).step_by(BLOCK) {
+        let width = BLOCK.min(size - at);
+        let rows = lower.view((at, 0), (width, at + width)).into_owned();
+        square.view_mut((0, 0), (at + width, at + width)).gemm(1.0, &rows.transpose(), &rows, 1.0);
+    }
+    square
+}
+
+/// R h of a lower-triangular R.
+pub(super) fn lower_times(lower: &DMatrix<f64>, h: &DMatrix<f64>) -> DMatrix<f64> {
+    let size = lower.nrows();
+    let mut product = DMatrix::zeros(size, h.ncols());
+    for at in (0..size).step_by(BLOCK) {
+        let width = BLOCK.min(size - at);
+        let rows = lower.view((at, 0), (width, at + width));
+        product.rows_mut(at, width).gemm(1.0, &rows, &h.rows(0, at + width), 0.0);
+    }
+    product
+}
+
+/// Takes hᵀ h from the lower half of `a`.
+pub(super) fn take_square_from_lower(a: &mut DMatrix<f64>, h: &DMatrix<f64>) {
+    let (size, across) = (a.nrows(), h.transpose());
+    for at in (0..size).step_by(BLOCK) {
+        let width = BLOCK.min(size - at);
+        a.view_mut((at, at), (size - at, width)).gemm(
+            -1.0,
+            &across.rows(at, size - at),
+            &h.columns(at, width),
+            1.0,
+        );
     }
 }
 
@@ -126,8 +161,15 @@ mod tests {
             });
             let a = &root * root.transpose() + DMatrix::identity(size, size) * 5.0;
             let factor = Factor::of(a.clone()).unwrap();
-            let off = factor.inverse() * &a - DMatrix::identity(size, size);
+            let root = factor.root_of_inverse();
+            let off = square_of_lower(&root) * &a - DMatrix::identity(size, size);
             assert!(off.amax() < 1e-9, "{size}: {}", off.amax());
+            let thin = DMatrix::from_fn(size, 5, |i, j| (i * j) as f64);
+            assert!((lower_times(&root, &thin) - &root * &thin).amax() < 1e-9);
+            let mut less = a.clone();
+            take_square_from_lower(&mut less, &thin.transpose());
+            let off = (less - (&a - &thin * thin.transpose())).lower_triangle();
+            assert!(off.amax() < 1e-9 * a.amax().max((size * size) as f64));
             let plain: f64 =
                 a.cholesky().unwrap().l().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
             assert!((factor.log_determinant() - plain).abs() < 1e-9 * plain.abs().max(1.0));

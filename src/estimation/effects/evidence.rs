@@ -9,7 +9,9 @@
 use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
-use crate::estimation::effects::dense::Factor;
+use crate::estimation::effects::dense::{
+    Factor, lower_times, square_of_lower, take_square_from_lower,
+};
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::effects::state::EffectsState;
 use crate::estimation::effects::system::{System, ViewPart};
@@ -91,22 +93,14 @@ impl Variances {
     }
 }
 
-/// Globals that are in the model, with what each effect's variance adds to their information.
-struct Active {
-    index: Vec<usize>,
-    lambda: Vec<f64>,
-}
-
-impl Active {
-    fn of(variances: &Variances, lens: usize, basis: &BoardBasis) -> Self {
-        let mut active = Self { index: (0..lens).collect(), lambda: vec![0.0; lens] };
-        for (effect, lambda) in variances.0.iter().filter(|(effect, _)| !effect.is_motion()) {
-            let range = effect.range(basis);
-            active.lambda.extend(range.clone().map(|_| *lambda));
-            active.index.extend(range.map(|k| lens + k));
-        }
-        active
+/// What each effect's variance adds to the information of each global. Effects are those of
+/// `basis`.
+fn prior_information(variances: &Variances, lens: usize, basis: &BoardBasis) -> Vec<f64> {
+    let mut of = vec![0.0; lens + basis.len()];
+    for (effect, lambda) in variances.0.iter().filter(|(effect, _)| !effect.is_motion()) {
+        effect.range(basis).for_each(|k| of[lens + k] = *lambda);
     }
+    of
 }
 
 /// The motion of one view, eliminated: rows of L⁻¹ F, and L⁻¹ of its gradient.
@@ -121,11 +115,12 @@ pub(super) struct Reduced<'a> {
     basis: &'a BoardBasis,
     variances: &'a Variances,
     lens: usize,
-    active: Active,
+    /// Of each global: what its variance adds to its information.
+    lambda: Vec<f64>,
     scale: DVector<f64>,
     factor: Factor,
     gradient: DVector<f64>,
-    /// 6 rows a view: L⁻¹ times the coupling of its motion with the active globals.
+    /// 6 rows a view: L⁻¹ times the coupling of its motion with the globals.
     halves: DMatrix<f64>,
     eliminated: Vec<Eliminated>,
     /// ln |motion's block + Λ| − ln |Λ|, summed.
@@ -139,16 +134,12 @@ impl<'a> Reduced<'a> {
         (basis, lens): (&'a BoardBasis, usize),
         variances: &'a Variances,
     ) -> Option<Self> {
-        let active = Active::of(variances, lens, basis);
-        let size = active.index.len();
-        let mut schur =
-            DMatrix::from_fn(size, size, |i, j| system.global[(active.index[i], active.index[j])]);
-        let mut gradient = DVector::from_fn(size, |i, _| {
-            let index = active.index[i];
-            let value = if index < lens { 0.0 } else { state.shape[index - lens] };
-            system.gradient[index] + active.lambda[i] * value
-        });
-        for (k, lambda) in active.lambda.iter().enumerate() {
+        let lambda = prior_information(variances, lens, basis);
+        let (size, mut schur) = (lambda.len(), system.global.clone());
+        let mut gradient = system.gradient.clone();
+        for (k, lambda) in lambda.iter().enumerate() {
+            let value = if k < lens { 0.0 } else { state.shape[k - lens] };
+            gradient[k] += lambda * value;
             schur[(k, k)] += lambda;
         }
         let of_motion = variances.of_motion(system);
@@ -162,18 +153,17 @@ impl<'a> Reduced<'a> {
                 (0..6).map(|k| 2.0 * factor[(k, k)].ln() - of_motion[k].ln()).sum::<f64>();
             let now = state.motions[view.observation].component_mul(&of_motion);
             let half_gradient = factor.solve_lower_triangular(&(view.motion_gradient + now))?;
-            let coupling = view.motion_coupling.select_columns(&active.index);
-            let half = factor.solve_lower_triangular(&coupling)?;
+            let half = factor.solve_lower_triangular(&view.motion_coupling)?;
             gradient -= half.transpose() * half_gradient;
             halves.rows_mut(6 * k, 6).copy_from(&half);
             eliminated.push(Eliminated { factor, half_gradient });
         }
         if views > 0 {
-            schur.gemm(-1.0, &halves.transpose(), &halves, 1.0);
+            take_square_from_lower(&mut schur, &halves);
         }
         let scale = schur.diagonal().map(|d| 1.0 / d.max(f64::MIN_POSITIVE).sqrt());
         for j in 0..size {
-            for i in 0..size {
+            for i in j..size {
                 schur[(i, j)] *= scale[i] * scale[j];
             }
         }
@@ -182,7 +172,7 @@ impl<'a> Reduced<'a> {
             basis,
             variances,
             lens,
-            active,
+            lambda,
             scale,
             factor: Factor::of(schur)?,
             gradient,
@@ -194,42 +184,26 @@ impl<'a> Reduced<'a> {
 
     /// The posterior with its covariance.
     pub(super) fn posterior(self, state: &EffectsState) -> Posterior {
-        let mut covariance = self.factor.inverse();
-        let size = self.active.index.len();
-        for j in 0..size {
-            for i in 0..size {
-                covariance[(i, j)] *= self.scale[i] * self.scale[j];
-            }
+        let (noise_square, _) = self.noise(state);
+        let mut root = self.factor.root_of_inverse();
+        for (mut column, scale) in root.column_iter_mut().zip(&self.scale) {
+            column *= *scale;
         }
-        let step = -(&covariance * &self.gradient);
-        let cost = self.system.cost
-            + self.variances.penalty(state, self.basis, &self.observations())
-            - self.system.views.iter().map(ViewPart::pose_decrease).sum::<f64>()
-            - self.eliminated.iter().map(|view| view.half_gradient.norm_squared()).sum::<f64>()
-            + step.dot(&self.gradient);
-        let views = self.system.views.len();
-        let freedom = (self.system.residual_count as f64 - (self.lens + 6 * views) as f64).max(1.0);
-        let noise_square = (cost / freedom).max(f64::MIN_POSITIVE);
-        let mut global = DVector::zeros(self.system.gradient.len());
-        for (index, step) in self.active.index.iter().zip(step.iter()) {
-            global[*index] = *step;
-        }
+        let step = -(root.transpose() * (&root * &self.gradient));
+        let carried = lower_times(&root, &self.halves.transpose());
         let (mut motions, mut motion_covariances, mut ups) = (Vec::new(), Vec::new(), Vec::new());
-        let carried = &self.halves * &covariance;
         for (k, view) in self.eliminated.iter().enumerate() {
-            let rows = self.halves.rows(6 * k, 6);
-            let right = view.half_gradient + rows * &step;
+            let right = view.half_gradient + self.halves.rows(6 * k, 6) * &step;
             let up = view.factor.try_inverse().unwrap_or_default().transpose();
             motions.push(-(up * right));
             ups.push(up);
-            let inner = carried.rows(6 * k, 6) * rows.transpose();
-            let inner = Matrix6::from_fn(|i, j| inner[(i, j)]) + Matrix6::identity();
-            motion_covariances.push(up * inner * up.transpose());
+            let carried = carried.columns(6 * k, 6);
+            let inner = Matrix6::from_fn(|i, j| carried.column(i).dot(&carried.column(j)));
+            motion_covariances.push(up * (inner + Matrix6::identity()) * up.transpose());
         }
         Posterior {
-            index: self.active.index,
-            covariance,
-            global,
+            root,
+            global: step,
             motions,
             motion_covariances,
             halves: self.halves,
@@ -263,7 +237,7 @@ impl<'a> Reduced<'a> {
         let (noise_square, freedom) = self.noise(state);
         let log_determinants = self.factor.log_determinant()
             - 2.0 * self.scale.iter().map(|s| s.ln()).sum::<f64>()
-            - self.active.lambda[self.lens..].iter().map(|l| l.ln()).sum::<f64>()
+            - self.lambda[self.lens..].iter().map(|l| l.ln()).sum::<f64>()
             + self.motion_determinants;
         -0.5 * (freedom * (noise_square.ln() + 1.0) + log_determinants)
     }
@@ -275,9 +249,8 @@ impl<'a> Reduced<'a> {
 
 /// What data and variances say.
 pub(super) struct Posterior {
-    /// Globals that are in the model; `covariance` is of these, for noise of unit variance.
-    pub(super) index: Vec<usize>,
-    pub(super) covariance: DMatrix<f64>,
+    /// A lower-triangular R with Rᵀ R = the covariance of the globals for noise of unit variance.
+    pub(super) root: DMatrix<f64>,
     /// The step of all globals.
     pub(super) global: DVector<f64>,
     /// Per view, in the system's order: the step of its motion, and its covariance for noise of
@@ -297,15 +270,9 @@ const LEAST_LAMBDA: f64 = 1e-10;
 const LARGEST_CHANGE: f64 = 1e4;
 
 impl Posterior {
-    /// Of all globals, for noise of unit variance: 0 for those that are not in the model.
-    pub(super) fn whole_covariance(&self, globals: usize) -> DMatrix<f64> {
-        let mut whole = DMatrix::zeros(globals, globals);
-        for (j, column) in self.index.iter().enumerate() {
-            for (i, row) in self.index.iter().enumerate() {
-                whole[(*row, *column)] = self.covariance[(i, j)];
-            }
-        }
-        whole
+    /// Of all globals, for noise of unit variance.
+    pub(super) fn covariance(&self) -> DMatrix<f64> {
+        square_of_lower(&self.root)
     }
 
     /// L⁻ᵀ of the `k`-th view's motion; `None` where nothing moves.
@@ -322,9 +289,6 @@ impl Posterior {
         (basis, lens): (&BoardBasis, usize),
         variances: &Variances,
     ) -> (Variances, Vec<f64>) {
-        let diagonal = self.covariance.diagonal();
-        let mut place = vec![usize::MAX; system.gradient.len()];
-        self.index.iter().enumerate().for_each(|(k, index)| place[*index] = k);
         let mut determined = Vec::new();
         let update = |(effect, lambda): &(Effect, f64)| {
             let range = effect.range(basis);
@@ -342,7 +306,8 @@ impl Posterior {
                 }
             } else {
                 for k in range {
-                    trace += diagonal[place[lens + k]];
+                    let column = self.root.column(lens + k);
+                    trace += column.rows_range(lens + k..).norm_squared();
                     information += system.global[(lens + k, lens + k)];
                     squares += (state.shape[k] + self.global[lens + k]).powi(2);
                     count += 1.0;
@@ -368,19 +333,15 @@ impl Posterior {
         (basis, lens): (&BoardBasis, usize),
         variances: &Variances,
     ) -> Vec<f64> {
-        let mut place = vec![usize::MAX; system.gradient.len()];
-        self.index.iter().enumerate().for_each(|(k, index)| place[*index] = k);
         let gain = |(effect, lambda): &(Effect, f64)| {
             let range = effect.range(basis);
             if !effect.is_motion() {
-                let size = range.len();
-                let at = |k: usize| place[lens + range.start + k];
-                let block =
-                    DMatrix::from_fn(size, size, |i, j| self.covariance[(at(i), at(j))] * lambda);
-                let value = DVector::from_fn(size, |k, _| {
-                    state.shape[range.start + k] + self.global[lens + range.start + k]
-                });
-                return self.gain(block, &value, *lambda);
+                let (first, size) = (lens + range.start, range.len());
+                let rows = self.root.nrows() - first;
+                let columns = self.root.view((first, first), (rows, size));
+                let value =
+                    DVector::from_column_slice(&state.shape[range]) + self.global.rows(first, size);
+                return self.gain(columns.transpose() * columns * *lambda, &value, *lambda);
             }
             let of_view =
                 |((view, step), covariance): ((&ViewPart, &Vector6<f64>), &Matrix6<f64>)| {

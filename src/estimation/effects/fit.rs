@@ -1,5 +1,7 @@
 //! The walk to the posterior's mode, with variances updated on the way, and the choice of effects.
 
+use std::rc::Rc;
+
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 
 use crate::estimation::camera_fit::CameraFit;
@@ -65,8 +67,15 @@ pub(crate) fn fit_effects(
             return None;
         }
         let observations = &corners.observations;
-        let scene =
-            Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+        let scene = Scene {
+            layout,
+            basis: &basis,
+            observations,
+            good: &good,
+            rows,
+            by_columns: None,
+            moves: true,
+        };
         let start = |wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
         let next = match walk.take() {
             Some(walk) => walk.again(scene)?,
@@ -88,7 +97,15 @@ pub(crate) fn fit_effects(
     }
     let walk = walk?;
     let observations = &corners.observations;
-    let scene = Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+    let scene = Scene {
+        layout,
+        basis: &basis,
+        observations,
+        good: &good,
+        rows,
+        by_columns: None,
+        moves: true,
+    };
     let found = walk.finished(scene)?;
     Some((found, corners))
 }
@@ -100,27 +117,27 @@ fn pose_covariances(
 ) -> Vec<Option<Matrix6<f64>>> {
     let mut all = vec![None; observations];
     for (k, view) in system.views.iter().enumerate() {
-        let Some((by_global, by_motion, alone)) = view.pose_response() else { continue };
-        let mut through = by_global.select_columns(&posterior.index);
+        let Some((mut through, by_motion, alone)) = view.pose_response() else { continue };
         let mut covariance = alone;
         if let Some(up) = posterior.motion_up(k) {
             let through_motion = by_motion * up;
             through -= through_motion * posterior.halves.rows(6 * k, 6);
             covariance += through_motion * through_motion.transpose();
         }
-        let carried = &through * &posterior.covariance * through.transpose();
-        covariance += Matrix6::from_fn(|i, j| carried[(i, j)]);
+        let carried = &posterior.root * through.transpose();
+        covariance += Matrix6::from_fn(|i, j| carried.column(i).dot(&carried.column(j)));
         all[view.observation] = Some(covariance * posterior.noise_square);
     }
     all
 }
 
+/// The walk. What is not in the model has no unknowns.
 pub(super) struct EffectSearch {
     pub(super) state: EffectsState,
     pub(super) system: System,
     pub(super) variances: Variances,
-    /// Of each effect, how far it raises the logarithm of the evidence.
-    pub(super) gains: Vec<f64>,
+    /// Those functions on the board that are in the model.
+    pub(super) basis: Rc<BoardBasis>,
 }
 
 impl EffectSearch {
@@ -134,10 +151,17 @@ impl EffectSearch {
         if wanted.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);
         }
-        let state = EffectsState::flat_and_still(plain, scene.basis, scene.observations.len());
+        let (basis, _) = scene.basis.only(&effects);
+        let scene = Scene { basis: &basis, moves: wanted.motion, ..scene };
+        let state = EffectsState::flat_and_still(plain, &basis, scene.observations.len());
         let system = System::at(scene, &state)?;
-        let variances = Variances::start(&effects, &system, scene.layout.len, scene.basis);
-        Some(Self { state, system, variances, gains: Vec::new() })
+        let variances = Variances::start(&effects, &system, scene.layout.len, &basis);
+        Some(Self { state, system, variances, basis: Rc::new(basis) })
+    }
+
+    /// The scene with what is in the model, `basis` being its own.
+    fn looking_at<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
+        Scene { basis, moves: self.moves(), ..scene }
     }
 
     /// At the minimum, with the effects that are missed without; `None` where there are none.
@@ -157,38 +181,36 @@ impl EffectSearch {
 
     /// The same with corners chosen anew.
     fn again(self, scene: Scene<'_>) -> Option<Self> {
-        Some(Self { system: System::at(scene, &self.state)?, ..self })
+        let system = System::at(self.looking_at(scene, &self.basis), &self.state)?;
+        Some(Self { system, ..self })
     }
 
     fn moves(&self) -> bool {
         self.variances.0.iter().any(|(effect, _)| effect.is_motion())
     }
 
-    pub(super) fn copy(&self, scene: Scene<'_>) -> Option<Self> {
-        let state = self.state.clone();
-        let system = System::at(scene, &state)?;
-        Some(Self { state, system, variances: self.variances.clone(), gains: Vec::new() })
+    /// A walk on from here without the motion, in another scene.
+    pub(super) fn still(&self, scene: Scene<'_>) -> Option<Self> {
+        let mut state = self.state.clone();
+        for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
+            state.clear(*effect, &self.basis);
+        }
+        let system = System::at(self.looking_at(scene, &self.basis), &state)?;
+        Some(Self { state, system, variances: self.variances.clone(), basis: self.basis.clone() })
     }
 
     fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
-        let (basis, lens) = (scene.basis, scene.layout.len);
+        let basis = Rc::clone(&self.basis);
+        let (scene, lens) = (self.looking_at(scene, &basis), scene.layout.len);
         let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
-        let posterior = Reduced::of(&self.system, &self.state, (basis, lens), &self.variances)?
-            .posterior(&self.state);
+        let posterior = self.posterior(scene)?;
         let noise_square = posterior.noise_square;
-        let mut shape_covariance = DMatrix::zeros(basis.len(), basis.len());
-        let mut with_lens = DMatrix::zeros(scene.global_len(), lens);
-        for (i, a) in posterior.index.iter().enumerate() {
-            with_lens.row_mut(*a).copy_from(&posterior.covariance.view((i, 0), (1, lens)));
-            for (j, b) in posterior.index.iter().enumerate().skip(lens) {
-                if *a >= lens {
-                    shape_covariance[(a - lens, b - lens)] =
-                        posterior.covariance[(i, j)] * noise_square;
-                }
-            }
-        }
+        let all = posterior.covariance();
+        let size = basis.len();
+        let shape_covariance = all.view((lens, lens), (size, size)) * noise_square;
         // Parameters differ by orders of magnitude: in units of their own deviations.
-        let scale = posterior.covariance.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+        let scale = all.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
+        let mut with_lens = all.columns(0, lens).into_owned();
         for (mut column, scale) in with_lens.column_iter_mut().zip(&scale) {
             column /= *scale;
         }
@@ -198,7 +220,6 @@ impl EffectSearch {
         let influences: Vec<Influence> =
             views.iter().map(|view| view.influence(&with_lens, &inverse)).collect();
         let without = || {
-            let all = posterior.whole_covariance(scene.global_len());
             let in_units = |moved: DVector<f64>| DVector::from_fn(lens, |k, _| moved[k] / scale[k]);
             Some(views.iter().map(|view| in_units(view.without(&all))).collect())
         };
@@ -214,20 +235,25 @@ impl EffectSearch {
             shape_covariance: shape_covariance * factor,
             state: self.state,
             variances: self.variances,
-            basis: basis.clone(),
+            basis: (*basis).clone(),
         })
     }
 
-    pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
-        let of = (scene.basis, scene.layout.len);
-        Some(Reduced::of(&self.system, &self.state, of, &self.variances)?.posterior(&self.state))
+    fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
+        Reduced::of(&self.system, &self.state, (scene.basis, scene.layout.len), variances)
+    }
+
+    fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
+        Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
     }
 
     /// Steps until neither state nor variances move.
     pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
-        let of = (scene.basis, scene.layout.len);
+        let basis = Rc::clone(&self.basis);
+        let scene = self.looking_at(scene, &basis);
         for _ in 0..max_steps {
             let posterior = self.posterior(scene)?;
+            let of = (scene.basis, scene.layout.len);
             let (next, determined) =
                 posterior.updated(&self.system, &self.state, of, &self.variances);
             let cost =
@@ -238,7 +264,6 @@ impl EffectSearch {
                 .map(|((a, b), known)| (a.1 / b.1).ln().abs() * known.sqrt().min(1.0))
                 .fold(0.0, f64::max);
             self.variances = next;
-            self.gains = posterior.gains(&self.system, &self.state, of, &self.variances);
             if changed < 0.1 && decrease < 0.01 * posterior.noise_square {
                 break;
             }
@@ -291,47 +316,56 @@ impl EffectSearch {
 
     /// Takes out what is not missed; answers whether anything was.
     fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
-        let with = self.log_evidence(scene, &self.variances)?;
-        let mut idle: Vec<Effect> = Vec::new();
-        for motion in [true, false] {
-            let group: Vec<Effect> = self
-                .variances
-                .0
-                .iter()
-                .map(|(effect, _)| *effect)
-                .filter(|effect| effect.is_motion() == motion)
-                .collect();
-            if group.is_empty() {
-                continue;
-            }
-            let gain = |held: &[Effect]| -> Option<f64> {
-                Some(with - self.log_evidence(scene, &self.variances.held(held))?)
-            };
-            let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
-            let whole = if certain { f64::INFINITY } else { gain(&group)? };
-            if whole < LEAST_GROUP_GAIN {
-                idle.extend(group);
-                continue;
-            }
-            for ((effect, _), gain) in self.variances.0.iter().zip(&self.gains) {
-                if group.contains(effect) && *gain < LEAST_GAIN && !certain {
-                    idle.push(*effect);
-                }
-            }
+        let basis = Rc::clone(&self.basis);
+        let scene = self.looking_at(scene, &basis);
+        let idle = self.idle(scene, wanted)?;
+        if idle.is_empty() {
+            return Some(false);
         }
         for effect in &idle {
             self.variances = self.variances.without(*effect);
-            self.state.clear(*effect, scene.basis);
+            self.state.clear(*effect, &basis);
         }
-        if !idle.is_empty() {
-            self.system = System::at(scene, &self.state)?;
+        let left: Vec<Effect> = self.variances.0.iter().map(|(effect, _)| *effect).collect();
+        let (narrow, kept) = basis.only(&left);
+        self.state.shape = kept.iter().map(|k| self.state.shape[*k]).collect();
+        self.basis = Rc::new(narrow);
+        let basis = Rc::clone(&self.basis);
+        self.system = System::at(self.looking_at(scene, &basis), &self.state)?;
+        Some(true)
+    }
+
+    /// The effects that are not missed.
+    fn idle(&self, scene: Scene<'_>, wanted: Wanted) -> Option<Vec<Effect>> {
+        let reduced = self.reduced(scene, &self.variances)?;
+        let with = reduced.log_evidence(&self.state);
+        let of = (scene.basis, scene.layout.len);
+        let gains =
+            reduced.posterior(&self.state).gains(&self.system, &self.state, of, &self.variances);
+        let mut idle: Vec<Effect> = Vec::new();
+        for motion in [true, false] {
+            let group: Vec<(Effect, f64)> = self
+                .variances
+                .0
+                .iter()
+                .zip(&gains)
+                .map(|((effect, _), gain)| (*effect, *gain))
+                .filter(|(effect, _)| effect.is_motion() == motion)
+                .collect();
+            let certain = if motion { wanted.motion_for_certain } else { wanted.shape_for_certain };
+            if group.is_empty() || certain {
+                continue;
+            }
+            let effects: Vec<Effect> = group.iter().map(|(effect, _)| *effect).collect();
+            let whole = with - self.log_evidence(scene, &self.variances.held(&effects))?;
+            let missed = |gain: &f64| whole >= LEAST_GROUP_GAIN && *gain >= LEAST_GAIN;
+            idle.extend(group.iter().filter(|(_, gain)| !missed(gain)).map(|(effect, _)| *effect));
         }
-        Some(!idle.is_empty())
+        Some(idle)
     }
 
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
-        let of = (scene.basis, scene.layout.len);
-        Some(Reduced::of(&self.system, &self.state, of, variances)?.log_evidence(&self.state))
+        Some(self.reduced(scene, variances)?.log_evidence(&self.state))
     }
 }
 
@@ -343,8 +377,15 @@ impl EffectsFit {
         observations: &[BoardObservation],
         rows: f64,
     ) -> Vec<BoardObservation> {
-        let scene =
-            Scene { layout, basis: &self.basis, observations, good: &[], rows, by_columns: None };
+        let scene = Scene {
+            layout,
+            basis: &self.basis,
+            observations,
+            good: &[],
+            rows,
+            by_columns: None,
+            moves: true,
+        };
         let offsets = self.basis.offsets(&self.state.shape);
         (0..observations.len())
             .map(|index| self.state.moved_observation(scene, &offsets, index))

@@ -18,9 +18,10 @@ pub(super) fn plausible(fit: &CameraFit, [_, rows]: [f64; 2], wanted: Wanted) ->
     let good = fit.some_views();
     let basis = BoardBasis::of(&fit.observations, false)?;
     let (layout, observations) = (&fit.layout, &fit.observations);
-    let scene = Scene { layout, basis: &basis, observations, good: &good, rows, by_columns: None };
+    let (good, basis) = (&good, &basis);
+    let scene = Scene { layout, basis, observations, good, rows, by_columns: None, moves: true };
     let plain = fit.robust.minimum.state.clone();
-    let state = EffectsState::flat_and_still(plain, &basis, observations.len());
+    let state = EffectsState::flat_and_still(plain, basis, observations.len());
     let system = System::at(scene, &state)?;
     let noise_square = fit.noise_square();
     let stands_out =

@@ -1,6 +1,8 @@
 //! Whether motion that was found is a rolling shutter's: twelve unknowns a view always explain
 //! something of whatever else is wrong.
 
+use std::rc::Rc;
+
 use nalgebra::Matrix6;
 
 use crate::estimation::effects::evidence::Reduced;
@@ -23,13 +25,10 @@ impl EffectSearch {
     /// model selection and non-nested hypotheses*, 1989: the views are what is independent, not
     /// their corners).
     pub(super) fn is_no_shutter(&self, scene: Scene<'_>, width: f64) -> Option<bool> {
+        let basis = Rc::clone(&self.basis);
+        let scene = Scene { basis: &basis, moves: true, ..scene };
         let by_columns = Scene { by_columns: Some(width), ..scene };
-        let mut control =
-            Self { variances: self.variances.clone(), gains: Vec::new(), ..self.copy(by_columns)? };
-        for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
-            control.state.clear(*effect, scene.basis);
-        }
-        control.system = System::at(by_columns, &control.state)?;
+        let mut control = self.still(by_columns)?;
         control.settle(by_columns, MAX_STEPS)?;
         let rows = self.log_evidence(scene, &self.variances)?;
         let columns = control.log_evidence(by_columns, &control.variances)?;

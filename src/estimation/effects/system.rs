@@ -7,6 +7,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 
+use crate::estimation::effects::dense::take_square_from_lower;
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
 use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::linearize::{
@@ -36,6 +37,7 @@ pub(super) struct System {
     pub(super) cost: f64,
     /// How many residuals.
     pub(super) residual_count: usize,
+    /// Its lower half.
     pub(super) global: DMatrix<f64>,
     pub(super) gradient: DVector<f64>,
     pub(super) views: Vec<ViewPart>,
@@ -106,13 +108,12 @@ impl System {
     /// Takes from the global block what the poses explain, all views in one product.
     fn eliminate_poses(&mut self) {
         let globals = self.gradient.len();
-        self.global.fill_lower_triangle_with_upper_triangle();
         let mut halves = DMatrix::zeros(6 * self.views.len(), globals);
         for (k, view) in self.views.iter().enumerate() {
             halves.rows_mut(6 * k, 6).copy_from(&view.half);
             self.gradient -= view.half.transpose() * view.half_gradient;
         }
-        self.global.gemm(-1.0, &halves.transpose(), &halves, 1.0);
+        take_square_from_lower(&mut self.global, &halves);
     }
 }
 
@@ -163,7 +164,7 @@ impl<'a> ViewColumns<'a> {
     }
 
     pub(super) fn pose(&self) -> usize {
-        self.motion() + 6
+        self.motion() + if self.scene.moves { 6 } else { 0 }
     }
 
     pub(super) fn residual(&self) -> usize {
@@ -225,7 +226,7 @@ impl<'a> ViewColumns<'a> {
         }
         let times = read_out_times(seen, self.scene);
         let lever = 1.0 / basis.half_extent[0].hypot(basis.half_extent[1]);
-        for column in 0..6 {
+        for column in 0..self.pose() - self.motion() {
             let unit = if column < 3 { lever } else { 1.0 };
             for (corner, time) in times.iter().enumerate() {
                 for row in [corner, corner + half] {
@@ -258,63 +259,99 @@ impl<'a> ViewColumns<'a> {
         observation: usize,
     ) -> Option<ViewPart> {
         let (dense, residual) = (self.motion(), self.residual());
-        let globals = gradient.len();
         let block = |a: usize, b: usize| Matrix6::from_fn(|i, j| local.product(a + i, b + j));
-        let mut coupling = Matrix6xX::zeros(globals);
-        let mut motion_coupling = Matrix6xX::zeros(globals);
+        let mut coupling = Matrix6xX::zeros(gradient.len());
+        let moving = if self.scene.moves { gradient.len() } else { 0 };
+        let mut motion_coupling = Matrix6xX::zeros(moving);
         for i in 0..dense {
             gradient[i] += local.product(i, residual);
             for j in i..dense {
-                global[(i, j)] += local.product(i, j);
+                global[(j, i)] += local.product(i, j);
             }
             for k in 0..6 {
                 coupling[(k, i)] = local.product(i, self.pose() + k);
-                motion_coupling[(k, i)] = local.product(i, self.motion() + k);
+                if self.scene.moves {
+                    motion_coupling[(k, i)] = local.product(i, self.motion() + k);
+                }
             }
         }
-        let (rows, half) = (self.rows, self.rows / 2);
-        for (corner, point) in self.own().iter().enumerate() {
-            let with = |axis: usize, column: usize| {
-                let by = &in_plane[axis];
-                let column = &values[column * rows..][..rows];
-                by[corner] * column[corner] + by[corner + half] * column[corner + half]
-            };
-            for axis in 0..2 {
-                let at = dense + 2 * point + axis;
-                for i in 0..dense {
-                    global[(i, at)] += with(axis, i);
-                }
-                for k in 0..6 {
-                    coupling[(k, at)] = with(axis, self.pose() + k);
-                    motion_coupling[(k, at)] = with(axis, self.motion() + k);
-                }
-                gradient[at] += with(axis, residual);
-                for other in axis..2 {
-                    let (a, b) = (&in_plane[axis], &in_plane[other]);
-                    global[(at, dense + 2 * point + other)] +=
-                        a[corner] * b[corner] + a[corner + half] * b[corner + half];
-                }
+        for axis in 0..2 {
+            self.add_own(axis, (global, gradient), (values, in_plane));
+            self.couple_own(axis, self.pose(), (values, in_plane), &mut coupling);
+            if self.scene.moves {
+                self.couple_own(axis, self.motion(), (values, in_plane), &mut motion_coupling);
             }
         }
         let pose_factor = block(self.pose(), self.pose()).cholesky()?.unpack();
-        let solve = |right: &Matrix6<f64>| pose_factor.solve_lower_triangular(right);
-        let half_motion = solve(&block(self.pose(), self.motion()))?;
         let half_gradient = pose_factor.solve_lower_triangular(&Vector6::from_fn(|k, _| {
             local.product(self.pose() + k, residual)
         }))?;
         let half = pose_factor.solve_lower_triangular(&coupling)?;
-        motion_coupling.gemm(-1.0, &half_motion.transpose(), &half, 1.0);
-        let motion_gradient = Vector6::from_fn(|k, _| local.product(self.motion() + k, residual))
-            - half_motion.transpose() * half_gradient;
+        let (mut half_motion, mut motion) = (Matrix6::zeros(), Matrix6::zeros());
+        let mut motion_gradient = Vector6::zeros();
+        if self.scene.moves {
+            half_motion = pose_factor.solve_lower_triangular(&block(self.pose(), self.motion()))?;
+            motion_coupling.gemm(-1.0, &half_motion.transpose(), &half, 1.0);
+            motion = block(self.motion(), self.motion()) - half_motion.transpose() * half_motion;
+            motion_gradient = Vector6::from_fn(|k, _| local.product(self.motion() + k, residual))
+                - half_motion.transpose() * half_gradient;
+        }
         Some(ViewPart {
             observation,
             pose_factor,
-            motion: block(self.motion(), self.motion()) - half_motion.transpose() * half_motion,
+            motion,
             half,
             half_motion,
             half_gradient,
             motion_coupling,
             motion_gradient,
         })
+    }
+
+    /// Adds what the points' own offsets along one axis add.
+    fn add_own(
+        &self,
+        axis: usize,
+        (global, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
+        (values, in_plane): (&[f64], &[Vec<f64>; 2]),
+    ) {
+        let (dense, half) = (self.motion(), self.rows / 2);
+        let residual = &values[self.residual() * self.rows..][..self.rows];
+        let by = &in_plane[axis];
+        for (i, column) in values.chunks_exact(self.rows).take(dense).enumerate() {
+            let mut target = global.column_mut(i);
+            for (corner, point) in self.own().iter().enumerate() {
+                target[dense + 2 * point + axis] +=
+                    by[corner] * column[corner] + by[corner + half] * column[corner + half];
+            }
+        }
+        for (corner, point) in self.own().iter().enumerate() {
+            let at = dense + 2 * point + axis;
+            gradient[at] +=
+                by[corner] * residual[corner] + by[corner + half] * residual[corner + half];
+            for other in axis..2 {
+                let with = &in_plane[other];
+                global[(dense + 2 * point + other, at)] +=
+                    by[corner] * with[corner] + by[corner + half] * with[corner + half];
+            }
+        }
+    }
+
+    /// Couples the points' own offsets along one axis with the six columns at `first`.
+    fn couple_own(
+        &self,
+        axis: usize,
+        first: usize,
+        (values, in_plane): (&[f64], &[Vec<f64>; 2]),
+        coupling: &mut Matrix6xX<f64>,
+    ) {
+        let (dense, half) = (self.motion(), self.rows / 2);
+        let by = &in_plane[axis];
+        for (k, column) in values[first * self.rows..].chunks_exact(self.rows).take(6).enumerate() {
+            for (corner, point) in self.own().iter().enumerate() {
+                coupling[(k, dense + 2 * point + axis)] =
+                    by[corner] * column[corner] + by[corner + half] * column[corner + half];
+            }
+        }
     }
 }
