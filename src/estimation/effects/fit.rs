@@ -30,6 +30,9 @@ const FIRST_STEPS: usize = 3;
 
 pub(super) const MAX_STEPS: usize = 5;
 
+/// Steps with smooth shapes alone.
+const ROUGH_STEPS: usize = 8;
+
 /// The corners as they were chosen at the end.
 pub(crate) struct Corners {
     pub(crate) observations: Vec<BoardObservation>,
@@ -62,7 +65,7 @@ pub(crate) fn fit_effects(
     };
     let mut good = plain.good_views();
     let mut walk: Option<EffectSearch> = None;
-    for _ in 0..MAX_ROUNDS {
+    for round in 0..MAX_ROUNDS {
         if good.len() < MIN_VIEWS {
             return None;
         }
@@ -82,7 +85,8 @@ pub(crate) fn fit_effects(
             None => start(wanted)?,
         };
         let mut next = next.settled(scene, wanted)?;
-        if !wanted.motion_for_certain && next.moves() && next.is_no_shutter(scene, width)? {
+        let doubtful = round == 0 && !wanted.motion_for_certain && next.moves();
+        if doubtful && next.is_no_shutter(scene, width)? {
             let wanted = Wanted { motion: false, ..wanted };
             next = start(wanted)?.settled(scene, wanted)?;
         }
@@ -141,7 +145,31 @@ pub(super) struct EffectSearch {
 }
 
 impl EffectSearch {
+    /// First with a few smooth shapes alone, which take a tenth of the time and lead near.
     fn start(scene: Scene<'_>, plain: State, wanted: Wanted) -> Option<Self> {
+        let rough = BoardBasis::of(scene.observations, false)?;
+        let flat = EffectsState::flat_and_still(plain, &rough, scene.observations.len());
+        let rough_scene = Scene { basis: &rough, moves: true, ..scene };
+        if !wanted.shape {
+            return Self::from_state(rough_scene, flat, wanted);
+        }
+        let mut near = Self::from_state(rough_scene, flat, wanted)?;
+        near.settle(rough_scene, ROUGH_STEPS)?;
+        let heights = rough.heights.len();
+        let mut shape = vec![0.0; scene.basis.len()];
+        shape[..heights].copy_from_slice(&near.state.shape[..heights]);
+        let stretches = Effect::Stretch.range(scene.basis);
+        shape[stretches].copy_from_slice(&near.state.shape[heights..]);
+        let mut next = Self::from_state(scene, EffectsState { shape, ..near.state }, wanted)?;
+        for (effect, lambda) in &mut next.variances.0 {
+            // What the rough shapes hid comes back sooner from too wide a variance.
+            *lambda = near.variances.of(*effect).map_or(*lambda, |found| found.min(*lambda));
+        }
+        Some(next)
+    }
+
+    /// With all effects that are wanted, in a scene that has all of them.
+    fn from_state(scene: Scene<'_>, mut state: EffectsState, wanted: Wanted) -> Option<Self> {
         let mut effects: Vec<Effect> = Vec::new();
         if wanted.shape {
             effects.extend(scene.basis.height_groups().into_iter().map(Effect::Height));
@@ -151,9 +179,9 @@ impl EffectSearch {
         if wanted.motion {
             effects.extend([Effect::Rotation, Effect::Translation]);
         }
-        let (basis, _) = scene.basis.only(&effects);
+        let (basis, kept) = scene.basis.only(&effects);
+        state.shape = kept.iter().map(|k| state.shape[*k]).collect();
         let scene = Scene { basis: &basis, moves: wanted.motion, ..scene };
-        let state = EffectsState::flat_and_still(plain, &basis, scene.observations.len());
         let system = System::at(scene, &state)?;
         let variances = Variances::start(&effects, &system, scene.layout.len, &basis);
         Some(Self { state, system, variances, basis: Rc::new(basis) })
