@@ -7,6 +7,7 @@ use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
+use crate::estimation::jackknife::with_jackknife;
 use crate::estimation::lens_choice;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
@@ -38,6 +39,8 @@ pub fn calibrate_and_check(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
+    let weighted = with_noise_floor(problem, estimate.noise_floor_px);
+    let estimate = with_jackknife(&weighted, options, (estimate, &fit));
     let check = ModelCheck::of(&fit, &estimate, options);
     Ok((estimate, check))
 }

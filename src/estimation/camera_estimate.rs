@@ -131,9 +131,11 @@ pub(crate) fn assemble(
     let covariance = covariance.ok_or_else(|| open(0, f64::INFINITY))?;
     let unit = &covariance.unit;
     let of_lens = match &fit.effects {
-        Some(effects) => {
-            Clustered { covariance: effects.lens_covariance.clone(), factor: effects.inflation }
-        }
+        Some(effects) => Clustered {
+            covariance: effects.lens_covariance.clone(),
+            factor: effects.inflation,
+            weight: effects.weight_of_views,
+        },
         None => covariance.block(at.lens_at..at.lens_at + at.lens.free.len()),
     };
     let variance_inflation = of_lens.factor;

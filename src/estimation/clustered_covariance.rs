@@ -55,6 +55,8 @@ pub(crate) struct Clustered {
     pub(crate) covariance: DMatrix<f64>,
     /// The factor on variances, 1 or more.
     pub(crate) factor: f64,
+    /// What part of `covariance` is the views' own, from 0 to below 1.
+    pub(crate) weight: f64,
 }
 
 impl Influence {
@@ -127,12 +129,12 @@ impl FitCovariance {
             Some(self.influences.iter().map(of).collect())
         };
         let views = (of_block.as_slice(), self.frame_sets);
-        let Clustered { mut covariance, factor } =
+        let Clustered { mut covariance, factor, weight } =
             clustered(&unit, self.noise_square, views, without);
         for (i, j) in (0..size).flat_map(|i| (0..size).map(move |j| (i, j))) {
             covariance[(i, j)] *= self.scale[block.start + i] * self.scale[block.start + j];
         }
-        Clustered { covariance, factor }
+        Clustered { covariance, factor, weight }
     }
 }
 
@@ -173,7 +175,7 @@ pub(crate) fn clustered(
     (influences, views): (&[Influence], usize),
     without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Clustered {
-    let plain = Clustered { covariance: unit * noise_square, factor: 1.0 };
+    let plain = Clustered { covariance: unit * noise_square, factor: 1.0, weight: 0.0 };
     let exact = noise_square < ROUNDING * ROUNDING;
     if exact || influences.len() < MIN_VIEWS || unit.is_empty() {
         return plain;
@@ -206,7 +208,7 @@ fn combined(
     let factor = 1.0 + excess * weight;
     let by_views = spread(influences, &without()?, views);
     let covariance = unit * ((1.0 - weight) * factor * noise_square) + by_views * weight;
-    covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor })
+    covariance.iter().all(|v| v.is_finite()).then_some(Clustered { covariance, factor, weight })
 }
 
 /// The jackknife covariance.

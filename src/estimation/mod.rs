@@ -11,7 +11,7 @@
 //! | the least-squares problem itself | `joint` |
 //! | which corners and views to believe | `robust`, `robust_fit`, [`view_fault`] |
 //! | whether the model is right at all, and if not, why | [`model_check`], `misfit` |
-//! | whether the corners of a view err together | `clustered_covariance` |
+//! | whether the corners of a view err together | `clustered_covariance`, `jackknife` |
 //! | color and depth as one camera | [`rgbd`], [`depth_error`] |
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
@@ -27,6 +27,7 @@ pub mod depth_error;
 pub mod dlt;
 mod effects;
 pub mod error;
+mod jackknife;
 mod joint;
 pub mod lens_choice;
 pub mod measured_board;

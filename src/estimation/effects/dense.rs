@@ -53,11 +53,6 @@ impl Factor {
         self.lower.solve_lower_triangular(b).map_or(f64::NAN, |half| half.norm_squared())
     }
 
-    /// x of L x = b.
-    pub(super) fn half_solve(&self, b: &DVector<f64>) -> Option<DVector<f64>> {
-        self.lower.solve_lower_triangular(b)
-    }
-
     /// L⁻¹.
     pub(super) fn root_of_inverse(&self) -> DMatrix<f64> {
         let size = self.lower.nrows();

@@ -19,6 +19,8 @@ pub(crate) struct EffectsFit {
     pub(crate) lens_covariance: DMatrix<f64>,
     /// How many times larger variances are than if each corner erred by itself.
     pub(crate) inflation: f64,
+    /// What part of `lens_covariance` is how views differ, from 0 to below 1.
+    pub(crate) weight_of_views: f64,
     /// Per observation: covariance of its pose step (rotation, translation).
     pub(crate) pose_covariances: Vec<Option<Matrix6<f64>>>,
     /// Covariance of the shape's coefficients (zero for those not in the model).

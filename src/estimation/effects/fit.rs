@@ -2,19 +2,17 @@
 
 use std::rc::Rc;
 
-use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
+use nalgebra::{Vector3, Vector6};
 
 use crate::estimation::camera_fit::CameraFit;
-use crate::estimation::clustered_covariance::{Clustered, Influence, clustered};
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::{Effect, Wanted};
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::effects::evidence::{Posterior, Reduced, Variances};
 use crate::estimation::effects::hints;
-use crate::estimation::effects::influence::view_jacobians;
 use crate::estimation::effects::state::{EffectsState, Scene};
 use crate::estimation::effects::system::System;
-use crate::estimation::joint::{BoardObservation, Layout, State};
+use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
 
@@ -114,27 +112,6 @@ pub(crate) fn fit_effects(
     Some((found, corners))
 }
 
-fn pose_covariances(
-    system: &System,
-    posterior: &Posterior,
-    observations: usize,
-) -> Vec<Option<Matrix6<f64>>> {
-    let mut all = vec![None; observations];
-    for (k, view) in system.views.iter().enumerate() {
-        let Some((mut through, by_motion, alone)) = view.pose_response() else { continue };
-        let mut covariance = alone;
-        if let Some(up) = posterior.motion_up(k) {
-            let through_motion = by_motion * up;
-            through -= through_motion * posterior.halves.rows(6 * k, 6);
-            covariance += through_motion * through_motion.transpose();
-        }
-        let carried = &posterior.root * through.transpose();
-        covariance += Matrix6::from_fn(|i, j| carried.column(i).dot(&carried.column(j)));
-        all[view.observation] = Some(covariance * posterior.noise_square);
-    }
-    all
-}
-
 /// The walk. What is not in the model has no unknowns.
 pub(super) struct EffectSearch {
     pub(super) state: EffectsState,
@@ -188,7 +165,7 @@ impl EffectSearch {
     }
 
     /// The scene with what is in the model, `basis` being its own.
-    fn looking_at<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
+    pub(super) fn looking_at<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
         Scene { basis, moves: self.moves(), ..scene }
     }
 
@@ -213,7 +190,7 @@ impl EffectSearch {
         Some(Self { system, ..self })
     }
 
-    fn moves(&self) -> bool {
+    pub(super) fn moves(&self) -> bool {
         self.variances.0.iter().any(|(effect, _)| effect.is_motion())
     }
 
@@ -227,51 +204,11 @@ impl EffectSearch {
         Some(Self { state, system, variances: self.variances.clone(), basis: self.basis.clone() })
     }
 
-    fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
-        let basis = Rc::clone(&self.basis);
-        let (scene, lens) = (self.looking_at(scene, &basis), scene.layout.len);
-        let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
-        let posterior = self.posterior(scene)?;
-        let noise_square = posterior.noise_square;
-        let all = posterior.covariance();
-        let size = basis.len();
-        let shape_covariance = all.view((lens, lens), (size, size)) * noise_square;
-        // Parameters differ by orders of magnitude: in units of their own deviations.
-        let scale = all.diagonal().map(|v| v.max(f64::MIN_POSITIVE).sqrt());
-        let mut with_lens = all.columns(0, lens).into_owned();
-        for (mut column, scale) in with_lens.column_iter_mut().zip(&scale) {
-            column /= *scale;
-        }
-        let unit = DMatrix::from_fn(lens, lens, |i, j| with_lens[(i, j)] / scale[i]);
-        let inverse = unit.clone().cholesky()?.inverse();
-        let views = view_jacobians(scene, &self.state, of_motion);
-        let influences: Vec<Influence> =
-            views.iter().map(|view| view.influence(&with_lens, &inverse)).collect();
-        let without = || {
-            let in_units = |moved: DVector<f64>| DVector::from_fn(lens, |k, _| moved[k] / scale[k]);
-            Some(views.iter().map(|view| in_units(view.without(&all))).collect())
-        };
-        let Clustered { covariance, factor } =
-            clustered(&unit, noise_square, (&influences, scene.good.len()), without);
-        Some(EffectsFit {
-            noise_square,
-            lens_covariance: DMatrix::from_fn(lens, lens, |i, j| {
-                covariance[(i, j)] * scale[i] * scale[j]
-            }),
-            inflation: factor,
-            pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),
-            shape_covariance: shape_covariance * factor,
-            state: self.state,
-            variances: self.variances,
-            basis: (*basis).clone(),
-        })
-    }
-
     fn reduced<'a>(&'a self, scene: Scene<'a>, variances: &'a Variances) -> Option<Reduced<'a>> {
         Reduced::of(&self.system, &self.state, (scene.basis, scene.layout.len), variances)
     }
 
-    fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
+    pub(super) fn posterior(&self, scene: Scene<'_>) -> Option<Posterior> {
         Some(self.reduced(scene, &self.variances)?.posterior(&self.state))
     }
 
@@ -394,29 +331,5 @@ impl EffectSearch {
 
     pub(super) fn log_evidence(&self, scene: Scene<'_>, variances: &Variances) -> Option<f64> {
         Some(self.reduced(scene, variances)?.log_evidence(&self.state))
-    }
-}
-
-impl EffectsFit {
-    /// The observations with their points where shape and motion put them.
-    pub(crate) fn moved_observations(
-        &self,
-        layout: &Layout,
-        observations: &[BoardObservation],
-        rows: f64,
-    ) -> Vec<BoardObservation> {
-        let scene = Scene {
-            layout,
-            basis: &self.basis,
-            observations,
-            good: &[],
-            rows,
-            by_columns: None,
-            moves: true,
-        };
-        let offsets = self.basis.offsets(&self.state.shape);
-        (0..observations.len())
-            .map(|index| self.state.moved_observation(scene, &offsets, index))
-            .collect()
     }
 }

@@ -11,6 +11,7 @@
 //! | normal equations, poses eliminated | `system` |
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `fit` |
+//! | covariances at the end | `finish` |
 //! | what was found | `effects_fit` |
 //! | whether effects are plausible at all | `hints` |
 //! | whether motion is a rolling shutter's | `shutter` |
@@ -23,6 +24,7 @@ mod dense;
 pub(crate) mod effect;
 pub(crate) mod effects_fit;
 pub(crate) mod evidence;
+mod finish;
 pub(crate) mod fit;
 mod hints;
 mod influence;

@@ -8,7 +8,7 @@ use nalgebra::Matrix6;
 use crate::estimation::effects::evidence::Reduced;
 use crate::estimation::effects::fit::{EffectSearch, LEAST_GROUP_GAIN, MAX_STEPS};
 use crate::estimation::effects::state::Scene;
-use crate::estimation::effects::system::{System, ViewPart};
+use crate::estimation::effects::system::ViewPart;
 use crate::geometry::median::median;
 
 /// Views agree where their mean is this many of its standard deviations from 0: less than three

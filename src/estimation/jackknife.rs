@@ -1,0 +1,99 @@
+//! The covariance of a lens where views differ by more than their corners' scatter explains, by
+//! solving again without some of them (J. Tukey, *Bias and confidence in not quite large samples*,
+//! 1958; over groups of views where they are many). What a view does to first order
+//! (`clustered_covariance`) holds which corners are believed, and the variances of the board's shape
+//! and of motion, where they are; on photographs these change with the view, and the lens with them.
+
+use nalgebra::{DMatrix, DVector};
+
+use crate::estimation::camera_estimate::CameraEstimate;
+use crate::estimation::camera_fit::{CameraFit, fit_camera};
+use crate::estimation::clustered_covariance::FitCovariance;
+use crate::estimation::effects::apply::with_effects;
+use crate::estimation::problem::{
+    BoardView, CameraOptions, CameraProblem, CameraStart, LensChoice,
+};
+use crate::estimation::start::Prepared;
+
+/// Solves, at most: the deviation that they tell is itself uncertain by a fifth.
+const MAX_SOLVES: usize = 16;
+
+/// Fewer tell nothing.
+const MIN_SOLVES: usize = 5;
+
+/// The estimate with the covariance of its lens as solves without some views show it, where views
+/// differ; `problem` is what was solved, with the deviations that were used.
+pub(crate) fn with_jackknife(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+    (estimate, fit): (CameraEstimate, &CameraFit),
+) -> CameraEstimate {
+    if !(estimate.variance_inflation > 1.0) || fit.layout.sensors.len() > 1 {
+        return estimate;
+    }
+    let weight = weight_of_views(fit).unwrap_or(0.0);
+    let Some(by_solves) = jackknife(problem, options, &estimate) else { return estimate };
+    // What is not to do with views stays: where they hardly differ, so do the solves by chance.
+    let lens_covariance = &estimate.lens_covariance * (1.0 - weight) + by_solves * weight;
+    CameraEstimate { lens_covariance, ..estimate }
+}
+
+fn weight_of_views(fit: &CameraFit) -> Option<f64> {
+    if let Some(effects) = &fit.effects {
+        return Some(effects.weight_of_views);
+    }
+    let at = &fit.layout.sensors[0];
+    Some(FitCovariance::of(fit)?.block(at.lens_at..at.lens_at + at.lens.free.len()).weight)
+}
+
+/// The jackknife covariance of the lens's parameters; `None` where too few solves succeed.
+fn jackknife(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+    estimate: &CameraEstimate,
+) -> Option<DMatrix<f64>> {
+    let good: Vec<usize> =
+        (0..problem.views.len()).filter(|view| estimate.views[*view].fault.is_none()).collect();
+    let groups = good.len().min(MAX_SOLVES);
+    let without = |group: usize| {
+        let kept = good.iter().enumerate().filter(|(k, _)| k % groups != group);
+        let kept: Vec<usize> = kept.map(|(_, view)| *view).collect();
+        lens_of(&kept, problem, (options, estimate))
+    };
+    let lenses: Vec<DVector<f64>> = (0..groups).filter_map(without).collect();
+    if lenses.len() < MIN_SOLVES {
+        return None;
+    }
+    let count = lenses.len() as f64;
+    let mean = lenses.iter().sum::<DVector<f64>>() / count;
+    let off = lenses.iter().map(|lens| lens - &mean);
+    let sum: DMatrix<f64> = off.map(|off| &off * off.transpose()).sum();
+    Some(sum * ((count - 1.0) / count))
+}
+
+/// The lens that some of the views give.
+fn lens_of(
+    kept: &[usize],
+    problem: &CameraProblem,
+    (options, estimate): (&CameraOptions, &CameraEstimate),
+) -> Option<DVector<f64>> {
+    let views: Vec<BoardView> = kept.iter().map(|view| problem.views[*view].clone()).collect();
+    let pose = |view: &usize| estimate.views[*view].camera_from_board;
+    let options = CameraOptions {
+        lens: LensChoice::Model(estimate.lens.model()),
+        start: Some(CameraStart {
+            lens: estimate.lens,
+            camera_from_board: kept.iter().map(pose).collect(),
+            noise_floor_px: estimate.noise_floor_px,
+        }),
+        ..options.clone()
+    };
+    let problem = CameraProblem { image_size: problem.image_size, views };
+    let mut prepared = Prepared::of(&problem);
+    if let Some(board) = &options.measured_board {
+        prepared.place_on(board).ok()?;
+    }
+    let fit = fit_camera(&mut prepared, estimate.lens.model(), &options).ok()?;
+    let fit = with_effects(fit, problem.image_size, &options);
+    Some(DVector::from_vec(fit.lens().parameters().to_vec()))
+}
