@@ -10,7 +10,7 @@ use crate::calibration::result::{
 use crate::calibration::sensor::SensorId;
 use crate::calibration::verdict;
 use crate::estimation::camera::{
-    CameraEstimate, CameraOptions, calibrate_and_check, calibrate_camera,
+    CameraEstimate, CameraOptions, calibrate_camera, calibrate_with_jackknife,
 };
 use crate::estimation::dlt::calibrate_dlt;
 use crate::estimation::error::EstimationError;
@@ -54,7 +54,7 @@ pub fn solve_views(
     problem: &CameraProblem,
     options: &CameraOptions,
 ) -> Result<SolvedCamera, EstimationError> {
-    let (estimate, model_check) = calibrate_and_check(problem, options)?;
+    let (estimate, model_check) = calibrate_with_jackknife(problem, options)?;
     let coverage = corner_coverage(problem, &estimate);
     let checks = Checks {
         split_half_ratio: model_check.split_half_ratio,

@@ -39,6 +39,20 @@ pub fn calibrate_and_check(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
+    let check = ModelCheck::of(&fit, &estimate, options);
+    Ok((estimate, check))
+}
+
+/// As [`calibrate_and_check`], and where views differ by more than their corners' scatter explains,
+/// with the covariance of the lens from solves without some of them: as many solves again.
+///
+/// # Errors
+/// As [`calibrate_camera`].
+pub fn calibrate_with_jackknife(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
+    let (estimate, fit) = solve(problem, options)?;
     let weighted = with_noise_floor(problem, estimate.noise_floor_px);
     let estimate = with_jackknife(&weighted, options, (estimate, &fit));
     let check = ModelCheck::of(&fit, &estimate, options);

@@ -28,6 +28,8 @@ mod finish;
 pub(crate) mod fit;
 mod hints;
 mod influence;
+#[cfg(test)]
+mod jacobian_tests;
 mod measured;
 mod shutter;
 pub(crate) mod state;
