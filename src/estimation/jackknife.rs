@@ -15,10 +15,10 @@ use crate::estimation::problem::{
 };
 use crate::estimation::start::Prepared;
 
-/// Solves, at most: the deviation that they tell is itself uncertain by a fifth.
+/// Solves, at most: the deviation that they give is itself uncertain by a fifth.
 const MAX_SOLVES: usize = 16;
 
-/// Fewer tell nothing.
+/// Fewer give no deviation.
 const MIN_SOLVES: usize = 5;
 
 /// The estimate with the covariance of its lens as solves without some views show it, where views

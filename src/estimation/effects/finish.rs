@@ -16,7 +16,7 @@ use crate::estimation::joint::{BoardObservation, Layout};
 impl EffectSearch {
     pub(super) fn finished(self, scene: Scene<'_>) -> Option<EffectsFit> {
         let basis = Rc::clone(&self.basis);
-        let (scene, lens) = (self.looking_at(scene, &basis), scene.layout.len);
+        let (scene, lens) = (self.narrowed(scene, &basis), scene.layout.len);
         let of_motion = self.moves().then(|| self.variances.of_motion(&self.system));
         let posterior = self.posterior(scene)?;
         let noise_square = posterior.noise_square;

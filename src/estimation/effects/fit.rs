@@ -165,7 +165,7 @@ impl EffectSearch {
     }
 
     /// The scene with what is in the model, `basis` being its own.
-    pub(super) fn looking_at<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
+    pub(super) fn narrowed<'a>(&self, scene: Scene<'a>, basis: &'a BoardBasis) -> Scene<'a> {
         Scene { basis, moves: self.moves(), ..scene }
     }
 
@@ -186,7 +186,7 @@ impl EffectSearch {
 
     /// The same with corners chosen anew.
     fn again(self, scene: Scene<'_>) -> Option<Self> {
-        let system = System::at(self.looking_at(scene, &self.basis), &self.state)?;
+        let system = System::at(self.narrowed(scene, &self.basis), &self.state)?;
         Some(Self { system, ..self })
     }
 
@@ -200,7 +200,7 @@ impl EffectSearch {
         for (effect, _) in self.variances.0.iter().filter(|(effect, _)| effect.is_motion()) {
             state.clear(*effect, &self.basis);
         }
-        let system = System::at(self.looking_at(scene, &self.basis), &state)?;
+        let system = System::at(self.narrowed(scene, &self.basis), &state)?;
         Some(Self { state, system, variances: self.variances.clone(), basis: self.basis.clone() })
     }
 
@@ -215,7 +215,7 @@ impl EffectSearch {
     /// Steps until neither state nor variances move.
     pub(super) fn settle(&mut self, scene: Scene<'_>, max_steps: usize) -> Option<()> {
         let basis = Rc::clone(&self.basis);
-        let scene = self.looking_at(scene, &basis);
+        let scene = self.narrowed(scene, &basis);
         for _ in 0..max_steps {
             let posterior = self.posterior(scene)?;
             let of = (scene.basis, scene.layout.len);
@@ -282,7 +282,7 @@ impl EffectSearch {
     /// Takes out what is not missed; answers whether anything was.
     fn drop_idle(&mut self, scene: Scene<'_>, wanted: Wanted) -> Option<bool> {
         let basis = Rc::clone(&self.basis);
-        let scene = self.looking_at(scene, &basis);
+        let scene = self.narrowed(scene, &basis);
         let idle = self.idle(scene, wanted)?;
         if idle.is_empty() {
             return Some(false);
@@ -296,7 +296,7 @@ impl EffectSearch {
         self.state.shape = kept.iter().map(|k| self.state.shape[*k]).collect();
         self.basis = Rc::new(narrow);
         let basis = Rc::clone(&self.basis);
-        self.system = System::at(self.looking_at(scene, &basis), &self.state)?;
+        self.system = System::at(self.narrowed(scene, &basis), &self.state)?;
         Some(true)
     }
 

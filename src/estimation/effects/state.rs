@@ -19,7 +19,7 @@ pub(super) struct Scene<'a> {
     pub(super) rows: f64,
     /// Whether columns are read one after another in place of rows: a control.
     pub(super) by_columns: Option<f64>,
-    /// Whether motion is looked at; without, its columns are left out.
+    /// Whether motion is modelled; without, its columns are left out.
     pub(super) moves: bool,
 }
 
