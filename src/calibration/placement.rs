@@ -1,10 +1,10 @@
-//! How a board is held before the camera, described from one detection alone: where in the image,
-//! how large, tilted and turned which way. What makes a view new, and what guidance asks for, are
-//! differences between placements.
+//! The placement of a board before the camera, from one detection alone: position and size in the
+//! image, tilt and roll. Admission and guidance compare placements: a view is new if its placement
+//! differs from those of all accepted views.
 //!
-//! The description needs a focal length before any is known; it takes a nominal one. Tilts are
-//! therefore only about right, but the same for the same image, whatever was estimated meanwhile:
-//! which views are kept does not depend on how fast a solve was.
+//! Tilts need a focal length before one is estimated: a nominal one is used. They are approximate,
+//! but the same for the same image, so which views are accepted does not depend on how fast a
+//! solve was.
 
 use nalgebra::{Matrix3, Point2, Vector2, Vector3};
 
@@ -13,8 +13,8 @@ use crate::geometry::board::BoardSize;
 use crate::geometry::homography::Homography;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
-/// Focal length over the image's longer side: a horizontal field of view of 58°, between a
-/// telephone and a webcam.
+/// Nominal focal length over the image's longer side: a horizontal field of view of 58°, between
+/// those of telephones and webcams.
 pub(crate) const NOMINAL_FOCAL: f64 = 0.9;
 
 /// How a board is held before the camera.

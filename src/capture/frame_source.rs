@@ -1,4 +1,4 @@
-//! What every source is to those above it.
+//! The interface of every source of frames.
 
 use std::time::Duration;
 
@@ -18,16 +18,16 @@ pub trait FrameSource: Send {
     /// to act.
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError>;
 
-    /// What it is.
+    /// The source's kind, name and properties.
     fn description(&self) -> SourceDescription;
 
-    /// What it has lost by itself since it was opened.
+    /// Frames lost before [`Self::next_frame`] since it was opened.
     fn losses(&self) -> Losses {
         Losses::default()
     }
 
-    /// A session begins or ends: a device holds still what would move under a calibration (focus,
-    /// exposure), or shows the board to its infrared sensors, and gives back what it changed.
+    /// A session begins or ends: a device fixes what would invalidate a calibration (focus,
+    /// exposure) and adapts its infrared emitter for the board; at the end it restores both.
     ///
     /// # Errors
     /// [`CaptureError`] when the device refuses; it goes on as before.
@@ -39,8 +39,8 @@ pub trait FrameSource: Send {
     /// it.
     fn suggested(&mut self, _camera_from_board: Option<&Pose>) {}
 
-    /// What of focus, zoom or exposure is no longer as a session held it, in words: the calibration
-    /// may no longer hold.
+    /// Which of focus, zoom or exposure differs from the session's setting, in words: the
+    /// calibration may no longer hold.
     fn moved_since_calibrating(&self) -> Option<String> {
         None
     }

@@ -1,7 +1,7 @@
-//! Where frames come from: one trait, one file a kind of source. Uses geometry, imaging, recording
-//! and simulation.
+//! Sources of frames: one trait, and one file for each kind of source. Uses geometry, imaging,
+//! recording and simulation.
 //!
-//! [`FrameSource::next_frame`] is the whole of it: a blocking call with a timeout, made from one
+//! Its one operation is [`FrameSource::next_frame`]: a blocking call with a timeout, made from one
 //! thread that owns the source. Supervision (states, opening again, back-off) is above it, in the
 //! pipeline.
 

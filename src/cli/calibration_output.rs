@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::result::{Calibration, Extrinsics, ImageCalibration};
 use crate::calibration::rounded::value_with_std;
-use crate::cli::export::FormatName;
 use crate::cli::files::write_file;
 use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
@@ -24,7 +23,7 @@ pub struct OutputArgs {
     out: Option<PathBuf>,
     /// The format of FILE, or without --out of what is printed.
     #[arg(long)]
-    format: Option<FormatName>,
+    format: Option<Format>,
 }
 
 impl OutputArgs {
@@ -33,7 +32,7 @@ impl OutputArgs {
     /// # Errors
     /// When two documents would have to go to stdout.
     pub fn check(&self) -> Result<(), Failure> {
-        let other_format = self.format.is_some_and(|format| format != FormatName::Json);
+        let other_format = self.format.is_some_and(|format| format != Format::Json);
         if self.json && other_format && self.out.is_none() {
             return Err(Failure::usage(
                 "--json and --format both print: give --out FILE for the format, or leave one out",
@@ -53,7 +52,7 @@ impl OutputArgs {
     /// # Errors
     /// When the format cannot hold it, or it cannot be written.
     pub fn give(&self, calibration: &Calibration, elapsed_ms: Option<f64>) -> Result<(), Failure> {
-        let (format, options) = (self.format.map(Format::from), ExportOptions::default());
+        let (format, options) = (self.format, ExportOptions::default());
         if let Some(path) = &self.out {
             let exported = export(calibration, format.unwrap_or(Format::Json), &options)
                 .map_err(Failure::failed)?;

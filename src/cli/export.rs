@@ -4,6 +4,7 @@ use std::fmt::Display;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use clap::builder::PossibleValue;
 use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
@@ -21,7 +22,7 @@ pub struct Args {
     calibration: PathBuf,
     /// The format to write.
     #[arg(long)]
-    format: FormatName,
+    format: Format,
     /// Which sensor, where the calibration has several and the format holds one: color, infrared,
     /// infrared2, depth, or a rig's camera [default: color].
     #[arg(long, value_name = "NAME")]
@@ -44,42 +45,26 @@ pub struct Args {
     json: bool,
 }
 
-/// The formats by their names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum FormatName {
-    /// Plumb's calibration document
-    Json,
-    /// ROS camera_info YAML
-    Ros,
-    /// OpenCV FileStorage YAML
-    Opencv,
-    /// Kalibr camera chain YAML
-    Kalibr,
-    /// mrcal .cameramodel
-    Mrcal,
-    /// COLMAP cameras.txt
-    Colmap,
-    /// Where the sensors are: URDF with fixed joints
-    Urdf,
-    /// Where the sensors are: YAML of ROS static transforms
-    Tf,
-    /// What depth readings mean, corrected: text (docs/depth-correction reads it)
-    Depth,
-}
+impl ValueEnum for Format {
+    fn value_variants<'a>() -> &'a [Self] {
+        &Self::ALL
+    }
 
-impl From<FormatName> for Format {
-    fn from(name: FormatName) -> Self {
-        match name {
-            FormatName::Json => Self::Json,
-            FormatName::Ros => Self::Ros,
-            FormatName::Opencv => Self::Opencv,
-            FormatName::Kalibr => Self::Kalibr,
-            FormatName::Mrcal => Self::Mrcal,
-            FormatName::Colmap => Self::Colmap,
-            FormatName::Urdf => Self::Urdf,
-            FormatName::Tf => Self::Tf,
-            FormatName::Depth => Self::Depth,
-        }
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let help = match self {
+            Self::Json => "Plumb's calibration document",
+            Self::Ros => "ROS camera_info YAML",
+            Self::Opencv => "OpenCV FileStorage YAML",
+            Self::Kalibr => "Kalibr camera chain YAML",
+            Self::Mrcal => "mrcal .cameramodel",
+            Self::Colmap => "COLMAP cameras.txt",
+            Self::Urdf => "Where the sensors are: URDF with fixed joints",
+            Self::Tf => "Where the sensors are: YAML of ROS static transforms",
+            Self::Depth => {
+                "What depth readings mean, corrected: text (docs/depth-correction reads it)"
+            }
+        };
+        Some(PossibleValue::new(self.name()).help(help))
     }
 }
 
@@ -103,9 +88,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
     let other = OtherImages { crop: args.crop, size, sensor: args.sensor.clone() };
     let calibration = for_other_images(&calibration, &other).map_err(|error| in_file(&error))?;
-    let format = Format::from(args.format);
     let options = ExportOptions { sensor: args.sensor.clone() };
-    let exported = export(&calibration, format, &options).map_err(|error| in_file(&error))?;
+    let exported = export(&calibration, args.format, &options).map_err(|error| in_file(&error))?;
     if let Some(note) = &exported.note {
         tracing::warn!("{note}");
     }
@@ -113,7 +97,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         write_file(path, &exported.bytes)?;
     }
     match (args.json, &args.out) {
-        (true, _) => print_document(format, &exported),
+        (true, _) => print_document(args.format, &exported),
         (false, None) => output::print_bytes(&exported.bytes),
         (false, Some(_)) => Ok(()),
     }

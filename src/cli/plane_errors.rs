@@ -1,4 +1,4 @@
-//! How far depth is off a board that color sees, before and after correction, as numbers and as a
+//! Depth's error on a board that color sees, before and after correction, as numbers and as an
 //! image.
 
 use serde::Serialize;
@@ -42,7 +42,7 @@ pub struct OffPlane {
     rms_m: f64,
 }
 
-/// Of one image, as the device gives it and corrected.
+/// The errors of one image, uncorrected and corrected.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct BeforeAndAfter {
     before: OffPlane,

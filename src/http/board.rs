@@ -9,18 +9,23 @@ use axum::response::IntoResponse;
 use crate::document::board_shape::BoardShapeDocument;
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters};
+use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::board_drawing::{BoardOffsets, board_png};
 
 /// Which sensor's board is asked for.
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "describes the query; Parameters reads it")]
 pub(super) struct BoardParameters {
     /// color, infrared, infrared2, or a rig's camera; the first that measured the board when left
     /// out.
     sensor: Option<String>,
+}
+
+impl ReadQuery for BoardParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        Ok(Self { sensor: parameters.text("sensor").map(str::to_owned) })
+    }
 }
 
 /// The board as it was measured: heights as colors, offsets in its plane as arrows.
@@ -34,17 +39,17 @@ pub(super) struct BoardParameters {
 pub(super) async fn board_image(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
-    parameters: Parameters,
+    Asked(asked): Asked<BoardParameters>,
 ) -> Result<impl IntoResponse, Problem> {
     let found = calibration(&shared, &id).await?;
     let names: Vec<String> =
         found.image_sensors().map(|(sensor, _)| found.name_of(sensor)).collect();
-    let is_known = |name: &str| names.iter().find(|known| *known == name).cloned();
-    let asked = parameters.one_of("sensor", is_known, &names.join(", "))?;
+    let asked = asked.sensor.as_ref();
+    known_name("sensor", asked.map(String::as_str), &names)?;
     let mut measured = found.image_sensors().zip(&names);
     let shape = measured
         .find_map(|((_, sensor), name)| {
-            sensor.board_shape.as_ref().filter(|_| asked.as_ref().is_none_or(|asked| asked == name))
+            sensor.board_shape.as_ref().filter(|_| asked.is_none_or(|asked| asked == name))
         })
         .map(BoardShapeDocument::from)
         .ok_or_else(|| unmeasured(&id))?;

@@ -17,17 +17,17 @@ use crate::export::{ExportError, ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters};
+use crate::http::request::{Address, Asked, Parameters, ReadQuery};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 
 /// How a calibration is to be written.
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "describes the query; Parameters reads it")]
 pub(super) struct ExportParameters {
     /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors
     /// are); depth (what readings mean, corrected).
-    format: Option<String>,
+    #[param(value_type = Option<String>)]
+    format: Option<Format>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
     /// color when left out.
     sensor: Option<String>,
@@ -37,10 +37,23 @@ pub(super) struct ExportParameters {
     height: Option<u32>,
     /// For a part of the images, `left,top,width,height` in their pixels; of several sensors' the
     /// one that `sensor` says.
-    crop: Option<String>,
+    #[param(value_type = Option<String>)]
+    crop: Option<ImageRegion>,
 }
 
-const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap, urdf, tf, depth";
+impl ReadQuery for ExportParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        let known = Format::ALL.map(Format::name).join(", ");
+        let crop = parameters.text("crop").map(str::parse::<ImageRegion>).transpose();
+        Ok(Self {
+            format: parameters.one_of("format", Format::from_name, &known)?,
+            sensor: parameters.text("sensor").map(str::to_owned),
+            width: parameters.count("width")?,
+            height: parameters.count("height")?,
+            crop: crop.map_err(|error| Problem::field("crop", &error.to_string()))?,
+        })
+    }
+}
 
 /// The camera's current calibration: the one that was approved last.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/calibration", tag = "calibrations",
@@ -54,7 +67,7 @@ const FORMATS: &str = "json, ros, opencv, kalibr, mrcal, colmap, urdf, tf, depth
 pub(super) async fn current(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
     shared.fleet.camera(&camera)?;
     current_of(&shared, &format!("camera `{camera}`"), &camera, &parameters).await
@@ -66,9 +79,8 @@ pub(super) async fn current_of(
     shared: &Shared,
     who: &str,
     name: &str,
-    parameters: &Parameters,
+    parameters: &ExportParameters,
 ) -> Result<Response, Problem> {
-    let format = format(parameters)?;
     let asked = name.to_owned();
     let found = shared
         .stored(move |store| {
@@ -80,7 +92,7 @@ pub(super) async fn current_of(
             "{who} has no approved calibration; run a session, or approve one with POST /v1/calibrations/ID/approve"
         ))
     };
-    written(&for_asked_images(&found.ok_or_else(none)?, parameters)?, format, parameters)
+    written(&for_asked_images(&found.ok_or_else(none)?, parameters)?, parameters)
 }
 
 /// What the device states of its own sensors, as it left the factory, in any format: as it is
@@ -96,17 +108,16 @@ pub(super) async fn current_of(
 pub(super) async fn stated(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
     let factory = shared.fleet.camera(&camera)?.factory;
-    let format = format(&parameters)?;
     let now_ns = time::utc_ns(jiff::Timestamp::now());
     let stated = stated_calibration(&factory, &camera, now_ns).ok_or_else(|| {
         Problem::not_found(format!(
             "the device of camera `{camera}` states nothing of its lenses, or is not there yet; run a session to calibrate it"
         ))
     })?;
-    written(&for_asked_images(&stated, &parameters)?, format, &parameters)
+    written(&for_asked_images(&stated, &parameters)?, &parameters)
 }
 
 /// Every calibration of a camera, newest first.
@@ -147,10 +158,9 @@ pub(super) async fn history_of(
 pub(super) async fn one(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
-    let format = format(&parameters)?;
-    written(&for_asked_images(&calibration(&shared, &id).await?, &parameters)?, format, &parameters)
+    written(&for_asked_images(&calibration(&shared, &id).await?, &parameters)?, &parameters)
 }
 
 /// Makes a calibration the camera's current one: also the way back to an older one.
@@ -199,9 +209,9 @@ pub(super) async fn calibration(shared: &Shared, id: &str) -> Result<Calibration
 /// The calibration for images of another resolution or a part of them, where that is asked for.
 fn for_asked_images(
     calibration: &Calibration,
-    parameters: &Parameters,
+    parameters: &ExportParameters,
 ) -> Result<Calibration, Problem> {
-    let size = match (parameters.count("width")?, parameters.count("height")?) {
+    let size = match (parameters.width, parameters.height) {
         (None, None) => None,
         (Some(width), Some(height)) => Some(ImageSize::new(width, height)),
         (None, _) => {
@@ -211,9 +221,8 @@ fn for_asked_images(
             return Err(Problem::field("height", "is missing; give both, width and height"));
         }
     };
-    let crop = parameters.text("crop").map(str::parse::<ImageRegion>).transpose();
-    let crop = crop.map_err(|error| Problem::field("crop", &error.to_string()))?;
-    let other = OtherImages { crop, size, sensor: parameters.text("sensor").map(str::to_owned) };
+    let crop = parameters.crop;
+    let other = OtherImages { crop, size, sensor: parameters.sensor.clone() };
     let field = |error: &OtherImagesError| match error {
         OtherImagesError::SeveralSensors { .. } | OtherImagesError::UnknownSensor { .. } => {
             "sensor"
@@ -226,16 +235,9 @@ fn for_asked_images(
         .map_err(|error| Problem::field(field(&error), &error.to_string()))
 }
 
-fn format(parameters: &Parameters) -> Result<Format, Problem> {
-    Ok(parameters.one_of("format", Format::from_name, FORMATS)?.unwrap_or(Format::Json))
-}
-
-fn written(
-    calibration: &Calibration,
-    format: Format,
-    parameters: &Parameters,
-) -> Result<Response, Problem> {
-    let options = ExportOptions { sensor: parameters.text("sensor").map(str::to_owned) };
+fn written(calibration: &Calibration, parameters: &ExportParameters) -> Result<Response, Problem> {
+    let format = parameters.format.unwrap_or(Format::Json);
+    let options = ExportOptions { sensor: parameters.sensor.clone() };
     let field = |error: &ExportError| match error {
         ExportError::SeveralSensors { .. } | ExportError::UnknownSensor { .. } => "sensor",
         _ => "format",

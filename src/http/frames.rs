@@ -10,7 +10,7 @@ use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters};
+use crate::http::request::{Address, Asked, Parameters, ReadQuery};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::preview::PreviewReceiver;
@@ -21,10 +21,10 @@ const BOUNDARY: &str = "plumb-frame";
 /// What of a frame is asked for.
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "describes the query; Parameters reads it")]
-struct DrawingParameters {
+pub(super) struct DrawingParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
-    sensor: Option<String>,
+    #[param(value_type = Option<String>)]
+    sensor: Option<SensorKind>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
     /// color. When left out: false for an image, true for the preview.
     overlay: Option<bool>,
@@ -34,7 +34,21 @@ struct DrawingParameters {
     undistorted: Option<bool>,
     /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
     /// depth's image. By the current calibration.
-    registered: Option<String>,
+    #[param(value_type = Option<String>)]
+    registered: Option<SensorKind>,
+}
+
+impl ReadQuery for DrawingParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        let known = SensorKind::ALL.map(SensorKind::name).join(", ");
+        Ok(Self {
+            sensor: parameters.one_of("sensor", SensorKind::from_name, &known)?,
+            overlay: parameters.flag("overlay")?,
+            guidance: parameters.flag("guidance")?,
+            undistorted: parameters.flag("undistorted")?,
+            registered: parameters.one_of("registered", SensorKind::from_name, "color, depth")?,
+        })
+    }
 }
 
 /// The newest frame as JPEG.
@@ -49,7 +63,7 @@ struct DrawingParameters {
 pub(super) async fn frame(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<DrawingParameters>,
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, false)?;
     let fleet = Arc::clone(&shared.fleet);
@@ -69,7 +83,7 @@ pub(super) async fn frame(
 pub(super) async fn preview(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<DrawingParameters>,
 ) -> Result<Response, Problem> {
     let drawing = drawing(&parameters, true)?;
     let frames = shared.fleet.preview(&camera, drawing)?;
@@ -98,25 +112,21 @@ async fn next_part(frames: &mut PreviewReceiver) -> Option<[Bytes; 3]> {
     }
 }
 
-fn drawing(parameters: &Parameters, overlay: bool) -> Result<Drawing, Problem> {
-    let overlay = parameters.flag("overlay", overlay)?;
-    let known = SensorKind::ALL.map(SensorKind::name).join(", ");
-    let sensor = parameters.one_of("sensor", SensorKind::from_name, &known)?;
-    let sensor = sensor.unwrap_or(SensorKind::Color);
+fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem> {
+    let overlay = asked.overlay.unwrap_or(overlay);
+    let sensor = asked.sensor.unwrap_or(SensorKind::Color);
     Ok(Drawing {
         sensor,
         overlay,
-        guidance: parameters.flag("guidance", overlay)?,
-        undistorted: parameters.flag("undistorted", false)?,
-        registered: registered(parameters, sensor)?,
+        guidance: asked.guidance.unwrap_or(overlay),
+        undistorted: asked.undistorted.unwrap_or(false),
+        registered: registered(asked, sensor)?,
     })
 }
 
 /// Whether the sensor is to be shown in the other one's image.
-fn registered(parameters: &Parameters, sensor: SensorKind) -> Result<bool, Problem> {
-    let Some(to) = parameters.one_of("registered", SensorKind::from_name, "color, depth")? else {
-        return Ok(false);
-    };
+fn registered(asked: &DrawingParameters, sensor: SensorKind) -> Result<bool, Problem> {
+    let Some(to) = asked.registered else { return Ok(false) };
     match (sensor, to) {
         (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),
         _ => {

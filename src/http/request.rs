@@ -52,6 +52,39 @@ impl<S: Send + Sync> FromRequestParts<S> for Parameters {
     }
 }
 
+/// A query that a struct describes in the API's document, and that is read into that struct: what is
+/// documented is what is read.
+pub(super) trait ReadQuery: Sized {
+    /// # Errors
+    /// 422 that names the parameter whose value cannot be.
+    fn read(parameters: &Parameters) -> Result<Self, Problem>;
+}
+
+/// The query, read.
+pub(super) struct Asked<T>(pub(super) T);
+
+impl<T: ReadQuery, S: Send + Sync> FromRequestParts<S> for Asked<T> {
+    type Rejection = Problem;
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        let parameters = Parameters::from_request_parts(parts, state).await?;
+        T::read(&parameters).map(Self)
+    }
+}
+
+/// The value `given` for `name`, which must be one of `known`.
+pub(super) fn known_name(name: &str, given: Option<&str>, known: &[String]) -> Result<(), Problem> {
+    match given {
+        Some(given) if !known.iter().any(|known| known == given) => {
+            Err(unknown(name, given, &known.join(", ")))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn unknown(name: &str, given: &str, known: &str) -> Problem {
+    Problem::field(name, &format!("`{given}` is not known; give one of {known}"))
+}
+
 impl Parameters {
     /// The last value given for `name`.
     pub(super) fn text(&self, name: &str) -> Option<&str> {
@@ -59,11 +92,11 @@ impl Parameters {
     }
 
     /// `name` as true or false.
-    pub(super) fn flag(&self, name: &str, default: bool) -> Result<bool, Problem> {
+    pub(super) fn flag(&self, name: &str) -> Result<Option<bool>, Problem> {
         match self.text(name) {
-            None => Ok(default),
-            Some("true" | "1" | "") => Ok(true),
-            Some("false" | "0") => Ok(false),
+            None => Ok(None),
+            Some("true" | "1" | "") => Ok(Some(true)),
+            Some("false" | "0") => Ok(Some(false)),
             Some(other) => {
                 Err(Problem::field(name, &format!("`{other}` is neither true nor false")))
             }
@@ -96,10 +129,8 @@ impl Parameters {
         from_name: impl Fn(&str) -> Option<T>,
         known: &str,
     ) -> Result<Option<T>, Problem> {
-        let unknown = |given: &str| {
-            Problem::field(name, &format!("`{given}` is not known; give one of {known}"))
-        };
-        self.text(name).map(|given| from_name(given).ok_or_else(|| unknown(given))).transpose()
+        let read = |given| from_name(given).ok_or_else(|| unknown(name, given, known));
+        self.text(name).map(read).transpose()
     }
 }
 

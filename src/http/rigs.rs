@@ -12,7 +12,7 @@ use crate::document::rig::{RigDocument, RigsDocument};
 use crate::document::session::{SessionDocument, StartDocument};
 use crate::http::calibrations::{self, ExportParameters};
 use crate::http::problem::Problem;
-use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
+use crate::http::request::{Address, Asked, BodyRefusals, SMALL_BODY, document};
 use crate::http::sessions::created;
 use crate::http::shared::Shared;
 use crate::pipeline::RigStatus;
@@ -80,7 +80,7 @@ pub(super) async fn start(
 pub(super) async fn calibration(
     State(shared): State<Arc<Shared>>,
     Address(rig): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<ExportParameters>,
 ) -> Result<Response, Problem> {
     shared.fleet.rig(&rig)?;
     calibrations::current_of(&shared, &format!("rig `{rig}`"), &rig, &parameters).await

@@ -16,8 +16,7 @@ use crate::http::shared::Shared;
 use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
-/// Starts a session: the camera searches for the board and keeps the views that teach something
-/// new.
+/// Starts a session: the camera searches for the board and accepts views that add information.
 #[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", tag = "sessions",
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
@@ -129,7 +128,7 @@ pub(super) async fn stop(
     Address(id): Address<String>,
     parameters: Parameters,
 ) -> Result<impl IntoResponse, Problem> {
-    let wait = parameters.flag("wait", true)?;
+    let wait = parameters.flag("wait")?.unwrap_or(true);
     let solving = shared.fleet.stop_session(&id).await;
     let solving = or_stored(&shared, &id, solving).await?;
     if !wait {
@@ -161,7 +160,7 @@ pub(super) async fn abort(
     Address(id): Address<String>,
     parameters: Parameters,
 ) -> Result<Json<SessionDocument>, Problem> {
-    if parameters.flag("purge", false)? {
+    if parameters.flag("purge")?.unwrap_or(false) {
         let record = session(&shared, &id).await?;
         shared.stored(move |store| store.delete_session(&id)).await?;
         return Ok(Json((&record).into()));

@@ -13,7 +13,7 @@ use crate::document::uncertainty::UncertaintyMapDocument;
 use crate::estimation::uncertainty::Distance;
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters};
+use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, heat_map_png};
@@ -24,12 +24,20 @@ const COLUMNS: [u32; 2] = [13, 49];
 /// What is asked about, and at which distance.
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
-#[expect(dead_code, reason = "describes the query; Parameters reads it")]
 pub(super) struct UncertaintyParameters {
     /// color, infrared, infrared2, or a rig's camera; the first there is when left out.
     sensor: Option<String>,
     /// How far away things are, in meters; at infinity when left out.
     distance_m: Option<f64>,
+}
+
+impl ReadQuery for UncertaintyParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        Ok(Self {
+            sensor: parameters.text("sensor").map(str::to_owned),
+            distance_m: parameters.positive("distance_m")?,
+        })
+    }
 }
 
 /// The predicted 1-σ projection uncertainty on a grid of pixels over the image.
@@ -43,7 +51,7 @@ pub(super) struct UncertaintyParameters {
 pub(super) async fn numbers(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<UncertaintyParameters>,
 ) -> Result<Json<UncertaintyMapDocument>, Problem> {
     let (name, sensor, distance) = asked(&shared, &id, &parameters).await?;
     let map = sensor_uncertainty(&sensor, COLUMNS[0], distance).ok_or_else(|| unknown(&id))?;
@@ -62,7 +70,7 @@ pub(super) async fn numbers(
 pub(super) async fn uncertainty_image(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
-    parameters: Parameters,
+    Asked(parameters): Asked<UncertaintyParameters>,
 ) -> Result<impl IntoResponse, Problem> {
     let (_, sensor, distance) = asked(&shared, &id, &parameters).await?;
     let png = on_a_blocking_thread(move || heat_map(&sensor, distance))
@@ -75,9 +83,9 @@ pub(super) async fn uncertainty_image(
 async fn asked(
     shared: &Shared,
     id: &str,
-    parameters: &Parameters,
+    parameters: &UncertaintyParameters,
 ) -> Result<(String, ImageCalibration, Distance), Problem> {
-    let distance = parameters.positive("distance_m")?.map_or(Distance::Infinity, Distance::Meters);
+    let distance = parameters.distance_m.map_or(Distance::Infinity, Distance::Meters);
     let found = calibration(shared, id).await?;
     let of_rig = found.sensors.iter().filter(|sensor| sensor.id.camera.is_some());
     let images = SensorKind::ALL.into_iter().filter(|kind| kind.is_image());
@@ -85,10 +93,10 @@ async fn asked(
         .map(|kind| kind.name().to_owned())
         .chain(of_rig.map(|sensor| found.name_of(&sensor.id)))
         .collect();
-    let is_known = |name: &str| known.iter().find(|known| *known == name).cloned();
-    let asked = parameters.one_of("sensor", is_known, &known.join(", "))?;
+    let asked = parameters.sensor.as_ref();
+    known_name("sensor", asked.map(String::as_str), &known)?;
     let mut sensors = found.image_sensors().map(|(id, sensor)| (found.name_of(id), sensor));
-    let sensor = sensors.find(|(name, _)| asked.as_ref().is_none_or(|asked| asked == name));
+    let sensor = sensors.find(|(name, _)| asked.is_none_or(|asked| asked == name));
     let (name, sensor) = sensor
         .filter(|(_, sensor)| !sensor.lens_covariance.is_empty())
         .ok_or_else(|| unknown(id))?;

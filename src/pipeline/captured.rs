@@ -1,4 +1,4 @@
-//! From capture to detection.
+//! The messages from the capture thread to the detection thread.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,18 +15,18 @@ pub(super) enum Captured {
     End {
         /// What the frames were searched for.
         search: Option<Arc<CameraSearch>>,
-        /// In words.
+        /// Why the source ended, in words.
         reason: String,
     },
 }
 
-/// A frame set on its way.
+/// A frame set on its way to detection.
 #[derive(Debug)]
 pub(super) struct CapturedFrame {
     pub(super) frame_set: Arc<FrameSet>,
     pub(super) search: Option<Arc<CameraSearch>>,
     /// When it came from its source.
     pub(super) arrived: Instant,
-    /// Its source waits for it to be searched.
+    /// Whether its source waits until it has been searched.
     pub(super) waits: bool,
 }

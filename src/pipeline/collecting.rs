@@ -1,4 +1,4 @@
-//! How a session begins and ends: the cameras that it has, and where their frames meet.
+//! Begins and ends a session: acquires its cameras, and assembles their frames.
 
 use std::sync::Arc;
 
@@ -96,7 +96,7 @@ impl SessionThread {
         Ok(record)
     }
 
-    /// Has every camera for the session, or none of them.
+    /// Acquires every camera for the session, or none of them.
     fn acquire(&self, session: &str) -> Result<(), StartError> {
         let cameras = &self.instrument.cameras;
         for (place, camera) in cameras.iter().enumerate() {
@@ -109,7 +109,7 @@ impl SessionThread {
         Ok(())
     }
 
-    /// Has every camera search for the session's board from now on.
+    /// Makes every camera search for the session's board from now on.
     fn collect(&mut self, record: &SessionRecord) {
         let instrument = &self.instrument;
         let plan = AssemblyPlan {
@@ -131,7 +131,7 @@ impl SessionThread {
         self.assembly = Some(assembly);
     }
 
-    /// No camera searches any more.
+    /// Stops the search of every camera.
     pub(super) fn stop_collecting(&mut self, session: &str) {
         for camera in &self.instrument.cameras {
             camera.search.set(session, None);
@@ -143,13 +143,13 @@ impl SessionThread {
         self.waiting.clear();
     }
 
-    /// Gives the cameras back.
+    /// Releases the cameras.
     pub(super) fn release(&mut self, session: &str) {
         self.stop_collecting(session);
         self.instrument.cameras.iter().for_each(|camera| give_back(camera, session));
     }
 
-    /// Ends the session by request. It is stored before it is so.
+    /// Ends the session on request. Its new state is stored before it is announced.
     pub(super) fn end(
         &mut self,
         id: &str,

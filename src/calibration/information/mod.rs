@@ -1,6 +1,6 @@
-//! What views teach: the information matrix of a lens, what one more view would add to it, and how
-//! far that lowers the uncertainty of projections. The next view to ask for, the worth of an image
-//! of a pool and of a frame of a session are all this one number.
+//! The information of views: the information matrix of a lens, what one more view would add to it,
+//! and how far that lowers the uncertainty of projections. The suggested next view, the choice of
+//! images from a pool and the choice of a session's frames all maximize this one number.
 //!
 //! ```text
 //! Λ = Σ over views of (A − B H⁻¹ Bᵀ) / σ²      goal(Λ) = median or worst σ of a projection
@@ -17,7 +17,7 @@
 //! | what one view says of a lens | [`view_information`] |
 //! | what is known of a lens, from views, an estimate or nothing | [`lens_information`] |
 //! | how uncertain projections are then | [`projection_goal`] |
-//! | how exact the corners of a view will be that nobody took yet | [`corner_noise`] |
+//! | how exact the corners of a future view will be | [`corner_noise`] |
 //! | which views a detector could see | [`candidate_views`] |
 //! | which of them to ask for, and how many more it takes | [`next_view`] |
 //! | how to get there, in words | [`movement`] |

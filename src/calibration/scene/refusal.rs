@@ -16,7 +16,7 @@ pub enum SceneRefusal {
         "`{name}` is {size}, the others are {expected}: all images must be by one camera, uncropped"
     )]
     DifferentSizes {
-        /// The image that differs.
+        /// The image of another size.
         name: String,
         /// Its size.
         size: crate::geometry::pixel::ImageSize,
@@ -49,12 +49,12 @@ pub enum SceneRefusal {
         "one plane is all that the images show, which does not determine the lens: include things at different depths"
     )]
     OnePlane,
-    /// No depth to begin with, and too little rotation to do without.
+    /// Too little parallax to triangulate, and too little rotation to calibrate without it.
     #[error(
         "hardly any parallax: the camera moved too little for the depth of the scene; move it sideways by at least a tenth of the distance to the scene"
     )]
     HardlyAnyParallax,
-    /// Only a part hangs together.
+    /// Only a part of the images is connected by matches.
     #[error(
         "only {used} of {images} images hang together: too few matches between neighbors (a median of {between_neighbors}), too little texture or too large steps"
     )]
@@ -66,7 +66,7 @@ pub enum SceneRefusal {
         /// The median number of inlier matches between an image and the next.
         between_neighbors: usize,
     },
-    /// Focal length and depth trade.
+    /// Focal length and depth are not separable.
     #[error(
         "the camera moved forward (within {angle_deg:.0} degrees of where it points): focal length, distortion and depth trade; move it sideways, and rotate it about its axis"
     )]

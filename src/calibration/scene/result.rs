@@ -1,4 +1,4 @@
-//! What comes of images without a target.
+//! The result of a calibration without a target.
 
 use nalgebra::Point3;
 
@@ -16,11 +16,11 @@ pub struct SceneCalibration {
     pub views: Vec<SceneView>,
     /// The scene.
     pub points: Vec<ScenePoint>,
-    /// How much was used.
+    /// Counts of what was used.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
-    /// Parameters that the prior knows at least as well as the images do.
+    /// Parameters whose prior is at least as certain as the images' own estimate.
     pub held_by_prior: Vec<&'static str>,
 }
 

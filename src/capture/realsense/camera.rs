@@ -25,10 +25,10 @@ use crate::imaging::frame::SensorKind;
 
 /// Frames a second where none are asked for.
 const DEFAULT_FPS: usize = 30;
-/// After so many openings without a frame the device is reset.
+/// Consecutive openings without a frame after which the device is reset.
 const BARREN_LIMIT: u32 = 3;
 
-/// A RealSense camera that may come and go.
+/// A RealSense camera, which may be unplugged and plugged in again.
 #[derive(Debug)]
 pub struct RealsenseCamera {
     options: RealsenseOptions,
@@ -37,7 +37,7 @@ pub struct RealsenseCamera {
     /// The device that was opened first, where none was named.
     serial: Option<String>,
     next_sequence: Arc<AtomicU64>,
-    /// How often in a row it was opened and gave nothing.
+    /// Consecutive openings without a frame.
     barren: Arc<AtomicU32>,
 }
 
@@ -174,7 +174,7 @@ impl RealsenseCamera {
     }
 }
 
-/// What a sensor's stream is asked for.
+/// The profile requested of a sensor's stream.
 fn format_of(sensor: SensorKind) -> Rs2Format {
     match sensor {
         SensorKind::Color => Rs2Format::Rgb8,
@@ -197,7 +197,7 @@ fn bag_config(path: &Path) -> Result<Config, CaptureError> {
     Ok(config)
 }
 
-/// Makes the settings on whichever of the device's sensors takes them.
+/// Applies the settings, each to the sensor of the device that supports it.
 fn set(device: &Device, settings: Settings) -> Result<(), String> {
     let preset = settings
         .preset
