@@ -114,6 +114,26 @@ impl FitCovariance {
         Some(Self { unit, influences, scale, noise_square, frame_sets })
     }
 
+    /// As [`Self::block`], but with a covariance that is not below what the views' influences show,
+    /// be it within chance or not: an error within chance still makes a covariance too small that
+    /// nothing else corrects. Where there is none it is over-estimated by √(1 / (π · views ·
+    /// parameters)): half the mean size of what chance makes of the influences.
+    pub(crate) fn block_as_seen(&self, block: Range<usize>) -> Clustered {
+        let known = self.block(block.clone());
+        if self.influences.len() < MIN_VIEWS {
+            return known;
+        }
+        let size = block.len();
+        let unit = self.unit.view((block.start, block.start), (size, size));
+        let scale = self.scale.rows(block.start, size);
+        let unit = DMatrix::from_fn(size, size, |i, j| unit[(i, j)] / (scale[i] * scale[j]));
+        let of_block: Vec<Influence> =
+            self.influences.iter().map(|influence| influence.block(&block)).collect();
+        let Some(excess) = Excess::of(&unit, self.noise_square, &of_block) else { return known };
+        let widened = (1.0 + excess.part).max(known.factor) / known.factor;
+        Clustered { covariance: known.covariance * widened, ..known }
+    }
+
     /// That of the parameters in `block`.
     pub(crate) fn block(&self, block: Range<usize>) -> Clustered {
         let size = block.len();
@@ -183,6 +203,29 @@ pub(crate) fn clustered(
     combined(unit, noise_square, (influences, views), without).unwrap_or(plain)
 }
 
+/// By how much the squares of the views' influences exceed those of corners by themselves, as a part
+/// of these, and the standard deviation of that by chance.
+struct Excess {
+    part: f64,
+    std: f64,
+}
+
+impl Excess {
+    /// `None` where the parameters are not determined.
+    fn of(unit: &DMatrix<f64>, noise_square: f64, influences: &[Influence]) -> Option<Self> {
+        let inverse = unit.clone().cholesky()?.inverse();
+        let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
+        for influence in influences {
+            let leverage = &influence.expected * &inverse;
+            seen += influence.step.dot(&(&inverse * &influence.step));
+            expected += leverage.trace() - influence.taken_up.dot(&inverse);
+            variance += 2.0 * leverage.dot(&leverage.transpose());
+        }
+        let part = seen / (noise_square * expected) - 1.0;
+        Some(Self { part, std: variance.sqrt() / expected })
+    }
+}
+
 /// `None` where nothing shows that views differ, or chance would explain it.
 fn combined(
     unit: &DMatrix<f64>,
@@ -190,16 +233,7 @@ fn combined(
     (influences, views): (&[Influence], usize),
     without: impl FnOnce() -> Option<Vec<DVector<f64>>>,
 ) -> Option<Clustered> {
-    let inverse = unit.clone().cholesky()?.inverse();
-    let (mut seen, mut expected, mut variance) = (0.0, 0.0, 0.0);
-    for influence in influences {
-        let leverage = &influence.expected * &inverse;
-        seen += influence.step.dot(&(&inverse * &influence.step));
-        expected += leverage.trace() - influence.taken_up.dot(&inverse);
-        variance += 2.0 * leverage.dot(&leverage.transpose());
-    }
-    let excess = seen / (noise_square * expected) - 1.0;
-    let std = variance.sqrt() / expected;
+    let Excess { part: excess, std } = Excess::of(unit, noise_square, influences)?;
     if !(excess > CHANCE * std) {
         return None;
     }

@@ -94,7 +94,7 @@ pub fn calibrate_rig(problem: &RigProblem) -> Result<RigEstimate, EstimationErro
         estimates.push(assemble(camera, prepared, (&fit, Some(&known)), part)?);
         let (covariance, variance_inflation) = match fit.layout.sensors[sensor].pose_at {
             Some(at) => {
-                let Clustered { covariance, factor, .. } = known.block(at..at + 6);
+                let Clustered { covariance, factor, .. } = known.block_as_seen(at..at + 6);
                 (covariance.fixed_view::<6, 6>(0, 0).into_owned(), factor)
             }
             None => (Matrix6::zeros(), 1.0),
