@@ -6,7 +6,7 @@
 //! but the same for the same image, so which views are accepted does not depend on how fast a
 //! solve was.
 
-use nalgebra::{Matrix3, Point2, Vector2, Vector3};
+use nalgebra::{Point2, Vector2, Vector3};
 
 use crate::detection::board_detection::{DetectedCorner, Detection};
 use crate::geometry::board::BoardSize;
@@ -54,7 +54,7 @@ impl Placement {
         let focal_px = NOMINAL_FOCAL * width.max(height);
         let image_center = size.center().to_vector();
         let square_to_image =
-            homography_of_square(outline.map(|p| (p.to_vector() - image_center) / focal_px))?;
+            Homography::of_unit_square(outline.map(|p| (p.to_vector() - image_center) / focal_px))?;
         let along_row = square_to_image.column(0) / (f64::from(board.cols) - 1.0);
         let along_column = square_to_image.column(1) / (f64::from(board.rows) - 1.0);
         let normal = along_row.cross(&along_column).try_normalize(1e-12)?;
@@ -120,21 +120,6 @@ pub(crate) fn outer_corners(detection: &Detection) -> Option<[Pixel; 4]> {
         Some(Pixel::new(pixel.x, pixel.y))
     });
     Some([a?, b?, c?, d?])
-}
-
-/// The homography that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points (Heckbert,
-/// "Fundamentals of Texture Mapping and Image Warping", 1989, section 2.2.3); `None` if three of
-/// them lie on a line.
-fn homography_of_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
-    let [p0, p1, p2, p3] = points;
-    let (d1, d2, sum) = (p1 - p2, p3 - p2, p0 - p1 + p2 - p3);
-    let determinant = d1.perp(&d2);
-    if determinant.abs() < 1e-12 {
-        return None;
-    }
-    let (g, h) = (sum.perp(&d2) / determinant, d1.perp(&sum) / determinant);
-    let (a, b) = (p1 - p0 + g * p1, p3 - p0 + h * p3);
-    Some(Matrix3::new(a.x, b.x, p0.x, a.y, b.y, p0.y, g, h, 1.0))
 }
 
 fn polygon_area(points: &[Pixel]) -> f64 {

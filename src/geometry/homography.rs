@@ -1,6 +1,6 @@
 //! The map between two planes: what a lens without distortion makes of a flat board.
 
-use nalgebra::{Matrix3, Point2, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Point2, SMatrix, SVector, Vector2, Vector3};
 
 /// A 3×3 homography `target_from_source` in homogeneous coordinates, scaled to unit Frobenius norm
 /// and so that points of the source have a positive third coordinate.
@@ -36,6 +36,21 @@ impl Homography {
         let scaled = matrix / norm;
         let usable = norm.is_finite() && norm > 0.0 && scaled.determinant().abs() > 1e-14;
         usable.then_some(Self { matrix: scaled })
+    }
+
+    /// The matrix that takes the unit square (0,0), (1,0), (1,1), (0,1) to four points, scaled so that
+    /// its last entry is 1 (P. Heckbert, *Fundamentals of Texture Mapping and Image Warping*, 1989,
+    /// section 2.2.3); `None` if three of them lie on a line.
+    pub fn of_unit_square(points: [Vector2<f64>; 4]) -> Option<Matrix3<f64>> {
+        let [p0, p1, p2, p3] = points;
+        let (d1, d2, sum) = (p1 - p2, p3 - p2, p0 - p1 + p2 - p3);
+        let determinant = d1.perp(&d2);
+        if determinant.abs() < 1e-12 {
+            return None;
+        }
+        let (g, h) = (sum.perp(&d2) / determinant, d1.perp(&sum) / determinant);
+        let (a, b) = (p1 - p0 + g * p1, p3 - p0 + h * p3);
+        Some(Matrix3::new(a.x, b.x, p0.x, a.y, b.y, p0.y, g, h, 1.0))
     }
 
     /// The 3×3 matrix.
