@@ -25,6 +25,8 @@ mod rgbd_bent;
 mod rgbd_rig;
 mod rgbd_session;
 mod rgbd_wrong;
+#[cfg(unix)]
+mod rig_faults;
 mod rig_session;
 mod served;
 #[cfg(target_os = "linux")]

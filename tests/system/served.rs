@@ -158,6 +158,13 @@ impl Served {
         assert!(sent.success());
     }
 
+    /// How much of the machine's memory it holds, in kB.
+    pub fn resident_kb(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        line.trim().trim_end_matches("kB").trim().parse().unwrap()
+    }
+
     /// Waits until it has ended.
     pub fn ended(&mut self) -> ExitStatus {
         self.child.wait().unwrap()
