@@ -4,8 +4,7 @@
 
 use crate::calibration::observations::CameraFrameSets;
 use crate::calibration::result::{CalibratedSensor, Calibration, Grade};
-use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_rig::{RigError, RigInput, RigPose, SolvedRig, solve_rig};
+use crate::calibration::solve_rig::{RigError, RigInput, SolvedRig, solve_rig};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::target::Target;
@@ -20,10 +19,12 @@ fn solve_beside_color(
     (board, camera, kind): (Target, &CameraFrameSets, SensorKind),
     options: &CameraOptions,
 ) -> Result<SolvedRig, RigError> {
-    let of = |sensor: SensorKind| camera.as_rig_camera(sensor.name(), sensor, |place, _| place);
-    let mut cameras = vec![of(SensorKind::Color), of(kind)];
-    cameras.iter_mut().for_each(|camera| camera.given = None);
-    solve_rig(&RigInput { board, cameras }, options)
+    let of = |sensor: SensorKind| {
+        camera.as_rig_sensor((sensor.name().to_owned(), sensor), |place, _| place)
+    };
+    let mut sensors = vec![of(SensorKind::Color), of(kind)];
+    sensors.iter_mut().for_each(|sensor| sensor.given = None);
+    solve_rig(&RigInput { board, sensors }, options)
 }
 
 /// `calibration`, which has color, with the sensor `kind` and where that is; where it cannot be
@@ -37,19 +38,16 @@ pub(super) fn with_image_sensor(
     let lens = calibration.color().map(|color| LensChoice::Model(color.lens.model()));
     let options = CameraOptions { lens: lens.unwrap_or(options.lens), ..options.clone() };
     match solve_beside_color(observed, &options) {
-        Ok(SolvedRig { cameras, extrinsics, .. }) => {
-            let sensor = cameras.into_iter().find(|(name, _)| name == kind.name());
-            if let Some((_, sensor)) = sensor {
-                calibration.add_sensor(CalibratedSensor::image(SensorId::own(kind), sensor));
+        Ok(SolvedRig { sensors, extrinsics, .. }) => {
+            let sensor = sensors.into_iter().find(|(id, _)| id.kind == kind);
+            if let Some((id, sensor)) = sensor {
+                calibration.add_sensor(CalibratedSensor::image(id, sensor));
             }
-            let color = SensorId::own(SensorKind::Color);
-            let placed = |pose: RigPose| pose.between(color.clone(), SensorId::own(kind));
-            calibration.extrinsics.extend(extrinsics.into_iter().map(placed));
+            calibration.extrinsics.extend(extrinsics);
         }
         Err(reason) => {
-            calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
             let name = kind.name();
-            calibration.verdict.reasons.push(format!("{name} is not calibrated: {reason}"));
+            calibration.verdict.lower(Grade::Usable, format!("{name} is not calibrated: {reason}"));
         }
     }
     calibration

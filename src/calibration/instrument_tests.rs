@@ -3,6 +3,8 @@ use rand::{RngExt, SeedableRng};
 
 use super::*;
 use crate::calibration::observations::ObservedFrameSet;
+use crate::calibration::sensor::SensorId;
+use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{BoardView, Correspondence, LensChoice};
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;

@@ -3,6 +3,7 @@
 
 pub mod admission;
 mod beside_color;
+mod cameras;
 mod composed_pose;
 pub mod coverage;
 pub mod depth_calibration;
@@ -26,13 +27,17 @@ pub mod sensor;
 pub mod session;
 pub mod session_record;
 pub mod solve;
+mod solve_options;
 pub mod solve_rgbd;
 pub mod solve_rig;
 pub mod stated_calibration;
 pub(crate) mod verdict;
 pub mod view;
 
-pub use crate::calibration::instrument::{InstrumentError, SolveOptions, UnsolvedDepth, solve};
+pub use crate::calibration::instrument::solve;
 pub use crate::calibration::observations::{
     CameraFrameSets, InstrumentObservations, ObservedFrameSet,
+};
+pub use crate::calibration::solve_options::{
+    InstrumentError, SolveMethod, SolveOptions, UnsolvedDepth,
 };

@@ -3,7 +3,7 @@
 
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
-use crate::calibration::solve_rig::RigCameraInput;
+use crate::calibration::solve_rig::RigSensorInput;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
@@ -136,18 +136,18 @@ impl CameraFrameSets {
         }
     }
 
-    /// The same as one camera of several, its views numbered by `number_of` their place among the
-    /// views and the frame set's own number.
-    pub(super) fn as_rig_camera(
+    /// The same as one image sensor of several, called `name`, its views numbered by `number_of`
+    /// their place among the views and the frame set's own number.
+    pub(super) fn as_rig_sensor(
         &self,
-        name: &str,
-        sensor: SensorKind,
+        (name, sensor): (String, SensorKind),
         number_of: impl Fn(usize, &ObservedFrameSet) -> usize,
-    ) -> RigCameraInput {
+    ) -> RigSensorInput {
         let seen = self.views().enumerate();
         let seen = seen.filter(|(_, seen)| !seen.corners(sensor).is_empty());
-        RigCameraInput {
-            name: name.to_owned(),
+        RigSensorInput {
+            id: SensorId { camera: self.name.clone(), kind: sensor },
+            name,
             image_size: self.image_size(sensor).unwrap_or(ImageSize::new(0, 0)),
             given: self.given.filter(|_| sensor == SensorKind::Color),
             views: seen

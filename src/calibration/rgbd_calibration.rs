@@ -31,16 +31,9 @@ pub fn with_depth(
     let joint = &solved.joint;
     let of_depth = solved.factory.as_ref().and_then(|check| check.kept.as_deref()).unwrap_or(joint);
     let depth = DepthCalibration::of(of_depth, input.depth.invalid);
-    let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
+    let own = SensorId::own;
     let extrinsics = |source: SensorKind, estimate: &RgbdEstimate| {
-        let (rotation_std, translation_std) = pose_std(&estimate.color_from_depth_covariance);
-        Extrinsics {
-            target: SensorId::own(SensorKind::Color),
-            source: SensorId::own(source),
-            target_from_source: estimate.color_from_depth,
-            rotation_std: rotation_std.into(),
-            translation_std_m: translation_std.into(),
-        }
+        color_from_depth(own(source), own(SensorKind::Color), estimate)
     };
     let seen = JointViews { input, solved };
     if let Some(color) = calibration.image_mut(SensorKind::Color) {
@@ -59,22 +52,48 @@ pub fn with_depth(
         calibration.extrinsics.push(extrinsics(SensorKind::Infrared, joint));
         calibration.verdict = both(calibration.verdict, infrared.verdict);
     }
+    calibration.verdict =
+        judged_with_depth(calibration.verdict, (input, solved), (of_depth, &depth));
+    calibration.add_sensor(CalibratedSensor::depth(None, depth));
+    calibration
+}
+
+/// `verdict` with what is to be said of depth, as `of_depth` has it.
+pub(super) fn judged_with_depth(
+    mut verdict: Verdict,
+    (input, solved): (&RgbdInput, &SolvedRgbd),
+    (of_depth, depth): (&RgbdEstimate, &DepthCalibration),
+) -> Verdict {
+    let joint = &solved.joint;
+    let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
     let lowering =
         [without_color(input), without_depth_picture(input), scale_doubt(joint, &input.board)];
     for reason in lowering.into_iter().flatten() {
-        calibration.verdict.grade = calibration.verdict.grade.min(Grade::Usable);
-        calibration.verdict.reasons.push(reason);
+        verdict.lower(Grade::Usable, reason);
     }
-    calibration.verdict.reasons.extend(depth_not_used(solved, views_with_depth));
-    calibration.verdict.reasons.extend(weak_place(of_depth));
+    verdict.reasons.extend(depth_not_used(solved, views_with_depth));
+    verdict.reasons.extend(weak_place(of_depth));
     if !joint.not_together.is_empty() {
-        calibration.verdict.reasons.push(not_together(joint));
+        verdict.reasons.push(not_together(joint));
     }
-    calibration.verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
-    calibration.verdict =
-        judge_depth(calibration.verdict, &depth, solved.without_depth.len(), views_with_depth);
-    calibration.add_sensor(CalibratedSensor::depth(None, depth));
-    calibration
+    verdict.reasons.extend(solved.factory.as_ref().map(FactoryCheck::line));
+    judge_depth(verdict, depth, solved.without_depth.len(), views_with_depth)
+}
+
+/// Where depth is in color's frame, by the device alone.
+pub(super) fn color_from_depth(
+    source: SensorId,
+    color: SensorId,
+    estimate: &RgbdEstimate,
+) -> Extrinsics {
+    let (rotation_std, translation_std) = pose_std(&estimate.color_from_depth_covariance);
+    Extrinsics {
+        target: color,
+        source,
+        target_from_source: estimate.color_from_depth,
+        rotation_std: rotation_std.into(),
+        translation_std_m: translation_std.into(),
+    }
 }
 
 /// The views without a board in color, where they are many.

@@ -66,8 +66,7 @@ pub fn solve_views(
     let sensor = with_uncertainty(&estimate, uncertainty.as_ref());
     let mut verdict = verdict::judge(&estimate, uncertainty.as_ref(), &model_check, &coverage);
     if let Some(doubt) = verdict::square_pixels(&estimate, options) {
-        verdict.grade = verdict.grade.min(Grade::Usable);
-        verdict.reasons.push(doubt);
+        verdict.lower(Grade::Usable, doubt);
     }
     Ok(SolvedCamera { sensor, checks, verdict, estimate })
 }
@@ -77,7 +76,7 @@ pub fn solve_views(
 ///
 /// # Errors
 /// As [`calibrate_dlt`].
-pub fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationError> {
+pub(super) fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationError> {
     let estimate = calibrate_dlt(problem)?.camera;
     let coverage = corner_coverage(problem, &estimate);
     let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };

@@ -82,6 +82,8 @@ pub struct SolvedRgbd {
     pub color: SolvedCamera,
     /// Infrared by itself, where it was seen.
     pub infrared: Option<SolvedCamera>,
+    /// What the joint estimate was made of.
+    pub problem: RgbdProblem,
     /// Everything together.
     pub joint: RgbdEstimate,
     /// The comparison with the factory's statement of depth, where there is one and views with both.
@@ -90,6 +92,26 @@ pub struct SolvedRgbd {
     pub captures: Vec<usize>,
     /// Captures whose depth could not be used, and why.
     pub without_depth: Vec<(String, NoPlane)>,
+}
+
+impl SolvedRgbd {
+    /// The board in the infrared images that were taken together with color's, each by the number
+    /// of its capture: its corners named as in color, and where they were when color was taken.
+    pub fn infrared_with_color(&self) -> Vec<(usize, BoardView)> {
+        let joint = &self.joint;
+        let together = self.problem.views.iter().zip(&self.captures).enumerate().filter(
+            |(index, (view, _))| !view.infrared.is_empty() && !joint.not_together.contains(index),
+        );
+        let as_in_color = |(index, (view, capture)): (usize, (&RgbdView, &usize))| {
+            let board_from_moved_on = joint.board_from_moved_on(view, index);
+            let mut correspondences = view.infrared.clone();
+            correspondences.iter_mut().for_each(|corner| {
+                corner.point_in_board = board_from_moved_on * corner.point_in_board;
+            });
+            (*capture, BoardView { name: view.name.clone(), correspondences })
+        };
+        together.map(as_in_color).collect()
+    }
 }
 
 /// The board's surface reaches this many squares past its outer inner corners, and is measured this
@@ -147,7 +169,7 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let Measured { problem, captures, without_depth } = measured;
     let factory =
         input.depth.factory.and_then(|factory| FactoryCheck::of(&problem, &joint, factory));
-    Ok(SolvedRgbd { color, infrared, joint, factory, captures, without_depth })
+    Ok(SolvedRgbd { color, infrared, problem, joint, factory, captures, without_depth })
 }
 
 /// The same with infrared's corners labelled as color's are, for a board that is symmetric under a

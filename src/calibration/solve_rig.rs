@@ -18,21 +18,22 @@ use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
-use crate::imaging::frame::SensorKind;
 
-/// A rig to calibrate.
+/// Image sensors that are fixed to each other, to be calibrated together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigInput {
     /// The board.
     pub board: Target,
-    /// Its cameras.
-    pub cameras: Vec<RigCameraInput>,
+    /// The sensors, camera by camera.
+    pub sensors: Vec<RigSensorInput>,
 }
 
-/// One camera of a rig and what it saw.
+/// One image sensor of a rig and what it saw.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RigCameraInput {
-    /// Its name.
+pub struct RigSensorInput {
+    /// Which.
+    pub id: SensorId,
+    /// What it is called in messages.
     pub name: String,
     /// The size of its images.
     pub image_size: ImageSize,
@@ -45,12 +46,12 @@ pub struct RigCameraInput {
 /// A solved rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedRig {
-    /// The cameras that could be calibrated, in the rig's order.
-    pub cameras: Vec<(String, ImageCalibration)>,
-    /// `a_from_b` of each camera b that shares views, directly or through others, with an earlier
-    /// camera a; a is the first of those that it is connected with.
-    pub extrinsics: Vec<RigPose>,
-    /// The worst of each figure over the cameras.
+    /// The sensors that could be calibrated, in the rig's order.
+    pub sensors: Vec<(SensorId, ImageCalibration)>,
+    /// `a_from_b` of each sensor b that shares views, directly or through others, with an earlier
+    /// sensor a; a is the first of those that it is connected with.
+    pub extrinsics: Vec<Extrinsics>,
+    /// The worst of each figure over the sensors.
     pub checks: Checks,
     /// How far to trust it.
     pub verdict: Verdict,
@@ -59,45 +60,13 @@ pub struct SolvedRig {
 impl SolvedRig {
     /// The calibration that it amounts to.
     pub fn into_calibration(self, target: Target) -> Calibration {
-        let color = |camera: &str| SensorId::of(camera, SensorKind::Color);
-        let sensors = self.cameras.into_iter();
-        let sensors =
-            sensors.map(|(camera, sensor)| CalibratedSensor::image(color(&camera), sensor));
-        let placed = |pose: RigPose| {
-            let (target, source) = (color(&pose.target), color(&pose.source));
-            pose.between(target, source)
-        };
+        let sensors = self.sensors.into_iter();
+        let sensors = sensors.map(|(id, sensor)| CalibratedSensor::image(id, sensor)).collect();
         let made = (self.checks, self.verdict);
-        let extrinsics = self.extrinsics.into_iter().map(placed).collect();
-        Calibration { extrinsics, ..Calibration::unnamed(Some(target), sensors.collect(), made) }
-    }
-}
-
-/// Where a camera of a rig is, in the frame of another.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RigPose {
-    /// The name of the camera whose frame it leads to.
-    pub target: String,
-    /// The name of the camera whose frame it leads from.
-    pub source: String,
-    /// Where the source is.
-    pub target_from_source: Pose,
-    /// Standard deviation of the rotation about each axis, in radians.
-    pub rotation_std: [f64; 3],
-    /// Standard deviation of the translation, in meters.
-    pub translation_std_m: [f64; 3],
-}
-
-impl RigPose {
-    /// Between two sensors of an instrument.
-    pub fn between(self, target: SensorId, source: SensorId) -> Extrinsics {
-        let Self { target_from_source, rotation_std, translation_std_m, .. } = self;
-        Extrinsics { target, source, target_from_source, rotation_std, translation_std_m }
-    }
-
-    /// What it maps, as in `left_from_right`.
-    fn name(&self) -> String {
-        format!("{}_from_{}", self.target, self.source)
+        Calibration {
+            extrinsics: self.extrinsics,
+            ..Calibration::unnamed(Some(target), sensors, made)
+        }
     }
 }
 
@@ -140,74 +109,94 @@ pub enum RigError {
     Joint(EstimationError),
 }
 
-/// A camera that was calibrated by itself.
+/// A sensor that was calibrated by itself.
 struct Alone<'a> {
-    input: &'a RigCameraInput,
+    input: &'a RigSensorInput,
     solved: SolvedCamera,
 }
 
-/// Calibrates each camera by itself, then those that share views jointly, lenses and poses.
+/// Calibrates each sensor by itself, then those that share views jointly, lenses and poses.
 ///
 /// # Errors
-/// [`RigError`]. A camera that cannot be calibrated, or shares no view with any other, costs the
+/// [`RigError`]. A sensor that cannot be calibrated, or shares no view with any other, costs the
 /// others nothing: the verdict names it.
 pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig, RigError> {
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
-    for camera in &input.cameras {
-        let views = camera.views.iter().map(|(_, view)| view.clone()).collect();
-        let options = camera.given.map_or_else(|| options.clone(), |lens| holding(&lens));
-        match solve_views(&CameraProblem { image_size: camera.image_size, views }, &options) {
-            Ok(solved) => alone.push(Alone { input: camera, solved }),
-            Err(source) => failed.push((camera.name.clone(), source)),
+    for sensor in &input.sensors {
+        let views = sensor.views.iter().map(|(_, view)| view.clone()).collect();
+        let options = sensor.given.map_or_else(|| options.clone(), |lens| holding(&lens));
+        match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
+            Ok(solved) => alone.push(Alone { input: sensor, solved }),
+            Err(source) => failed.push((sensor, source)),
         }
     }
-    if alone.len() < 2 {
-        let (camera, source) =
-            failed.into_iter().next().unwrap_or((String::new(), EstimationError::NoFit));
-        return Err(RigError::TooFewCameras {
-            solved: alone.len(),
-            all: input.cameras.len(),
-            camera,
-            source,
-        });
-    }
+    check_enough(input, &alone, &failed)?;
     if let Some(shifted) = shifted_list(&alone) {
         return Err(shifted);
     }
     let groups = connected(&alone);
-    if groups.iter().all(|group| group.len() < 2) {
+    let across = |group: &Vec<usize>| alone[group[0]].is_other_than(&alone[group[group.len() - 1]]);
+    if !groups.iter().any(across) {
         return Err(RigError::NothingShared);
     }
     let mut findings = Vec::new();
-    for (camera, source) in &failed {
-        findings.push((Grade::Usable, format!("camera `{camera}` is left out: {source}")));
+    for (sensor, source) in &failed {
+        let reason = format!("camera `{}` is left out: {source}", sensor.name);
+        findings.push((Grade::Usable, reason));
     }
     let mut sensors: Vec<ImageCalibration> =
         alone.iter().map(|one| one.solved.sensor.clone()).collect();
     let mut extrinsics = Vec::new();
     for group in &groups {
-        if let [isolated] = group.as_slice() {
-            let name = &alone[*isolated].input.name;
-            let reason = "saw the whole board at no moment at which another camera did: show it to both at once";
-            findings
-                .push((Grade::Usable, format!("where camera `{name}` is stays open: it {reason}")));
+        if !across(group) {
+            findings.push((Grade::Usable, open_place(&alone[group[0]])));
+        }
+        if group.len() < 2 {
             continue;
         }
-        let cameras: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
-        let joint = Joint::solve(input, &cameras)?;
-        for (index, sensor) in group.iter().zip(&joint.sensors) {
-            sensors[*index] = sensor.clone();
+        let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
+        let joint = Joint::solve(input, &members)?;
+        findings.extend(joint.findings(&members));
+        for (index, sensor) in group.iter().zip(joint.sensors) {
+            sensors[*index] = sensor;
         }
-        findings.extend(joint.findings());
         extrinsics.extend(joint.extrinsics);
     }
-    let cameras = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.name.clone(), sensor));
+    let sensors = alone.iter().zip(sensors).map(|(one, sensor)| (one.input.id.clone(), sensor));
     Ok(SolvedRig {
-        cameras: cameras.collect(),
+        sensors: sensors.collect(),
         extrinsics,
         checks: checks(&alone),
         verdict: verdict(&alone, findings),
     })
+}
+
+/// Two sensors that could be calibrated, of two cameras where there are as many.
+fn check_enough(
+    input: &RigInput,
+    alone: &[Alone<'_>],
+    failed: &[(&RigSensorInput, EstimationError)],
+) -> Result<(), RigError> {
+    let one_camera =
+        input.sensors.iter().all(|sensor| sensor.id.camera == input.sensors[0].id.camera);
+    let several = match alone {
+        [] | [_] => false,
+        [first, others @ ..] => one_camera || others.iter().any(|one| first.is_other_than(one)),
+    };
+    if several {
+        return Ok(());
+    }
+    let first = failed.first().map(|(sensor, source)| (sensor.name.clone(), source.clone()));
+    let (camera, source) = first.unwrap_or((String::new(), EstimationError::NoFit));
+    Err(RigError::TooFewCameras { solved: alone.len(), all: input.sensors.len(), camera, source })
+}
+
+/// That nothing places the camera of this sensor.
+fn open_place(isolated: &Alone<'_>) -> String {
+    let name = &isolated.input.name;
+    let reason =
+        "saw the whole board at no moment at which another camera did: show it to both at once";
+    format!("where camera `{name}` is stays open: it {reason}")
 }
 
 /// Options that hold every parameter of `lens`.
@@ -255,6 +244,14 @@ fn connected(alone: &[Alone<'_>]) -> Vec<Vec<usize>> {
 }
 
 impl Alone<'_> {
+    /// Whether it is of another camera, or another sensor of the only one.
+    fn is_other_than(&self, other: &Self) -> bool {
+        match (&self.input.id.camera, &other.input.id.camera) {
+            (None, None) => self.input.id.kind != other.input.id.kind,
+            (one, other) => one != other,
+        }
+    }
+
     /// The pose of every view that took part, with its frame set.
     fn poses(&self) -> SensorPoses {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
@@ -292,9 +289,9 @@ impl Alone<'_> {
 /// Cameras that were solved together.
 struct Joint {
     sensors: Vec<ImageCalibration>,
-    extrinsics: Vec<RigPose>,
-    /// For each camera: its noise together with the others over that by itself.
-    rms_ratio: Vec<(String, f64)>,
+    extrinsics: Vec<Extrinsics>,
+    /// For each sensor: its noise together with the others over that by itself.
+    rms_ratio: Vec<f64>,
 }
 
 impl Joint {
@@ -323,43 +320,49 @@ impl Joint {
             .max();
         let problem = RigProblem { sensors, frame_sets: end.unwrap_or(0) };
         let estimate = calibrate_rig(&problem).map_err(RigError::Joint)?;
-        let reference = &group[0].input.name;
+        let reference = &group[0].input.id;
         let placed = group.iter().zip(&estimate.places).skip(1);
         let with_comparison = |(one, camera): (&&Alone<'_>, _)| ImageCalibration {
             compared: one.solved.sensor.compared.clone(),
             ..sensor_calibration(camera)
         };
-        let rms_ratio = group.iter().zip(&estimate.cameras).map(|(one, camera)| {
-            (one.input.name.clone(), camera.rms_px / one.solved.estimate.rms_px.max(1e-3))
-        });
+        let rms_ratio = group
+            .iter()
+            .zip(&estimate.cameras)
+            .map(|(one, camera)| camera.rms_px / one.solved.estimate.rms_px.max(1e-3));
         Ok(Self {
             sensors: group.iter().zip(&estimate.cameras).map(with_comparison).collect(),
             extrinsics: placed
-                .map(|(one, place)| reference_from(reference, &one.input.name, place))
+                .map(|(one, place)| reference_from(reference, &one.input.id, place))
                 .collect(),
             rms_ratio: rms_ratio.collect(),
         })
     }
 
-    fn findings(&self) -> Vec<(Grade, String)> {
-        let misfitting = self.rms_ratio.iter().filter(|(_, rms_ratio)| *rms_ratio > MISFITTING).map(|(name, rms_ratio)| {
+    fn findings(&self, group: &[&Alone<'_>]) -> Vec<(Grade, String)> {
+        let name = |member: usize| group[member].input.name.as_str();
+        let each = self.rms_ratio.iter().enumerate();
+        let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
+        let misfitting = misfitting.map(|(member, rms_ratio)| {
             let cause =
                 "the board moved between the cameras' pictures, or the cameras against each other: hold it still";
+            let camera = name(member);
             (
                 Grade::Usable,
-                format!("camera `{name}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
+                format!("camera `{camera}` fits {rms_ratio:.1} times worse with the others than by itself; {cause}"),
             )
         });
-        let open = self.extrinsics.iter().filter_map(|known| {
+        let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
             let (turn_deg, shift_m) =
                 (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
             let loose = turn_deg > LOOSE_DEG
                 || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
             let advice = "show the board to both in more places, near and tilted";
-            let name = known.name();
             loose.then(|| {
                 let reason = format!(
-                    "{name} is known to {turn_deg:.2}° and {:.1} mm only: {advice}",
+                    "{}_from_{} is known to {turn_deg:.2}° and {:.1} mm only: {advice}",
+                    name(0),
+                    name(place + 1),
                     1e3 * shift_m
                 );
                 (Grade::Usable, reason)
@@ -383,7 +386,7 @@ fn largest(values: [f64; 3]) -> f64 {
 
 /// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
 /// a turn ω and a shift τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
-fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> RigPose {
+fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
     let rig_from_sensor = place.sensor_from_rig.inverse();
     let back = rig_from_sensor.rotation_matrix();
     let mut by_place = Matrix6::zeros();
@@ -394,9 +397,9 @@ fn reference_from(reference: &str, name: &str, place: &SensorPlace) -> RigPose {
         .copy_from(&(-back * cross(&place.sensor_from_rig.translation())));
     let (rotation_std, translation_std) =
         pose_std(&(by_place * place.covariance * by_place.transpose()));
-    RigPose {
-        target: reference.to_owned(),
-        source: name.to_owned(),
+    Extrinsics {
+        target: reference.clone(),
+        source: sensor.clone(),
         target_from_source: rig_from_sensor,
         rotation_std: rotation_std.into(),
         translation_std_m: translation_std.into(),

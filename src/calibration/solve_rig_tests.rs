@@ -9,9 +9,11 @@ use crate::estimation::problem::Correspondence;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Lens, LensModel};
+use crate::imaging::frame::SensorKind;
 
 const SIZE: ImageSize = ImageSize::new(640, 480);
 const NOISE_PX: f64 = 0.05;
+const NAMES: [&str; 3] = ["left", "right", "far"];
 
 fn lens(fx: f64) -> Lens {
     Lens::pinhole(CameraMatrix { fx, fy: fx, cx: 320.0, cy: 240.0, skew: 0.0 })
@@ -68,8 +70,10 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
                 views.push((frame_set, BoardView { name: frame_set.to_string(), correspondences }));
             }
         }
-        RigCameraInput {
-            name: ["left", "right", "far"][camera].to_owned(),
+        let name = NAMES[camera];
+        RigSensorInput {
+            id: SensorId::of(name, SensorKind::Color),
+            name: name.to_owned(),
             image_size: SIZE,
             given: None,
             views,
@@ -77,7 +81,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     };
     RigInput {
         board: board.into(),
-        cameras: camera_from_first().into_iter().enumerate().map(camera).collect(),
+        sensors: camera_from_first().into_iter().enumerate().map(camera).collect(),
     }
 }
 
@@ -86,22 +90,22 @@ fn options() -> CameraOptions {
 }
 
 #[track_caller]
-fn within_prediction(known: &RigPose, target_from_source: &Pose) {
+fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
     let turn = (known.target_from_source.rotation() * target_from_source.rotation().inverse())
         .scaled_axis();
     let shift = known.target_from_source.translation() - target_from_source.translation();
     for axis in 0..3 {
         assert!(
             turn[axis].abs() < 4.0 * known.rotation_std[axis],
-            "{}: {turn} ± {:?}",
-            known.name(),
+            "{:?}: {turn} ± {:?}",
+            known.source,
             known.rotation_std
         );
         let std = known.translation_std_m[axis];
         assert!(
             shift[axis].abs() < 4.0 * std && std < 2e-3,
-            "{}: {shift} ± {:?}",
-            known.name(),
+            "{:?}: {shift} ± {:?}",
+            known.source,
             known.translation_std_m
         );
     }
@@ -117,12 +121,14 @@ fn symmetric_boards_place_cameras_through_others() {
             &options(),
         )
         .unwrap();
-        let names: Vec<String> = solved.extrinsics.iter().map(RigPose::name).collect();
-        assert_eq!(names, ["left_from_right", "left_from_far"]);
+        let named = |known: &Extrinsics| [&known.target, &known.source].map(|id| id.camera.clone());
+        let names: Vec<[Option<String>; 2]> = solved.extrinsics.iter().map(named).collect();
+        let from_left = |name: &str| ["left", name].map(|name| Some(name.to_owned()));
+        assert_eq!(names, [from_left("right"), from_left("far")]);
         for (known, truth) in solved.extrinsics.iter().zip(&camera_from_first()[1..]) {
             within_prediction(known, &truth.inverse());
         }
-        assert_eq!(solved.cameras.len(), 3);
+        assert_eq!(solved.sensors.len(), 3);
     }
 }
 
@@ -133,7 +139,7 @@ fn a_camera_that_shares_nothing_costs_the_others_nothing() {
         solve_rig(&input(board, |camera, frame_set| (camera == 2) == (frame_set < 12)), &options())
             .unwrap();
     assert_eq!(solved.extrinsics.len(), 1);
-    assert_eq!(solved.cameras.len(), 3);
+    assert_eq!(solved.sensors.len(), 3);
     let reported =
         solved.verdict.reasons.iter().any(|reason| reason.contains("camera `far` is stays open"));
     assert!(reported && solved.verdict.grade < Grade::Good, "{:?}", solved.verdict);

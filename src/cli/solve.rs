@@ -3,14 +3,13 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
-use crate::calibration::solve::solve_dlt;
 use crate::calibration::{InstrumentObservations, SolveOptions, solve};
 use crate::cli::Failure;
 use crate::cli::calibration_output::{OutputArgs, named};
 use crate::cli::estimated::EstimatedArgs;
 use crate::cli::files::read_document;
 use crate::cli::lens_name::LensName;
-use crate::document::problem::{Method, ProblemDocument};
+use crate::document::problem::ProblemDocument;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 
 /// Calibrates a camera from given correspondences of points and pixels.
@@ -50,16 +49,10 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     args.estimated.check_no_lens()?;
     args.estimated.add_to(&mut options)?;
     let started = Instant::now();
-    let solved = match document.method {
-        Method::Calibrate => {
-            let options = SolveOptions { camera: options, ..SolveOptions::default() };
-            let observations = InstrumentObservations::of_views(None, problem);
-            solve(&observations, &options).map_err(|error| in_file(&error))
-        }
-        Method::Dlt => solve_dlt(&problem)
-            .map(|solved| solved.into_calibration(None))
-            .map_err(|error| in_file(&error)),
-    }?;
+    let method = document.method.into();
+    let options = SolveOptions { camera: options, method, ..SolveOptions::default() };
+    let observations = InstrumentObservations::of_views(None, problem);
+    let solved = solve(&observations, &options).map_err(|error| in_file(&error))?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1000.0;
     args.output.give(&named(solved), Some(elapsed_ms))
 }

@@ -6,6 +6,7 @@ use nalgebra::Point3;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::calibration::SolveMethod;
 use crate::document::error::DocumentError;
 use crate::document::image_sensor::image_size;
 use crate::document::lens_model::LensRequest;
@@ -106,6 +107,15 @@ pub enum Method {
     /// The direct linear transform: the projection matrix from one view of at least six points that
     /// are not in a plane.
     Dlt,
+}
+
+impl From<Method> for SolveMethod {
+    fn from(method: Method) -> Self {
+        match method {
+            Method::Calibrate => Self::BundleAdjustment,
+            Method::Dlt => Self::LinearTransform,
+        }
+    }
 }
 
 /// One image's correspondences: as many pixels as object points.

@@ -7,10 +7,9 @@ use axum::Json;
 use axum::extract::{Request, State};
 
 use crate::calibration::result::Calibration;
-use crate::calibration::solve::solve_dlt;
 use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::document::calibration::CalibrationDocument;
-use crate::document::problem::{Method, ProblemDocument};
+use crate::document::problem::ProblemDocument;
 use crate::document::time;
 use crate::estimation::problem::CameraProblem;
 use crate::http::problem::Problem;
@@ -44,17 +43,11 @@ fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
     let problem = CameraProblem::try_from(document)?;
     let options = document.options();
     let started = Instant::now();
-    let of_views = |error: &dyn std::fmt::Display| Problem::field("views", &error.to_string());
-    let solved = match document.method {
-        Method::Calibrate => {
-            let options = SolveOptions { camera: options, ..SolveOptions::default() };
-            let observations = InstrumentObservations::of_views(None, problem);
-            calibration::solve(&observations, &options).map_err(|error| of_views(&error))
-        }
-        Method::Dlt => solve_dlt(&problem)
-            .map(|solved| solved.into_calibration(None))
-            .map_err(|error| of_views(&error)),
-    }?;
+    let method = document.method.into();
+    let options = SolveOptions { camera: options, method, ..SolveOptions::default() };
+    let observations = InstrumentObservations::of_views(None, problem);
+    let solved = calibration::solve(&observations, &options);
+    let solved = solved.map_err(|error| Problem::field("views", &error.to_string()))?;
     let elapsed = started.elapsed();
     let calibration = Calibration {
         id: ulid::Ulid::generate().to_string(),

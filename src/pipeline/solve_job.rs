@@ -78,6 +78,7 @@ impl SolveJob {
         let options = SolveOptions {
             camera: CameraOptions { lens: self.lens, ..CameraOptions::default() },
             unsolved_depth: UnsolvedDepth::LeftOut,
+            ..SolveOptions::default()
         };
         let solved = guarded(|| calibration::solve(&self.observations, &options))?;
         let calibration = solved.map_err(|error| error.to_string())?;

@@ -1,5 +1,6 @@
-//! Two cameras with color, infrared and depth as one rig through the daemon: every sensor of both
-//! is placed, and held to the truth that the recordings were made of.
+//! Two cameras with color, infrared and depth as one rig, through the daemon and on the command
+//! line: every sensor of both is placed, and held to the truth that the recordings were made of.
+//! `benches/rig_of_devices.py` does the same for any number of seeds.
 
 use std::path::Path;
 
@@ -90,16 +91,27 @@ fn errors_in_std(found: &Value, truth: &Pose) -> Vec<f64> {
     figures.collect()
 }
 
+/// The calibration by the command line.
+fn calibrated_offline(devices: &[(&str, &Device)]) -> Value {
+    let source =
+        |(name, device): &(&str, &Device)| ["--rig".to_owned(), format!("{name}={}", device.path)];
+    let board = ["calibrate", "--json", "--board", "9x6", "--square", "40mm", "--lens", "brown"];
+    let board = board.map(str::to_owned).into_iter();
+    let ran = plumb(board.chain(devices.iter().flat_map(source)).collect::<Vec<_>>());
+    assert_eq!(ran.code, Some(0), "{}", ran.stderr);
+    serde_json::from_str(&ran.stdout).unwrap()
+}
+
 #[test]
 fn every_sensor_of_two_depth_cameras_is_placed() {
+    let mut squares = Vec::new();
     for seed in [31, 32] {
         let folder = tempfile::tempdir().unwrap();
         let [left, right] = ["left", "right"]
             .map(|name| Device::simulate(folder.path(), seed, usize::from(name == "right"), name));
-        let served =
-            Served::start(folder.path(), &configuration(&[("left", &left), ("right", &right)]));
+        let devices = [("left", &left), ("right", &right)];
+        let served = Served::start(folder.path(), &configuration(&devices));
         let request = json!({"target": left.truth["target"], "lens": "brown"});
-        let calibration = calibrate(&served, &request);
         let left_from_right = left.color_from_board() * right.color_from_board().inverse();
         let truth = [
             ("left.color_from_left.infrared", left.color_from("infrared")),
@@ -108,16 +120,26 @@ fn every_sensor_of_two_depth_cameras_is_placed() {
             ("left.color_from_right.infrared", left_from_right * right.color_from("infrared")),
             ("left.color_from_right.depth", left_from_right * right.color_from("depth")),
         ];
-        let extrinsics = calibration["extrinsics"].as_array().unwrap();
-        let names: Vec<&str> =
-            extrinsics.iter().map(|pose| pose["name"].as_str().unwrap()).collect();
-        assert_eq!(names.len(), truth.len(), "{names:?}; {}", calibration["verdict"]);
-        for (name, truth) in truth {
-            let found = extrinsics.iter().find(|pose| pose["name"] == *name);
-            let found = found.unwrap_or_else(|| panic!("no {name} in {names:?}"));
-            let errors = errors_in_std(found, &truth);
-            let most = errors.iter().fold(0.0_f64, |most, error| most.max(error.abs()));
-            assert!(most < MOST_STD, "seed {seed} {name}: {errors:.2?} standard deviations");
+        let ways = [
+            ("HTTP", calibrate(&served, &request)),
+            ("command line", calibrated_offline(&devices)),
+        ];
+        for (way, calibration) in ways {
+            let extrinsics = calibration["extrinsics"].as_array().unwrap();
+            let names: Vec<&str> =
+                extrinsics.iter().map(|pose| pose["name"].as_str().unwrap()).collect();
+            assert_eq!(names.len(), truth.len(), "{names:?}; {}", calibration["verdict"]);
+            for (name, truth) in &truth {
+                let found = extrinsics.iter().find(|pose| pose["name"] == **name);
+                let found = found.unwrap_or_else(|| panic!("no {name} in {names:?}"));
+                let errors = errors_in_std(found, truth);
+                let most = errors.iter().fold(0.0_f64, |most, error| most.max(error.abs()));
+                assert!(most < MOST_STD, "{way}, seed {seed} {name}: {errors:.2?} deviations");
+                squares.extend(errors.iter().map(|error| error * error));
+            }
         }
     }
+    let rms = (squares.iter().sum::<f64>() / squares.len() as f64).sqrt();
+    println!("{} numbers, {rms:.2} predicted standard deviations rms", squares.len());
+    assert!((0.5..1.5).contains(&rms), "{rms}");
 }

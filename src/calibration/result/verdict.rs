@@ -45,3 +45,11 @@ pub struct Verdict {
     /// Why it is no better; empty for a spotless one.
     pub reasons: Vec<String>,
 }
+
+impl Verdict {
+    /// Adds a reason for which the grade is no better than `grade`.
+    pub fn lower(&mut self, grade: Grade, reason: String) {
+        self.grade = self.grade.min(grade);
+        self.reasons.push(reason);
+    }
+}

@@ -143,6 +143,13 @@ impl CornerBlocks {
         })
     }
 
+    /// Where each board had moved to, in its own frame, when depth was taken.
+    pub(super) fn board_from_later(&self) -> Vec<Pose> {
+        let uncentered = |rig_from_board: &Pose| shifted(rig_from_board, &-self.center);
+        let each = self.state.rig_from_board.iter().zip(&self.depth_state.rig_from_board);
+        each.map(|(board, later)| uncentered(board).inverse() * uncentered(later)).collect()
+    }
+
     pub(super) fn lens_covariance(&self, sensor: usize) -> DMatrix<f64> {
         let layout = &self.layout.sensors[sensor];
         let (at, count) = (layout.lens_at, layout.lens.free.len());

@@ -16,13 +16,15 @@ mod planes;
 mod pose_jitter;
 pub mod problem;
 
-pub use problem::{DepthLens, RgbdEstimate, RgbdProblem, RgbdView};
+pub use problem::{DepthLens, PlacedDevice, RgbdEstimate, RgbdProblem, RgbdView};
 
-use crate::estimation::depth_error::{Smoothness, choose_correction};
+use crate::estimation::depth_error::{Smoothness, TriedCorrection, choose_correction};
 use crate::estimation::error::EstimationError;
+use crate::estimation::joint::State;
 use crate::estimation::rgbd::corners::CornerBlocks;
-use crate::estimation::rgbd::planes::Planes;
+use crate::estimation::rgbd::planes::{Fit, Planes};
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
+use crate::geometry::pose::Pose;
 
 const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01 };
 
@@ -40,7 +42,53 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
         });
     }
     let corners = CornerBlocks::fit(problem).ok_or(EstimationError::NoFit)?;
-    let mut planes = Planes::of(problem, &corners);
+    let by_corners = corners.equations.frame_sets.as_slice();
+    let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
+    let (fit, (smoothness, tried)) = fit_correction(problem, &mut planes, &corners.depth_state)?;
+    // Where the form of the correction decides, and not the views, the difference is part of what
+    // is not known.
+    let other = match problem.depth_lens {
+        DepthLens::Infrared => None,
+        DepthLens::FromPlanes | DepthLens::Known => fit.other_form().and_then(|form| {
+            let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
+            planes.fit(&fit.state, form, smoothness)
+        }),
+    };
+    planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
+}
+
+/// Depth of `estimate` anew, for a device whose color and infrared were solved with others': lenses,
+/// poses and boards are theirs, and planes determine the correction.
+///
+/// # Errors
+/// [`EstimationError::NoFit`] where no correction fits.
+pub fn recalibrate_depth(
+    problem: &RgbdProblem,
+    estimate: &RgbdEstimate,
+    placed: &PlacedDevice,
+) -> Result<RgbdEstimate, EstimationError> {
+    let own = estimate.color_from_board.iter().zip(&placed.color_from_board);
+    let color_from_board: Vec<Pose> = own.map(|(own, placed)| placed.unwrap_or(*own)).collect();
+    let later = color_from_board.iter().zip(&estimate.board_from_later);
+    let state = State {
+        lenses: vec![placed.color, placed.depth],
+        sensor_from_rig: vec![Pose::identity(), placed.color_from_depth.inverse()],
+        rig_from_board: later.map(|(board, later)| *board * *later).collect(),
+        warp: [0.0; 2],
+    };
+    let mut planes = Planes::of(problem, &state, &[]);
+    let (fit, tried) = fit_correction(problem, &mut planes, &state)?;
+    Ok(RgbdEstimate { color_from_board, ..planes.refitted(estimate, &fit, tried) })
+}
+
+type Tried = (Smoothness, Vec<TriedCorrection>);
+
+/// The planes' fit with the correction that is best on views that were not fitted to.
+fn fit_correction(
+    problem: &RgbdProblem,
+    planes: &mut Planes<'_>,
+    start: &State,
+) -> Result<(Fit, Tried), EstimationError> {
     let size = problem.depth.image_size;
     let quantity = problem.corrected.first().copied().unwrap_or(CorrectedQuantity::InverseDepth);
     // A constant scale and offset first, so that a wrong unit moves neither the depth camera's lens
@@ -48,8 +96,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
     let terms = if problem.corrected.is_empty() { 0 } else { 2 };
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };
-    let mut fit =
-        planes.fit(&corners.depth_state, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
+    let mut fit = planes.fit(start, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
     let (mut smoothness, mut tried) = (BASE_SMOOTHNESS, Vec::new());
     for _ in 0..rounds {
         let (chosen, all) = choose_correction(&planes.judged(&fit), size, &problem.corrected);
@@ -58,13 +105,5 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
         fit = planes.fit(&fit.state, correction, smooth).ok_or(EstimationError::NoFit)?;
         (smoothness, tried) = (smooth, all);
     }
-    // Where the form of the correction decides, and not the views, the difference is part of what
-    // is not known.
-    let other = match problem.depth_lens {
-        DepthLens::Infrared => None,
-        DepthLens::FromPlanes | DepthLens::Known => fit
-            .other_form()
-            .and_then(|form| Planes::of(problem, &corners).fit(&fit.state, form, smoothness)),
-    };
-    planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
+    Ok((fit, (smoothness, tried)))
 }

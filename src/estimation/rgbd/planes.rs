@@ -72,9 +72,15 @@ impl Fit {
 const FORM_LIMIT: f64 = 3.0;
 
 impl<'a> Planes<'a> {
-    pub(super) fn of(problem: &'a RgbdProblem, corners: &CornerBlocks) -> Self {
+    /// `depth_state` has each board where it was when depth was taken; `by_corners` what corners
+    /// leave open of that.
+    pub(super) fn of(
+        problem: &'a RgbdProblem,
+        depth_state: &State,
+        by_corners: &[LocalBlock],
+    ) -> Self {
         let known = |lens: &Lens| free(lens, 0);
-        let depth_lens = &corners.state.lenses[1];
+        let depth_lens = &depth_state.lenses[1];
         let color = SensorLayout { lens: known(&problem.color), lens_at: 0, pose_at: None };
         let depth = match problem.depth_lens {
             DepthLens::Infrared => {
@@ -109,7 +115,7 @@ impl<'a> Planes<'a> {
             rig_from_board: *pose,
             square: Matrix6::from_fn(|a, b| block.hessian[a][b]),
         };
-        let each = corners.depth_state.rig_from_board.iter().zip(&corners.equations.frame_sets);
+        let each = depth_state.rig_from_board.iter().zip(by_corners);
         let anchors =
             (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
         let layout = Layout { sensors: vec![color, depth], warp: None, len };
@@ -359,12 +365,35 @@ impl<'a> Planes<'a> {
             time_offset: corners.time_offset,
             not_together: corners.separate_in_time.clone(),
             color_from_board: corners.state.rig_from_board.iter().map(uncentered).collect(),
+            board_from_later: corners.board_from_later(),
             following: self.following(),
             tile_noise: fit.tile_noise,
             judged: self.judged(fit),
             smoothness,
             tried,
         })
+    }
+
+    /// `estimate` with what planes say of the correction in `fit`, lens and pose being known.
+    pub(super) fn refitted(
+        &self,
+        estimate: &RgbdEstimate,
+        fit: &Fit,
+        (smoothness, tried): (Smoothness, Vec<TriedCorrection>),
+    ) -> RgbdEstimate {
+        let correction = (fit.correction.terms > 0).then(|| fit.correction.clone());
+        let lens = fit.state.lenses[1];
+        RgbdEstimate {
+            color: fit.state.lenses[0],
+            depth: DepthCamera { lens, correction, ..self.problem.depth.clone() },
+            color_from_depth: fit.state.sensor_from_rig[1].inverse(),
+            following: self.following(),
+            tile_noise: fit.tile_noise,
+            judged: self.judged(fit),
+            smoothness,
+            tried,
+            ..estimate.clone()
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection};
-use crate::estimation::joint::FreeLens;
+use crate::estimation::joint::{FreeLens, moved};
 use crate::estimation::problem::Correspondence;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
@@ -18,7 +18,7 @@ pub struct RgbdView {
     pub name: String,
     /// The board's corners in the color picture; empty where it wasn't found.
     pub color: Vec<Correspondence>,
-    /// The board's corners in the infrared picture; empty where it wasn't found.
+    /// The board's corners in the infrared image; empty where it wasn't found.
     pub infrared: Vec<Correspondence>,
     /// The board's surface in the depth picture; empty where it wasn't measured.
     pub tiles: Vec<DepthTile>,
@@ -87,6 +87,9 @@ pub struct RgbdEstimate {
     pub not_together: Vec<usize>,
     /// Where the board was, view by view.
     pub color_from_board: Vec<Pose>,
+    /// Where it had moved to, in its own frame, when depth was taken: by its motion and its jitter,
+    /// view by view.
+    pub board_from_later: Vec<Pose>,
     /// Part of the tiles on the board itself that lie on its plane, as the answer has it.
     pub following: f64,
     /// By how much tiles scatter more than their own readings do.
@@ -98,6 +101,33 @@ pub struct RgbdEstimate {
     pub smoothness: Smoothness,
     /// Corrections that were tried.
     pub tried: Vec<TriedCorrection>,
+}
+
+impl RgbdEstimate {
+    /// Where the board of a view had moved to, in its own frame, when infrared was taken, as far as
+    /// its motion says; where it was, for a board whose motion is not known.
+    pub fn board_from_moved_on(&self, view: &RgbdView, index: usize) -> Pose {
+        let (Some(offset), Some(motion)) = (self.time_offset, view.motion) else {
+            return Pose::identity();
+        };
+        let color_from_board = &self.color_from_board[index];
+        let moved_on = moved(color_from_board, &motion.step(offset.seconds));
+        color_from_board.inverse() * moved_on
+    }
+}
+
+/// A device whose color and infrared were solved with others': what its depth is fitted to anew.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlacedDevice {
+    /// The color camera's lens.
+    pub color: Lens,
+    /// The lens of the infrared camera, which is depth's.
+    pub depth: Lens,
+    /// Where that camera is.
+    pub color_from_depth: Pose,
+    /// Where the board was, by view of the device's own problem; `None` where the joint solve has
+    /// none.
+    pub color_from_board: Vec<Option<Pose>>,
 }
 
 /// All parameters of a lens but the skew, up to number `end`.
