@@ -201,7 +201,6 @@ fn a_rig_does_without_the_camera_that_is_slow_stalled_or_gone() {
     for camera in [&left, &right, &far] {
         let (given, name) = (camera.given as u64, camera.name);
         let (searched, dropped) = (camera.searched(&served), camera.dropped(&served));
-        println!("{name}: {given} given, {searched} searched, {dropped} dropped");
         assert_eq!(camera.received(&served), given);
         assert!((given - NOBODYS..=given).contains(&(searched + dropped)), "{name}");
     }
