@@ -43,6 +43,7 @@ pub mod preview;
 mod preview_thread;
 pub mod recorder;
 pub mod recording_notes;
+mod recording_status;
 mod running;
 mod search;
 mod seen;

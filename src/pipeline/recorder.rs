@@ -1,7 +1,7 @@
 //! Recording beside everything else: a bounded queue from the capture thread to a thread that
 //! writes.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
@@ -9,6 +9,7 @@ use std::thread::JoinHandle;
 use crate::imaging::frame::FrameSet;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::recording_notes;
+pub use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 use crate::recording::{McapWriter, RecordingError};
 
 /// Frame sets that wait for the disk before any is dropped.
@@ -24,42 +25,6 @@ pub struct RecordingLimits {
     pub seconds: Option<f64>,
     /// Once the file is so large, in bytes. Default: never.
     pub bytes: Option<u64>,
-}
-
-/// Whether a recording goes on.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum RecordingState {
-    /// It goes on.
-    Recording,
-    /// It was stopped, or reached a limit; the file is whole.
-    Finished,
-    /// It could not be written any further; what was written stays readable.
-    Failed,
-}
-
-/// A recording as seen from outside.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RecordingStatus {
-    /// Sortable by time.
-    pub id: String,
-    /// The camera's name.
-    pub camera: String,
-    /// The file.
-    pub path: PathBuf,
-    /// Whether it goes on.
-    pub state: RecordingState,
-    /// Which limit ended it, or why it failed.
-    pub reason: Option<String>,
-    /// UTC, nanoseconds since the Unix epoch.
-    pub started_at_ns: i64,
-    /// When it ended, likewise.
-    pub finished_at_ns: Option<i64>,
-    /// Frame sets written.
-    pub frame_sets: u64,
-    /// Frame sets that the disk was too slow for.
-    pub dropped: u64,
-    /// The size of the file, in bytes.
-    pub bytes: u64,
 }
 
 /// Why a recording was not started or stopped.
@@ -262,6 +227,8 @@ fn lock<T>(shared: &Mutex<T>) -> MutexGuard<'_, T> {
 #[cfg(test)]
 mod tests {
     use rand::{Rng, SeedableRng};
+
+    use std::path::PathBuf;
 
     use super::*;
     use crate::geometry::pixel::ImageSize;

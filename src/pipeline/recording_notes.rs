@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::document::reading::{from_json, to_json};
 use crate::document::recording::{RecordingDocument, RecordingStateName};
 use crate::document::time;
-use crate::pipeline::recorder::{RecordingState, RecordingStatus};
+use crate::pipeline::recording_status::{RecordingState, RecordingStatus};
 
 const ENDED_WITHOUT: &str = "the daemon ended while it was written; what was written can be read, and `plumb record --repair FILE` gives it its index";
 

@@ -37,7 +37,6 @@ const NOT_YET: &[(&str, &[&str])] = &[
     ("pictures", &["src/calibration/solve_rig.rs", "src/estimation/rgbd", "src/cli/store.rs"]),
     ("picture", &["src/estimation/rgbd"]),
     ("bend", &["src/estimation/rgbd/planes.rs"]),
-    ("bends", &["src/estimation/effects/board_basis.rs"]),
 ];
 
 /// Spellings that are not US English, as parts of words.

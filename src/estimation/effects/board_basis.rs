@@ -7,7 +7,6 @@
 
 use nalgebra::Point3;
 
-use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::BoardObservation;
 
 /// The highest degree of the polynomials out of the plane: of a surface that is smooth over a third
@@ -40,7 +39,7 @@ pub(crate) struct BoardBasis {
     pub(crate) point_of: Vec<Vec<usize>>,
     /// Half the extent along x and y, in meters.
     pub(crate) half_extent: [f64; 2],
-    /// Out of the plane: group, and the value at each point. The bends along x, along both and
+    /// Out of the plane: group, and the value at each point. The curvatures along x, along both and
     /// along y are a group each, then those of one degree are.
     pub(super) heights: Vec<(usize, Vec<f64>)>,
     /// In the plane: aspect and shear, as (x, y) at each point.
@@ -91,25 +90,6 @@ impl BoardBasis {
             stretches,
             has_own,
         })
-    }
-
-    /// With only those functions that are of one of `effects`, and which of the coefficients those
-    /// are.
-    pub(super) fn only(&self, effects: &[Effect]) -> (Self, Vec<usize>) {
-        let wanted = |effect: Effect| effects.contains(&effect);
-        let kept: Vec<usize> = effects
-            .iter()
-            .filter(|effect| !effect.is_motion())
-            .flat_map(|effect| effect.range(self))
-            .collect();
-        let heights = self.heights.iter().filter(|(group, _)| wanted(Effect::Height(*group)));
-        let narrow = Self {
-            heights: heights.cloned().collect(),
-            stretches: if wanted(Effect::Stretch) { self.stretches.clone() } else { Vec::new() },
-            has_own: self.has_own && wanted(Effect::Own),
-            ..self.clone()
-        };
-        (narrow, kept)
     }
 
     /// The groups of heights there are.

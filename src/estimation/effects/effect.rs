@@ -38,6 +38,27 @@ impl Effect {
     }
 }
 
+impl BoardBasis {
+    /// With only those functions that are of one of `effects`, and which of the coefficients those
+    /// are.
+    pub(super) fn only(&self, effects: &[Effect]) -> (Self, Vec<usize>) {
+        let wanted = |effect: Effect| effects.contains(&effect);
+        let kept: Vec<usize> = effects
+            .iter()
+            .filter(|effect| !effect.is_motion())
+            .flat_map(|effect| effect.range(self))
+            .collect();
+        let heights = self.heights.iter().filter(|(group, _)| wanted(Effect::Height(*group)));
+        let narrow = Self {
+            heights: heights.cloned().collect(),
+            stretches: if wanted(Effect::Stretch) { self.stretches.clone() } else { Vec::new() },
+            has_own: self.has_own && wanted(Effect::Own),
+            ..self.clone()
+        };
+        (narrow, kept)
+    }
+}
+
 /// Which effects are tested, and which are in the model whatever the evidence.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
