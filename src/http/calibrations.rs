@@ -147,7 +147,7 @@ pub(super) async fn history_of(
 }
 
 /// One calibration, approved or not.
-#[utoipa::path(get, path = "/v1/calibrations/{id}", tag = "calibrations",
+#[utoipa::path(get, path = "/v1/calibrations/{id}", operation_id = "get_calibration", tag = "calibrations",
     params(("id" = String, Path, description = "the calibration's"), ExportParameters),
     responses(
         (status = 200, description = "the calibration", content(
@@ -187,7 +187,7 @@ pub(super) async fn approve(
         (status = 404, description = "no such calibration", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "it was approved", body = Problem, content_type = "application/problem+json"),
     ))]
-pub(super) async fn delete(
+pub(super) async fn delete_calibration(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
 ) -> Result<StatusCode, Problem> {

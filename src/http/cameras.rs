@@ -15,13 +15,13 @@ use crate::http::shared::Shared;
 use crate::pipeline::camera_status::{CameraState, CameraStatus, SensorStatus};
 
 /// Every configured camera, in the order of the configuration.
-#[utoipa::path(get, path = "/v1/cameras", tag = "cameras", responses((status = 200, description = "the cameras", body = CamerasDocument)))]
+#[utoipa::path(get, path = "/v1/cameras", operation_id = "list_cameras", tag = "cameras", responses((status = 200, description = "the cameras", body = CamerasDocument)))]
 pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<CamerasDocument> {
     Json(CamerasDocument { cameras: shared.fleet.cameras().iter().map(camera_document).collect() })
 }
 
 /// One camera.
-#[utoipa::path(get, path = "/v1/cameras/{camera}", tag = "cameras",
+#[utoipa::path(get, path = "/v1/cameras/{camera}", operation_id = "get_camera", tag = "cameras",
     params(("camera" = String, Path, description = "its name in the configuration")),
     responses(
         (status = 200, description = "the camera", body = CameraDocument),

@@ -40,7 +40,7 @@ use crate::http::{
         calibrations::stated,
         calibrations::one,
         calibrations::approve,
-        calibrations::delete,
+        calibrations::delete_calibration,
         uncertainty::numbers,
         uncertainty::uncertainty_image,
         board::board_image,
@@ -49,7 +49,7 @@ use crate::http::{
         recordings::list,
         recordings::one,
         recordings::stop,
-        recordings::delete,
+        recordings::delete_recording,
         events::follow,
     ),
     components(schemas(
@@ -73,4 +73,20 @@ struct Description;
 /// The OpenAPI document.
 pub(super) fn document() -> utoipa::openapi::OpenApi {
     Description::openapi()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_operation_has_a_name_of_its_own() {
+        let document = serde_json::to_value(document()).unwrap();
+        let paths = document["paths"].as_object().unwrap().values();
+        let operations = paths.flat_map(|path| path.as_object().unwrap().values());
+        let mut names: Vec<&str> =
+            operations.map(|operation| operation["operationId"].as_str().unwrap()).collect();
+        names.sort_unstable();
+        assert!(names.len() > 20 && names.windows(2).all(|pair| pair[0] != pair[1]), "{names:?}");
+    }
 }

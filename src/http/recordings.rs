@@ -17,7 +17,7 @@ use crate::pipeline::recorder::{RecordError, RecordingLimits};
 use crate::pipeline::recording_notes::recording_document;
 
 /// Records a camera to an MCAP file in the store's folder; frames are written as they came.
-#[utoipa::path(post, path = "/v1/cameras/{camera}/recordings", tag = "recordings",
+#[utoipa::path(post, path = "/v1/cameras/{camera}/recordings", operation_id = "start_recording", tag = "recordings",
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = Option<RecordDocument>,
     responses(
@@ -49,7 +49,7 @@ pub(super) async fn start(
 }
 
 /// The recordings that lie on disk, those that go on first.
-#[utoipa::path(get, path = "/v1/recordings", tag = "recordings",
+#[utoipa::path(get, path = "/v1/recordings", operation_id = "list_recordings", tag = "recordings",
     responses((status = 200, description = "the recordings", body = RecordingsDocument)))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
@@ -60,7 +60,7 @@ pub(super) async fn list(
 }
 
 /// One recording.
-#[utoipa::path(get, path = "/v1/recordings/{id}", tag = "recordings",
+#[utoipa::path(get, path = "/v1/recordings/{id}", operation_id = "get_recording", tag = "recordings",
     params(("id" = String, Path, description = "the recording's")),
     responses(
         (status = 200, description = "the recording", body = RecordingDocument),
@@ -77,7 +77,7 @@ pub(super) async fn one(
 }
 
 /// Ends a recording; its file is whole when this answers.
-#[utoipa::path(post, path = "/v1/recordings/{id}/stop", tag = "recordings",
+#[utoipa::path(post, path = "/v1/recordings/{id}/stop", operation_id = "stop_recording", tag = "recordings",
     params(("id" = String, Path, description = "the recording's")),
     responses(
         (status = 200, description = "it has ended", body = RecordingDocument),
@@ -100,7 +100,7 @@ pub(super) async fn stop(
         (status = 404, description = "no such recording", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "it goes on: stop it first", body = Problem, content_type = "application/problem+json"),
     ))]
-pub(super) async fn delete(
+pub(super) async fn delete_recording(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
 ) -> Result<StatusCode, Problem> {

@@ -18,13 +18,13 @@ use crate::http::shared::Shared;
 use crate::pipeline::RigStatus;
 
 /// Every configured rig, in the order of the configuration.
-#[utoipa::path(get, path = "/v1/rigs", tag = "rigs", responses((status = 200, description = "the rigs", body = RigsDocument)))]
+#[utoipa::path(get, path = "/v1/rigs", operation_id = "list_rigs", tag = "rigs", responses((status = 200, description = "the rigs", body = RigsDocument)))]
 pub(super) async fn list(State(shared): State<Arc<Shared>>) -> Json<RigsDocument> {
     Json(RigsDocument { rigs: shared.fleet.rigs().into_iter().map(rig_document).collect() })
 }
 
 /// One rig.
-#[utoipa::path(get, path = "/v1/rigs/{rig}", tag = "rigs",
+#[utoipa::path(get, path = "/v1/rigs/{rig}", operation_id = "get_rig", tag = "rigs",
     params(("rig" = String, Path, description = "its name in the configuration")),
     responses(
         (status = 200, description = "the rig", body = RigDocument),
@@ -39,7 +39,7 @@ pub(super) async fn one(
 
 /// Starts a session on all cameras of a rig: lenses and where the cameras are, from one board shown
 /// to all of them.
-#[utoipa::path(post, path = "/v1/rigs/{rig}/sessions", tag = "rigs",
+#[utoipa::path(post, path = "/v1/rigs/{rig}/sessions", operation_id = "start_rig_session", tag = "rigs",
     params(("rig" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
     responses(

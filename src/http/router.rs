@@ -44,7 +44,10 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/sessions/{id}/stop", post(sessions::stop))
         .route("/v1/sessions/{id}/views", get(views::list))
         .route("/v1/sessions/{id}/views/{image}", get(views::view_image))
-        .route("/v1/calibrations/{id}", get(calibrations::one).delete(calibrations::delete))
+        .route(
+            "/v1/calibrations/{id}",
+            get(calibrations::one).delete(calibrations::delete_calibration),
+        )
         .route("/v1/calibrations/{id}/uncertainty", get(uncertainty::numbers))
         .route("/v1/calibrations/{id}/uncertainty.png", get(uncertainty::uncertainty_image))
         .route("/v1/calibrations/{id}/board.png", get(board::board_image))
@@ -52,7 +55,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/solve", post(solve::solve))
         .route("/v1/cameras/{camera}/recordings", post(recordings::start))
         .route("/v1/recordings", get(recordings::list))
-        .route("/v1/recordings/{id}", get(recordings::one).delete(recordings::delete))
+        .route("/v1/recordings/{id}", get(recordings::one).delete(recordings::delete_recording))
         .route("/v1/recordings/{id}/stop", post(recordings::stop))
         .route("/v1/events", get(events::follow))
         .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi::document()))

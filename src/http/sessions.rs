@@ -17,7 +17,7 @@ use crate::pipeline::session_request::EndError;
 use crate::store::Store;
 
 /// Starts a session: the camera searches for the board and accepts views that add information.
-#[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", tag = "sessions",
+#[utoipa::path(post, path = "/v1/cameras/{camera}/sessions", operation_id = "start_session", tag = "sessions",
     params(("camera" = String, Path, description = "its name in the configuration")),
     request_body = StartDocument,
     responses(
@@ -54,7 +54,7 @@ const PAGE: u32 = 50;
 const LARGEST_PAGE: u32 = 1000;
 
 /// The sessions, newest first, page by page: the header `Link` has the address of the next page.
-#[utoipa::path(get, path = "/v1/sessions", tag = "sessions",
+#[utoipa::path(get, path = "/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(
         ("camera" = Option<String>, Query, description = "only this camera's"),
         ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 50 when left out", minimum = 1, maximum = 1000),
@@ -97,7 +97,7 @@ pub(super) async fn list(
 }
 
 /// One session.
-#[utoipa::path(get, path = "/v1/sessions/{id}", tag = "sessions",
+#[utoipa::path(get, path = "/v1/sessions/{id}", operation_id = "get_session", tag = "sessions",
     params(("id" = String, Path, description = "the session's")),
     responses(
         (status = 200, description = "the session", body = SessionDocument),
@@ -112,7 +112,7 @@ pub(super) async fn one(
 
 /// Stops collecting and solves. Waits for the result unless `wait=false`. Too few views: the
 /// session's state is `failed`, its `reason` says why, and its views stay.
-#[utoipa::path(post, path = "/v1/sessions/{id}/stop", tag = "sessions",
+#[utoipa::path(post, path = "/v1/sessions/{id}/stop", operation_id = "stop_session", tag = "sessions",
     params(
         ("id" = String, Path, description = "the session's"),
         ("wait" = Option<bool>, Query, description = "whether to wait for the result; true when left out"),

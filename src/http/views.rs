@@ -27,7 +27,7 @@ const JPEG: &str = "image/jpeg";
 const JPEG_QUALITY: u8 = 90;
 
 /// The views that a session kept, in order, each with its residuals once there is a calibration.
-#[utoipa::path(get, path = "/v1/sessions/{id}/views", tag = "sessions",
+#[utoipa::path(get, path = "/v1/sessions/{id}/views", operation_id = "list_views", tag = "sessions",
     params(("id" = String, Path, description = "the session's")),
     responses(
         (status = 200, description = "the views", body = SessionViewsDocument),
