@@ -30,6 +30,9 @@ const LEAST_LIMIT_PX: f64 = 0.1;
 /// Images that show a change only where it is this many times what is allowed show little; and a
 /// lens this many times farther off than chance and the calibration allow is another one.
 const VISIBLE: f64 = 3.0;
+/// A calibration that is itself uncertain by more, in pixels, hides changes that matter: chosen, as
+/// overlays and depth registration are off by a visible amount from a pixel on.
+const CERTAIN_PX: f64 = 1.0;
 /// Columns of the grid that uncertainty is summed up over.
 const COLUMNS: u32 = 12;
 /// The board's square where the calibration does not state it: its size has no influence on the
@@ -101,7 +104,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let Verified { holds, moved_px, limit_px, visible_px, rms_px, views, reasons, .. } = verified;
     let answer = match (holds, visible_px) {
         (false, _) => "does not hold",
-        (true, Some(visible)) if visible <= VISIBLE * limit_px => "holds",
+        (true, Some(visible)) if visible <= VISIBLE * limit_px && limit_px <= CERTAIN_PX => "holds",
         (true, _) => "holds as far as can be seen",
     };
     output::print_line(&format!(
@@ -157,6 +160,11 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
             "these {views} views determine no lens by themselves, so that most of what may have changed cannot be seen: show the board in at least 3 places, tilted"
         )),
         Some(_) => {}
+    }
+    if limit_px > CERTAIN_PX {
+        reasons.push(format!(
+            "the calibration itself is uncertain by {limit_px:.1} px, so that smaller changes cannot be seen: calibrate again with more and more tilted views"
+        ));
     }
     Ok(Verified {
         holds,

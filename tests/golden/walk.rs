@@ -70,4 +70,11 @@ fn a_calibration_is_verified_until_the_lens_changes() {
     assert_eq!(same["holds"], true, "{same}");
     let refocused = verify(1.01);
     assert!(refocused["holds"] == false && refocused["reasons"][0].is_string(), "{refocused}");
+    // A calibration that is uncertain by itself contradicts little, and that is reported.
+    calibration["sensors"]["color"]["uncertainty_px"]["median"] = 2.0.into();
+    std::fs::write(&file, calibration.to_string()).unwrap();
+    let asked = ["verify", "--json", "--board", "9x6", "--calibration", file.to_str().unwrap()];
+    let uncertain = plumb(&asked, &recording("walk.mcap"));
+    let reasons = uncertain["reasons"].to_string();
+    assert!(uncertain["holds"] == true && reasons.contains("uncertain by 6.0 px"), "{uncertain}");
 }
