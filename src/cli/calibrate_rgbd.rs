@@ -121,6 +121,12 @@ fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
         named(format!("cannot be read ({error}): a folder with depth/ needs it, to say [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""))
     })?;
     let stated = SensorsFile::from_toml(&text).map_err(|error| named(error.to_string()))?;
+    for sensor in stated.unused_lenses() {
+        tracing::warn!(
+            "{}: {sensor}.lens is not used: corners determine it better than a statement",
+            file.display()
+        );
+    }
     Ok(DepthSensor {
         reading: stated.depth.reading().map_err(|error| named(error.to_string()))?,
         invalid: stated.depth.invalid,

@@ -78,6 +78,15 @@ impl SensorsFile {
         Ok(file)
     }
 
+    /// The image sensors whose lens is stated, and not used.
+    pub fn unused_lenses(&self) -> Vec<&'static str> {
+        let sensors = [("color", &self.color), ("infrared", &self.infrared)];
+        let has_lens = |stated: &Option<StatedImageSensor>| {
+            stated.as_ref().is_some_and(|stated| stated.lens.is_some())
+        };
+        sensors.into_iter().filter(|(_, stated)| has_lens(stated)).map(|(name, _)| name).collect()
+    }
+
     /// The factory's lens and pose of the depth sensor, where both are stated.
     ///
     /// # Errors
@@ -136,6 +145,11 @@ mod tests {
         .unwrap();
         let (lens, depth_from_color) = metric.factory().unwrap().unwrap();
         assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
+        assert_eq!(metric.unused_lenses(), [""; 0]);
+        let lens =
+            "[color]\nlens = { model = \"pinhole\", fx = 5.0, fy = 5.0, cx = 3.0, cy = 2.0 }";
+        let color = format!("{lens}\n[depth]\nkind = \"disparity\"\n[infrared]\n");
+        assert_eq!(SensorsFile::from_toml(&color).unwrap().unused_lenses(), ["color"]);
         for (text, word) in [
             ("[depth]\nkind = \"depth\"", "unit_m"),
             ("[depth]\nkind = \"meters\"", "meters"),

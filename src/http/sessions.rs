@@ -48,8 +48,8 @@ pub(super) fn created(record: &SessionRecord) -> impl IntoResponse + use<> {
     (StatusCode::CREATED, [(LOCATION, location)], Json(SessionDocument::from(record)))
 }
 
-/// How many sessions a page has unless `limit` says: at ≈ 1.2 kB each, a page is below 64 kB.
-const PAGE: u32 = 50;
+/// How many sessions a page has unless `limit` says: at ≈ 1.3 kB each, a page is below 64 kB.
+const PAGE: u32 = 40;
 /// The most that a page may have.
 const LARGEST_PAGE: u32 = 1000;
 
@@ -57,7 +57,7 @@ const LARGEST_PAGE: u32 = 1000;
 #[utoipa::path(get, path = "/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(
         ("camera" = Option<String>, Query, description = "only this camera's"),
-        ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 50 when left out", minimum = 1, maximum = 1000),
+        ("limit" = Option<u32>, Query, description = "how many, 1 to 1000; 40 when left out", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "those after this session, as the header `Link` of the page before says"),
     ),
     responses(
