@@ -45,6 +45,10 @@ pub(super) async fn check(
 /// and by a `Host` that is a foreign name where no token protects (a foreign name that was made to
 /// point here).
 fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<(), Problem> {
+    // RFC 9112, 3.2: none, or several, are answered by 400.
+    if headers.get_all(HOST).iter().count() != 1 {
+        return Err(Problem::new(StatusCode::BAD_REQUEST, "one `Host` header is needed; send one"));
+    }
     let host = headers.get(HOST).and_then(|host| host.to_str().ok());
     if !has_token && host.is_some_and(|host| !is_local(host)) {
         let detail = "this daemon answers to localhost or an IP address only; use one of these in the address";
@@ -74,8 +78,11 @@ fn is_local(host: &str) -> bool {
 }
 
 fn carries(headers: &HeaderMap, token: &str) -> bool {
-    let bearer =
-        headers.get(AUTHORIZATION).and_then(|value| value.to_str().ok()?.strip_prefix("Bearer "));
+    // The scheme's name is the same in any case (RFC 9110, 11.1).
+    let bearer = headers.get(AUTHORIZATION).and_then(|value| {
+        let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
+        scheme.eq_ignore_ascii_case("bearer").then_some(token)
+    });
     let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let cookie = cookies
         .flat_map(|cookies| cookies.split(';'))
@@ -132,13 +139,20 @@ mod tests {
             );
         }
         assert!(same_site(&Method::GET, &headers(&[(HOST, "robot.example")]), true).is_ok());
+        let mut twice = headers(&[(HOST, "localhost")]);
+        twice.append(HOST, "localhost".parse().unwrap());
+        for wrong in [HeaderMap::new(), twice] {
+            let problem = same_site(&Method::GET, &wrong, false).unwrap_err();
+            assert!(format!("{problem:?}").contains("one `Host` header is needed"), "{problem:?}");
+        }
     }
 
     #[test]
     fn the_token_is_carried_by_header_or_cookie() {
         assert!(carries(&headers(&[(AUTHORIZATION, "Bearer s3cret")]), "s3cret"));
+        assert!(carries(&headers(&[(AUTHORIZATION, "bearer s3cret")]), "s3cret"));
         assert!(carries(&headers(&[(COOKIE, "a=b; plumb_token=s3cret")]), "s3cret"));
-        for wrong in ["Bearer s3cre", "Bearer s3cretx", "Bearer ", "s3cret"] {
+        for wrong in ["Bearer s3cre", "Bearer s3cretx", "Bearer ", "s3cret", "Basic s3cret"] {
             assert!(!carries(&headers(&[(AUTHORIZATION, wrong)]), "s3cret"), "{wrong}");
         }
         assert!(!carries(&headers(&[(COOKIE, "plumb_tokens3cret; plumb_token=")]), "s3cret"));

@@ -81,7 +81,7 @@ async fn no_method(method: Method, uri: Uri) -> Problem {
 }
 
 /// Headers that every answer carries: what the daemon says now may be otherwise in a moment, and no
-/// other site may show it in a frame.
+/// other site may show it.
 async fn careful(request: axum::extract::Request, next: Next) -> Response {
     let mut response = next.run(request).await;
     let fixed = [
@@ -89,6 +89,8 @@ async fn careful(request: axum::extract::Request, next: Next) -> Response {
         (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::X_FRAME_OPTIONS, "DENY"),
         (header::REFERRER_POLICY, "no-referrer"),
+        // No foreign page shows the live image.
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
     ];
     for (name, value) in fixed {
         set_default(&mut response, name, HeaderValue::from_static(value));
