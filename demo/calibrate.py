@@ -50,7 +50,7 @@ def collect():
         seen = (session["state"], session["views_kept"])
         if seen != told:
             told = seen
-            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the picture covered", flush=True)
+            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the image covered", flush=True)
         time.sleep(0.2)
         session = ask(f"{ADDRESS}/v1/sessions/{session['id']}")
     return session
