@@ -90,6 +90,9 @@ impl Served {
         let agent = Agent::config_builder()
             .http_status_as_error(false)
             .max_redirects(0)
+            // A refusal that is sent before the body has come ends its connection: HTTP lets a
+            // server do that, and a client that reuses the connection would have to ask again.
+            .max_idle_connections(0)
             .build()
             .new_agent();
         Self { child, address, agent }
