@@ -5,10 +5,12 @@
 //! row upwards and from its last one downwards, and the rows between by their numbers.
 
 use std::fs;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use rusqlite::types::Value;
 use rusqlite::{Connection, OpenFlags, params_from_iter};
+use tempfile::TempDir;
 
 use crate::store::error::StoreError;
 use crate::store::upgrades;
@@ -20,7 +22,7 @@ const LARGEST_GAP: i64 = 100_000;
 const PAGE: usize = 4096;
 
 /// Where the header has the number of pages, big-endian (SQLite's file format, 1.3).
-const PAGE_COUNT: std::ops::Range<usize> = 28..32;
+const PAGE_COUNT_AT: u64 = 28;
 
 /// What became of a damaged database.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -53,8 +55,8 @@ pub(super) fn keep_first_page(connection: &Connection, path: &Path) {
     let copy = || {
         // What was written last may still be in the log beside it.
         let _ = connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
-        let mut page = fs::read(path)?;
-        page.truncate(PAGE);
+        let mut page = Vec::with_capacity(PAGE);
+        fs::File::open(path)?.take(PAGE as u64).read_to_end(&mut page)?;
         let kept = first_page_of(path);
         if fs::read(&kept).ok().as_ref() != Some(&page) {
             fs::write(kept, page)?;
@@ -79,11 +81,11 @@ pub(super) fn repair(path: &Path, finding: &str) -> Result<RepairReport, StoreEr
     let unusable = |detail: String| StoreError::Folder { path: path.to_owned(), detail };
     let made = path.with_extension("repaired");
     let _ = fs::remove_file(&made);
-    let (version, old) = readable(path, finding)?;
+    let (version, old, copy) = readable(path, finding)?;
     let mut new = Connection::open(&made).map_err(|e| unusable(e.to_string()))?;
     let (copied, lost) =
         copy_tables(&old, &mut new, version).map_err(|e| unusable(e.to_string()))?;
-    drop((old, new));
+    drop((old, new, copy));
     let damaged = unused_name(path);
     let moves = || {
         for suffix in ["", "-wal", "-shm"] {
@@ -111,32 +113,45 @@ fn unused_name(path: &Path) -> PathBuf {
     (1..u32::MAX).map(named).find(|name| !name.exists()).unwrap_or_else(|| named(u32::MAX))
 }
 
-/// The damaged database, open for reading, and its schema's version: as it is, else with the first
-/// page that was kept.
-fn readable(path: &Path, finding: &str) -> Result<(usize, Connection), StoreError> {
+/// The damaged database, open for reading, and its schema's version: as it is, else a copy with the
+/// first page that was kept. The copy's folder is deleted when it is dropped.
+fn readable(
+    path: &Path,
+    finding: &str,
+) -> Result<(usize, Connection, Option<TempDir>), StoreError> {
     let damaged =
         |detail: &str| StoreError::Damaged { path: path.to_owned(), detail: detail.to_owned() };
-    if let Some(found) = opened(path) {
-        return Ok(found);
+    if let Some((version, connection)) = opened(path) {
+        return Ok((version, connection, None));
     }
     let page = fs::read(first_page_of(path)).map_err(|_| damaged(finding))?;
-    let copy = path.with_extension("readable");
-    let patched = || {
-        let mut bytes = fs::read(path)?;
-        let length = page.len().min(bytes.len());
-        bytes[..length].copy_from_slice(&page[..length]);
-        // The database has grown since.
-        let pages = u32::try_from(bytes.len() / PAGE).unwrap_or(u32::MAX);
-        if let Some(count) = bytes.get_mut(PAGE_COUNT) {
-            count.copy_from_slice(&pages.to_be_bytes());
+    let folder = with_first_page(path, &page).map_err(|e| damaged(&e.to_string()))?;
+    let (version, connection) = opened(&copy_in(&folder, path)).ok_or_else(|| damaged(finding))?;
+    Ok((version, connection, Some(folder)))
+}
+
+fn copy_in(folder: &TempDir, path: &Path) -> PathBuf {
+    folder.path().join(path.file_name().unwrap_or_default())
+}
+
+/// A copy of the database with another first page, and of the log beside it, which has what was
+/// written last.
+fn with_first_page(path: &Path, page: &[u8]) -> Result<TempDir, std::io::Error> {
+    let folder = tempfile::tempdir_in(path.parent().unwrap_or(path))?;
+    let copy = copy_in(&folder, path);
+    for suffix in ["", "-wal"] {
+        let [from, to] = [path, copy.as_path()].map(|path| with_suffix(path, suffix));
+        if from.exists() {
+            fs::copy(from, to)?;
         }
-        fs::write(&copy, bytes)
-    };
-    patched().map_err(|e| damaged(&e.to_string()))?;
-    let found = opened(&copy);
-    // It stays open; its name is not needed any more.
-    let _ = fs::remove_file(&copy);
-    found.ok_or_else(|| damaged(finding))
+    }
+    let mut file = fs::File::options().write(true).open(&copy)?;
+    let pages = u32::try_from(file.metadata()?.len() / PAGE as u64).unwrap_or(u32::MAX);
+    file.write_all(page)?;
+    // The database has grown since.
+    file.seek(SeekFrom::Start(PAGE_COUNT_AT))?;
+    file.write_all(&pages.to_be_bytes())?;
+    Ok(folder)
 }
 
 /// `None` for what has not the schema of a store.
@@ -156,88 +171,89 @@ fn copy_tables(
     upgrades::make_version(&transaction, version)?;
     let (mut copied, mut lost) = (0, Vec::new());
     for table in upgrades::tables_of(&transaction)? {
-        let rows = TableRows::read(old, &table);
-        lost.extend(rows.lost(&table));
-        let mut refused = 0;
-        for row in &rows.rows {
-            let places = vec!["?"; row.len()].join(", ");
-            let sql = format!("INSERT INTO {table} VALUES ({places})");
-            match transaction.execute(&sql, params_from_iter(row)) {
-                Ok(_) => copied += 1,
-                Err(_) => refused += 1,
-            }
-        }
-        if refused > 0 {
-            lost.push(format!(
-                "{refused} of {table} that refer to what is lost, or are there twice"
-            ));
-        }
+        let mut copy = TableCopy::new((old, &transaction), &table);
+        copy.run();
+        copied += copy.copied;
+        lost.extend(copy.lost());
     }
     transaction.commit()?;
     Ok((copied, lost))
 }
 
-/// The rows of a table as far as they can be read.
-#[derive(Debug, Default)]
-struct TableRows {
-    rows: Vec<Vec<Value>>,
+/// The copy of one table as far as it can be read, a row in memory at a time.
+struct TableCopy<'a> {
+    old: &'a Connection,
+    new: &'a Connection,
+    table: &'a str,
+    copied: u64,
+    /// Rows that the new table does not take.
+    refused: u64,
     /// Row numbers that could not be read.
     unread: Vec<(i64, i64)>,
     /// What SQLite said to the first of them.
     reason: Option<String>,
 }
 
-impl TableRows {
-    fn read(connection: &Connection, table: &str) -> Self {
-        let mut found = Self::default();
-        let up = found.scan(connection, &format!("SELECT rowid, * FROM {table} ORDER BY rowid"));
-        let (Some(reason), last) = up else { return found };
-        found.reason = Some(reason);
+impl<'a> TableCopy<'a> {
+    fn new((old, new): (&'a Connection, &'a Connection), table: &'a str) -> Self {
+        Self { old, new, table, copied: 0, refused: 0, unread: Vec::new(), reason: None }
+    }
+
+    fn run(&mut self) {
+        let table = self.table;
+        let up = self.scan(&format!("SELECT rowid, * FROM {table} ORDER BY rowid"));
+        let (Some(reason), last) = up else { return };
+        self.reason = Some(reason);
         let below = last.unwrap_or(i64::MIN);
         let sql = format!("SELECT rowid, * FROM {table} WHERE rowid > {below} ORDER BY rowid DESC");
-        let first_after = found.scan(connection, &sql).1;
-        let Some(above) = first_after else {
-            found.unread.push((below.saturating_add(1), i64::MAX));
-            return found;
+        let Some(above) = self.scan(&sql).1 else {
+            self.unread.push((below.saturating_add(1), i64::MAX));
+            return;
         };
         let start = if below == i64::MIN { 1.min(above) } else { below + 1 };
         if above - start > LARGEST_GAP {
-            found.unread.push((start, above - 1));
-            return found;
+            self.unread.push((start, above - 1));
+            return;
         }
         for row in start..above {
             let sql = format!("SELECT rowid, * FROM {table} WHERE rowid = {row}");
-            if found.scan(connection, &sql).0.is_some() {
-                found.mark_unread(row);
+            if self.scan(&sql).0.is_some() {
+                self.mark_unread(row);
             }
         }
-        found
     }
 
-    /// Takes rows until one cannot be read; why, and the number of the last one that could.
-    fn scan(&mut self, connection: &Connection, sql: &str) -> (Option<String>, Option<i64>) {
+    /// Copies rows until one cannot be read; why, and the number of the last one that could.
+    fn scan(&mut self, sql: &str) -> (Option<String>, Option<i64>) {
         let mut last = None;
-        let mut read = || {
-            let mut statement = connection.prepare(sql)?;
-            let columns = statement.column_count();
-            let mut rows = statement.query([])?;
-            while let Some(row) = rows.next()? {
-                let number: i64 = row.get(0)?;
-                let values = (1..columns).map(|column| row.get(column));
-                // A text that is none any more costs its row.
-                match values.collect::<Result<Vec<Value>, _>>() {
-                    Ok(values) => self.rows.push(values),
-                    Err(error) => {
-                        self.reason.get_or_insert_with(|| error.to_string());
-                        self.unread.push((number, number));
-                    }
-                }
-                last = Some(number);
-            }
-            Ok::<(), rusqlite::Error>(())
-        };
-        let reason = read().err().map(|error| error.to_string());
+        let reason = self.copy_rows(sql, &mut last).err().map(|error| error.to_string());
         (reason, last)
+    }
+
+    fn copy_rows(&mut self, sql: &str, last: &mut Option<i64>) -> Result<(), rusqlite::Error> {
+        let mut statement = self.old.prepare(sql)?;
+        let columns = statement.column_count();
+        let places = vec!["?"; columns - 1].join(", ");
+        let mut insert =
+            self.new.prepare(&format!("INSERT INTO {} VALUES ({places})", self.table))?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            let number: i64 = row.get(0)?;
+            let values = (1..columns).map(|column| row.get(column));
+            // A text that is none any more costs its row.
+            match values.collect::<Result<Vec<Value>, _>>() {
+                Ok(values) => match insert.execute(params_from_iter(values)) {
+                    Ok(_) => self.copied += 1,
+                    Err(_) => self.refused += 1,
+                },
+                Err(error) => {
+                    self.reason.get_or_insert_with(|| error.to_string());
+                    self.unread.push((number, number));
+                }
+            }
+            *last = Some(number);
+        }
+        Ok(())
     }
 
     fn mark_unread(&mut self, row: i64) {
@@ -247,15 +263,24 @@ impl TableRows {
         }
     }
 
-    fn lost(&self, table: &str) -> Option<String> {
-        let reason = self.reason.as_deref()?;
+    /// A line for rows that could not be read, and one for rows that were refused.
+    fn lost(&self) -> Vec<String> {
+        let Self { table, refused, .. } = self;
         let named = |(first, last): &(i64, i64)| match (first, last) {
             (first, &i64::MAX) => format!("{first} and after"),
             (first, last) if first == last => first.to_string(),
             (first, last) => format!("{first} to {last}"),
         };
-        let rows: Vec<String> = self.unread.iter().map(named).collect();
-        (!rows.is_empty()).then(|| format!("rows {} of {table} ({reason})", rows.join(", ")))
+        let mut lines = Vec::new();
+        if let Some(reason) = self.reason.as_deref().filter(|_| !self.unread.is_empty()) {
+            let rows: Vec<String> = self.unread.iter().map(named).collect();
+            lines.push(format!("rows {} of {table} ({reason})", rows.join(", ")));
+        }
+        if *refused > 0 {
+            let why = "that refer to what is lost, or are there twice";
+            lines.push(format!("{refused} of {table} {why}"));
+        }
+        lines
     }
 }
 
@@ -367,6 +392,27 @@ mod tests {
             }
         }
         assert!(refused <= 2 && unserved > PLACES / 4, "{refused} refused, {unserved} with a loss");
+    }
+
+    /// As a kill leaves it: what was written last is in the log, and the first page is damaged.
+    #[test]
+    fn what_is_only_in_the_log_survives_a_damaged_first_page() {
+        let (folder, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        filled(folder.path());
+        let store = Store::open(folder.path()).unwrap();
+        store.append_calibration(&calibration("last", 99)).unwrap();
+        for file in fs::read_dir(folder.path()).unwrap() {
+            let file = file.unwrap();
+            fs::copy(file.path(), killed.path().join(file.file_name())).unwrap();
+        }
+        let path = killed.path().join("plumb.sqlite");
+        let mut bytes = fs::read(&path).unwrap();
+        bytes[..PAGE].fill(0x5a);
+        fs::write(&path, bytes).unwrap();
+        let (repaired, report) = Store::open_or_repair(killed.path(), 0).unwrap();
+        assert_eq!(served(&repaired), served(&store), "{report:?}");
+        let left = fs::read_dir(killed.path()).unwrap().map(|file| file.unwrap().path());
+        assert!(!left.into_iter().any(|path| path.is_dir()), "the copy is deleted");
     }
 
     #[test]
