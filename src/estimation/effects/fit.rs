@@ -62,21 +62,21 @@ pub(crate) fn fit_effects(
         limit: plain.robust.limit,
     };
     let mut good = plain.good_views();
+    let whole = Scene {
+        layout,
+        basis: &basis,
+        observations: &plain.observations,
+        good: &[],
+        rows,
+        by_columns: None,
+        moves: true,
+    };
     let mut walk: Option<EffectSearch> = None;
     for round in 0..MAX_ROUNDS {
         if good.len() < MIN_VIEWS {
             return None;
         }
-        let observations = &corners.observations;
-        let scene = Scene {
-            layout,
-            basis: &basis,
-            observations,
-            good: &good,
-            rows,
-            by_columns: None,
-            moves: true,
-        };
+        let scene = Scene { observations: &corners.observations, good: &good, ..whole };
         let start = |wanted| EffectSearch::start(scene, plain.robust.minimum.state.clone(), wanted);
         let next = match walk.take() {
             Some(walk) => walk.again(scene)?,
@@ -98,16 +98,7 @@ pub(crate) fn fit_effects(
         good = (0..faults.len()).filter(|view| faults[*view].is_none()).collect();
     }
     let walk = walk?;
-    let observations = &corners.observations;
-    let scene = Scene {
-        layout,
-        basis: &basis,
-        observations,
-        good: &good,
-        rows,
-        by_columns: None,
-        moves: true,
-    };
+    let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
     Some((found, corners))
 }
