@@ -67,7 +67,7 @@ pub(super) fn judged_with_depth(
     let joint = &solved.joint;
     let views_with_depth = input.captures.iter().filter(|capture| capture.depth.is_some()).count();
     let lowering =
-        [without_color(input), without_depth_picture(input), scale_doubt(joint, &input.board)];
+        [without_color(input), without_depth_image(input), scale_doubt(joint, &input.board)];
     for reason in lowering.into_iter().flatten() {
         verdict.lower(Grade::Usable, reason);
     }
@@ -103,7 +103,7 @@ pub fn without_color(input: &RgbdInput) -> Option<String> {
     let (all, without) =
         (views().count(), views().filter(|capture| capture.color.is_empty()).count());
     (3 * without > all).then(|| {
-        format!("the board was not seen in color in {without} of {all} views with depth: keep it within both pictures")
+        format!("the board was not seen in color in {without} of {all} views with depth: keep it within both images")
     })
 }
 
@@ -129,25 +129,25 @@ fn not_together(joint: &RgbdEstimate) -> String {
     )
 }
 
-/// Views whose depth picture is missing.
-fn without_depth_picture(input: &RgbdInput) -> Option<String> {
+/// Views whose depth image is missing.
+fn without_depth_image(input: &RgbdInput) -> Option<String> {
     let views =
         || input.captures.iter().filter(|capture| capture.is_view && !capture.color.is_empty());
     let missing = || views().filter(|capture| capture.depth.is_none());
     let first = &missing().next()?.name;
     Some(format!(
-        "{} of {} views have no depth picture, the first `{first}`: check that none is lost, and that names are equal",
+        "{} of {} views have no depth image, the first `{first}`: check that none is lost, and that names are equal",
         missing().count(),
         views().count()
     ))
 }
 
-/// Views whose depth picture did not serve, and why the first of them did not.
+/// Views whose depth image did not serve, and why the first of them did not.
 fn depth_not_used(solved: &SolvedRgbd, views: usize) -> Option<String> {
     let (name, reason) = solved.without_depth.first()?;
     let count = solved.without_depth.len();
     Some(format!(
-        "the depth picture of {count} of {views} views was not used; view `{name}`: {reason}"
+        "the depth image of {count} of {views} views was not used; view `{name}`: {reason}"
     ))
 }
 

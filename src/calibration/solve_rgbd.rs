@@ -1,4 +1,4 @@
-//! The solve of a camera with color and depth: from corners and depth pictures to lenses, the
+//! The solve of a camera with color and depth: from corners and depth images to lenses, the
 //! sensors' pose, the depth camera's correction, and how far to trust them.
 
 use nalgebra::Point3;
@@ -38,7 +38,7 @@ pub struct DepthSensor {
     pub invalid: Option<u16>,
     /// The device's own lens and pose, where it states them.
     pub factory: Option<(Lens, Pose)>,
-    /// The infrared picture is the depth picture's: same size, same lens. Default for every device
+    /// The infrared image is the depth image's: same size, same lens. Default for every device
     /// that has one.
     pub with_infrared: bool,
 }
@@ -48,17 +48,17 @@ pub struct DepthSensor {
 pub struct RgbdCapture {
     /// Its path or sequence number.
     pub name: String,
-    /// When the color picture was taken, in seconds since any moment; `None` where times mean
+    /// When the color image was taken, in seconds since any moment; `None` where times mean
     /// nothing.
     pub time_s: Option<f64>,
     /// Whether it is a view. Others determine the board's motion, and the time between the sensors'
     /// exposures.
     pub is_view: bool,
-    /// The board in the color picture; empty where it wasn't found.
+    /// The board in the color image; empty where it wasn't found.
     pub color: Vec<Correspondence>,
-    /// The board in the infrared picture; empty where it wasn't found.
+    /// The board in the infrared image; empty where it wasn't found.
     pub infrared: Vec<Correspondence>,
-    /// The depth picture, where there is one.
+    /// The depth image, where there is one.
     pub depth: Option<DepthImage>,
 }
 
@@ -67,7 +67,7 @@ pub struct RgbdCapture {
 pub struct RgbdInput {
     /// The board.
     pub board: Target,
-    /// The size of the color pictures.
+    /// The size of the color images.
     pub color_size: ImageSize,
     /// What is known of the depth camera.
     pub depth: DepthSensor,
@@ -349,12 +349,12 @@ impl Guess {
         let pair = |(capture, pose): (&RgbdCapture, &Option<Pose>)| {
             let point = self.depth_from_color * ((*pose)? * middle);
             let pixel = self.lens.pixel_from_point(&point)?;
-            let picture = capture.depth.as_ref().filter(|d| d.only_reading().is_none())?;
+            let image = capture.depth.as_ref().filter(|d| d.only_reading().is_none())?;
             let (x, y) = (pixel.x.round(), pixel.y.round());
-            let inside = picture
+            let inside = image
                 .size()
                 .contains(Pixel::new(x, y))
-                .then(|| picture.row(y as usize)[x as usize])?;
+                .then(|| image.row(y as usize)[x as usize])?;
             (Some(inside) != input.depth.invalid).then(|| (f64::from(inside), 1.0 / point.z))
         };
         let pairs: Vec<(f64, f64)> =
@@ -370,7 +370,7 @@ impl Guess {
         Some(DepthReading::Disparity { offset, slope })
     }
 
-    /// The board's surface in every depth picture, up to `margin` squares past its outer corners.
+    /// The board's surface in every depth image, up to `margin` squares past its outer corners.
     fn measured(&self, input: &RgbdInput, margin: f64) -> Result<Measured, RgbdError> {
         let (mut views, mut captures, mut without_depth) = (Vec::new(), Vec::new(), Vec::new());
         let plane_options =
@@ -380,11 +380,11 @@ impl Guess {
             input.captures.iter().zip(&self.color_from_board).enumerate()
         {
             let (Some(color_from_board), true) = (*pose, capture.is_view) else { continue };
-            let seen = capture.depth.as_ref().map(|picture| {
+            let seen = capture.depth.as_ref().map(|image| {
                 let outline = self.outline(&input.board, &color_from_board, margin);
                 let meaning = (self.reading, &self.lens);
-                let tiles = find_board_plane(picture, meaning, &outline, &plane_options)?;
-                let surround = grow_plane(picture, meaning, (&tiles, &outline), &plane_options);
+                let tiles = find_board_plane(image, meaning, &outline, &plane_options)?;
+                let surround = grow_plane(image, meaning, (&tiles, &outline), &plane_options);
                 Ok((tiles, surround))
             });
             let (tiles, surround) = match seen {
@@ -443,7 +443,7 @@ impl Guess {
         }
     }
 
-    /// The board's edge in the depth picture, `margin` squares past its outer inner corners; what
+    /// The board's edge in the depth image, `margin` squares past its outer inner corners; what
     /// the lens does not see is left out.
     fn outline(&self, board: &Target, color_from_board: &Pose, margin: f64) -> Vec<Pixel> {
         let [near, far] = board.extent();

@@ -345,7 +345,7 @@ impl Joint {
         let misfitting = each.filter(|(_, rms_ratio)| **rms_ratio > MISFITTING);
         let misfitting = misfitting.map(|(member, rms_ratio)| {
             let cause =
-                "the board moved between the cameras' pictures, or the cameras against each other: hold it still";
+                "the board moved between the cameras' images, or the cameras against each other: hold it still";
             let camera = name(member);
             (
                 Grade::Usable,

@@ -24,7 +24,7 @@ enum Task {
     Backup(Backup),
     /// Moves a damaged database aside and puts what can be read of it in its place.
     Repair(Repair),
-    /// Deletes old sessions with their pictures; calibrations stay.
+    /// Deletes old sessions with their images; calibrations stay.
     Prune(Prune),
 }
 

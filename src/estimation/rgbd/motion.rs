@@ -1,8 +1,8 @@
-//! The board's motion from poses in time order, and by how much a second sensor takes its pictures
+//! The board's motion from poses in time order, and by how much a second sensor takes its images
 //! later than the first.
 //!
 //! With u the board's velocity (a turn and a shift) in the second sensor's frame when the first
-//! takes its picture, and T the sensors' pose, a picture that is taken by δ later shows the board
+//! takes its image, and T the sensors' pose, a image that is taken by δ later shows the board
 //! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
 //! is from where the second sensor sees the board. Velocities come from cubic splines through the
 //! first sensor's poses: their slope follows motion up to the rate of the frames, where differences
@@ -22,14 +22,14 @@ pub struct BoardMotion {
     pub shift: Vector3<f64>,
 }
 
-/// By how much a sensor takes its pictures later than the first.
+/// By how much a sensor takes its images later than the first.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimeOffset {
     /// In seconds.
     pub seconds: f64,
     /// Its standard deviation, in seconds.
     pub std_s: f64,
-    /// Standard deviation of a single picture's, with what velocities are off by, in seconds.
+    /// Standard deviation of a single image's, with what velocities are off by, in seconds.
     pub jitter_s: f64,
 }
 
@@ -319,7 +319,7 @@ mod tests {
         for offset_s in [-0.02, 0.0, 0.012] {
             let both = moments.iter().zip(board_motions(&moments)).enumerate().filter_map(
                 |(k, ((time, at), motion))| {
-                    // Every tenth picture is of another moment altogether.
+                    // Every tenth image is of another moment altogether.
                     let late = if k % 10 == 7 { 0.3 } else { offset_s };
                     Some(SeenByBoth {
                         first_from_board: *at,

@@ -1,7 +1,7 @@
 //! Estimates from planes: the correction of depth, and for a depth camera without an infrared image
 //! its lens and pose. The board's poses are those of the corners: held where infrared sees them
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
-//! not bend the lens.
+//! not distort the lens.
 
 use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 

@@ -16,13 +16,13 @@ use crate::geometry::pose::Pose;
 pub struct RgbdView {
     /// Its path or sequence number.
     pub name: String,
-    /// The board's corners in the color picture; empty where it wasn't found.
+    /// The board's corners in the color image; empty where it wasn't found.
     pub color: Vec<Correspondence>,
     /// The board's corners in the infrared image; empty where it wasn't found.
     pub infrared: Vec<Correspondence>,
-    /// The board's surface in the depth picture; empty where it wasn't measured.
+    /// The board's surface in the depth image; empty where it wasn't measured.
     pub tiles: Vec<DepthTile>,
-    /// The flat surface around the board, which it lies on, in the depth picture.
+    /// The flat surface around the board, which it lies on, in the depth image.
     pub surround: Vec<DepthTile>,
     /// About where the board was.
     pub color_from_board: Pose,
@@ -83,7 +83,7 @@ pub struct RgbdEstimate {
     pub color_from_depth_covariance: Matrix6<f64>,
     /// By how much infrared and depth are taken later than color, where the board's motion determines it.
     pub time_offset: Option<TimeOffset>,
-    /// Views whose infrared and depth pictures are of another moment than their color picture.
+    /// Views whose infrared and depth images are of another moment than their color image.
     pub not_together: Vec<usize>,
     /// Where the board was, view by view.
     pub color_from_board: Vec<Pose>,
