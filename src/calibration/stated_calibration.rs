@@ -7,8 +7,9 @@ use crate::calibration::result::{
     ProjectionUncertainty, Verdict,
 };
 use crate::calibration::sensor::SensorId;
-use crate::geometry::depth_camera::{DepthCamera, DepthReading};
+use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
 use crate::imaging::frame::SensorKind;
 
@@ -20,7 +21,7 @@ pub fn stated_calibration(
     created_at_ns: i64,
 ) -> Option<Calibration> {
     let sensors: Vec<CalibratedSensor> =
-        SensorKind::ALL.into_iter().filter_map(|kind| sensor(factory.sensor(kind)?)).collect();
+        SensorKind::ALL.into_iter().filter_map(|kind| sensor(factory, kind)).collect();
     if sensors.is_empty() {
         return None;
     }
@@ -48,11 +49,15 @@ pub fn stated_calibration(
     })
 }
 
-/// The sensor as stated; `None` without a lens, or for depth without its unit.
-fn sensor(stated: &FactorySensor) -> Option<CalibratedSensor> {
+/// The sensor as stated; `None` without a lens, or for depth whose readings' meaning is not.
+fn sensor(factory: &FactoryCalibration, kind: SensorKind) -> Option<CalibratedSensor> {
+    let stated = factory.sensor(kind)?;
     let lens = stated.lens?;
-    match stated.sensor {
-        SensorKind::Depth => Some(CalibratedSensor::depth(None, depth_sensor(stated, lens)?)),
+    match kind {
+        SensorKind::Depth => {
+            let encoding = factory.depth_encoding?;
+            Some(CalibratedSensor::depth(None, depth_sensor(stated, lens, encoding)?))
+        }
         kind => Some(CalibratedSensor::image(SensorId::own(kind), image_sensor(stated, lens))),
     }
 }
@@ -83,11 +88,15 @@ fn image_sensor(stated: &FactorySensor, lens: Lens) -> ImageCalibration {
     }
 }
 
-fn depth_sensor(stated: &FactorySensor, lens: Lens) -> Option<DepthCalibration> {
-    let reading = DepthReading::Metric { unit_m: stated.depth_unit_m? };
+fn depth_sensor(
+    stated: &FactorySensor,
+    lens: Lens,
+    encoding: DepthEncoding,
+) -> Option<DepthCalibration> {
+    let reading = encoding.reading?;
     Some(DepthCalibration {
         camera: DepthCamera { image_size: stated.image_size, lens, reading, correction: None },
-        invalid: None,
+        invalid: encoding.invalid,
         lens_std: vec![0.0; lens.parameters().len()],
         bias: Vec::new(),
         noise: DepthNoise::default(),
@@ -99,6 +108,7 @@ fn depth_sensor(stated: &FactorySensor, lens: Lens) -> Option<DepthCalibration> 
 mod tests {
     use super::*;
     use crate::geometry::camera_matrix::CameraMatrix;
+    use crate::geometry::depth_camera::DepthReading;
     use crate::geometry::pixel::ImageSize;
     use crate::geometry::pose::Pose;
     use crate::imaging::factory::StatedLens;
@@ -119,7 +129,6 @@ mod tests {
                 [0.0, 0.01, 0.0].into(),
                 [0.015, 0.0, 0.001].into(),
             )),
-            depth_unit_m: (sensor == SensorKind::Depth).then_some(0.001),
         }
     }
 
@@ -128,7 +137,9 @@ mod tests {
         let [color, depth] =
             [stated(SensorKind::Color, 612.5, true), stated(SensorKind::Depth, 385.25, true)];
         let infrared = stated(SensorKind::Infrared, 385.25, false);
-        let factory = FactoryCalibration { sensors: vec![color.clone(), infrared, depth.clone()] };
+        let sensors = vec![color.clone(), infrared, depth.clone()];
+        let depth_encoding = Some(DepthEncoding::ORDINARY);
+        let factory = FactoryCalibration { sensors, depth_encoding };
         let calibration = stated_calibration(&factory, "front", 7).unwrap();
         assert_eq!(calibration.color().map(|sensor| sensor.lens), color.lens);
         let camera = calibration.depth().unwrap().camera.clone();
@@ -150,7 +161,7 @@ mod tests {
 
     #[test]
     fn nothing_is_made_of_nothing() {
-        let only = |one| FactoryCalibration { sensors: vec![one] };
+        let only = |one| FactoryCalibration { sensors: vec![one], depth_encoding: None };
         assert_eq!(stated_calibration(&FactoryCalibration::default(), "front", 7), None);
         assert_eq!(
             stated_calibration(&only(stated(SensorKind::Color, 600.0, false)), "front", 7),

@@ -5,7 +5,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
-use crate::imaging::frame::FrameSet;
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::factory::FactoryCalibration;
+use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::{ReadOptions, Recording, RecordingError};
 
 /// How fast a recording is replayed.
@@ -37,6 +39,7 @@ pub struct Replay {
     path: PathBuf,
     recording: Recording,
     options: ReplayOptions,
+    factory: FactoryCalibration,
     waiting: Option<FrameSet>,
     clock: Option<PaceClock>,
     /// The first frame ever given.
@@ -70,7 +73,9 @@ impl Replay {
     /// [`RecordingError`] when it isn't there or is no recording.
     pub fn open(path: &Path, options: &ReplayOptions) -> Result<Self, RecordingError> {
         let recording = Recording::open(path, &options.reading)?;
+        let factory = recording.factory();
         Ok(Self {
+            factory,
             path: path.to_owned(),
             recording,
             options: options.clone(),
@@ -81,6 +86,18 @@ impl Replay {
             interval_ns: (1e9 / options.reading.fps) as i64,
             shift: Moment::default(),
         })
+    }
+
+    /// The same, with what is stated beside the recording of its sensors.
+    #[must_use]
+    pub fn stating(mut self, factory: FactoryCalibration) -> Self {
+        self.factory = factory;
+        self
+    }
+
+    /// The size of the first image of a folder's sensor.
+    pub fn image_size(&self, sensor: SensorKind) -> Option<ImageSize> {
+        self.recording.image_size(sensor)
     }
 
     /// The next frame set of the recording, of a later round where it repeats.
@@ -151,7 +168,7 @@ impl FrameSource for Replay {
             fps: None,
             frame_set_count: self.recording.frame_set_count().filter(|_| !self.options.repeat),
             waits: self.options.pace == Pace::Fastest,
-            factory: self.recording.factory(),
+            factory: self.factory.clone(),
             ..SourceDescription::default()
         }
     }

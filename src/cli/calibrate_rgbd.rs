@@ -1,7 +1,6 @@
 //! `plumb calibrate` of a recording with color and depth.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -19,13 +18,13 @@ use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, is_recording};
 use crate::cli::{Failure, progress};
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::finder::TargetFinder;
-use crate::document::sensors_file::{FILE_NAME, SensorsFile};
+use crate::document::sensors_file::SensorsFile;
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::problem::{Correspondence, LensChoice};
-use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
 use crate::imaging::decode::luma;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
@@ -109,30 +108,17 @@ pub fn views_of(
 
 /// What is said of a recording's depth. In a recording file 16-bit depth is in millimeters (ROS REP
 /// 118).
-fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
-    let path = Path::new(source);
-    if !path.is_dir() {
-        let reading = Some(DepthReading::Metric { unit_m: 0.001 });
-        return Ok(DepthSensor { reading, invalid: Some(0), factory: None, with_infrared: true });
-    }
-    let file = path.join(FILE_NAME);
-    let named = |problem: String| Failure::failed(format!("{}: {problem}", file.display()));
-    let text = fs::read_to_string(&file).map_err(|error| {
-        named(format!("cannot be read ({error}): a folder with depth/ needs it, to say [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""))
-    })?;
-    let stated = SensorsFile::from_toml(&text).map_err(|error| named(error.to_string()))?;
-    for sensor in stated.unused_lenses() {
-        tracing::warn!(
-            "{}: {sensor}.lens is not used: corners determine it better than a statement",
-            file.display()
-        );
-    }
-    Ok(DepthSensor {
-        reading: stated.depth.reading().map_err(|error| named(error.to_string()))?,
-        invalid: stated.depth.invalid,
-        factory: stated.factory().map_err(|error| named(error.to_string()))?,
-        with_infrared: true,
-    })
+pub(super) fn depth_sensor(source: &str) -> Result<DepthSensor, Failure> {
+    let stated = SensorsFile::of_folder(Path::new(source)).map_err(Failure::failed)?;
+    let (encoding, factory) = match stated {
+        Some(stated) => {
+            let encoding = stated.depth.encoding().map_err(Failure::failed)?;
+            (encoding, stated.depth_factory().map_err(Failure::failed)?)
+        }
+        None => (DepthEncoding::ORDINARY, None),
+    };
+    let DepthEncoding { reading, invalid } = encoding;
+    Ok(DepthSensor { reading, invalid, factory, with_infrared: true })
 }
 
 struct RgbdGathering<'a> {

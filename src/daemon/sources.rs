@@ -11,6 +11,8 @@ use crate::capture::{
 };
 use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, RigConfig, SourceConfig};
+use crate::document::error::DocumentError;
+use crate::document::sensors_file::{FILE_NAME, SensorsFile};
 use crate::pipeline::{CameraPlan, RigPlan};
 use crate::recording::ReadOptions;
 use crate::simulation::WorldOptions;
@@ -86,9 +88,14 @@ fn open_recording(
     path: &Path,
     options: &ReplayOptions,
 ) -> Result<Box<dyn FrameSource>, CaptureError> {
-    let replay = Replay::open(path, options)
-        .map_err(|error| CaptureError::Failed { reason: error.to_string() })?;
-    Ok(Box::new(replay))
+    let failed = |reason: String| CaptureError::Failed { reason };
+    let replay = Replay::open(path, options).map_err(|error| failed(error.to_string()))?;
+    let stated = SensorsFile::of_folder(path).map_err(|error| failed(error.to_string()))?;
+    let Some(stated) = stated else { return Ok(Box::new(replay)) };
+    let factory = stated.factory(|sensor| replay.image_size(sensor));
+    let named = |error: DocumentError| error.inside(&path.join(FILE_NAME).display().to_string());
+    let factory = factory.map_err(|error| failed(named(error).to_string()))?;
+    Ok(Box::new(replay.stating(factory)))
 }
 
 #[cfg(not(target_os = "linux"))]

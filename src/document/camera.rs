@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::document::depth_encoding::DepthEncodingDocument;
 use crate::document::lens::LensDocument;
 use crate::document::pose::{PoseDocument, RotationDocument};
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
@@ -82,6 +83,9 @@ pub struct FactoryDocument {
     pub sensors: BTreeMap<String, FactorySensorDocument>,
     /// Where they are, against color.
     pub extrinsics: Vec<FactoryExtrinsicsDocument>,
+    /// What the readings of its depth images mean; left out where nothing is stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub depth_encoding: Option<DepthEncodingDocument>,
 }
 
 /// What is stated of one sensor.
@@ -112,12 +116,15 @@ pub struct FactoryExtrinsicsDocument {
 impl FactoryDocument {
     /// Of what is stated; `None` where nothing is.
     pub fn of(factory: &FactoryCalibration) -> Option<Self> {
+        let encoding = factory.depth_encoding.as_ref().map(DepthEncodingDocument::from);
         let sensor = |stated: &FactorySensor| {
             let document = FactorySensorDocument {
                 image_size: [stated.image_size.width, stated.image_size.height],
                 stated_model: stated.stated.model.clone(),
                 lens: stated.lens.as_ref().map(LensDocument::from),
-                unit_m: stated.depth_unit_m,
+                unit_m: encoding
+                    .filter(|_| stated.sensor == SensorKind::Depth)
+                    .and_then(|encoding| encoding.unit_m),
             };
             (stated.sensor.name().to_owned(), document)
         };
@@ -131,9 +138,10 @@ impl FactoryDocument {
                 translation,
             })
         };
-        (!factory.sensors.is_empty()).then(|| Self {
+        (!factory.sensors.is_empty() || encoding.is_some()).then(|| Self {
             sensors: factory.sensors.iter().map(sensor).collect(),
             extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
+            depth_encoding: encoding,
         })
     }
 }

@@ -10,6 +10,7 @@ pub mod board_shape;
 pub mod calibration;
 pub mod camera;
 pub mod depth;
+pub mod depth_encoding;
 pub mod detection;
 pub mod error;
 pub mod focus;

@@ -1,15 +1,22 @@
 //! `sensors.toml` beside the subfolders of an RGB-D recording: what its depth images' numbers
 //! mean, and what the factory says of the sensors, in the shapes of the calibration document.
 
+use std::fs;
+use std::path::Path;
+
 use serde::Deserialize;
 
 use crate::document::depth::{DepthKind, DisparityDocument};
+use crate::document::depth_encoding::DepthEncodingDocument;
 use crate::document::error::DocumentError;
 use crate::document::lens::LensDocument;
 use crate::document::pose::{PoseDocument, RotationDocument};
-use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_encoding::DepthEncoding;
+use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
+use crate::imaging::frame::SensorKind;
 
 /// The file's name.
 pub const FILE_NAME: &str = "sensors.toml";
@@ -74,12 +81,74 @@ impl SensorsFile {
     pub fn from_toml(text: &str) -> Result<Self, DocumentError> {
         let file: Self = toml::from_str(text)
             .map_err(|error| DocumentError::field(FILE_NAME, error.message().to_owned()))?;
-        file.depth.reading()?;
+        file.depth.encoding()?;
         Ok(file)
     }
 
+    /// Reads the file of the folder of a recording; `None` for a folder without depth, which needs
+    /// none.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] with the file and what is missing or wrong.
+    pub fn of_folder(folder: &Path) -> Result<Option<Self>, DocumentError> {
+        let file = folder.join(FILE_NAME);
+        let named = |problem: String| DocumentError::field(file.display().to_string(), problem);
+        let has_depth = folder.join(SensorKind::Depth.name()).is_dir();
+        let text = match fs::read_to_string(&file) {
+            Ok(text) => text,
+            Err(_) if !has_depth => return Ok(None),
+            Err(error) => {
+                return Err(named(format!(
+                    "cannot be read ({error}): a folder with depth/ needs it, to say [depth] kind = \"depth\" and unit_m, or kind = \"disparity\""
+                )));
+            }
+        };
+        let stated = Self::from_toml(&text).map_err(|error| named(error.to_string()))?;
+        for sensor in stated.unused_lenses() {
+            tracing::warn!(
+                "{}: {sensor}.lens is not used: corners determine it better than a statement",
+                file.display()
+            );
+        }
+        Ok(Some(stated))
+    }
+
+    /// What the file states, of sensors with images of these sizes.
+    ///
+    /// # Errors
+    /// [`DocumentError::Field`] for a lens or pose that cannot be.
+    pub fn factory(
+        &self,
+        image_size: impl Fn(SensorKind) -> Option<ImageSize>,
+    ) -> Result<FactoryCalibration, DocumentError> {
+        let lens_of = |stated: &Option<StatedImageSensor>| stated.as_ref()?.lens.clone();
+        let lenses = [
+            (SensorKind::Color, lens_of(&self.color)),
+            (SensorKind::Infrared, lens_of(&self.infrared)),
+            (SensorKind::Depth, self.depth.lens.clone()),
+        ];
+        let mut sensors = Vec::new();
+        for (sensor, stated) in lenses {
+            let Some((document, image_size)) = stated.zip(image_size(sensor)) else { continue };
+            let field = format!("{}.lens", sensor.name());
+            let lens = Lens::try_from(&document).map_err(|error| error.inside(&field))?;
+            let pose = match sensor {
+                SensorKind::Color => Some(Pose::identity()),
+                other => self.color_from(other)?,
+            };
+            sensors.push(FactorySensor {
+                sensor,
+                image_size,
+                stated: stated_lens(&lens),
+                lens: Some(lens),
+                color_from_sensor: pose,
+            });
+        }
+        Ok(FactoryCalibration { sensors, depth_encoding: Some(self.depth.encoding()?) })
+    }
+
     /// The image sensors whose lens is stated, and not used.
-    pub fn unused_lenses(&self) -> Vec<&'static str> {
+    fn unused_lenses(&self) -> Vec<&'static str> {
         let sensors = [("color", &self.color), ("infrared", &self.infrared)];
         let has_lens = |stated: &Option<StatedImageSensor>| {
             stated.as_ref().is_some_and(|stated| stated.lens.is_some())
@@ -87,44 +156,50 @@ impl SensorsFile {
         sensors.into_iter().filter(|(_, stated)| has_lens(stated)).map(|(name, _)| name).collect()
     }
 
-    /// The factory's lens and pose of the depth sensor, where both are stated.
+    fn color_from(&self, sensor: SensorKind) -> Result<Option<Pose>, DocumentError> {
+        let name = format!("color_from_{}", sensor.name());
+        let stated = self.extrinsics.iter().find(|extrinsics| extrinsics.name == name);
+        let pose = stated.map(|stated| {
+            let (rotation, translation) = (stated.rotation, stated.translation);
+            Pose::try_from(&PoseDocument { rotation, translation })
+        });
+        pose.transpose().map_err(|error| error.inside("extrinsics"))
+    }
+
+    /// The factory's lens of the depth sensor and `depth_from_color`, where both are stated.
     ///
     /// # Errors
     /// [`DocumentError::Field`] for a lens or pose that cannot be.
-    pub fn factory(&self) -> Result<Option<(Lens, Pose)>, DocumentError> {
-        let stated =
-            self.extrinsics.iter().find(|extrinsics| extrinsics.name == "color_from_depth");
-        let (Some(lens), Some(extrinsics)) = (&self.depth.lens, stated) else { return Ok(None) };
-        let lens = Lens::try_from(lens).map_err(|e| e.inside("depth.lens"))?;
-        let stated =
-            PoseDocument { rotation: extrinsics.rotation, translation: extrinsics.translation };
-        let color_from_depth = Pose::try_from(&stated).map_err(|e| e.inside("extrinsics"))?;
+    pub fn depth_factory(&self) -> Result<Option<(Lens, Pose)>, DocumentError> {
+        let color_from_depth = self.color_from(SensorKind::Depth)?;
+        let Some((lens, color_from_depth)) = self.depth.lens.as_ref().zip(color_from_depth) else {
+            return Ok(None);
+        };
+        let lens = Lens::try_from(lens).map_err(|error| error.inside("depth.lens"))?;
         Ok(Some((lens, color_from_depth.inverse())))
     }
 }
 
 impl StatedDepth {
-    /// What the numbers mean; `None` for disparity of unknown meaning.
+    /// What the readings mean.
     ///
     /// # Errors
     /// [`DocumentError::Field`] for depth without its unit.
-    pub fn reading(&self) -> Result<Option<DepthReading>, DocumentError> {
-        match (self.kind, self.unit_m, self.disparity) {
-            (DepthKind::Depth, Some(unit_m), _) if unit_m > 0.0 && unit_m < 1.0 => {
-                Ok(Some(DepthReading::Metric { unit_m }))
-            }
-            (DepthKind::Depth, None, _) => Err(DocumentError::field(
-                "depth.unit_m",
-                "is missing: say how many meters one unit is, as in unit_m = 0.001",
-            )),
-            (DepthKind::Depth, ..) => {
-                Err(DocumentError::field("depth.unit_m", "must be above 0 and below 1 m"))
-            }
-            (DepthKind::Disparity, _, Some(DisparityDocument { offset, slope })) => {
-                Ok(Some(DepthReading::Disparity { offset, slope }))
-            }
-            (DepthKind::Disparity, _, None) => Ok(None),
-        }
+    pub fn encoding(&self) -> Result<DepthEncoding, DocumentError> {
+        let Self { kind, unit_m, disparity, invalid, .. } = *self;
+        let document = DepthEncodingDocument { kind, unit_m, disparity, invalid };
+        DepthEncoding::try_from(&document).map_err(|error| error.inside("depth"))
+    }
+}
+
+/// The lens in the file's own terms.
+fn stated_lens(lens: &Lens) -> StatedLens {
+    let matrix = &lens.matrix;
+    StatedLens {
+        model: lens.model().name().to_owned(),
+        focal_px: [matrix.fx, matrix.fy],
+        principal_px: [matrix.cx, matrix.cy],
+        coefficients: lens.distortion.coefficients().to_vec(),
     }
 }
 
@@ -136,16 +211,26 @@ mod tests {
     fn what_a_folder_states_is_read_and_what_is_missing_named() {
         let kinect =
             SensorsFile::from_toml("[depth]\nkind = \"disparity\"\ninvalid = 2047").unwrap();
-        assert_eq!((kinect.depth.reading().unwrap(), kinect.depth.invalid), (None, Some(2047)));
-        assert_eq!(kinect.factory().unwrap(), None);
+        let raw = DepthEncoding { reading: None, invalid: Some(2047) };
+        assert_eq!(kinect.depth.encoding().unwrap(), raw);
+        assert_eq!(kinect.depth_factory().unwrap(), None);
         let metric = SensorsFile::from_toml(
             "[depth]\nkind = \"depth\"\nunit_m = 0.001\nlens = { model = \"pinhole\", fx = 580.0, fy = 580.0, cx = 320.0, cy = 240.0 }\n\
              [[extrinsics]]\nname = \"color_from_depth\"\nrotation = { w = 1.0, x = 0.0, y = 0.0, z = 0.0 }\ntranslation = [0.025, 0.0, 0.0]",
         )
         .unwrap();
-        let (lens, depth_from_color) = metric.factory().unwrap().unwrap();
+        let (lens, depth_from_color) = metric.depth_factory().unwrap().unwrap();
         assert_eq!((lens.matrix.fx, depth_from_color.translation().x), (580.0, -0.025));
         assert_eq!(metric.unused_lenses(), [""; 0]);
+        let size = ImageSize::new(640, 480);
+        let factory = metric.factory(|_| Some(size)).unwrap();
+        assert_eq!(
+            factory.depth_encoding,
+            Some(DepthEncoding { invalid: None, ..DepthEncoding::ORDINARY })
+        );
+        let stated = factory.sensor(SensorKind::Depth).unwrap();
+        assert_eq!((stated.image_size, stated.lens), (size, Some(lens)));
+        assert_eq!(stated.color_from_sensor.map(|pose| pose.translation().x), Some(0.025));
         let lens =
             "[color]\nlens = { model = \"pinhole\", fx = 5.0, fy = 5.0, cx = 3.0, cy = 2.0 }";
         let color = format!("{lens}\n[depth]\nkind = \"disparity\"\n[infrared]\n");

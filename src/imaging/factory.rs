@@ -4,6 +4,7 @@
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::frame::SensorKind;
 
 /// Everything that a device states; empty for one that states nothing.
@@ -11,6 +12,8 @@ use crate::imaging::frame::SensorKind;
 pub struct FactoryCalibration {
     /// One entry a sensor that states anything.
     pub sensors: Vec<FactorySensor>,
+    /// What the readings of its depth images mean.
+    pub depth_encoding: Option<DepthEncoding>,
 }
 
 impl FactoryCalibration {
@@ -41,8 +44,6 @@ pub struct FactorySensor {
     pub lens: Option<Lens>,
     /// From this sensor's frame to the color sensor's.
     pub color_from_sensor: Option<Pose>,
-    /// Meters per unit of depth.
-    pub depth_unit_m: Option<f64>,
 }
 
 /// A lens in the device's own terms.

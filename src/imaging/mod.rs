@@ -6,6 +6,7 @@ mod color_view;
 pub mod decode;
 mod decode_error;
 mod depth_conversion;
+pub mod depth_encoding;
 pub mod depth_image;
 pub mod depth_shading;
 mod distortion_lookup;

@@ -19,7 +19,6 @@ use crate::calibration::session::CameraFrame;
 use crate::calibration::session::gate::{Gate, KeptSoFar};
 use crate::geometry::target::Target;
 use crate::imaging::factory::FactoryCalibration;
-use crate::imaging::frame::SensorKind;
 use crate::pipeline::board_search::BoardSearch;
 use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::metrics::Metrics;
@@ -258,10 +257,9 @@ impl Finishing {
         let mut observed = observed(&frames);
         if self.gate.may_keep(&observed, kept) {
             for (seen, factory) in frames.iter_mut().zip(&self.factories) {
-                let stated = lock(factory).sensor(SensorKind::Depth).cloned();
-                let unit_m = stated.and_then(|stated| stated.depth_unit_m);
+                let encoding = lock(factory).depth_encoding;
                 if let Some(seen) = seen.as_mut().filter(|seen| seen.detection.outcome.is_ok()) {
-                    self.search.observe_all(seen, board, unit_m);
+                    self.search.observe_all(seen, board, encoding);
                 }
             }
             observed = self::observed(&frames);

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use crate::calibration::sensor::SensorId;
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::image_file::frame_from_file;
@@ -24,8 +25,8 @@ pub(super) struct AuxiliaryView {
     pub(super) number: u32,
     pub(super) sensor: SensorKind,
     pub(super) image_size: ImageSize,
-    /// Meters per unit of depth, where the device states it.
-    pub(super) unit_m: Option<f64>,
+    /// What the readings of depth mean, where the device states it.
+    pub(super) depth_encoding: Option<DepthEncoding>,
     /// The board in it, where it was found.
     pub(super) detection: Option<Detection>,
     /// Of depth, unless it is to be read from the store.
@@ -55,7 +56,7 @@ impl AuxiliaryViews {
                 number: stored.iter().find(is_numbered)?.number?,
                 sensor: view.sensor.kind,
                 image_size: view.frame.image_size,
-                unit_m: view.unit_m,
+                depth_encoding: view.depth_encoding,
                 detection: view.detection.clone(),
                 depth: None,
                 frame_set: view.frame_set,
@@ -80,7 +81,7 @@ impl AuxiliaryViews {
             number,
             sensor: observation.sensor,
             image_size: observation.image_size,
-            unit_m: observation.unit_m,
+            depth_encoding: observation.depth_encoding,
             detection: observation.detection.clone(),
             depth: observation.depth.clone().filter(|_| fits),
             frame_set,

@@ -9,6 +9,7 @@ use crate::detection::finder::TargetFinder;
 use crate::detection::tracking::TrackedBoard;
 use crate::geometry::target::Target;
 use crate::imaging::decode;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
@@ -63,13 +64,13 @@ impl BoardSearch {
     }
 
     /// Searches all of a frame set that may be kept: a board that was tracked is searched for by
-    /// itself, and every other sensor's image is searched, or decoded, too. `unit_m` is the unit of
-    /// depth, where the device states it. A sensor whose image is damaged is left out.
+    /// itself, and every other sensor's image is searched, or decoded, too. `depth_encoding` is
+    /// what the device states of depth. A sensor whose image is damaged is left out.
     pub(super) fn observe_all(
         &mut self,
         seen: &mut SeenFrame,
         board: &Target,
-        unit_m: Option<f64>,
+        depth_encoding: Option<DepthEncoding>,
     ) {
         let frame_set = Arc::clone(&seen.frame_set);
         if seen.detection.tracked {
@@ -81,14 +82,14 @@ impl BoardSearch {
         seen.sensors = vec![SensorObservation {
             sensor: searched.sensor,
             image_size: searched.size,
-            unit_m: None,
+            depth_encoding: None,
             detection: None,
             depth: None,
             image: image_of(searched).unwrap_or_else(no_image),
         }];
         let others = frame_set.frames.iter().filter(|frame| frame.sensor != searched.sensor);
         for frame in others {
-            let observed = guarded(|| self.observe_sensor(frame, board, unit_m));
+            let observed = guarded(|| self.observe_sensor(frame, board, depth_encoding));
             match observed {
                 Ok(observed) => seen.sensors.extend(observed),
                 Err(fault) => {
@@ -103,7 +104,7 @@ impl BoardSearch {
         &mut self,
         frame: &Frame,
         board: &Target,
-        unit_m: Option<f64>,
+        depth_encoding: Option<DepthEncoding>,
     ) -> Option<SensorObservation> {
         let sensor = frame.sensor;
         if sensor == SensorKind::Depth {
@@ -113,7 +114,7 @@ impl BoardSearch {
             return Some(SensorObservation {
                 sensor,
                 image_size,
-                unit_m,
+                depth_encoding,
                 detection: None,
                 depth,
                 image,
@@ -124,7 +125,7 @@ impl BoardSearch {
         Some(SensorObservation {
             sensor,
             image_size: frame.size,
-            unit_m: None,
+            depth_encoding: None,
             detection: found.ok().map(|found| found.detection),
             depth: None,
             image,

@@ -5,17 +5,13 @@ use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
 use crate::estimation::problem::Correspondence;
-use crate::geometry::depth_camera::DepthReading;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::auxiliary::{AuxiliaryView, AuxiliaryViews};
 use crate::pipeline::solve_job::SolveJob;
-
-/// Depth in whole millimeters, as ROS has it (REP 118) and most devices, where nobody states
-/// another unit.
-const ORDINARY_UNIT_M: f64 = 0.001;
 
 /// The problem of a session; `stated` is what each camera's device states of its depth sensor.
 pub(super) fn solve_job(
@@ -118,10 +114,11 @@ impl<'a> CameraSeen<'a> {
     fn depth_sensor(&self, size: ImageSize, stated: Option<&FactorySensor>) -> DepthSensor {
         let mut of_depth = SensorKind::ALL.into_iter().filter(|kind| kind.is_of_depth());
         let infrared = of_depth.find_map(|kind| self.all(kind).next());
-        let unit_m = self.all(SensorKind::Depth).find_map(|view| view.unit_m);
+        let encoding = self.all(SensorKind::Depth).find_map(|view| view.depth_encoding);
+        let encoding = encoding.unwrap_or(DepthEncoding::ORDINARY);
         DepthSensor {
-            reading: Some(DepthReading::Metric { unit_m: unit_m.unwrap_or(ORDINARY_UNIT_M) }),
-            invalid: Some(0),
+            reading: encoding.reading,
+            invalid: encoding.invalid,
             factory: stated.filter(|stated| stated.image_size == size).and_then(|stated| {
                 let depth_from_color = stated.color_from_sensor?.inverse();
                 Some((stated.lens?, depth_from_color))

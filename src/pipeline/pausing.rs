@@ -82,7 +82,7 @@ impl SessionThread {
                     sensor: sensor(kind),
                     number: is_searched.then_some(place.number),
                     frame: FrameFacts { image_size, ..view.frame.clone() },
-                    unit_m: observation.unit_m,
+                    depth_encoding: observation.depth_encoding,
                     detection,
                 };
                 rows.push((sensor_view, observation.image.clone()));

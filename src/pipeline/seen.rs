@@ -8,6 +8,7 @@ use crate::calibration::session::CameraFrame;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::pipeline::live_frame::{FrameDetection, NoDetection};
@@ -32,8 +33,8 @@ pub(super) struct SeenFrame {
 pub(super) struct SensorObservation {
     pub(super) sensor: SensorKind,
     pub(super) image_size: ImageSize,
-    /// Meters per unit of depth, where the device states it.
-    pub(super) unit_m: Option<f64>,
+    /// What the readings of depth mean, where the device states it.
+    pub(super) depth_encoding: Option<DepthEncoding>,
     /// The board in it, where it was found; the searched sensor's is the frame's.
     pub(super) detection: Option<Detection>,
     pub(super) depth: Option<Arc<DepthImage>>,

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::imaging::image_file::{frame_from_file, is_image};
 use crate::imaging::timestamp::HostTime;
@@ -84,6 +85,13 @@ impl Folder {
     /// Starts again at the first.
     pub fn rewind(&mut self) {
         self.next = 0;
+    }
+
+    /// The size of a sensor's first image; `None` without one that can be read.
+    pub fn image_size(&self, sensor: SensorKind) -> Option<ImageSize> {
+        let mut files = self.frame_sets.iter().flat_map(|frame_set| &frame_set.files);
+        let (_, path) = files.find(|(kind, _)| *kind == sensor)?;
+        Some(frame_from_file(sensor, fs::read(path).ok()?).size)
     }
 
     /// How many frame sets there are.

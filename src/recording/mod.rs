@@ -30,8 +30,9 @@ pub use natural_order::natural_order;
 pub use repair::{RepairedRecording, repair};
 pub use ros2_writer::Ros2Writer;
 
+use crate::geometry::pixel::ImageSize;
 use crate::imaging::factory::FactoryCalibration;
-use crate::imaging::frame::FrameSet;
+use crate::imaging::frame::{FrameSet, SensorKind};
 
 /// How to read a recording.
 #[derive(Debug, Clone, PartialEq)]
@@ -111,6 +112,14 @@ impl Recording {
             Self::Folder(folder) => Some(folder.frame_set_count()),
             Self::Mcap(file) => file.frame_set_count(),
             Self::Bag(_) => None,
+        }
+    }
+
+    /// The size of a folder's first image of a sensor; `None` for files, whose frames state theirs.
+    pub fn image_size(&self, sensor: SensorKind) -> Option<ImageSize> {
+        match self {
+            Self::Folder(folder) => folder.image_size(sensor),
+            Self::Mcap(_) | Self::Bag(_) => None,
         }
     }
 

@@ -77,7 +77,7 @@ pub(super) fn record(id: &str) -> SessionRecord {
 pub(super) fn numbered(view: &View, frame_set: u32, sensor: SensorId) -> SensorView {
     let detection = Some(view.detection.clone());
     let (number, frame) = (Some(view.number), view.frame.clone());
-    SensorView { frame_set, sensor, number, frame, unit_m: None, detection }
+    SensorView { frame_set, sensor, number, frame, depth_encoding: None, detection }
 }
 
 /// Keeps `view` of an instrument that is one camera.

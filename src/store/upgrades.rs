@@ -15,6 +15,7 @@ const UPGRADES: &[&str] = &[
     include_str!("upgrades/004.sql"),
     include_str!("upgrades/005.sql"),
     include_str!("upgrades/006.sql"),
+    include_str!("upgrades/007.sql"),
 ];
 
 /// Marks the file as Plumb's: "Plmb" in ASCII.
@@ -128,20 +129,26 @@ fn upgrade(connection: &mut Connection, found: i64) -> Result<(), rusqlite::Erro
 mod tests {
     use super::*;
     use crate::calibration::sensor::SensorId;
+    use crate::imaging::depth_encoding::DepthEncoding;
     use crate::imaging::frame::SensorKind;
     use crate::store::example_tests::{calibration, keep, numbered, record, view, views};
     use crate::store::{Picture, SensorView, Store};
 
+    /// The views of version 6.
+    const VIEWS_WITH_UNITS: &str = "INSERT INTO older.views SELECT session, frame_set, camera, sensor, number, sequence,
+        name, host_time_ns, device_time_ns, width, height, depth_encoding ->> 'unit_m', detection, media_type, picture,
+        NULL, NULL FROM main.views";
     /// The views of version 5.
     const VIEWS_UNCHECKED: &str = "INSERT INTO older.views SELECT session, frame_set, camera, sensor, number, sequence,
-        name, host_time_ns, device_time_ns, width, height, unit_m, detection, media_type, picture FROM main.views";
+        name, host_time_ns, device_time_ns, width, height, depth_encoding ->> 'unit_m', detection, media_type, picture
+        FROM main.views";
     /// The views of versions 1 to 4.
     const OLD_VIEWS: &str = "INSERT INTO older.views SELECT session, number, sequence, name, host_time_ns, device_time_ns,
         width, height, detection, media_type, picture FROM main.views WHERE number IS NOT NULL";
     /// The depth and infrared of versions 3 and 4.
     const OLD_AUXILIARY: &str =
-        "INSERT INTO older.companions SELECT session, frame_set, sensor, width, height, unit_m,
-        detection, media_type, picture FROM main.views WHERE number IS NULL";
+        "INSERT INTO older.companions SELECT session, frame_set, sensor, width, height,
+        depth_encoding ->> 'unit_m', detection, media_type, picture FROM main.views WHERE number IS NULL";
     /// The rigs of version 4.
     const OLD_RIGS: &str =
         "INSERT INTO older.rig_views SELECT session, number, camera, frame_set FROM main.views
@@ -160,7 +167,7 @@ mod tests {
         let picture = Picture { media_type: "image/png".to_owned(), bytes: vec![5; 5] };
         let depth = SensorView {
             number: None,
-            unit_m: Some(0.1 / 3.0),
+            depth_encoding: Some(DepthEncoding::metric(0.1 / 3.0)),
             detection: None,
             ..numbered(&view(0), 0, SensorId::own(SensorKind::Depth))
         };
@@ -190,11 +197,13 @@ mod tests {
             ("calibrations", "id, camera, session, created_at_ns, document"),
         ];
         for (table, columns) in tables {
-            let copy = format!("INSERT INTO older.{table} SELECT {columns} FROM main.{table}");
+            let copy =
+                format!("INSERT INTO older.{table} ({columns}) SELECT {columns} FROM main.{table}");
             newest.execute_batch(&copy).unwrap();
         }
         let copies: &[(usize, &str)] = match version {
-            5.. => &[(5, VIEWS_UNCHECKED)],
+            6.. => &[(6, VIEWS_WITH_UNITS)],
+            5 => &[(5, VIEWS_UNCHECKED)],
             _ => &[(1, OLD_VIEWS), (3, OLD_AUXILIARY), (4, OLD_RIGS)],
         };
         for (_, copy) in copies.iter().filter(|(first, _)| version >= *first) {

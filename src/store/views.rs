@@ -1,6 +1,5 @@
 //! The table of views: what each sensor gave in a frame set that a session kept, with its picture.
 
-use rusqlite::types::Value;
 use rusqlite::{Connection, Row, params};
 
 use crate::calibration::sensor::SensorId;
@@ -8,8 +7,10 @@ use crate::calibration::session::KeptView;
 use crate::calibration::session_record::SessionRecord;
 use crate::calibration::view::{FrameFacts, View};
 use crate::detection::board_detection::Detection;
+use crate::document::depth_encoding::DepthEncodingDocument;
 use crate::document::detection::DetectionDocument;
 use crate::geometry::pixel::ImageSize;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::frame::SensorKind;
 use crate::store::database::Store;
 use crate::store::error::StoreError;
@@ -36,8 +37,8 @@ pub struct SensorView {
     pub number: Option<u32>,
     /// The frame, with the size of this sensor's image.
     pub frame: FrameFacts,
-    /// Meters per unit of depth, where the device states it.
-    pub unit_m: Option<f64>,
+    /// What the readings of depth mean, where the device states it.
+    pub depth_encoding: Option<DepthEncoding>,
     /// The board in it, where it was found.
     pub detection: Option<Detection>,
 }
@@ -65,8 +66,8 @@ impl Store {
         record: &SessionRecord,
         views: &[(SensorView, Picture)],
     ) -> Result<(), StoreError> {
-        let stored = |(view, _): &(SensorView, Picture)| detection_column(&record.id, view);
-        let detections = views.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
+        let stored = |(view, _): &(SensorView, Picture)| StoredView::of(&record.id, view);
+        let rows = views.iter().map(stored).collect::<Result<Vec<_>, _>>()?;
         let session = sessions::document(record)?;
         self.has_room(views.iter().map(|(_, picture)| picture.bytes.len() as u64).sum())?;
         let mut connection = self.connection();
@@ -74,8 +75,8 @@ impl Store {
             let transaction = connection.transaction()?;
             let updated = sessions::update_session(&transaction, record, &session)?;
             if updated > 0 {
-                for ((view, picture), detection) in views.iter().zip(&detections) {
-                    insert_view(&transaction, &record.id, (view, picture, detection))?;
+                for ((_, picture), row) in views.iter().zip(&rows) {
+                    row.insert(&transaction, picture)?;
                 }
                 transaction.commit()?;
             }
@@ -139,7 +140,7 @@ impl Store {
 /// A view without its picture.
 const FACTS: &str =
     "session, frame_set, camera, sensor, number, sequence, name, host_time_ns, device_time_ns,
-    width, height, unit_m, detection";
+    width, height, unit_m, detection, depth_encoding";
 
 struct StoredPicture {
     picture: Picture,
@@ -177,60 +178,6 @@ fn row_name(session_id: &str, frame_set: u32, sensor: &str) -> String {
     format!("{sensor} in frame set {frame_set} of session {session_id}")
 }
 
-fn detection_column(session_id: &str, view: &SensorView) -> Result<Value, StoreError> {
-    let Some(detection) = &view.detection else { return Ok(Value::Null) };
-    let document = DetectionDocument::from(detection);
-    let row = || row_name(session_id, view.frame_set, view.sensor.kind.name());
-    json::write(&document, row).map(Value::Text)
-}
-
-fn insert_view(
-    connection: &Connection,
-    session_id: &str,
-    (view, picture, detection): (&SensorView, &Picture, &Value),
-) -> Result<usize, rusqlite::Error> {
-    let frame = &view.frame;
-    let stored = StoredView {
-        session: session_id.to_owned(),
-        camera: camera_column(&view.sensor).to_owned(),
-        sensor: view.sensor.kind.name().to_owned(),
-        frame_set: view.frame_set,
-        number: view.number,
-        frame: frame.clone(),
-        unit_m: view.unit_m,
-        detection: match detection {
-            Value::Text(text) => Some(text.clone()),
-            _ => None,
-        },
-        checksum: None,
-    };
-    let row = params![
-        session_id,
-        view.frame_set,
-        stored.camera,
-        stored.sensor,
-        view.number,
-        // SQLite has no unsigned integers: the bits are kept.
-        frame.sequence as i64,
-        frame.name,
-        frame.host_time_ns,
-        frame.device_time_ns,
-        frame.image_size.width,
-        frame.image_size.height,
-        view.unit_m,
-        detection,
-        picture.media_type,
-        picture.bytes,
-        stored.computed_checksum(),
-        picture_checksum(picture)
-    ];
-    let sql = format!(
-        "INSERT INTO views ({FACTS}, media_type, picture, checksum, picture_checksum)
-        VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17)"
-    );
-    connection.execute(&sql, row)
-}
-
 /// A view as its columns have it, without its picture.
 struct StoredView {
     session: String,
@@ -239,12 +186,63 @@ struct StoredView {
     frame_set: u32,
     number: Option<u32>,
     frame: FrameFacts,
+    /// Of rows of older stores, in place of `depth_encoding`.
     unit_m: Option<f64>,
     detection: Option<String>,
+    depth_encoding: Option<String>,
     checksum: Option<u32>,
 }
 
 impl StoredView {
+    fn of(session_id: &str, view: &SensorView) -> Result<Self, StoreError> {
+        let sensor = view.sensor.kind.name();
+        let row = || row_name(session_id, view.frame_set, sensor);
+        let detection = view.detection.as_ref().map(DetectionDocument::from);
+        let encoding = view.depth_encoding.as_ref().map(DepthEncodingDocument::from);
+        Ok(Self {
+            session: session_id.to_owned(),
+            camera: camera_column(&view.sensor).to_owned(),
+            sensor: sensor.to_owned(),
+            frame_set: view.frame_set,
+            number: view.number,
+            frame: view.frame.clone(),
+            unit_m: None,
+            detection: detection.map(|document| json::write(&document, row)).transpose()?,
+            depth_encoding: encoding.map(|document| json::write(&document, row)).transpose()?,
+            checksum: None,
+        })
+    }
+
+    fn insert(&self, connection: &Connection, picture: &Picture) -> Result<usize, rusqlite::Error> {
+        let frame = &self.frame;
+        let row = params![
+            self.session,
+            self.frame_set,
+            self.camera,
+            self.sensor,
+            self.number,
+            // SQLite has no unsigned integers: the bits are kept.
+            frame.sequence as i64,
+            frame.name,
+            frame.host_time_ns,
+            frame.device_time_ns,
+            frame.image_size.width,
+            frame.image_size.height,
+            self.unit_m,
+            self.detection,
+            self.depth_encoding,
+            picture.media_type,
+            picture.bytes,
+            self.computed_checksum(),
+            picture_checksum(picture)
+        ];
+        let sql = format!(
+            "INSERT INTO views ({FACTS}, media_type, picture, checksum, picture_checksum)
+            VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18)"
+        );
+        connection.execute(&sql, row)
+    }
+
     fn from_row(row: &Row<'_>) -> Result<Self, rusqlite::Error> {
         let frame = FrameFacts {
             sequence: row.get::<_, i64>(5)? as u64,
@@ -262,7 +260,8 @@ impl StoredView {
             frame,
             unit_m: row.get(11)?,
             detection: row.get(12)?,
-            checksum: row.get(13)?,
+            depth_encoding: row.get(13)?,
+            checksum: row.get(14)?,
         })
     }
 
@@ -277,25 +276,33 @@ impl StoredView {
             self.unit_m.map(f64::to_bits)
         );
         let detection = self.detection.as_deref().unwrap_or_default();
-        let texts = [&self.session, &self.camera, &self.sensor, &numbers, detection];
-        checksum::of_columns(&texts.map(str::as_bytes))
+        let mut texts = vec![&self.session, &self.camera, &self.sensor, &numbers, detection];
+        // Rows of older stores are without it, and so are their checksums.
+        texts.extend(self.depth_encoding.as_deref());
+        let columns: Vec<&[u8]> = texts.into_iter().map(str::as_bytes).collect();
+        checksum::of_columns(&columns)
     }
 
     fn into_view(self, session_id: &str) -> Result<SensorView, StoreError> {
         let computed = self.computed_checksum();
-        let Self { camera, sensor, frame_set, number, frame, unit_m, detection, checksum, .. } =
-            self;
+        let Self { camera, sensor, frame_set, number, frame, checksum, .. } = self;
         let row = || row_name(session_id, frame_set, &sensor);
         checksum::check(checksum, computed, row)?;
         let unreadable = |detail: String| StoreError::Unreadable { row: row(), detail };
         let kind = SensorKind::from_name(&sensor)
             .ok_or_else(|| unreadable("no such sensor".to_owned()))?;
         let document: Option<DetectionDocument> =
-            detection.map(|text| json::read(&text, row)).transpose()?;
+            self.detection.map(|text| json::read(&text, row)).transpose()?;
         let detection = document.map(|document| Detection::try_from(&document)).transpose();
         let detection = detection.map_err(|e| unreadable(e.to_string()))?;
+        let document: Option<DepthEncodingDocument> =
+            self.depth_encoding.map(|text| json::read(&text, row)).transpose()?;
+        let encoding = document.map(|document| DepthEncoding::try_from(&document)).transpose();
+        let depth_encoding = encoding
+            .map_err(|e| unreadable(e.to_string()))?
+            .or_else(|| self.unit_m.map(DepthEncoding::metric));
         let sensor = SensorId { camera: (!camera.is_empty()).then_some(camera), kind };
-        Ok(SensorView { frame_set, sensor, number, frame, unit_m, detection })
+        Ok(SensorView { frame_set, sensor, number, frame, depth_encoding, detection })
     }
 }
 
@@ -334,7 +341,7 @@ mod tests {
             let depth = SensorView {
                 sensor: SensorId::of(camera, SensorKind::Depth),
                 number: None,
-                unit_m: Some(0.1 / 3.0),
+                depth_encoding: Some(DepthEncoding::metric(0.1 / 3.0)),
                 detection: None,
                 ..color.clone()
             };

@@ -26,6 +26,7 @@ use plumb::capture::realsense::{Origin, RealsenseCamera, RealsenseOptions, list_
 use plumb::capture::{CaptureError, FrameSource, SourceOpener};
 use plumb::geometry::lens::LensModel;
 use plumb::imaging::decode;
+use plumb::imaging::depth_encoding::DepthEncoding;
 use plumb::imaging::depth_image::DepthImage;
 use plumb::imaging::frame::{FrameSet, SensorKind};
 use plumb::imaging::gray::GrayImage;
@@ -62,7 +63,7 @@ fn a_recording_gives_its_factory_calibration_as_the_file_states_it() {
         "{description:?}"
     );
     let depth = description.factory.sensor(SensorKind::Depth).unwrap();
-    assert_eq!(depth.depth_unit_m, Some(0.001));
+    assert_eq!(description.factory.depth_encoding, Some(DepthEncoding::metric(0.001)));
     let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
     assert!(
         near(depth.stated.focal_px[0], 390.43145752)

@@ -22,6 +22,7 @@ mod program;
 mod properties;
 mod recordings;
 mod rgbd_bent;
+mod rgbd_disparity;
 mod rgbd_rig;
 mod rgbd_session;
 mod rgbd_wrong;

@@ -10,6 +10,7 @@ use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Distortion, Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
 use crate::imaging::frame::SensorKind;
 
@@ -36,19 +37,18 @@ pub(super) fn factory_calibration(
     let stated = streams.iter().filter_map(|stream| {
         let sensor = sensor_of(stream)?;
         let intrinsics = stream.intrinsics().ok()?;
-        let depth_unit_m = depth_unit.filter(|_| sensor == SensorKind::Depth).map(decimal);
         Some(FactorySensor {
             sensor,
             image_size: ImageSize::new(intrinsics.width() as u32, intrinsics.height() as u32),
             lens: lens_of(&intrinsics),
             stated: stated_lens(&intrinsics),
             color_from_sensor: color.and_then(|color| color_from(stream, color)),
-            depth_unit_m,
         })
     });
     let mut sensors: Vec<FactorySensor> = stated.collect();
     sensors.sort_by_key(|stated| stated.sensor);
-    FactoryCalibration { sensors }
+    let depth_encoding = depth_unit.map(|unit_m| DepthEncoding::metric(decimal(unit_m)));
+    FactoryCalibration { sensors, depth_encoding }
 }
 
 /// A single-precision number by its shortest decimal form: 0.001, not 0.0010000000474974513.

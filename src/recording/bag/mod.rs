@@ -20,6 +20,7 @@ pub(super) use folder::{holds_bag, is_bag_file};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::{FactoryCalibration, FactorySensor};
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
@@ -29,8 +30,6 @@ use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic};
 use crate::recording::bag::topics::{CameraTopics, Role};
 use crate::recording::bag::transforms::FrameTree;
 
-/// Meters per unit of a ROS depth image (REP 118).
-const DEPTH_UNIT_M: f64 = 0.001;
 /// How many messages are searched for what a camera states of itself: drivers send camera_info
 /// with every image and transforms at the start.
 const STATED_WITHIN: usize = 500;
@@ -204,9 +203,11 @@ impl BagReader {
                 stated: info.stated()?,
                 lens: info.lens(),
                 color_from_sensor,
-                depth_unit_m: (sensor == SensorKind::Depth).then_some(DEPTH_UNIT_M),
             })
         });
-        Ok(FactoryCalibration { sensors: sensors.collect() })
+        let sensors: Vec<FactorySensor> = sensors.collect();
+        let of_depth = sensors.iter().find(|stated| stated.sensor == SensorKind::Depth);
+        let depth_encoding = of_depth.map(|_| DepthEncoding::ORDINARY);
+        Ok(FactoryCalibration { sensors, depth_encoding })
     }
 }
