@@ -6,7 +6,9 @@
 VENV := target/venv
 PACKAGES := tests/setup/system-packages
 # The one build of all tests, and of the binary they run: a plain `cargo build` would take other features and build it again.
-TESTED := cargo test --lib --bins --tests
+# ROS 2 is tested too, although it is not built unless asked for.
+FEATURES := --features ros2
+TESTED := cargo test $(FEATURES) --lib --bins --tests
 
 build:
 	$(PACKAGES) build
@@ -25,17 +27,17 @@ rust-test:
 	$(PACKAGES) build test
 	$(TESTED) --no-run
 	timeout --kill-after=10 1200 $(TESTED)
-	timeout --kill-after=10 300 cargo test --doc
+	timeout --kill-after=10 300 cargo test $(FEATURES) --doc
 
 # Each example, built and run; `tests/python/test_client.py` runs the one in Python.
 examples:
 	$(PACKAGES) build
-	cargo build --examples
-	timeout --kill-after=10 60 cargo run --quiet --example find_board -- examples/board.jpg 9x6
-	timeout --kill-after=10 60 cargo run --quiet --example solve_correspondences
-	timeout --kill-after=10 60 cargo run --quiet --example frame_source
+	cargo build $(FEATURES) --examples
+	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example find_board -- examples/board.jpg 9x6
+	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example solve_correspondences
+	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example frame_source
 
-# What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings.
+# What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings, DDS.
 python-test: $(VENV)/installed
 	$(TESTED) --no-run
 	PLUMB=target/debug/plumb timeout --kill-after=10 300 $(VENV)/bin/python -m pytest -q tests/python
@@ -47,8 +49,8 @@ page-test: $(VENV)/installed
 
 # Real cameras: a small machine with a real V4L2 stack. Says so where none can be made.
 device-test: $(VENV)/installed
-	cargo test --test device --no-run
-	timeout --kill-after=10 600 cargo test --test device
+	cargo test $(FEATURES) --test device --no-run
+	timeout --kill-after=10 600 cargo test $(FEATURES) --test device
 
 # The RealSense library itself, on recordings: a real one, and one that it makes.
 realsense-test: $(VENV)/installed
@@ -72,8 +74,8 @@ deb:
 lint:
 	$(PACKAGES) build
 	cargo fmt --check
-	cargo clippy --all-targets -- -D warnings
-	RUSTDOCFLAGS=-Dwarnings cargo doc --no-deps
+	cargo clippy $(FEATURES) --all-targets -- -D warnings
+	RUSTDOCFLAGS=-Dwarnings cargo doc $(FEATURES) --no-deps
 
 # Licences, advisories, bans and sources of all dependencies; installs cargo-deny, which takes minutes.
 audit:

@@ -16,7 +16,8 @@
 //! | [`calibration`] | sessions, admission, coverage, verdicts | geometry, imaging, estimation, detection, features |
 //! | [`simulation`] | a rendered world with exact truth | geometry, imaging |
 //! | [`recording`] | frames on disk | geometry, imaging |
-//! | [`capture`] | where frames come from | geometry, imaging, recording, simulation |
+//! | `dds` | DDS, as ROS 2 uses it: a domain's topics and services | nothing |
+//! | [`capture`] | where frames come from | dds, geometry, imaging, recording, simulation |
 //! | [`document`] | the contract's documents: one schema for CLI, HTTP and store | geometry, imaging, detection, estimation, calibration |
 //! | [`export`] | other programs' formats | geometry, imaging, calibration, document |
 //! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
@@ -121,6 +122,8 @@ pub mod capture;
 pub mod cli;
 pub mod config;
 pub mod daemon;
+#[cfg(feature = "ros2")]
+pub mod dds;
 pub mod detection;
 pub mod document;
 pub mod estimation;

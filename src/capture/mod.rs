@@ -1,4 +1,4 @@
-//! Sources of frames: one trait, and one file for each kind of source. Uses geometry, imaging,
+//! Sources of frames: one trait, and one file for each kind of source. Uses dds, geometry, imaging,
 //! recording and simulation.
 //!
 //! Its one operation is [`FrameSource::next_frame`]: a blocking call with a timeout, made from one
@@ -13,6 +13,8 @@ mod host_clock;
 pub mod mode;
 pub mod realsense;
 mod replay;
+#[cfg(feature = "ros2")]
+pub mod ros2;
 mod simulated;
 pub mod uvc;
 #[cfg(target_os = "linux")]

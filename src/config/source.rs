@@ -5,6 +5,7 @@
 //! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
 //! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
 //! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
+//! | `ros2` | `topic` of images, raw or compressed; `depth`, the topic of their depth (default: none); `domain_id` (default: `ROS_DOMAIN_ID`, or 0) |
 //! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder without times, default 10) |
 //! | `simulator` | `seed` (default 1), `seat` (which camera of a simulated rig, from 0; none unless given), `width` and `height` (default 640 × 480), `fps` (default 30), `operator` (`"follows"` what a session asks for, `"wanders"`, `"bars"`, or `"walk"`, the default), `pace` (`"recorded"`, the default, or `"fastest"`) |
 
@@ -57,6 +58,15 @@ pub enum SourceConfig {
         /// The .bag file.
         path: PathBuf,
     },
+    /// A camera that a ROS 2 driver owns.
+    Ros2 {
+        /// The topic of its images, raw or compressed.
+        topic: String,
+        /// The topic of their depth.
+        depth: Option<String>,
+        /// The DDS domain; `None` takes the environment's.
+        domain_id: Option<u16>,
+    },
     /// Frames on disk.
     Recording {
         /// An MCAP file, a ROS bag or a folder of images.
@@ -92,7 +102,10 @@ impl SourceConfig {
     /// Whether its silence means that the device is lost; frames on disk and rendered ones come
     /// when they come.
     pub fn may_stall(&self) -> bool {
-        matches!(self, Self::V4l2 { .. } | Self::Uvc { .. } | Self::Realsense { .. })
+        matches!(
+            self,
+            Self::V4l2 { .. } | Self::Uvc { .. } | Self::Realsense { .. } | Self::Ros2 { .. }
+        )
     }
 
     /// The name of its kind.
@@ -101,6 +114,7 @@ impl SourceConfig {
             Self::V4l2 { .. } => "v4l2",
             Self::Uvc { .. } => "uvc",
             Self::Realsense { .. } | Self::RealsenseBag { .. } => "realsense",
+            Self::Ros2 { .. } => "ros2",
             Self::Recording { .. } => "recording",
             Self::Simulator { .. } => "simulator",
         }
@@ -128,6 +142,7 @@ pub(crate) struct WrittenSource {
     path: Option<Spanned<PathBuf>>,
     topic: Option<Spanned<String>>,
     depth: Option<Spanned<String>>,
+    domain_id: Option<Spanned<u16>>,
     pace: Option<Spanned<String>>,
     repeat: Option<Spanned<bool>>,
     seed: Option<Spanned<u64>>,
@@ -143,7 +158,7 @@ pub(crate) struct WrittenSource {
     emitter: Option<Spanned<bool>>,
 }
 
-const KINDS: &str = "write one of v4l2, uvc, realsense, recording, simulator";
+const KINDS: &str = "write one of v4l2, uvc, realsense, ros2, recording, simulator";
 /// No camera sees more; a larger size is a slip of the keyboard.
 const LARGEST_SIDE: u32 = 16_384;
 /// An image every 17 minutes: seldomer ones make a session hopeless, and times between them
@@ -151,6 +166,8 @@ const LARGEST_SIDE: u32 = 16_384;
 const LOWEST_FPS: f64 = 0.001;
 const HIGHEST_FPS: f64 = 1000.0;
 const FOLDER_FPS: f64 = 10.0;
+/// RTPS has no ports for more domains (OMG DDSI-RTPS 2.5, 9.6.2.3).
+const LAST_DOMAIN: u16 = 232;
 /// The last camera of a simulated rig.
 const LAST_SEAT: u32 = 7;
 const SIMULATOR_FPS: f64 = 30.0;
@@ -183,6 +200,7 @@ impl WrittenSource {
                 })
             }
             "realsense" => self.realsense(place),
+            "ros2" => self.ros2(span, place),
             "recording" => self.recording(span, place),
             "simulator" => {
                 let keys = ["seed", "seat", "width", "height", "fps", "operator", "pace"];
@@ -206,6 +224,27 @@ impl WrittenSource {
                 format!("`{other}` is no kind; {KINDS}"),
             )),
         }
+    }
+
+    fn ros2(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
+        self.takes_only(&["topic", "depth", "domain_id"], place)?;
+        self.needed("topic", self.topic.as_ref(), span, place)?;
+        for (key, topic) in [("topic", &self.topic), ("depth", &self.depth)] {
+            if let Some(topic) = topic.as_ref().filter(|topic| !is_topic(topic.get_ref())) {
+                let problem = format!(
+                    "`{}` is no topic; write it as `ros2 topic list` does, as in /front/image_raw",
+                    topic.get_ref()
+                );
+                return Err(place.refuse(&topic.span(), &format!("camera.source.{key}"), problem));
+            }
+        }
+        check_domain("camera.source.domain_id", self.domain_id.as_ref(), place)?;
+        let text = |topic: &Option<Spanned<String>>| topic.as_ref().map(|t| t.get_ref().clone());
+        Ok(SourceConfig::Ros2 {
+            topic: text(&self.topic).unwrap_or_default(),
+            depth: text(&self.depth),
+            domain_id: self.domain_id.as_ref().map(|id| *id.get_ref()),
+        })
     }
 
     fn recording(&self, span: &Range<usize>, place: &Place) -> Result<SourceConfig, ConfigError> {
@@ -388,6 +427,7 @@ impl WrittenSource {
             ("path", self.path.as_ref().map(Spanned::span)),
             ("topic", self.topic.as_ref().map(Spanned::span)),
             ("depth", self.depth.as_ref().map(Spanned::span)),
+            ("domain_id", self.domain_id.as_ref().map(Spanned::span)),
             ("pace", self.pace.as_ref().map(Spanned::span)),
             ("repeat", self.repeat.as_ref().map(Spanned::span)),
             ("seed", self.seed.as_ref().map(Spanned::span)),
@@ -411,6 +451,30 @@ impl WrittenSource {
             }
         }
         Ok(())
+    }
+}
+
+/// Whether `name` can be a topic's: absolute, of letters, digits and `_`, without empty parts.
+fn is_topic(name: &str) -> bool {
+    let is_part = |part: &str| {
+        part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+            && part.chars().next().is_some_and(|c| !c.is_ascii_digit())
+    };
+    name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_part))
+}
+
+/// Refuses a domain that DDS has no ports for.
+pub(super) fn check_domain(
+    key: &str,
+    id: Option<&Spanned<u16>>,
+    place: &Place,
+) -> Result<(), ConfigError> {
+    match id {
+        Some(id) if *id.get_ref() > LAST_DOMAIN => {
+            let problem = format!("{} is no domain; write 0 to {LAST_DOMAIN}", id.get_ref());
+            Err(place.refuse(&id.span(), key, problem))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -460,6 +524,13 @@ mod tests {
         assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording(&[])));
         let of_bag = "{ kind = \"recording\", path = \"/\", topic = \"/a\", depth = \"/b\" }";
         assert_eq!(source(of_bag), Ok(recording(&["/a", "/b"])));
+        let ros2 = SourceConfig::Ros2 {
+            topic: "/front/image_raw".to_owned(),
+            depth: Some("/front/depth/image_rect_raw".to_owned()),
+            domain_id: Some(7),
+        };
+        let of_driver = "{ kind = \"ros2\", topic = \"/front/image_raw\", depth = \"/front/depth/image_rect_raw\", domain_id = 7 }";
+        assert_eq!(source(of_driver), Ok(ros2));
         let realsense =
             |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
         assert_eq!(
@@ -534,6 +605,15 @@ mod tests {
             (
                 "{ kind = \"simulator\", operator = \"sleeps\" }",
                 "camera.source.operator: `sleeps` is no operator; write follows",
+            ),
+            ("{ kind = \"ros2\" }", "camera.source.topic: missing"),
+            (
+                "{ kind = \"ros2\", topic = \"front\" }",
+                "camera.source.topic: `front` is no topic; write it as",
+            ),
+            (
+                "{ kind = \"ros2\", topic = \"/a\", domain_id = 233 }",
+                "camera.source.domain_id: 233 is no domain; write 0 to 232",
             ),
             ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
             (

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use crate::capture::realsense::{self, Origin};
+#[cfg(feature = "ros2")]
+use crate::capture::ros2::{Ros2Camera, Ros2Options};
 use crate::capture::uvc;
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
@@ -11,6 +13,8 @@ use crate::capture::{
 };
 use crate::config::source::UvcSelector;
 use crate::config::{CameraConfig, RigConfig, SourceConfig};
+#[cfg(feature = "ros2")]
+use crate::dds::Domain;
 use crate::document::error::DocumentError;
 use crate::document::sensors_file::{FILE_NAME, SensorsFile};
 use crate::pipeline::{CameraPlan, RigPlan};
@@ -68,6 +72,13 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
             };
             Box::new(uvc::UvcCamera::new(uvc::UvcOptions { selector, mode }))
         }
+        #[cfg(feature = "ros2")]
+        SourceConfig::Ros2 { topic, depth, domain_id } => {
+            let domain = Domain::of_environment(domain_id);
+            Box::new(Ros2Camera::new(Ros2Options { domain, topic, depth }))
+        }
+        #[cfg(not(feature = "ros2"))]
+        SourceConfig::Ros2 { .. } => not_built("ROS 2; build it with --features ros2"),
         SourceConfig::Realsense { serial, mode, settings } => {
             let origin = serial.map_or(Origin::OnlyDevice, Origin::Serial);
             Box::new(realsense::RealsenseCamera::new(realsense::RealsenseOptions {
@@ -98,7 +109,7 @@ fn open_recording(
     Ok(Box::new(replay.stating(factory)))
 }
 
-#[cfg(not(target_os = "linux"))]
+#[cfg(not(all(target_os = "linux", feature = "ros2")))]
 fn not_built(kind: &'static str) -> Box<dyn SourceOpener> {
     Box::new(move || {
         Err(CaptureError::Failed { reason: format!("this plumb was built without {kind}") })

@@ -21,7 +21,7 @@ mod unpack;
 
 use std::path::Path;
 
-pub use bag::BagReader;
+pub use bag::{BagReader, CameraMessages};
 pub use error::RecordingError;
 pub use folder::Folder;
 pub use mcap_reader::{McapReader, metadata};

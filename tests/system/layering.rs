@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 /// Each layer and the layers it may use, bottom to top.
 const LAYERS: &[(&str, &[&str])] = &[
     ("geometry", &[]),
+    ("dds", &[]),
     ("imaging", &["geometry"]),
     ("detection", &["geometry", "imaging"]),
     ("features", &["geometry", "imaging"]),
@@ -13,7 +14,7 @@ const LAYERS: &[(&str, &[&str])] = &[
     ("calibration", &["geometry", "imaging", "estimation", "detection", "features"]),
     ("simulation", &["geometry", "imaging"]),
     ("recording", &["geometry", "imaging"]),
-    ("capture", &["geometry", "imaging", "recording", "simulation"]),
+    ("capture", &["dds", "geometry", "imaging", "recording", "simulation"]),
     ("document", &["geometry", "imaging", "detection", "estimation", "calibration"]),
     ("export", &["geometry", "imaging", "calibration", "document"]),
     ("store", &["geometry", "imaging", "detection", "calibration", "document"]),

@@ -5,6 +5,7 @@
 //! its `header.stamp`, and frames of one camera with equal stamps are one frame set.
 
 mod camera_info;
+mod camera_messages;
 mod folder;
 mod images;
 mod mcap_storage;
@@ -15,6 +16,7 @@ mod storage;
 mod topics;
 mod transforms;
 
+pub use camera_messages::CameraMessages;
 pub(super) use folder::{holds_bag, is_bag_file};
 
 use std::collections::BTreeMap;
@@ -192,22 +194,31 @@ impl BagReader {
                 }
             }
         }
-        let color = frame_ids.get(&SensorKind::Color);
-        let sensors = infos.into_iter().filter_map(|(sensor, info)| {
-            let frame_id = frame_ids.get(&sensor);
-            let color_from_sensor =
-                color.zip(frame_id).and_then(|(color, sensor)| tree.a_from_b(color, sensor));
-            Some(FactorySensor {
-                sensor,
-                image_size: info.image_size,
-                stated: info.stated()?,
-                lens: info.lens(),
-                color_from_sensor,
-            })
-        });
-        let sensors: Vec<FactorySensor> = sensors.collect();
-        let of_depth = sensors.iter().find(|stated| stated.sensor == SensorKind::Depth);
-        let depth_encoding = of_depth.map(|_| DepthEncoding::ORDINARY);
-        Ok(FactoryCalibration { sensors, depth_encoding })
+        Ok(stated(infos, &frame_ids, &tree))
     }
+}
+
+/// What a camera states of itself, from the `camera_info` and frame of each sensor.
+fn stated(
+    infos: BTreeMap<SensorKind, CameraInfo>,
+    frame_ids: &BTreeMap<SensorKind, String>,
+    tree: &FrameTree,
+) -> FactoryCalibration {
+    let color = frame_ids.get(&SensorKind::Color);
+    let sensors = infos.into_iter().filter_map(|(sensor, info)| {
+        let frame_id = frame_ids.get(&sensor);
+        let color_from_sensor =
+            color.zip(frame_id).and_then(|(color, sensor)| tree.a_from_b(color, sensor));
+        Some(FactorySensor {
+            sensor,
+            image_size: info.image_size,
+            stated: info.stated()?,
+            lens: info.lens(),
+            color_from_sensor,
+        })
+    });
+    let sensors: Vec<FactorySensor> = sensors.collect();
+    let of_depth = sensors.iter().find(|stated| stated.sensor == SensorKind::Depth);
+    let depth_encoding = of_depth.map(|_| DepthEncoding::ORDINARY);
+    FactoryCalibration { sensors, depth_encoding }
 }

@@ -151,7 +151,7 @@ pub(super) fn carries_images(topic: &BagTopic) -> bool {
     transport(topic).is_some()
 }
 
-fn transport(topic: &BagTopic) -> Option<Transport> {
+pub(super) fn transport(topic: &BagTopic) -> Option<Transport> {
     match topic.message_type.as_str() {
         "sensor_msgs/Image" => Some(Transport::Raw),
         "sensor_msgs/CompressedImage" if topic.name.ends_with("/compressedDepth") => {
@@ -184,6 +184,12 @@ impl Named {
         };
         Self { camera: format!("/{camera}"), namespace: format!("/{namespace}"), sensor }
     }
+}
+
+/// The sensor that the name of an image topic says, and the topic of its camera_info.
+pub(super) fn sensor_and_info(name: &str) -> (Option<SensorKind>, String) {
+    let named = Named::of(name);
+    (named.sensor, format!("{}/camera_info", named.namespace.trim_end_matches('/')))
 }
 
 fn sensor_named(name: &str) -> Option<SensorKind> {

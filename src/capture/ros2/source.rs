@@ -1,0 +1,258 @@
+//! The images of a ROS 2 driver as frames.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::task::{Wake, Waker};
+use std::thread::{self, Thread};
+use std::time::{Duration, Instant};
+
+use crate::capture::host_clock::now;
+use crate::capture::ros2::camera::Ros2Options;
+use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
+use crate::dds::{PublishedTopic, ReaderChange, Received, TopicReader};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::factory::FactoryCalibration;
+use crate::imaging::frame::FrameSet;
+use crate::recording::CameraMessages;
+
+/// How long opening waits for the driver's camera_info, which comes with each image.
+const STATED: Duration = Duration::from_millis(500);
+/// How often a waiting source asks whether its publishers are still there.
+const GLANCE: Duration = Duration::from_millis(200);
+
+/// What is read of a driver.
+#[derive(Debug)]
+pub(super) struct Subscriptions {
+    pub images: Vec<TopicReader>,
+    /// One entry for each of the images.
+    pub infos: Vec<Option<TopicReader>>,
+    pub transforms: Option<TopicReader>,
+}
+
+/// Who sends on a topic.
+#[derive(Debug, Default)]
+struct Sender {
+    /// Who sent the newest image, and its number.
+    last: Option<([u8; 16], i64)>,
+    /// Who sent before that one took over.
+    before: Option<[u8; 16]>,
+}
+
+/// A driver's images, as they come.
+#[derive(Debug)]
+pub(super) struct Ros2Source {
+    options: Ros2Options,
+    offered: Vec<PublishedTopic>,
+    read: Subscriptions,
+    messages: CameraMessages,
+    senders: Vec<Sender>,
+    size: Option<ImageSize>,
+    has_given: bool,
+    factory: FactoryCalibration,
+    losses: Losses,
+    next_sequence: Arc<AtomicU64>,
+}
+
+/// Wakes a thread that is parked.
+struct Unpark(Thread);
+
+impl Wake for Unpark {
+    fn wake(self: Arc<Self>) {
+        self.0.unpark();
+    }
+}
+
+impl Ros2Source {
+    pub fn new(
+        (options, offered): (Ros2Options, Vec<PublishedTopic>),
+        read: Subscriptions,
+        messages: CameraMessages,
+        next_sequence: &Arc<AtomicU64>,
+    ) -> Self {
+        let senders = offered.iter().map(|_| Sender::default()).collect();
+        Self {
+            options,
+            offered,
+            read,
+            messages,
+            senders,
+            size: None,
+            has_given: false,
+            factory: FactoryCalibration::default(),
+            losses: Losses::default(),
+            next_sequence: Arc::clone(next_sequence),
+        }
+    }
+
+    /// Waits for what the driver states of its lens, where it says that it states anything.
+    pub fn with_stated_calibration(mut self) -> Self {
+        let deadline = Instant::now() + STATED;
+        let states = self.read.infos.iter().all(Option::is_some);
+        while states && !self.messages.has_stated() && Instant::now() < deadline {
+            // A fault is found again by who asks for the first frame.
+            let _ = self.advance(deadline);
+        }
+        self.factory = self.messages.factory();
+        self
+    }
+
+    /// Takes in what has come; waits for it until `deadline` where nothing has.
+    fn advance(&mut self, deadline: Instant) -> Result<(), CaptureError> {
+        let waker = Waker::from(Arc::new(Unpark(thread::current())));
+        self.readers().for_each(|reader| reader.wake(&waker));
+        self.check_publishers()?;
+        if !self.take_all()? {
+            let left = deadline.saturating_duration_since(Instant::now());
+            thread::park_timeout(left.min(GLANCE));
+        }
+        Ok(())
+    }
+
+    fn readers(&self) -> impl Iterator<Item = &TopicReader> {
+        let Subscriptions { images, infos, transforms } = &self.read;
+        images.iter().chain(infos.iter().flatten()).chain(transforms)
+    }
+
+    /// Whether anything had come.
+    fn take_all(&mut self) -> Result<bool, CaptureError> {
+        let mut any = false;
+        while let Some(sample) = self.read.transforms.as_ref().and_then(TopicReader::take) {
+            self.messages.take_transforms(&sample.bytes);
+        }
+        for index in 0..self.read.images.len() {
+            while let Some(sample) = self.read.infos[index].as_ref().and_then(TopicReader::take) {
+                any = true;
+                self.messages.take_info(index, &sample.bytes);
+            }
+            if let Some(sample) = self.read.images[index].take() {
+                any = true;
+                self.take_image(index, &sample)?;
+            }
+        }
+        Ok(any)
+    }
+
+    fn take_image(&mut self, index: usize, sample: &Received) -> Result<(), CaptureError> {
+        self.losses.missed +=
+            self.senders[index].count(sample.writer, sample.sequence).map_err(|problem| {
+                let name = &self.offered[index].name;
+                self.lost(format!("{problem} {name}; a camera has one publisher: end the other"))
+            })?;
+        match self.messages.take_image(index, &sample.bytes, now().utc_ns) {
+            Ok(()) => {}
+            Err(reason) if !self.has_given => return Err(self.lost(reason)),
+            Err(_) => self.losses.damaged += 1,
+        }
+        Ok(())
+    }
+
+    /// Whether the publishers still are what was subscribed to.
+    fn check_publishers(&self) -> Result<(), CaptureError> {
+        for (reader, offered) in self.read.images.iter().zip(&self.offered) {
+            for change in reader.changes() {
+                match change {
+                    ReaderChange::Publishers(0) => {
+                        let reason = format!("the publisher of {} is gone", offered.name);
+                        return Err(self.lost(reason));
+                    }
+                    ReaderChange::Incompatible(policy) => {
+                        return Err(self.lost(format!(
+                            "a publisher of {} offers other QoS than before: {policy}",
+                            offered.name
+                        )));
+                    }
+                    ReaderChange::Publishers(_) => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A driver that was set to another size is another camera to who calibrates it.
+    fn check_size(&mut self, set: &FrameSet) -> Result<(), CaptureError> {
+        let Some(size) = set.frames.first().map(|frame| frame.size) else { return Ok(()) };
+        match self.size.replace(size) {
+            Some(before) if before != size => {
+                Err(self.lost(format!("its images were {before} and are {size} now")))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn lost(&self, reason: String) -> CaptureError {
+        CaptureError::Lost { device: self.options.topic.clone(), reason }
+    }
+}
+
+impl Sender {
+    /// How many images before this one got lost.
+    fn count(&mut self, writer: [u8; 16], sequence: i64) -> Result<u64, &'static str> {
+        let missed = match self.last {
+            Some((last, number)) if last == writer => sequence - number - 1,
+            Some((other, _)) => {
+                if self.before.replace(other) == Some(writer) {
+                    return Err("two publishers send on");
+                }
+                0
+            }
+            None => 0,
+        };
+        self.last = Some((writer, sequence));
+        Ok(missed.max(0).unsigned_abs())
+    }
+}
+
+impl FrameSource for Ros2Source {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            if let Some(mut set) = self.messages.next_frame_set() {
+                self.check_size(&set)?;
+                self.has_given = true;
+                set.sequence = self.next_sequence.fetch_add(1, Ordering::Relaxed);
+                return Ok(set);
+            }
+            if Instant::now() >= deadline {
+                return Err(CaptureError::TimedOut { waited: timeout });
+            }
+            self.advance(deadline)?;
+        }
+    }
+
+    fn description(&self) -> SourceDescription {
+        let reliable = self.offered.iter().all(PublishedTopic::is_reliable);
+        let how = if reliable { "reliable" } else { "best effort" };
+        let types: Vec<String> = self
+            .offered
+            .iter()
+            .map(|offered| format!("{} ({})", offered.name, offered.type_name))
+            .collect();
+        SourceDescription {
+            kind: "ros2",
+            identity: self.options.topic.clone(),
+            bus: Some(format!("domain {}", self.options.domain.id)),
+            factory: self.factory.clone(),
+            mode: Some(format!("{}, {how}", types.join(", "))),
+            ..SourceDescription::default()
+        }
+    }
+
+    fn losses(&self) -> Losses {
+        self.losses
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gap_is_counted_and_two_that_alternate_are_refused() {
+        let mut sender = Sender::default();
+        let mut count = |writer: u8, sequence| sender.count([writer; 16], sequence);
+        assert_eq!((count(1, 5), count(1, 6), count(1, 9)), (Ok(0), Ok(0), Ok(2)));
+        // Restarted: another writer, which begins anew.
+        assert_eq!((count(2, 1), count(2, 3)), (Ok(0), Ok(1)));
+        assert_eq!((count(3, 1), count(2, 4)), (Ok(0), Err("two publishers send on")));
+    }
+}

@@ -1,0 +1,148 @@
+"""A camera whose driver publishes over DDS: Eclipse Cyclone DDS is the driver."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+import ros2_graph as ros
+from served import Daemon
+from test_recordings import RECORDINGS, frames
+
+CAMERA = '[[camera]]\nname = "front"\nsource = {{ kind = "ros2", topic = "{topic}", domain_id = {domain} }}\n'
+TARGET = {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025}
+START_NS = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """The gray pictures of the bundled walk."""
+    messages, _ = frames(RECORDINGS / "walk.mcap")
+    return [cv2.imdecode(np.frombuffer(m.data, np.uint8), cv2.IMREAD_GRAYSCALE) for _, _, m, _ in messages]
+
+
+@pytest.fixture
+def participant():
+    return ros.DomainParticipant(ros.DOMAIN)
+
+
+@pytest.fixture
+def daemon(plumb_binary, tmp_path):
+    """A daemon with the camera `front` on a topic; further configuration goes before it."""
+
+    def start(topic="/front/image_raw", more=""):
+        camera = CAMERA.format(topic=topic, domain=ros.DOMAIN)
+        return Daemon(plumb_binary, more + camera, tmp_path, ROS_LOCALHOST_ONLY="1")
+
+    return start
+
+
+def publish_walk(walk, driver, events, every=1, message=ros.image):
+    """Shows the walk frame by frame: the next one when Plumb has searched the one before."""
+    for index, pixels in enumerate(walk[::every]):
+        driver.send(message(pixels, START_NS + index * 10**9 // 15))
+        next(event for kind, event in events if kind == "detection")
+
+
+def jpeg(pixels, stamp_ns):
+    data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+    return ros.CompressedImage(ros.image(pixels, stamp_ns).header, "mono8; jpeg compressed mono8", data)
+
+
+@pytest.mark.parametrize("kind", ["raw", "best effort", "compressed"])
+def test_a_walk_over_dds_is_calibrated_over_http(kind, walk, participant, daemon):
+    topic = "/front/image_raw" + ("/compressed" if kind == "compressed" else "")
+    with daemon(topic) as plumb:
+        events = plumb.events("front")
+        absent = plumb.wait_for_state(events, "front", lambda status: status["state"] == "lost")
+        assert absent["reason"] == f"{topic} was lost: no publisher in domain {ros.DOMAIN}, and no topic at all; start the driver"
+        how = {"reliability": ros.BEST_EFFORT} if kind == "best effort" else {}
+        driver = ros.Publisher(participant, topic, ros.CompressedImage if kind == "compressed" else ros.Image, **how)
+        driver.wait_for_reader()
+        session = plumb.ask("/v1/cameras/front/sessions", {"target": TARGET, "lens": "brown"})
+        publish_walk(walk, driver, events, every=2, message=jpeg if kind == "compressed" else ros.image)
+        finished = plumb.ask(f"/v1/sessions/{session['id']}/stop", {})
+        assert finished["state"] == "finished", finished["reason"]
+        calibration = plumb.ask(f"/v1/calibrations/{finished['calibration']}")["sensors"]["color"]
+        truth = json.loads((RECORDINGS / "walk.truth.json").read_text())["sensors"]["color"]["lens"]
+        for name in ("fx", "fy", "cx", "cy"):
+            off = abs(calibration["lens"][name] - truth[name])
+            assert off < 4 * calibration["lens_std"][name], (name, off, calibration["lens_std"][name])
+        status = plumb.ask("/v1/cameras/front")
+        assert (status["state"], status["backend"], status["dropped_frames"]) == ("streaming", "ros2", 0), status
+
+
+def test_what_the_driver_states_is_the_stated_calibration(walk, participant, daemon):
+    driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+    info = ros.Publisher(participant, "/front/camera_info", ros.CameraInfo)
+    stated = ros.CameraInfo(height=480, width=640, distortion_model="plumb_bob", d=[-0.1, 0.02, 0.001, -0.002, 0.0],
+                            k=[600.0, 0, 320.0, 0, 601.0, 240.0, 0, 0, 1])
+    with daemon() as plumb:
+        events = plumb.events("front")
+        driver.wait_for_reader()
+        info.wait_for_reader()
+        info.send(stated)
+        driver.send(ros.image(walk[0], START_NS))
+        status = plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
+        assert "plumb_bob" in json.dumps(status), status
+
+
+def test_a_publisher_that_ends_and_comes_back(walk, participant, daemon):
+    with daemon() as plumb:
+        events = plumb.events("front")
+        for _ in range(3):
+            driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+            driver.wait_for_reader()
+            driver.send(ros.image(walk[0], START_NS))
+            plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
+            del driver
+            gone = plumb.wait_for_state(events, "front", lambda status: status["state"] == "lost")
+            assert "the publisher of /front/image_raw is gone" in gone["reason"], gone
+
+
+WRONG = {
+    "another type": (ros.String, lambda walk: [ros.String("hello")], "/front/image_raw has the type std_msgs/msg/String"),
+    "too little data": (
+        ros.Image,
+        lambda walk: [ros.Image(ros.Header(), 480, 640, "mono8", 0, 640, bytes(1000))],
+        "/front/image_raw has 640x480 images with rows every 640 bytes and 1000 bytes of data",
+    ),
+    "an unknown encoding": (
+        ros.Image,
+        lambda walk: [ros.Image(ros.Header(), 480, 640, "h264", 0, 640, bytes(640 * 480))],
+        '/front/image_raw has images encoded as "h264"',
+    ),
+    "another size": (
+        ros.Image,
+        lambda walk: [ros.image(walk[0], START_NS), ros.image(walk[0][:240], START_NS + 10**9)],
+        "its images were 640x480 and are 640x240 now",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", WRONG)
+def test_what_is_wrong_is_one_line(fault, walk, participant, daemon):
+    type_, messages, expected = WRONG[fault]
+    with daemon() as plumb:
+        events = plumb.events("front")
+        driver = ros.Publisher(participant, "/front/image_raw", type_)
+        if type_ is ros.Image:
+            driver.wait_for_reader()
+        for message in messages(walk):
+            driver.send(message)
+        said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or "").replace("×", "x"))
+        assert said["state"] == "lost" and "\n" not in said["reason"]
+
+
+def test_two_publishers_on_one_topic(walk, participant, daemon):
+    with daemon() as plumb:
+        events = plumb.events("front")
+        drivers = [ros.Publisher(participant, "/front/image_raw", ros.Image) for _ in range(2)]
+        for driver in drivers:
+            driver.wait_for_reader()
+        for number in range(4):
+            drivers[number % 2].send(ros.image(walk[0], START_NS + number * 10**9))
+        expected = "two publishers send on /front/image_raw; a camera has one publisher: end the other"
+        said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or ""))
+        assert said["state"] == "lost"
