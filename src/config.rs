@@ -19,6 +19,12 @@
 //! [calibration]
 //! auto_approve = true            # default; a `good` calibration becomes current by itself
 //!
+//! [ros2]                         # needs the cargo feature `ros2`
+//! publish = true                 # default: false; results on the graph of ROS 2
+//! domain_id = 0                  # default: ROS_DOMAIN_ID, or 0
+//! session = { target = { kind = "chessboard", cols = 9, rows = 6, square_m = 0.025 } } # what the
+//!                                # service `start` begins: the body of POST …/sessions; default: refused
+//!
 //! [[camera]]
 //! name = "front"                 # letters, digits, `-`, `_`; once each
 //! source = { kind = "simulator" }
@@ -38,10 +44,12 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::Spanned;
 
+use crate::calibration::session_record::SessionRequest;
 pub use crate::config::error::ConfigError;
 use crate::config::place::Place;
 pub use crate::config::source::SourceConfig;
-use crate::config::source::WrittenSource;
+use crate::config::source::{WrittenSource, check_domain};
+use crate::document::session::StartDocument;
 use crate::store::Retention;
 
 /// Where the daemon listens by default.
@@ -66,10 +74,23 @@ pub struct Config {
     pub retention: Retention,
     /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
     pub auto_approve: bool,
+    /// What ROS 2 sees of it. Default: nothing.
+    pub ros2: Ros2Config,
     /// The cameras, in the order of the file.
     pub cameras: Vec<CameraConfig>,
     /// The rigs, in the order of the file.
     pub rigs: Vec<RigConfig>,
+}
+
+/// What the graph of ROS 2 sees.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Ros2Config {
+    /// Whether results are published. Default: not.
+    pub publish: bool,
+    /// The DDS domain; `None` takes the environment's.
+    pub domain_id: Option<u16>,
+    /// What the service `start` begins. Default: it is refused.
+    pub session: Option<SessionRequest>,
 }
 
 /// Cameras that are fixed to each other.
@@ -148,6 +169,8 @@ struct Tables {
     #[serde(default)]
     calibration: CalibrationTable,
     #[serde(default)]
+    ros2: Ros2Table,
+    #[serde(default)]
     camera: Vec<CameraTable>,
     #[serde(default)]
     rig: Vec<RigTable>,
@@ -174,6 +197,14 @@ struct StoreTable {
 #[serde(deny_unknown_fields)]
 struct CalibrationTable {
     auto_approve: Option<bool>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Ros2Table {
+    publish: Option<Spanned<bool>>,
+    domain_id: Option<Spanned<u16>>,
+    session: Option<Spanned<StartDocument>>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -239,6 +270,7 @@ impl Written {
         let least_free_bytes =
             1_000_000 * u64::from(tables.store.min_free_mb.unwrap_or(DEFAULT_MIN_FREE_MB));
         let auto_approve = tables.calibration.auto_approve.unwrap_or(true);
+        let ros2 = check_ros2(&tables.ros2, &place)?;
         let retention = Retention {
             days: tables.store.keep_days,
             sessions: tables.store.keep_sessions,
@@ -251,6 +283,7 @@ impl Written {
             least_free_bytes,
             retention,
             auto_approve,
+            ros2,
             cameras,
             rigs,
         })
@@ -298,6 +331,26 @@ fn parse_listen(text: &str, has_token: bool) -> Result<SocketAddr, String> {
     } else {
         Err("can be reached by others and needs a token; give server.token_file, or listen on 127.0.0.1".to_owned())
     }
+}
+
+fn check_ros2(table: &Ros2Table, place: &Place) -> Result<Ros2Config, ConfigError> {
+    if let Some(publish) = table.publish.as_ref().filter(|publish| *publish.get_ref())
+        && !cfg!(feature = "ros2")
+    {
+        let problem = "this plumb was built without ROS 2; build it with --features ros2";
+        return Err(place.refuse(&publish.span(), "ros2.publish", problem));
+    }
+    check_domain("ros2.domain_id", table.domain_id.as_ref(), place)?;
+    let request = |written: &Spanned<StartDocument>| {
+        SessionRequest::try_from(written.get_ref()).map_err(|error| {
+            place.refuse(&written.span(), "ros2.session", one_line(&error.to_string()))
+        })
+    };
+    Ok(Ros2Config {
+        publish: table.publish.as_ref().is_some_and(|publish| *publish.get_ref()),
+        domain_id: table.domain_id.as_ref().map(|id| *id.get_ref()),
+        session: table.session.as_ref().map(request).transpose()?,
+    })
 }
 
 fn check_rigs(
@@ -378,6 +431,7 @@ mod tests {
             least_free_bytes: 100_000_000,
             retention: Retention::default(),
             auto_approve: true,
+            ros2: Ros2Config::default(),
             cameras: Vec::new(),
             rigs: Vec::new(),
         };
@@ -390,6 +444,14 @@ mod tests {
             (
                 "[server]\nlisten = \"127.0.0.1:1\"\nportt = 3\n",
                 "plumb.toml:3: portt: unknown field `portt`",
+            ),
+            (
+                "[ros2]\ndomain_id = 300\n",
+                "plumb.toml:2: ros2.domain_id: 300 is no domain; write 0 to 232",
+            ),
+            (
+                "[ros2]\nsession = { target = { kind = \"chessboard\", cols = 1, rows = 6, square_m = 0.025 } }\n",
+                "plumb.toml:2: ros2.session: ",
             ),
             ("[servers]\n", "plumb.toml:1: servers: unknown field `servers`"),
             ("\n[server]\nlisten = 8600\n", "plumb.toml:3: listen: invalid type: integer `8600`"),

@@ -4,6 +4,8 @@
 //! address is taken first, so that a second daemon neither opens the store nor a camera.
 
 mod error;
+#[cfg(feature = "ros2")]
+mod graph;
 mod reload;
 pub mod sources;
 #[cfg(target_os = "linux")]
@@ -74,6 +76,8 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let reload = Reload { fleet: Arc::clone(&fleet), file: file.clone(), config: config.clone() };
     runtime.block_on(async { reload.with_each_hangup() })?;
     runtime.spawn(prune_by_the_hour(Arc::clone(&store), config.retention));
+    #[cfg(feature = "ros2")]
+    graph::begin(runtime, &fleet, &store, config);
     let listening = listener.local_addr().unwrap_or(address);
     tracing::info!(
         file = file.map(|file| file.display().to_string()),

@@ -23,6 +23,7 @@
 //! | [`store`] | SQLite | geometry, imaging, detection, calibration, document |
 //! | [`pipeline`] | threads, channels, clocks | all of the above |
 //! | [`http`] | axum | geometry, imaging, detection, estimation, calibration, document, export, store, pipeline |
+//! | `graph` | results on the graph of ROS 2 | dds, geometry, imaging, recording, calibration, store, pipeline |
 //! | `config`, `daemon`, `cli`, `main` | | anything; nothing uses them |
 //!
 //! # As a library
@@ -130,6 +131,8 @@ pub mod estimation;
 pub mod export;
 pub mod features;
 pub mod geometry;
+#[cfg(feature = "ros2")]
+pub mod graph;
 pub mod http;
 pub mod imaging;
 pub mod pipeline;

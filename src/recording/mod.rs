@@ -15,6 +15,7 @@ mod natural_order;
 mod records;
 mod repair;
 mod ros2_messages;
+pub mod ros2_results;
 mod ros2_writer;
 mod topic_names;
 mod unpack;

@@ -55,10 +55,22 @@ pub(super) fn camera_info(
     size: ImageSize,
     utc_ns: i64,
 ) -> Option<Ros2Message> {
+    let bytes = camera_info_in(&frame_id(camera, sensor), lens, size, utc_ns)?;
+    let topic = format!("{}/camera_info", namespace(camera, sensor));
+    Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes })
+}
+
+/// The same in any frame.
+pub(super) fn camera_info_in(
+    frame_id: &str,
+    lens: &Lens,
+    size: ImageSize,
+    utc_ns: i64,
+) -> Option<Vec<u8>> {
     let m = lens.matrix;
     let known = lens.model().facts().camera_info?;
     let distortion = lens.distortion.padded_coefficients(known.coefficients);
-    let mut cdr = Cdr::with_header(utc_ns, &frame_id(camera, sensor));
+    let mut cdr = Cdr::with_header(utc_ns, frame_id);
     cdr.u32(size.height);
     cdr.u32(size.width);
     cdr.text(known.ros);
@@ -73,11 +85,10 @@ pub(super) fn camera_info(
     // No binning, and the region of interest is the whole image.
     (0..6).for_each(|_| cdr.u32(0));
     cdr.0.push(0);
-    let topic = format!("{}/camera_info", namespace(camera, sensor));
-    Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes: cdr.0 })
+    Some(cdr.0)
 }
 
-fn namespace(camera: &str, sensor: SensorKind) -> String {
+pub(super) fn namespace(camera: &str, sensor: SensorKind) -> String {
     match sensor {
         SensorKind::Color => format!("/{camera}"),
         SensorKind::Infrared => format!("/{camera}/infra1"),
@@ -90,7 +101,7 @@ fn image_name(sensor: SensorKind) -> &'static str {
     if sensor == SensorKind::Color { "image_raw" } else { "image_rect_raw" }
 }
 
-fn frame_id(camera: &str, sensor: SensorKind) -> String {
+pub(super) fn frame_id(camera: &str, sensor: SensorKind) -> String {
     match sensor {
         SensorKind::Color => format!("{camera}_optical_frame"),
         other => format!("{camera}_{}_optical_frame", other.name()),
@@ -130,17 +141,27 @@ pub(super) fn definition(type_name: &str) -> String {
 }
 
 /// A message in little-endian CDR.
-struct Cdr(Vec<u8>);
+pub(super) struct Cdr(pub(super) Vec<u8>);
 
 impl Cdr {
-    /// Begins with the four bytes that state the encoding, and a `std_msgs/Header`.
-    fn with_header(utc_ns: i64, frame_id: &str) -> Self {
-        let mut cdr = Self(vec![0, 1, 0, 0]);
-        let utc_ns = utc_ns.max(0);
-        cdr.u32(u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX));
-        cdr.u32((utc_ns % 1_000_000_000) as u32);
-        cdr.text(frame_id);
+    /// Begins with the four bytes that state the encoding.
+    pub(super) fn new() -> Self {
+        Self(vec![0, 1, 0, 0])
+    }
+
+    /// Begins with a `std_msgs/Header`.
+    pub(super) fn with_header(utc_ns: i64, frame_id: &str) -> Self {
+        let mut cdr = Self::new();
+        cdr.header(utc_ns, frame_id);
         cdr
+    }
+
+    /// A `std_msgs/Header`.
+    pub(super) fn header(&mut self, utc_ns: i64, frame_id: &str) {
+        let utc_ns = utc_ns.max(0);
+        self.u32(u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX));
+        self.u32((utc_ns % 1_000_000_000) as u32);
+        self.text(frame_id);
     }
 
     /// Numbers begin at a multiple of their length, counted after the first four bytes.
@@ -149,23 +170,23 @@ impl Cdr {
         self.0.resize(end, 0);
     }
 
-    fn u32(&mut self, value: u32) {
+    pub(super) fn u32(&mut self, value: u32) {
         self.align(4);
         self.0.extend(value.to_le_bytes());
     }
 
-    fn f64(&mut self, value: f64) {
+    pub(super) fn f64(&mut self, value: f64) {
         self.align(8);
         self.0.extend(value.to_le_bytes());
     }
 
-    fn text(&mut self, text: &str) {
+    pub(super) fn text(&mut self, text: &str) {
         self.u32(text.len() as u32 + 1);
         self.0.extend(text.as_bytes());
         self.0.push(0);
     }
 
-    fn bytes(&mut self, parts: &[&[u8]]) {
+    pub(super) fn bytes(&mut self, parts: &[&[u8]]) {
         self.u32(parts.iter().map(|part| part.len()).sum::<usize>() as u32);
         parts.iter().for_each(|part| self.0.extend_from_slice(part));
     }

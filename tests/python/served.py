@@ -58,11 +58,9 @@ class Daemon:
         return each()
 
     def wait_for_state(self, events, camera, wanted):
-        """The camera's status once it is `wanted`: as it is, or as its events say."""
+        """The camera's status once it is `wanted`: asked for now, and after each of its events that says that it changed."""
         status = self.ask(f"/v1/cameras/{camera}")
-        if wanted(status):
-            return status
-        for kind, status in events:
-            if kind == "camera" and wanted(status):
-                return status
-        raise AssertionError(f"{camera}: {status}")
+        while not wanted(status):
+            next(event for kind, event in events if kind == "camera")
+            status = self.ask(f"/v1/cameras/{camera}")
+        return status

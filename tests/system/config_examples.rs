@@ -6,9 +6,10 @@ use plumb::config::Written;
 
 #[test]
 fn every_shipped_configuration_reads() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("config");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let mut count = 0;
-    for entry in std::fs::read_dir(folder).unwrap() {
+    let folders = ["config", "packaging/ros2"].map(|folder| root.join(folder));
+    for entry in folders.iter().flat_map(|folder| std::fs::read_dir(folder).unwrap()) {
         let file = entry.unwrap().path();
         if file.extension().is_some_and(|extension| extension == "toml") {
             let text = std::fs::read_to_string(&file).unwrap();

@@ -48,11 +48,12 @@ const LAYERS: &[(&str, &[&str])] = &[
             "pipeline",
         ],
     ),
+    ("graph", &["dds", "geometry", "imaging", "calibration", "recording", "store", "pipeline"]),
 ];
 
 /// The layers above all others, which no layer may name.
 const TOP: &[&str] = &["config", "daemon", "cli"];
-const ASYNC_ALLOWED: &[&str] = &["pipeline", "http"];
+const ASYNC_ALLOWED: &[&str] = &["pipeline", "http", "graph"];
 const SERDE_ALLOWED: &[&str] = &["recording", "document", "export", "store", "pipeline", "http"];
 /// The only files that may contain `unsafe`: device bindings.
 const UNSAFE_ALLOWED: &[&str] = &["src/capture/realsense/pixels.rs", "src/capture/v4l2/kernel.rs"];

@@ -1,0 +1,95 @@
+//! One camera's topics and services.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::task::Waker;
+
+use crate::dds::{DdsError, Durability, Participant, ServiceServer, TopicWriter};
+use crate::graph::driver::Driver;
+use crate::graph::results::Results;
+use crate::recording::ros2_results::text;
+
+const INFO: &str = "sensor_msgs/msg/CameraInfo";
+const TRIGGER: &str = "std_srvs/srv/Trigger";
+
+/// A camera as the graph has it.
+#[derive(Debug)]
+pub(super) struct GraphTopics {
+    participant: Arc<Participant>,
+    infos: BTreeMap<String, TopicWriter>,
+    state: TopicWriter,
+    said: Option<&'static str>,
+    pub start: ServiceServer,
+    pub stop: ServiceServer,
+    pub driver: Option<Driver>,
+    /// The current calibration.
+    pub results: Option<Results>,
+    /// Why it may not hold any more.
+    pub drift: Option<String>,
+}
+
+impl GraphTopics {
+    pub fn new(
+        participant: &Arc<Participant>,
+        name: &str,
+        set_camera_info: Option<&str>,
+    ) -> Result<Self, DdsError> {
+        // Names of cameras may have a `-`, names of ROS not.
+        let base = format!("/plumb/{}", name.replace('-', "_"));
+        let service =
+            |kind: &str| ServiceServer::offer(participant, &format!("{base}/{kind}"), TRIGGER);
+        let state = participant.advertise(
+            &format!("{base}/state"),
+            "std_msgs/msg/String",
+            Durability::Latched,
+        )?;
+        Ok(Self {
+            participant: Arc::clone(participant),
+            infos: BTreeMap::new(),
+            state,
+            said: None,
+            start: service("start")?,
+            stop: service("stop")?,
+            driver: set_camera_info.map(|name| Driver::new(participant, name)).transpose()?,
+            results: None,
+            drift: None,
+        })
+    }
+
+    pub fn wake(&self, waker: &Waker) {
+        self.start.wake(waker);
+        self.stop.wake(waker);
+        if let Some(driver) = &self.driver {
+            driver.wake(waker);
+        }
+    }
+
+    /// Says how the session stands, where that is new.
+    pub fn say(&mut self, state: &'static str) -> Result<(), DdsError> {
+        if self.said.replace(state) == Some(state) {
+            return Ok(());
+        }
+        self.state.send(text(state))
+    }
+
+    /// Publishes the calibration that is current now; has the driver keep it where it is `new`.
+    pub fn publish(&mut self, results: Results, new: bool) -> Result<(), DdsError> {
+        for (namespace, info) in &results.infos {
+            let topic = format!("/plumb{}/camera_info", namespace.replace('-', "_"));
+            if !self.infos.contains_key(&topic) {
+                let writer = self.participant.advertise(&topic, INFO, Durability::Latched)?;
+                self.infos.insert(topic.clone(), writer);
+            }
+            if let Some(writer) = self.infos.get(&topic) {
+                writer.send(info.clone())?;
+            }
+        }
+        if let (Some(driver), Some((_, own)), true) = (&mut self.driver, results.infos.first(), new)
+        {
+            driver.keep(own.clone());
+        }
+        self.drift = None;
+        self.results = Some(results);
+        Ok(())
+    }
+}
