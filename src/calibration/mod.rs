@@ -7,6 +7,7 @@ mod cameras;
 mod composed_pose;
 pub mod coverage;
 pub mod depth_calibration;
+pub mod depth_check;
 pub mod drift;
 pub mod factory_check;
 pub mod guidance;

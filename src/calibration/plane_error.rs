@@ -3,6 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::geometry::depth_camera::DepthCamera;
+use crate::geometry::median::median;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -30,26 +31,12 @@ pub fn plane_error(
     (board, color_from_board): (&Target, &Pose),
     (image, invalid): (&DepthImage, Option<u16>),
 ) -> PlaneError {
-    let depth_from_board = color_from_depth.inverse() * *color_from_board;
-    let board_from_depth = depth_from_board.inverse();
-    let normal = depth_from_board * Vector3::z();
-    let distance_m = normal.dot(&depth_from_board.translation());
-    let [near, far] = board.extent();
-    let margin_m = MARGIN_SQUARES * board.spanned_chessboard().square_m;
-    let on_board = |at: &Point3<f64>| {
-        (0..2).all(|axis| at[axis] > near[axis] - margin_m && at[axis] < far[axis] + margin_m)
-    };
+    let plane = SeenPlane::of((camera, color_from_depth), (board, color_from_board));
     let of = |(k, reading): (usize, &u16)| {
-        let width = camera.image_size.width.max(1) as usize;
-        let pixel = Pixel::new((k % width) as f64, (k / width) as f64);
-        let ray = camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0)?;
-        let ray = ray.into_inner() / ray.z;
-        let plane_m = distance_m / normal.dot(&ray);
-        let seen = plane_m > 0.0
-            && Some(*reading) != invalid
-            && on_board(&(board_from_depth * Point3::from(ray * plane_m)));
-        let reading = seen.then_some(f64::from(*reading))?;
-        let error = |inverse_depth: f64| (1.0 / inverse_depth - plane_m) as f32;
+        let pixel = pixel_at(camera, k);
+        let [point_in_depth, _] = plane.seen_at(pixel)?;
+        let reading = (Some(*reading) != invalid).then_some(f64::from(*reading))?;
+        let error = |inverse_depth: f64| (1.0 / inverse_depth - point_in_depth.z) as f32;
         Some((
             error(camera.reading.inverse_depth(reading)?),
             error(camera.inverse_depth(pixel, reading)?),
@@ -59,6 +46,110 @@ pub fn plane_error(
         image.readings().iter().enumerate().map(|one| of(one).unwrap_or((f32::NAN, f32::NAN)));
     let (before_m, after_m) = errors.unzip();
     PlaneError { size: image.size(), before_m, after_m }
+}
+
+/// The error of corrected depth in one patch of a board.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PatchError {
+    /// The middle of the patch's readings, on the board's plane, in the depth camera's frame.
+    pub point_in_depth: Point3<f64>,
+    /// The board's normal in the depth camera's frame.
+    pub normal_in_depth: Vector3<f64>,
+    /// The median of measured less true depth, in meters.
+    pub error_m: f64,
+}
+
+/// Patches of the board along x and y.
+const PATCHES: [usize; 2] = [4, 3];
+/// Fewer readings are no patch.
+const LEAST_READINGS: usize = 12;
+
+/// The errors of corrected depth in the patches of a board that color sees at `color_from_board`;
+/// patches without readings are left out.
+pub fn patch_errors(
+    (camera, color_from_depth): (&DepthCamera, &Pose),
+    (board, color_from_board): (&Target, &Pose),
+    (image, invalid): (&DepthImage, Option<u16>),
+) -> Vec<PatchError> {
+    let plane = SeenPlane::of((camera, color_from_depth), (board, color_from_board));
+    let mut patches: Vec<Vec<(Point3<f64>, f64)>> = vec![Vec::new(); PATCHES[0] * PATCHES[1]];
+    for (k, reading) in image.readings().iter().enumerate().filter(|(_, r)| Some(**r) != invalid) {
+        let pixel = pixel_at(camera, k);
+        let seen = plane.seen_at(pixel).zip(camera.inverse_depth(pixel, f64::from(*reading)));
+        if let Some(([point_in_depth, point_in_board], inverse_depth)) = seen {
+            let error_m = 1.0 / inverse_depth - point_in_depth.z;
+            patches[plane.patch_of(&point_in_board)].push((point_in_depth, error_m));
+        }
+    }
+    let normal_in_depth = plane.normal_in_depth;
+    let patch = |readings: Vec<(Point3<f64>, f64)>| {
+        let count = readings.len();
+        let error_m = median(readings.iter().map(|(_, error_m)| *error_m).collect())?;
+        let sum: Vector3<f64> = readings.iter().map(|(point, _)| point.coords).sum();
+        let point_in_depth = Point3::from(sum / count as f64);
+        (count >= LEAST_READINGS).then_some(PatchError { point_in_depth, normal_in_depth, error_m })
+    };
+    patches.into_iter().filter_map(patch).collect()
+}
+
+/// The pixel of a reading by its place in the image, row by row.
+fn pixel_at(camera: &DepthCamera, k: usize) -> Pixel {
+    let width = camera.image_size.width.max(1) as usize;
+    Pixel::new((k % width) as f64, (k / width) as f64)
+}
+
+/// The board's plane as the depth camera should see it.
+struct SeenPlane<'a> {
+    camera: &'a DepthCamera,
+    board_from_depth: Pose,
+    normal_in_depth: Vector3<f64>,
+    distance_m: f64,
+    /// The board's first and last corner on its surface, margins included.
+    near: Point3<f64>,
+    far: Point3<f64>,
+}
+
+impl<'a> SeenPlane<'a> {
+    fn of(
+        (camera, color_from_depth): (&'a DepthCamera, &Pose),
+        (board, color_from_board): (&Target, &Pose),
+    ) -> Self {
+        let depth_from_board = color_from_depth.inverse() * *color_from_board;
+        let normal_in_depth = depth_from_board * Vector3::z();
+        let margin_m = MARGIN_SQUARES * board.spanned_chessboard().square_m;
+        let [near, far] = board.extent();
+        let margin = Vector3::new(margin_m, margin_m, 0.0);
+        Self {
+            camera,
+            board_from_depth: depth_from_board.inverse(),
+            normal_in_depth,
+            distance_m: normal_in_depth.dot(&depth_from_board.translation()),
+            near: near - margin,
+            far: far + margin,
+        }
+    }
+
+    /// The point of the board at `pixel`, in the depth camera's frame and the board's; `None`
+    /// beside the board.
+    fn seen_at(&self, pixel: Pixel) -> Option<[Point3<f64>; 2]> {
+        let ray = self.camera.lens.bearing_from_pixel(pixel).filter(|bearing| bearing.z > 0.0)?;
+        let ray = ray.into_inner() / ray.z;
+        let plane_m = self.distance_m / self.normal_in_depth.dot(&ray);
+        let point_in_depth = Point3::from(ray * plane_m);
+        let point_in_board = self.board_from_depth * point_in_depth;
+        let inside = |axis: usize| {
+            point_in_board[axis] > self.near[axis] && point_in_board[axis] < self.far[axis]
+        };
+        (plane_m > 0.0 && inside(0) && inside(1)).then_some([point_in_depth, point_in_board])
+    }
+
+    fn patch_of(&self, point_in_board: &Point3<f64>) -> usize {
+        let place = |axis: usize| {
+            let part = (point_in_board[axis] - self.near[axis]) / (self.far - self.near)[axis];
+            ((part * PATCHES[axis] as f64) as usize).min(PATCHES[axis] - 1)
+        };
+        place(1) * PATCHES[0] + place(0)
+    }
 }
 
 /// Mean and root mean square of the errors that there are, in meters; `None` without any.

@@ -44,6 +44,7 @@ mod target_sheet;
 pub mod uncertainty;
 pub mod undistort;
 pub mod verify;
+mod verify_depth;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

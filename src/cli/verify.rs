@@ -13,6 +13,7 @@ use crate::cli::files::read_calibration;
 use crate::cli::gather::gather;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::target_args::ShapeArgs;
+use crate::cli::verify_depth::{VerifiedDepth, verify_depth};
 use crate::cli::{Failure, output};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
@@ -72,7 +73,31 @@ struct Verified {
     /// The same with the lens that fits them best; null where they do not determine one.
     best_rms_px: Option<f64>,
     views: usize,
+    /// Depth against the board; left out where the calibration or the images have none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    depth: Option<VerifiedDepth>,
     reasons: Vec<String>,
+}
+
+impl Verified {
+    fn answer(&self) -> &'static str {
+        let of_lens = self.limit_px <= CERTAIN_PX
+            && self.visible_px.is_some_and(|visible_px| visible_px <= VISIBLE * self.limit_px);
+        match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && of_lens {
+            _ if !self.holds => "does not hold",
+            true => "holds",
+            false => "holds as far as can be seen",
+        }
+    }
+
+    /// The same with what is said of depth.
+    fn with_depth(mut self, depth: Option<VerifiedDepth>) -> Self {
+        if let Some(depth) = &depth {
+            self.holds &= depth.holds;
+            self.reasons.extend(depth.reasons.iter().cloned());
+        }
+        Self { depth, ..self }
+    }
 }
 
 /// Runs the command.
@@ -97,23 +122,33 @@ pub fn run(args: &Args) -> Result<(), Failure> {
             problem.image_size, sensor.image_size
         )));
     }
-    let verified = verify(sensor, &problem)?;
+    let (verified, fixed) = verify(sensor, &problem)?;
+    let seen = fixed.views.iter().filter(|view| view.fault.is_none());
+    let poses = seen.filter_map(|view| Some((view.name.clone(), view.camera_from_board?)));
+    let depth = verify_depth((&calibration, &target), &args.search, &poses.collect())?;
+    let is_unseen = depth.is_none() && calibration.depth().is_some();
+    let mut verified = verified.with_depth(depth);
+    if is_unseen {
+        let reason = "depth was not measured: give a folder with color/ and depth/, or a recording";
+        verified.reasons.push(reason.to_owned());
+    }
     if args.json {
         return output::print_json(&verified);
     }
-    let Verified { holds, moved_px, limit_px, visible_px, rms_px, views, reasons, .. } = verified;
-    let answer = match (holds, visible_px) {
-        (false, _) => "does not hold",
-        (true, Some(visible)) if visible <= VISIBLE * limit_px && limit_px <= CERTAIN_PX => "holds",
-        (true, _) => "holds as far as can be seen",
-    };
+    let answer = verified.answer();
+    let Verified { moved_px, limit_px, rms_px, views, depth, reasons, .. } = verified;
     output::print_line(&format!(
         "{file} {answer}: {views} views, rms {rms_px:.3} px, projections off by {moved_px:.3} px, {limit_px:.3} px allowed"
     ))?;
-    reasons.iter().try_for_each(|reason| output::print_line(&format!("  {reason}")))
+    let of_depth = depth.map(|depth| depth.lines()).unwrap_or_default();
+    of_depth.iter().chain(&reasons).try_for_each(|line| output::print_line(&format!("  {line}")))
 }
 
-fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified, Failure> {
+/// The answer, and the views under the calibrated lens.
+fn verify(
+    sensor: &ImageCalibration,
+    problem: &CameraProblem,
+) -> Result<(Verified, CameraEstimate), Failure> {
     let model = LensChoice::Model(sensor.lens.model());
     let names = Lens::parameter_names(sensor.lens.model()).into_iter().map(str::to_owned);
     let given: Vec<(String, f64)> = names.zip(sensor.lens.parameters()).collect();
@@ -166,7 +201,7 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
             "the calibration itself is uncertain by {limit_px:.1} px, so that smaller changes cannot be seen: calibrate again with more and more tilted views"
         ));
     }
-    Ok(Verified {
+    let verified = Verified {
         holds,
         moved_px,
         limit_px,
@@ -174,8 +209,10 @@ fn verify(sensor: &ImageCalibration, problem: &CameraProblem) -> Result<Verified
         rms_px: fixed.rms_px,
         best_rms_px: best.map(|best| best.rms_px),
         views,
+        depth: None,
         reasons,
-    })
+    };
+    Ok((verified, fixed))
 }
 
 /// What the lens that fits the views best says of the calibrated one, in the median over the

@@ -208,3 +208,55 @@ fn what_is_right_is_calibrated_and_color_in_half_the_views_reported() {
         assert_eq!(reported, is_reported, "{}", document["verdict"]);
     }
 }
+
+/// Moved by a fiftieth of the image.
+fn shifted(depth: &DepthImage) -> DepthImage {
+    let width = depth.size().width as usize;
+    of(depth, |x, y| depth.row(y)[(x + width / 50) % width])
+}
+
+/// Three parts in a hundred too long.
+fn scaled(depth: &DepthImage) -> DepthImage {
+    of(depth, |x, y| (f64::from(depth.row(y)[x]) * 1.03).round() as u16)
+}
+
+/// Calibrated with every second frame set, verified with the others.
+#[test]
+fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
+    let (calibrated, verified): (Vec<_>, Vec<_>) =
+        taken().into_iter().enumerate().partition(|(index, _)| index % 2 == 0);
+    let sets = |indexed: Vec<(usize, Taken)>| indexed.into_iter().map(|(_, set)| set).collect();
+    let (calibrated, verified): (Vec<Taken>, Vec<Taken>) = (sets(calibrated), sets(verified));
+    let folder = tempfile::tempdir().unwrap();
+    write(folder.path(), &calibrated, Change::Nothing, true);
+    let file = folder.path().join("found.json").display().to_string();
+    let place = folder.path().display().to_string();
+    let board = ["--board", "9x6", "--square", "40mm", "--lens", "brown", "--out", &file];
+    let found = plumb(["calibrate", &place].into_iter().chain(board));
+    assert_eq!(found.code, Some(0), "{}", found.stderr);
+    let verify = |sets: &[Taken], change: Change| {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), sets, change, false);
+        let place = folder.path().display().to_string();
+        let asked = ["verify", "--json", "--calibration", &file, "--board", "9x6", &place];
+        let finished = plumb(asked);
+        assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+        let answer: Value = serde_json::from_str(&finished.stdout).unwrap();
+        (answer["depth"]["holds"].as_bool().unwrap(), answer)
+    };
+    let (holds, answer) = verify(&verified, Change::Nothing);
+    assert!(holds && answer["depth"]["visible_m"].as_f64().unwrap() < 0.02, "{answer}");
+    let wrong = [
+        (Change::Depth(mirrored), "same device"),
+        (Change::Depth(shifted), "same device"),
+        (Change::Depth(scaled), "% off the board in all views"),
+    ];
+    for (change, word) in wrong {
+        let (holds, answer) = verify(&verified, change);
+        assert!(!holds && answer["holds"] == false, "{answer}");
+        assert!(answer["reasons"].to_string().contains(word), "{answer}");
+    }
+    let (_, answer) = verify(&verified[..1], Change::Nothing);
+    assert!(answer["depth"]["visible_m"].is_null(), "{answer}");
+    assert!(answer["reasons"].to_string().contains("cannot show every move"), "{answer}");
+}

@@ -1,0 +1,223 @@
+//! Does a depth calibration still hold for what the camera sees now? Depth is compared with the
+//! planes of boards that color sees, patch by patch, by the error that patches of held-out views had
+//! when the camera was calibrated.
+
+use nalgebra::{Matrix6, Vector3, Vector6};
+
+use crate::calibration::depth_calibration::{DepthBias, DepthCalibration};
+use crate::calibration::plane_error::{PatchError, patch_errors};
+use crate::geometry::median::median;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+use crate::imaging::depth_image::DepthImage;
+
+/// An error of this many standard deviations is a change.
+const LIMIT_SIGMAS: f64 = 3.0;
+/// The standard deviation of a normal distribution over its median absolute deviation.
+const SIGMA_PER_MAD: f64 = 1.4826;
+/// The standard error of a median over that of a mean.
+const MEDIAN_OVER_MEAN: f64 = 1.2533;
+/// Of so many views the worst is left out.
+const LEAST_TO_LEAVE_ONE_OUT: usize = 4;
+/// A change along a direction that the views show this much less than along others is not shown.
+const NOT_SHOWN: f64 = 1e-9;
+
+/// The depth image of a view, and where color sees the board.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthView {
+    /// The board in color.
+    pub color_from_board: Pose,
+    /// The depth image.
+    pub image: DepthImage,
+}
+
+/// What views say of a depth calibration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthCheck {
+    /// By distance, nearest first; those of the calibration, as far as they were seen.
+    pub ranges: Vec<CheckedRange>,
+    /// Views with readings on the board.
+    pub views: usize,
+    /// How far patches are off, in standard deviations of those of held-out views: the robust
+    /// figure of each view, squared, in the mean over views. A view whose board moved between the
+    /// images is no change: of four and more the worst is left out.
+    pub off_sigmas: f64,
+    /// By what part depth is too long, in the median over views.
+    pub relative_bias: f64,
+    /// Its standard deviation by how views differ; infinite for a single one.
+    pub relative_bias_std: f64,
+    /// From how far on these views show that the depth camera moved, whichever way, in meters;
+    /// `None` where there is a way of moving that they do not show.
+    pub visible_m: Option<f64>,
+}
+
+/// Depth against the board's planes in one range of distances.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CheckedRange {
+    /// The nearest and the farthest patch, in meters.
+    pub seen_m: [f64; 2],
+    /// The median error of patches, measured less true, in meters.
+    pub bias_m: f64,
+    /// Its standard deviation by how views differ, in meters; infinite for a single one.
+    pub bias_std_m: f64,
+    /// The robust standard deviation of patches about the bias, in meters.
+    pub spread_m: f64,
+    /// The same of held-out views when the camera was calibrated, in meters.
+    pub calibrated_m: f64,
+    /// Views with patches here.
+    pub views: usize,
+    /// Their patches.
+    pub patches: usize,
+}
+
+impl CheckedRange {
+    /// How far depth may be off without a change, in meters.
+    pub fn allowed_m(&self) -> f64 {
+        LIMIT_SIGMAS * self.calibrated_m
+    }
+}
+
+impl DepthCheck {
+    /// Compares depth with the planes of `board`; `color_from_depth` has the standard deviation
+    /// `translation_std_m` along each axis.
+    pub fn of(
+        (depth, color_from_depth): (&DepthCalibration, &Pose),
+        translation_std_m: [f64; 3],
+        board: &Target,
+        views: &[DepthView],
+    ) -> Self {
+        let errors = |view: &DepthView| {
+            let camera = (&depth.camera, color_from_depth);
+            let image = (&view.image, depth.invalid);
+            patch_errors(camera, (board, &view.color_from_board), image)
+        };
+        let mut seen: Vec<Vec<PatchError>> = views.iter().map(errors).collect();
+        seen.retain(|patches| !patches.is_empty());
+        let known = CalibratedErrors { depth, translation_std_m };
+        let places = 0..depth.bias.len().max(1);
+        let relative = |patches: &Vec<PatchError>| {
+            median(patches.iter().map(|one| one.error_m / one.point_in_depth.z).collect())
+        };
+        let relative: Vec<f64> = seen.iter().filter_map(relative).collect();
+        Self {
+            ranges: places.filter_map(|place| range(&known, place, &seen)).collect(),
+            views: seen.len(),
+            off_sigmas: off_sigmas(&known, &seen),
+            relative_bias: median(relative.clone()).unwrap_or(0.0),
+            relative_bias_std: median_std(&relative),
+            visible_m: visible_m(&known, &seen),
+        }
+    }
+
+    /// Whether depth is as it was calibrated wherever it was seen.
+    pub fn holds(&self) -> bool {
+        self.off_sigmas <= LIMIT_SIGMAS
+    }
+
+    /// Whether depth is too long or too short in all views alike.
+    pub fn is_scaled(&self) -> bool {
+        self.relative_bias.abs() > LIMIT_SIGMAS * self.relative_bias_std
+    }
+}
+
+/// What the calibration knows of its errors.
+struct CalibratedErrors<'a> {
+    depth: &'a DepthCalibration,
+    translation_std_m: [f64; 3],
+}
+
+impl CalibratedErrors<'_> {
+    /// The calibration's range for a distance: the one it is in, or the nearest.
+    fn place(&self, z_m: f64) -> usize {
+        let beside = |range: &DepthBias| (range.from_m - z_m).max(z_m - range.to_m).max(0.0);
+        let ranges = self.depth.bias.iter().map(beside).enumerate();
+        ranges.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(place, _)| place)
+    }
+
+    /// The standard deviation of a patch at `z_m`: that of held-out views, which grows with the
+    /// square of distance beyond them; without any, that of single readings and of the pose.
+    fn patch_std_m(&self, z_m: f64) -> f64 {
+        let [_, _, along_m] = self.translation_std_m;
+        match self.depth.bias.get(self.place(z_m)) {
+            Some(range) => range.rms_after_m * (z_m / range.to_m).powi(2).max(1.0),
+            None => self.depth.noise.at(z_m).hypot(along_m),
+        }
+    }
+}
+
+fn range(
+    known: &CalibratedErrors<'_>,
+    place: usize,
+    seen: &[Vec<PatchError>],
+) -> Option<CheckedRange> {
+    let here = |patch: &&PatchError| known.place(patch.point_in_depth.z) == place;
+    let of_view =
+        |patches: &Vec<PatchError>| patches.iter().filter(here).copied().collect::<Vec<_>>();
+    let views: Vec<Vec<PatchError>> =
+        seen.iter().map(of_view).filter(|patches| !patches.is_empty()).collect();
+    let errors = |patches: &[PatchError]| patches.iter().map(|patch| patch.error_m).collect();
+    let all = views.concat();
+    let distances = || all.iter().map(|patch| patch.point_in_depth.z);
+    let bias_m = median(errors(&all))?;
+    let absolute = all.iter().map(|patch| (patch.error_m - bias_m).abs()).collect();
+    let of_views: Vec<f64> = views.iter().filter_map(|view| median(errors(view))).collect();
+    let stds = distances().map(|z_m| known.patch_std_m(z_m)).collect();
+    Some(CheckedRange {
+        seen_m: [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)],
+        bias_m,
+        bias_std_m: median_std(&of_views),
+        spread_m: SIGMA_PER_MAD * median(absolute)?,
+        calibrated_m: median(stds)?,
+        views: views.len(),
+        patches: all.len(),
+    })
+}
+
+/// How far views are off, see [`DepthCheck::off_sigmas`].
+fn off_sigmas(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> f64 {
+    let of_view = |patches: &Vec<PatchError>| {
+        let sigmas = |one: &PatchError| one.error_m.abs() / known.patch_std_m(one.point_in_depth.z);
+        Some(SIGMA_PER_MAD * median(patches.iter().map(sigmas).collect())?)
+    };
+    let mut views: Vec<f64> = seen.iter().filter_map(of_view).collect();
+    views.sort_by(f64::total_cmp);
+    if views.len() >= LEAST_TO_LEAVE_ONE_OUT {
+        views.pop();
+    }
+    let square = views.iter().map(|sigmas| sigmas * sigmas).sum::<f64>();
+    (square / views.len().max(1) as f64).sqrt()
+}
+
+/// The standard deviation of the median of `values`, by their scatter.
+fn median_std(values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let square = values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0);
+    if values.len() < 2 { f64::INFINITY } else { MEDIAN_OVER_MEAN * (square / count).sqrt() }
+}
+
+/// From how far on a move of the depth camera shows. A move by t with a rotation w changes the
+/// depth of the plane with normal n at the point p by n · (t + w × p) / n_z', with n_z' the normal
+/// along the ray per meter of depth; patches of one view err together, so that each view counts as
+/// the three numbers of its plane.
+fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> Option<f64> {
+    let mut information = Matrix6::zeros();
+    for patches in seen {
+        let weight = (3.0 / patches.len() as f64).min(1.0);
+        for patch in patches {
+            let (point, normal) = (patch.point_in_depth.coords, patch.normal_in_depth);
+            let along = normal.dot(&(point / point.z));
+            let turned = point.cross(&normal);
+            let row = Vector6::from_iterator(normal.iter().chain(turned.iter()).copied()) / along;
+            let std_m = known.patch_std_m(point.z);
+            information += row * row.transpose() * (weight / (std_m * std_m));
+        }
+    }
+    let eigenvalues = information.symmetric_eigenvalues();
+    let covariance = (eigenvalues.min() > NOT_SHOWN * eigenvalues.max())
+        .then(|| information.try_inverse())
+        .flatten()?;
+    let of_translation = covariance.fixed_view::<3, 3>(0, 0).into_owned();
+    let largest: Vector3<f64> = of_translation.symmetric_eigenvalues();
+    Some(LIMIT_SIGMAS * largest.max().max(0.0).sqrt())
+}

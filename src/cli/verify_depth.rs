@@ -1,0 +1,187 @@
+//! `plumb verify` of depth: against the planes of the boards that color sees.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use crate::calibration::depth_check::{CheckedRange, DepthCheck, DepthView};
+use crate::calibration::result::Calibration;
+use crate::calibration::sensor::SensorId;
+use crate::cli::Failure;
+use crate::cli::calibrate_rgbd::depth_sensor;
+use crate::cli::search_args::SearchArgs;
+use crate::cli::sources::FrameSets;
+use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+use crate::imaging::depth_image::DepthImage;
+use crate::imaging::frame::SensorKind;
+
+/// A move of the depth camera that shows only from this much on, in meters, is as good as not seen:
+/// chosen, as an overlay is off by a visible amount from there.
+const CERTAIN_M: f64 = 0.02;
+
+/// What is said of depth.
+#[derive(Debug, Serialize)]
+pub struct VerifiedDepth {
+    /// Whether depth is as it was calibrated wherever it was seen.
+    pub holds: bool,
+    /// Views with readings on the board.
+    pub views: usize,
+    /// How far depth is off, in standard deviations of held-out views when it was calibrated: a
+    /// change above 3.
+    pub off_sigmas: f64,
+    /// From how far on these views show that the depth camera moved; null where there is a way
+    /// of moving that they do not show.
+    pub visible_m: Option<f64>,
+    /// By distance, nearest first.
+    pub ranges: Vec<VerifiedRange>,
+    /// In words.
+    #[serde(skip)]
+    pub reasons: Vec<String>,
+}
+
+/// Depth in one range of distances, in meters.
+#[derive(Debug, Serialize)]
+pub struct VerifiedRange {
+    seen_m: [f64; 2],
+    bias_m: f64,
+    bias_std_m: Option<f64>,
+    spread_m: f64,
+    allowed_m: f64,
+    views: usize,
+}
+
+impl VerifiedDepth {
+    /// Whether everything that could have changed was seen.
+    pub fn saw_all(&self) -> bool {
+        self.visible_m.is_some_and(|visible_m| visible_m <= CERTAIN_M)
+    }
+
+    /// A line for each range of distances.
+    pub fn lines(&self) -> Vec<String> {
+        let line = |range: &VerifiedRange| {
+            let [from, to] = range.seen_m;
+            let mm = |meters: f64| meters * 1000.0;
+            let std = range.bias_std_m.map(|std_m| format!(" ± {:.1}", mm(std_m)));
+            format!(
+                "depth, {from:.2} to {to:.2} m: {:+.1}{} mm off the board, spread {:.1} mm, {:.1} mm allowed",
+                mm(range.bias_m),
+                std.unwrap_or_default(),
+                mm(range.spread_m),
+                mm(range.allowed_m)
+            )
+        };
+        self.ranges.iter().map(line).collect()
+    }
+
+    fn of(check: &DepthCheck, views: usize) -> Self {
+        let mut reasons = Vec::new();
+        if !check.holds() {
+            reasons.push(change(check));
+        }
+        if check.views < views {
+            reasons.push(format!(
+                "{} of {views} views have no depth on the board: check the depth images' unit, times and size",
+                views - check.views
+            ));
+        }
+        let what = match check.views {
+            1 => "one view with depth".to_owned(),
+            count => format!("these {count} views with depth"),
+        };
+        match check.visible_m {
+            Some(visible_m) if visible_m > CERTAIN_M => reasons.push(format!(
+                "{what} would show a move of the depth camera from {:.0} mm on: show the board in more places, tilted",
+                visible_m * 1000.0
+            )),
+            None => reasons.push(format!(
+                "{what} cannot show every move of the depth camera, as sideways along a board that is not tilted: show the board in at least 3 places, tilted"
+            )),
+            Some(_) => {}
+        }
+        let range = |range: &CheckedRange| VerifiedRange {
+            seen_m: range.seen_m,
+            bias_m: range.bias_m,
+            bias_std_m: range.bias_std_m.is_finite().then_some(range.bias_std_m),
+            spread_m: range.spread_m,
+            allowed_m: range.allowed_m(),
+            views: range.views,
+        };
+        Self {
+            holds: check.holds() && check.views > 0,
+            views: check.views,
+            off_sigmas: check.off_sigmas,
+            visible_m: check.visible_m,
+            ranges: check.ranges.iter().map(range).collect(),
+            reasons,
+        }
+    }
+}
+
+/// What changed, as far as the errors show it.
+fn change(check: &DepthCheck) -> String {
+    let sigmas = check.off_sigmas;
+    if check.is_scaled() {
+        let percent = 100.0 * check.relative_bias;
+        return format!(
+            "depth reads {percent:+.1} % off the board in all views alike, {sigmas:.0} times what it was when calibrated: check the board's square and the depth images' unit; if they are as then, calibrate again"
+        );
+    }
+    format!(
+        "depth is off the board, {sigmas:.0} times what it was when calibrated: check that depth and color are of the same device, moment and orientation; if they are, the sensors have moved: calibrate again"
+    )
+}
+
+/// Compares depth with the boards at the poses `views`, by name; `None` where the calibration or the
+/// sources have no depth.
+///
+/// # Errors
+/// For depth in other units than the calibration's, or images of another size.
+pub fn verify_depth(
+    (calibration, board): (&Calibration, &Target),
+    search: &SearchArgs,
+    views: &BTreeMap<String, Pose>,
+) -> Result<Option<VerifiedDepth>, Failure> {
+    let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
+    let pose = calibration.pose(&target, &source);
+    let Some((depth, color_from_depth)) = calibration.depth().zip(pose) else { return Ok(None) };
+    let mut depth = depth.clone();
+    let mut seen = Vec::new();
+    for source in &search.sources {
+        let mut stated = None;
+        for frames in FrameSets::new(std::iter::once(source.clone())).reading(&search.reading) {
+            let frames = frames.map_err(|unreadable| Failure::failed(unreadable.reason))?;
+            let name = frames.set.name.clone().unwrap_or_else(|| frames.set.sequence.to_string());
+            let frame = frames.set.frame(SensorKind::Depth);
+            let Some((frame, color_from_board)) = frame.zip(views.get(&name)) else { continue };
+            if stated.is_none() {
+                stated = Some(depth_sensor(source)?);
+                as_stated(&mut depth.camera.reading, stated.as_ref().and_then(|s| s.reading));
+            }
+            let image = DepthImage::from_frame(frame)
+                .map_err(|error| Failure::failed(format!("{}: depth: {error}", frames.path())))?;
+            let (size, expected) = (image.size(), depth.camera.image_size);
+            if size != expected {
+                return Err(Failure::failed(format!(
+                    "{}: its depth image is {size}, the calibration is of {expected}: give images of that size",
+                    frames.path()
+                )));
+            }
+            seen.push(DepthView { color_from_board: *color_from_board, image });
+        }
+    }
+    let std_m = color_from_depth.translation_std_m;
+    let of_depth = (&depth, &color_from_depth.target_from_source);
+    let check = DepthCheck::of(of_depth, std_m, board, &seen);
+    Ok((!seen.is_empty()).then(|| VerifiedDepth::of(&check, views.len())))
+}
+
+/// Depth in the unit that the source states, where it states one.
+fn as_stated(reading: &mut DepthReading, stated: Option<DepthReading>) {
+    if let (DepthReading::Metric { unit_m }, Some(DepthReading::Metric { unit_m: stated_m })) =
+        (&mut *reading, stated)
+    {
+        *unit_m = stated_m;
+    }
+}
