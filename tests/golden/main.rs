@@ -5,6 +5,7 @@
 
 mod allocations;
 mod bad_views;
+mod board_border;
 mod coded_targets;
 mod corner_accuracy;
 mod detection;

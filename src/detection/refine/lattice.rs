@@ -5,6 +5,7 @@ use crate::detection::board_detection::GridIndex;
 use crate::detection::refine::corner_model::length;
 use crate::detection::refine::field::{BoardField, FieldSample};
 use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::own_curvature::OwnCurvature;
 
 /// One corner after the first fit, in image pixels.
 #[derive(Debug, Clone, Copy)]
@@ -39,6 +40,9 @@ pub(super) struct Lattice {
     size: [i64; 2],
     slots: Vec<Option<u32>>,
     samples: Vec<FieldSample>,
+    /// The curvature of the edges along each axis by neighbors' positions, for unit variance of
+    /// these.
+    by_neighbors: [Vec<FieldSample>; 2],
     /// The curvature of the edges along each axis.
     curvatures: [BoardField; 2],
     /// The natural logarithm of white.
@@ -52,8 +56,8 @@ impl Lattice {
     /// Takes the indices of `corners` and what is known of each.
     pub fn fill(&mut self, corners: &[GridCorner], known: &[Option<Known>]) {
         self.place(corners);
-        let mut samples = std::mem::take(&mut self.samples);
         for axis in 0..2 {
+            let mut samples = std::mem::take(&mut self.by_neighbors[axis]);
             let step = [i64::from(axis == 0), i64::from(axis == 1)];
             let beside = |corner: &GridCorner, steps: i64| {
                 known[self.slot(corner.index, step.map(|v| v * steps))?].as_ref()
@@ -63,12 +67,14 @@ impl Lattice {
                 let (behind, here, ahead) =
                     (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
                 let (value, span) = curvature([behind.at, here.at, ahead.at], here.along[axis])?;
-                // With equal variances, the variance of a curvature is inverse to the fourth power
-                // of the span.
-                Some(FieldSample { place: place(corner.index), value, weight: span.powi(4) })
+                // A second difference of three positions, half the span apart.
+                let weight = (span / 2.0).powi(4) / 6.0;
+                Some(FieldSample { place: place(corner.index), value, weight })
             }));
             self.curvatures[axis] = BoardField::fit(&samples, CURVATURE_ORDER);
+            self.by_neighbors[axis] = samples;
         }
+        let mut samples = std::mem::take(&mut self.samples);
         samples.clear();
         samples.extend(corners.iter().zip(known).filter_map(|(corner, known)| {
             Some(FieldSample {
@@ -79,6 +85,39 @@ impl Lattice {
         }));
         self.light = BoardField::fit(&samples, LIGHT_ORDER);
         self.samples = samples;
+    }
+
+    /// The curvature of the edges along `axis` by both: the differences between neighbors, whose
+    /// positions have this variance, and what each corner's own window says beyond that. `None`
+    /// where no corner has two neighbors: a window alone cannot distinguish curvature from noise.
+    pub fn curvature_with_own(
+        &mut self,
+        axis: usize,
+        variance_px2: f64,
+        own: impl Iterator<Item = (GridIndex, OwnCurvature)>,
+    ) -> Option<BoardField> {
+        if self.by_neighbors[axis].is_empty() {
+            return None;
+        }
+        self.samples.clear();
+        let by_neighbors = self.by_neighbors[axis].iter();
+        self.samples.extend(
+            by_neighbors
+                .map(|sample| FieldSample { weight: sample.weight / variance_px2, ..*sample }),
+        );
+        let field = &self.curvatures[axis];
+        self.samples.extend(own.map(|(index, own)| {
+            let place = place(index);
+            let value = field.at(place) + own.excess;
+            FieldSample { place, value, weight: 1.0 / own.variance }
+        }));
+        Some(BoardField::fit(&self.samples, CURVATURE_ORDER))
+    }
+
+    /// By how much `field` exceeds, at the corner at `index`, the curvature of the edges along
+    /// `axis` that [`Self::surroundings`] gives.
+    pub fn beyond(&self, axis: usize, field: &BoardField, index: GridIndex) -> f64 {
+        field.at(place(index)) - self.curvatures[axis].at(place(index))
     }
 
     fn place(&mut self, corners: &[GridCorner]) {

@@ -13,8 +13,9 @@
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
 //!
 //! Every corner is fitted twice: in a small window by itself, then in a large one, with the
-//! curvature of the edges, the change of light and the noise known from the board. `README.md`
-//! beside this file has the measurements.
+//! curvature of the edges, the change of light and the noise known from the board; then moved by
+//! what all large windows together say of the curvature beyond that. `README.md` beside this file
+//! has the measurements.
 
 mod beside;
 mod corner_model;
@@ -31,6 +32,7 @@ mod lattice;
 mod misfit;
 mod noise;
 mod normal_equations;
+mod own_curvature;
 pub mod print;
 mod printed;
 mod refined_corner;

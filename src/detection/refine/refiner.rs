@@ -11,6 +11,7 @@ use crate::detection::refine::lattice::{Known, Lattice};
 use crate::detection::refine::misfit::CornerMisfit;
 use crate::detection::refine::noise::PooledNoise;
 use crate::detection::refine::normal_equations::{ModelColumns, Noise};
+use crate::detection::refine::own_curvature::{OwnCurvature, own_curvatures};
 use crate::detection::refine::print::{BoardPrint, PrintPatch};
 use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::samples::Samples;
@@ -18,6 +19,7 @@ use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::straightness::{Placed, Straightness};
 use crate::detection::refine::thresholds::{ENOUGH_CORNERS, FEWEST_SAMPLES, LEAST_INSIDE, SHADED};
 use crate::detection::refine::window::Window;
+use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -41,6 +43,10 @@ pub struct Refiner {
     pub(super) shapes: Vec<[f64; 3]>,
     pub(super) fitted: Vec<Option<Fitted>>,
     pub(super) known: Vec<Option<Known>>,
+    /// Of each corner, what its window says of its edges' curvature.
+    own_curvatures: Vec<[Option<OwnCurvature>; 2]>,
+    /// Variances of the first fits' positions.
+    variances_px2: Vec<f64>,
     pub(super) patch: PrintPatch,
     /// Where the corners are by now.
     pub(super) placed: Vec<Option<Pixel>>,
@@ -97,6 +103,7 @@ impl Refiner {
         self.misfit.clear();
         self.straightness.clear();
         self.shapes.clear();
+        self.own_curvatures.clear();
         for (slot, (corner, first)) in corners.iter().zip(&fitted).enumerate() {
             let beside = Beside { print: nearby.map(|it| (slot, it)), shaded: self.shaded[slot] };
             let second = first
@@ -107,6 +114,9 @@ impl Refiner {
             if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
+            self.own_curvatures.push(second.as_ref().map_or([None; 2], |second| {
+                own_curvatures(&self.samples, &self.columns, (&second.fit, second.window.bin))
+            }));
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
             if let Some(second) = &second {
                 self.straightness.note_window(second.window.extent);
@@ -114,7 +124,30 @@ impl Refiner {
             refined.push(second.as_ref().map(Fitted::refined));
         }
         self.fitted = fitted;
+        self.bend_edges(corners, refined);
         self.set_stds(refined);
+    }
+
+    /// Moves corners by how much more curved their edges are than in the second fit, as the windows
+    /// of all corners together with the first fits' positions say.
+    fn bend_edges(&mut self, corners: &[GridCorner], refined: &mut [Option<RefinedCorner>]) {
+        let Self { fitted, variances_px2, own_curvatures, lattice, .. } = self;
+        variances_px2.clear();
+        variances_px2.extend(fitted.iter().flatten().map(|first| first.refined().std_px.powi(2)));
+        let Some(variance_px2) = median_of(variances_px2) else { return };
+        for axis in 0..2 {
+            let own = corners.iter().zip(own_curvatures.iter());
+            let own = own.filter_map(|(corner, own)| Some((corner.index, own[axis]?)));
+            let Some(field) = lattice.curvature_with_own(axis, variance_px2, own) else { continue };
+            for ((corner, own), refined) in
+                corners.iter().zip(own_curvatures.iter()).zip(&mut *refined)
+            {
+                let (Some(own), Some(refined)) = (own[axis], refined) else { continue };
+                let beyond = lattice.beyond(axis, &field, corner.index);
+                refined.pixel.x += beyond * own.move_px2[0];
+                refined.pixel.y += beyond * own.move_px2[1];
+            }
+        }
     }
 
     /// What is known of the corners that fit as well as the others.

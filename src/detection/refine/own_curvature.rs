@@ -1,0 +1,108 @@
+//! What the pixels of a corner's own window say of the curvature of its edges, beyond that which
+//! the fit took from the board. An edge's offset far from the corner against that near it, by least
+//! squares on the last linearization: offset = shift + turn · t + excess · t²/2.
+//!
+//! One window says little (for small cells about a third of what a corner with both its neighbors
+//! does, for large ones nothing), but it says it at the ends of the board's lines too, where the
+//! neighbors' differences have to be extrapolated: in small cells that error was common to all
+//! corners of a border and up to three times their standard deviation.
+
+use pulp::{Simd, WithSimd};
+
+use crate::detection::refine::corner_model::{CornerModel, SHIFT};
+use crate::detection::refine::fit::CornerFit;
+use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
+use crate::detection::refine::samples::Samples;
+
+/// The curvature of one edge in its corner's window.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct OwnCurvature {
+    /// By how much it exceeds that of the fit, towards the edge's normal, in 1/px.
+    pub excess: f64,
+    /// Variance of that, in 1/px².
+    pub variance: f64,
+    /// How the corner moves, in px, for each 1/px by which the edge is more curved.
+    pub move_px2: [f64; 2],
+}
+
+/// Of the fit of a corner in bins of `bin` pixels, whose samples and last linearization these are.
+/// `None` where the window
+/// does not determine it.
+pub(super) fn own_curvatures(
+    samples: &Samples,
+    columns: &ModelColumns,
+    (fit, bin): (&CornerFit, usize),
+) -> [Option<OwnCurvature>; 2] {
+    let model = &fit.model;
+    let sums = pulp::Arch::new().dispatch(AlongEdges { samples, columns, model });
+    let bin = bin as f64;
+    [0, 1].map(|edge| {
+        let [s0, s1, s2, s3, s4] = sums[edge].information;
+        let [r0, r1, r2] = sums[edge].scores;
+        // What a shift and a turn explain of t².
+        let det = s0 * s2 - s1 * s1;
+        let (shift, turn) = ((s2 * s2 - s1 * s3) / det, (s0 * s3 - s1 * s2) / det);
+        let information = s4 - shift * s2 - turn * s3;
+        let score = r2 - shift * r0 - turn * r1;
+        let excess = 2.0 * score / information / bin;
+        let variance = 4.0 * fit.mean_square / information / (bin * bin);
+        // Blur moves a curved edge, too: CornerModel::pull_of_blur.
+        let blur = 1.0 / (model.sharpness[1 - edge] * model.sharpness[1 - edge]);
+        let mut shifts = [0.0; 2];
+        shifts[edge] = -0.5 * (shift + blur);
+        let move_px2 = model.center_move(shifts).map(|v| v * bin * bin);
+        let known = variance > 0.0 && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
+        known.then_some(OwnCurvature { excess, variance, move_px2 })
+    })
+}
+
+/// Sums over an edge's samples at the distances t from the corner along it.
+#[derive(Debug, Clone, Copy, Default)]
+struct EdgeSums {
+    /// Of the squared derivatives by the edge's offset, times t⁰ … t⁴.
+    information: [f64; 5],
+    /// Of these derivatives times residuals, times t⁰ … t².
+    scores: [f64; 3],
+}
+
+struct AlongEdges<'a> {
+    samples: &'a Samples,
+    columns: &'a ModelColumns,
+    model: &'a CornerModel,
+}
+
+impl WithSimd for AlongEdges<'_> {
+    type Output = [EdgeSums; 2];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let Self { samples, columns, model } = self;
+        let [xs, ys, ..] = samples.vectors::<S>();
+        let residuals = columns.column::<S>(RESIDUAL, xs.len());
+        let zero = simd.splat_f32s(0.0);
+        [0, 1].map(|edge| {
+            let shifts = columns.column::<S>(SHIFT + edge, xs.len());
+            let [ax, ay] = model.along[edge];
+            let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
+            let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
+            let (mut information, mut scores) = ([zero; 5], [zero; 3]);
+            for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
+                let t = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
+                let mut square = simd.mul_f32s(shifts[i], shifts[i]);
+                for sum in &mut information {
+                    *sum = simd.add_f32s(*sum, square);
+                    square = simd.mul_f32s(square, t);
+                }
+                let mut score = simd.mul_f32s(shifts[i], residuals[i]);
+                for sum in &mut scores {
+                    *sum = simd.add_f32s(*sum, score);
+                    score = simd.mul_f32s(score, t);
+                }
+            }
+            EdgeSums {
+                information: information.map(|sum| f64::from(simd.reduce_sum_f32s(sum))),
+                scores: scores.map(|sum| f64::from(simd.reduce_sum_f32s(sum))),
+            }
+        })
+    }
+}
