@@ -40,7 +40,7 @@ examples:
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings, DDS.
 python-test: $(VENV)/installed
 	$(TESTED) --no-run
-	PLUMB=target/debug/plumb timeout --kill-after=10 300 $(VENV)/bin/python -m pytest -q tests/python
+	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q tests/python
 
 # The live page, driven in a real browser.
 page-test: $(VENV)/installed
