@@ -1,17 +1,19 @@
 //! Each threshold of the detector changed by a fifth, and what that costs.
 //!
-//!     cargo bench --bench thresholds -- --seed 1 --images 240 > docs/detection/thresholds.md
+//!     cargo bench --bench thresholds -- --seed 1 --images 160 > docs/detection/thresholds.md
 //!
 //! The images are drawn at random from hard conditions: tilt, blur, noise, small squares, strong
-//! distortion, JPEG, an occluder, a board cut off by the border, a board of another size. Each is
-//! searched, and then tracked into a second image in which the board has moved. Printed for each
-//! threshold: corners found of those to be seen, images answered wrongly (a corner more than
-//! 1.5 px off), the error of the corners, and boards tracked.
+//! distortion, JPEG, an occluder, a board cut off by the border, another board. Each chessboard is
+//! searched for, and then tracked into a second image in which it has moved; boards with markers
+//! are searched for. Printed for each threshold: corners found of those to be seen, images
+//! answered wrongly (a corner more than 1.5 px off), the error of the corners, and boards tracked.
 
 #![expect(clippy::print_stdout, reason = "a benchmark prints what it measures")]
 
 #[path = "hard_cases.rs"]
 mod hard_cases;
+#[path = "marker_scenes.rs"]
+mod marker_scenes;
 
 use std::error::Error;
 
@@ -25,6 +27,7 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use crate::hard_cases::{Case, SQUARE_M, is_seen, render};
+use crate::marker_scenes::{MarkerScene, draw_marker_scene};
 
 /// A corner farther off than this is wrong, in pixels.
 const WRONG_PX: f64 = 1.5;
@@ -54,13 +57,16 @@ struct Scene {
     seen: usize,
 }
 
-/// What was found in all scenes.
+/// What was found in scenes of one kind.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-struct Score {
-    found: usize,
-    wrong: usize,
+pub struct Score {
+    /// Corners of boards that were searched for.
+    pub found: usize,
+    /// Images answered wrongly.
+    pub wrong: usize,
     tracked: usize,
-    squares: f64,
+    /// Sum of the squares of the corners' errors, in pixels squared.
+    pub squares: f64,
 }
 
 impl Score {
@@ -149,10 +155,53 @@ fn search(scene: &Scene, thresholds: Thresholds, score: &mut Score) {
     score.tracked += usize::from(second.is_ok_and(|tracked| tracked.followed));
 }
 
-fn score(scenes: &[Scene], thresholds: Thresholds) -> Score {
-    let mut score = Score::default();
-    scenes.iter().for_each(|scene| search(scene, thresholds, &mut score));
-    score
+/// What is searched: chessboards, and boards with markers.
+struct Scenes {
+    chessboards: Vec<Scene>,
+    markers: Vec<MarkerScene>,
+}
+
+impl Scenes {
+    fn draw(seed: u64, [images, with_markers]: [u64; 2]) -> Result<Self, Box<dyn Error>> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let chessboards = (0..images).map(|_| draw_scene(&mut random)).collect::<Result<_, _>>()?;
+        let markers =
+            (0..with_markers).map(|_| draw_marker_scene(&mut random)).collect::<Result<_, _>>()?;
+        Ok(Self { chessboards, markers })
+    }
+
+    /// Corners to be seen of each kind.
+    fn to_be_seen(&self) -> [usize; 2] {
+        let own = self.chessboards.iter().filter(|scene| scene.same_size).map(|scene| scene.seen);
+        [own.sum(), self.markers.iter().map(MarkerScene::to_be_seen).sum()]
+    }
+
+    /// What these thresholds find of each kind.
+    fn scores(&self, thresholds: Thresholds) -> [Score; 2] {
+        let mut scores = [Score::default(); 2];
+        self.chessboards.iter().for_each(|scene| search(scene, thresholds, &mut scores[0]));
+        self.markers.iter().for_each(|scene| scene.search(thresholds, &mut scores[1]));
+        scores
+    }
+}
+
+/// The change from `base`, as cells of a table; empty: no change.
+fn change(now: Score, base: Score, with_tracking: bool) -> String {
+    let count = |now: usize, before: usize| match now as i64 - before as i64 {
+        0 => String::new(),
+        change => format!("{change:+}"),
+    };
+    let rms_px = now.rms_px() - base.rms_px();
+    let rms_px = if rms_px.abs() < 5e-5 { String::new() } else { format!("{rms_px:+.4}") };
+    let mut cells = format!(
+        " | {} | {} | {rms_px}",
+        count(now.found, base.found),
+        count(now.wrong, base.wrong)
+    );
+    if with_tracking {
+        cells += &format!(" | {}", count(now.tracked, base.tracked));
+    }
+    cells
 }
 
 fn argument(name: &str, default: u64) -> u64 {
@@ -161,26 +210,35 @@ fn argument(name: &str, default: u64) -> u64 {
 }
 
 fn main() -> Result<(), Box<dyn Error>> {
-    let (seed, images) = (argument("--seed", 1), argument("--images", 240));
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let scenes: Vec<Scene> =
-        (0..images).map(|_| draw_scene(&mut random)).collect::<Result<_, _>>()?;
-    let seen: usize = scenes.iter().filter(|scene| scene.same_size).map(|scene| scene.seen).sum();
-    let base = score(&scenes, Thresholds::DEFAULT);
+    let (seed, images) = (argument("--seed", 1), argument("--images", 160));
+    let with_markers = argument("--with-markers", 40);
+    let scenes = Scenes::draw(seed, [images, with_markers])?;
+    let seen = scenes.to_be_seen();
+    let base = scenes.scores(Thresholds::DEFAULT);
     println!("# Thresholds of the detector, each changed by a fifth\n");
     println!(
-        "`cargo bench --bench thresholds -- --seed {seed} --images {images}`: hard conditions drawn at\n\
-         random, {seen} corners to be seen. As they are: {} corners found, {} images answered wrongly,\n\
-         {:.4} px rms, {} boards tracked. The columns are the change of that; empty: no change.\n",
-        base.found,
-        base.wrong,
-        base.rms_px(),
-        base.tracked
+        "`cargo bench --bench thresholds -- --seed {seed} --images {images} --with-markers\n\
+         {with_markers}`: hard conditions drawn at random. As they are:\n"
     );
+    for (kind, seen, score) in
+        [("chessboards", seen[0], base[0]), ("boards with markers", seen[1], base[1])]
+    {
+        println!(
+            "- {kind}: {} of {seen} corners found, {} images answered wrongly, {:.4} px rms",
+            score.found,
+            score.wrong,
+            score.rms_px()
+        );
+    }
     println!(
-        "| threshold | value | origin | × 0.8: corners | wrong | rms, px | tracked | × 1.25: corners | wrong | rms, px | tracked |"
+        "- {} chessboards tracked\n\n\
+         The columns are the change of that, of chessboards and then of boards with markers (m.);\n\
+         empty: no change.\n",
+        base[0].tracked
     );
-    println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |");
+    let columns = "corners | wrong | rms, px | tracked | m. corners | m. wrong | m. rms, px";
+    println!("| threshold | value | origin | × 0.8: {columns} | × 1.25: {columns} |");
+    println!("|{}", " --- |".repeat(17));
     for entry in Thresholds::entries() {
         let mut row = format!("| `{}` | {} {} | ", entry.name, entry.value, entry.unit);
         row += match entry.origin {
@@ -189,19 +247,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         };
         for factor in [0.8, 1.25] {
             let thresholds = Thresholds::DEFAULT.scaled(&entry.name, factor).ok_or("its name")?;
-            let changed = score(&scenes, thresholds);
-            let count = |now: usize, before: usize| match now as i64 - before as i64 {
-                0 => String::new(),
-                change => format!("{change:+}"),
-            };
-            let rms_px = changed.rms_px() - base.rms_px();
-            let rms_px = if rms_px.abs() < 5e-5 { String::new() } else { format!("{rms_px:+.4}") };
-            row += &format!(
-                " | {} | {} | {rms_px} | {}",
-                count(changed.found, base.found),
-                count(changed.wrong, base.wrong),
-                count(changed.tracked, base.tracked)
-            );
+            let changed = scenes.scores(thresholds);
+            row += &change(changed[0], base[0], true);
+            row += &change(changed[1], base[1], false);
         }
         println!("{row} |");
     }

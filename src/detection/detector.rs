@@ -32,7 +32,7 @@ impl Detector {
             board,
             thresholds,
             search: SearchBuffers::default(),
-            report: ReportBuffers::default(),
+            report: ReportBuffers::new(thresholds.refinement),
             tracker: Tracker::default(),
         }
     }

@@ -10,6 +10,7 @@ use crate::detection::measure::Probe;
 use crate::detection::reasons::not_whole;
 use crate::detection::refine::{GridCorner, RefinedCorner, Refiner};
 use crate::detection::search::FoundGrid;
+use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::detection::verify::corners::{CornerTest, drop_outliers};
 use crate::detection::verify::ends::seen_ends;
 use crate::detection::verify::placement::{BoardPlacement, place};
@@ -27,6 +28,13 @@ pub(in crate::detection) struct ReportBuffers {
     pub(in crate::detection) refiner: Refiner,
     /// Memory for the corners of the next detection.
     pub(in crate::detection) spare: Vec<DetectedCorner>,
+}
+
+impl ReportBuffers {
+    /// Empty ones, of a refiner with these thresholds.
+    pub(in crate::detection) fn new(refinement: RefinementThresholds) -> Self {
+        Self { refiner: Refiner::new(refinement), ..Self::default() }
+    }
 }
 
 /// The refined corners of `found`, in the board's order.

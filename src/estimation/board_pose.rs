@@ -25,7 +25,7 @@ pub struct BoardPose {
     pub covariance: Matrix6<f64>,
 }
 
-/// Turns smaller than this, in radians, are one pose.
+/// Rotations smaller than this, in radians, are one pose.
 const SAME: f64 = 1e-4;
 
 /// The poses that explain `view` under `lens`, best first: one, or for a flat board seen from far

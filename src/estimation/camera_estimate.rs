@@ -59,7 +59,7 @@ pub struct ViewEstimate {
     pub fault: Option<ViewFault>,
     /// Where the board was; for a view that took no part the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
-    /// Covariance of that pose, as a turn about the camera's axes (radians) and a shift of the
+    /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation of the
     /// problem's mean point (meters); `None` for a view that took no part.
     pub covariance: Option<Matrix6<f64>>,
     /// Root mean square over the corners that took part (over all of them in a view that did not),
@@ -157,7 +157,7 @@ pub(crate) fn assemble(
             (fit.faults[index], &fit.observations[index], &equations.residuals[index]);
         let placed = residuals.iter().any(|r| r[0].is_finite());
         let pose = pose_of(index);
-        let shift = pose.translation() - pose * prepared.center_in_board;
+        let translation = pose.translation() - pose * prepared.center_in_board;
         let chained = at.pose_at.map(|pose_at| {
             let (by_sensor, by_board) = chain(state, (part.sensor, observation.frame_set));
             (pose_at, by_sensor, by_board)
@@ -169,7 +169,7 @@ pub(crate) fn assemble(
         ViewEstimate {
             name: problem.views[index - part.first_observation].name.clone(),
             fault,
-            camera_from_board: placed.then(|| Pose::new(pose.rotation(), shift)),
+            camera_from_board: placed.then(|| Pose::new(pose.rotation(), translation)),
             covariance: match &fit.effects {
                 Some(effects) => effects.pose_covariances[index]
                     .filter(|_| known)

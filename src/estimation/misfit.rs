@@ -188,8 +188,8 @@ fn shape_at(point: &Point3<f64>, half: [f64; 2]) -> [f64; SHAPE] {
     [x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y]
 }
 
-/// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's corners that
-/// take part.
+/// The weighted derivatives (lens, shape, pose, motion) and residuals of one view's inlier
+/// corners.
 fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64>, DVector<f64>)> {
     let (observation, lens) = (&fit.observations[view], fit.lens());
     let pose = fit.robust.minimum.state.rig_from_board[observation.frame_set];
@@ -202,8 +202,8 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
     for (row, k) in used.into_iter().enumerate() {
         let (point, seen, weight) =
             (observation.points[k], observation.pixels[k], observation.inverse_std[k]);
-        let turned: Vector3<f64> = rotation * point.coords;
-        let projection = lens.project(&Point3::from(turned + pose.translation()))?;
+        let rotated: Vector3<f64> = rotation * point.coords;
+        let projection = lens.project(&Point3::from(rotated + pose.translation()))?;
         let by_point: Matrix2x3<f64> = projection.by_point * weight;
         residual[2 * row] = (projection.pixel.x - seen.x) * weight;
         residual[2 * row + 1] = (projection.pixel.y - seen.y) * weight;
@@ -215,7 +215,7 @@ fn linearized(fit: &CameraFit, view: usize, extra: Extra) -> Option<(DMatrix<f64
         }
         for (part, time) in [Some(1.0), extra.time(seen)].into_iter().flatten().enumerate() {
             let at = extra.shape + 6 * part;
-            moved.fixed_view_mut::<3, 3>(0, at).copy_from(&(-cross(&turned) * time));
+            moved.fixed_view_mut::<3, 3>(0, at).copy_from(&(-cross(&rotated) * time));
             moved
                 .fixed_view_mut::<3, 3>(0, at + 3)
                 .copy_from(&(nalgebra::Matrix3::identity() * time));

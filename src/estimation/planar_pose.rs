@@ -116,12 +116,13 @@ fn flat_pose<'a>(
     scale: f64,
     seen: impl Iterator<Item = (&'a Point3<f64>, Bearing)> + Clone,
 ) -> Option<Pose> {
-    let shift = plane_from_board.translation();
-    let is_shift = plane_from_board.rotation().w == 1.0;
+    let translation = plane_from_board.translation();
+    let is_translation = plane_from_board.rotation().w == 1.0;
     let mut sums = [[0.0; 6]; 6];
     let mut count = 0;
     for (point, bearing) in seen.clone() {
-        let on_plane = if is_shift { point + shift } else { *plane_from_board * *point };
+        let on_plane =
+            if is_translation { point + translation } else { *plane_from_board * *point };
         let (x, y) = (on_plane.x * scale, on_plane.y * scale);
         let products = [x * x, x * y, x, y * y, y, 1.0];
         let b = bearing.as_ref();
@@ -229,9 +230,9 @@ mod tests {
         let flat: Vec<_> = (0..54)
             .map(|k| Point3::new(f64::from(k % 9) * 0.03, f64::from(k / 9) * 0.03, 0.0))
             .collect();
-        let turn =
+        let rotation =
             Pose::from_axis_angle(Vector3::new(0.4, -0.3, 0.9), Vector3::new(0.2, -0.1, 0.7));
-        let tilted: Vec<_> = flat.iter().map(|p| turn * *p).collect();
+        let tilted: Vec<_> = flat.iter().map(|p| rotation * *p).collect();
         let solid: Vec<_> = (0..27)
             .map(|k| Point3::new(f64::from(k % 3), f64::from(k / 3 % 3), f64::from(k / 9)) * 0.1)
             .collect();
@@ -243,7 +244,7 @@ mod tests {
         ] {
             let camera_from_board = Pose::from_axis_angle(Vector3::from(axis), Vector3::from(t));
             check(&flat, &camera_from_board);
-            check(&tilted, &(camera_from_board * turn.inverse()));
+            check(&tilted, &(camera_from_board * rotation.inverse()));
             check(&solid, &camera_from_board);
         }
     }

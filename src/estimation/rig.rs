@@ -54,7 +54,7 @@ pub struct RigEstimate {
 pub struct SensorPlace {
     /// The pose.
     pub sensor_from_rig: Pose,
-    /// Its covariance, as a turn about the sensor's axes (radians) and a shift (meters); zero for
+    /// Its covariance, as a rotation about the sensor's axes (radians) and a translation (meters); zero for
     /// the first sensor.
     pub covariance: Matrix6<f64>,
     /// How many times greater that is than if each corner erred by itself, as
@@ -150,8 +150,8 @@ fn fit_jointly(
                 .copied()
                 .flatten()
                 .map(|pose| sensor_from_rig[index] * pose);
-            let turned = expected.is_some_and(|expected| expected.angle_to(&own) > HALF_TURN);
-            faults.push(fit.faults[view].or(turned.then_some(ViewFault::HalfTurn)));
+            let rotated = expected.is_some_and(|expected| expected.angle_to(&own) > HALF_TURN);
+            faults.push(fit.faults[view].or(rotated.then_some(ViewFault::HalfTurn)));
         }
     }
     let state = State {

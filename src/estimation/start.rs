@@ -185,8 +185,8 @@ fn plane_pairs(shape: &Shape, observation: &BoardObservation) -> Vec<(Point2<f64
     let pixels = observation.pixels.iter().map(|pixel| Point2::new(pixel.x, pixel.y));
     match shape {
         Shape::Flat { plane_from_board, .. } if plane_from_board.rotation().w == 1.0 => {
-            let shift = plane_from_board.translation();
-            observation.points.iter().map(|p| (p + shift).xy()).zip(pixels).collect()
+            let translation = plane_from_board.translation();
+            observation.points.iter().map(|p| (p + translation).xy()).zip(pixels).collect()
         }
         Shape::Flat { plane_from_board, .. } => {
             observation.points.iter().map(|p| (*plane_from_board * *p).xy()).zip(pixels).collect()

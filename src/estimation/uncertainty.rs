@@ -108,7 +108,7 @@ struct Sample {
 
 impl Sample {
     fn of(lens: &Lens, bearing: Bearing, distance: Distance) -> Option<Self> {
-        let (length, shifts) = match distance {
+        let (length, translates) = match distance {
             Distance::Infinity => (1.0, 0.0),
             Distance::Meters(meters) => (meters, 1.0),
         };
@@ -120,7 +120,7 @@ impl Sample {
             let by_rotation = point.coords.cross(&row);
             for k in 0..3 {
                 by_motion[(axis, k)] = by_rotation[k];
-                by_motion[(axis, 3 + k)] = shifts * row[k];
+                by_motion[(axis, 3 + k)] = translates * row[k];
             }
         }
         Some(Self { by_parameters, by_motion })
@@ -260,10 +260,10 @@ pub fn projection_difference(
             let (pixel, Some(bearing)) = (*pixel, *bearing) else { continue };
             let weight = weights.get(index).copied().unwrap_or(1.0);
             let Some((projection, rest)) = difference(pixel, bearing, &rotation) else { continue };
-            let turned = rotation * bearing.into_inner();
+            let rotated = rotation * bearing.into_inner();
             let mut by_motion = Matrix2x6::zeros();
             for axis in 0..2 {
-                let by_rotation = turned.cross(&projection.by_point.row(axis).transpose());
+                let by_rotation = rotated.cross(&projection.by_point.row(axis).transpose());
                 by_motion.fixed_view_mut::<1, 3>(axis, 0).copy_from(&by_rotation.transpose());
             }
             normal += by_motion.transpose() * by_motion * weight;

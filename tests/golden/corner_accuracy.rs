@@ -9,6 +9,7 @@
 use nalgebra::{UnitQuaternion, Vector3};
 use plumb::detection::board_detection::GridIndex;
 use plumb::detection::refine::{GridCorner, RefinedCorner, Refiner};
+use plumb::detection::thresholds::refinement::RefinementThresholds;
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::{ImageSize, Pixel};
@@ -175,7 +176,7 @@ fn measure(condition: &Condition) -> Figures {
     let sensor = condition.sensor();
     let mut renderer =
         Renderer::new(sensor.clone(), BoardPattern::new(board), &Background::new(1, 0));
-    let (mut refiner, mut refined) = (Refiner::new(), Vec::new());
+    let (mut refiner, mut refined) = (Refiner::new(RefinementThresholds::DEFAULT), Vec::new());
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let mut figures = Figures::default();
     for view in 0..VIEWS {
@@ -263,7 +264,7 @@ fn places_between_corners_are_refused() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let camera_from_board = condition.pose(&board, &mut rng);
     let image = sensor.develop(&renderer.light(&[camera_from_board]), 3, 0);
-    let (mut refiner, mut refined) = (Refiner::new(), Vec::new());
+    let (mut refiner, mut refined) = (Refiner::new(RefinementThresholds::DEFAULT), Vec::new());
     for (x, y) in [(0.5, 0.0), (0.0, 0.5), (0.5, 0.5), (0.25, 0.25)] {
         let step = Vector3::new(x, y, 0.0) * board.square_m;
         let places = board

@@ -4,10 +4,18 @@
 use nalgebra::Matrix3;
 
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::coded::thresholds::{CHART_CROSSINGS, CHART_FLATNESS, CHART_REACHES};
 use crate::detection::grid::Grid;
 use crate::detection::grid::perspective::{HomographyVector, NormalMatrix};
 use crate::detection::measure::cross::Vec2;
+
+/// Radii around a place within which crossings are gathered for a local homography, in grid lines,
+/// tried in this order.
+const REACHES: [i32; 3] = [2, 4, 9];
+/// Crossings at which gathering stops: twice the four that a homography takes.
+const ENOUGH_CROSSINGS: usize = 8;
+/// Weight of the assumption that there is no perspective, relative to one crossing: a few
+/// crossings with a noise of 2 % of their spread weigh less.
+const FLATNESS: f64 = 0.004;
 
 /// A homography from lattice to image, near one place.
 #[derive(Debug, Clone, Copy)]
@@ -54,8 +62,8 @@ impl Chart {
         let spread = spread_of(|pair| pair.place, middle);
         let scale = spread_of(|pair| pair.pixel, mean);
         let (mut normal, mut right) = (NormalMatrix::zeros(), HomographyVector::zeros());
-        normal[(6, 6)] = CHART_FLATNESS * total;
-        normal[(7, 7)] = CHART_FLATNESS * total;
+        normal[(6, 6)] = FLATNESS * total;
+        normal[(7, 7)] = FLATNESS * total;
         for pair in pairs {
             let [i, j] = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
             let [x, y] = [0, 1].map(|k| (pair.pixel[k] - mean[k]) / scale);
@@ -92,7 +100,7 @@ impl Chart {
         let at = [sheets.line(i), sheets.line(j)];
         let mut inner = -1;
         pairs.clear();
-        for reach in CHART_REACHES {
+        for reach in REACHES {
             for dj in -reach..=reach {
                 for di in -reach..=reach {
                     let ring = di.abs().max(dj.abs());
@@ -110,7 +118,7 @@ impl Chart {
                 }
             }
             inner = reach;
-            if pairs.len() >= CHART_CROSSINGS {
+            if pairs.len() >= ENOUGH_CROSSINGS {
                 break;
             }
         }

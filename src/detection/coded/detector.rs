@@ -10,10 +10,6 @@ use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::coded::thresholds::{
-    LARGE_SIDE_PX, LEAST_CORNERS, LEAST_LATTICE, LEAST_SIDE_PX, MOST_BEYOND, MOST_OFF_EDGE,
-    MOST_READ, MOST_STARTS, SAME_CROSSING_PX,
-};
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
@@ -22,7 +18,8 @@ use crate::detection::search::candidates::CandidateSearch;
 use crate::detection::search::pyramid::{Pyramid, coarsest_level};
 use crate::detection::search::response::Response;
 use crate::detection::search::seeds::Neighborhood;
-use crate::detection::thresholds::{SeedThresholds, Thresholds};
+use crate::detection::thresholds::Thresholds;
+use crate::detection::thresholds::chessboard::SeedThresholds;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
@@ -30,6 +27,7 @@ use crate::imaging::gray::GrayView;
 #[derive(Debug)]
 pub struct TargetDetector {
     pub(super) target: Target,
+    pub(super) thresholds: Thresholds,
     pub(super) sheets: Sheets,
     pub(super) pyramid: Pyramid,
     response: Response,
@@ -60,18 +58,26 @@ impl TargetDetector {
     /// A detector of `target`; `None` of a target without markers, for which there is
     /// [`Detector`](crate::detection::detector::Detector).
     pub fn new(target: Target) -> Option<Self> {
+        Self::with_thresholds(target, Thresholds::DEFAULT)
+    }
+
+    /// The same with other thresholds, to measure what they cost.
+    pub fn with_thresholds(target: Target, thresholds: Thresholds) -> Option<Self> {
         let sheets = Sheets::of(&target)?;
         let [wide, narrow] = sheets.widths.map(f64::from);
         Some(Self {
-            refiner: Refiner::with_room(2.0 * narrow.min(wide) / (wide + narrow)),
+            refiner: Refiner::with_room(
+                2.0 * narrow.min(wide) / (wide + narrow),
+                thresholds.refinement,
+            ),
             sheets,
             target,
             pyramid: Pyramid::default(),
             response: Response::default(),
             candidates: CandidateSearch::default(),
             neighborhood: Neighborhood::new(SeedThresholds {
-                off_edge: MOST_OFF_EDGE,
-                ..SeedThresholds::DEFAULT
+                off_edge: thresholds.lattice.off_edge,
+                ..thresholds.seeds
             }),
             used: Vec::new(),
             order: Vec::new(),
@@ -79,9 +85,10 @@ impl TargetDetector {
             growth: LatticeGrowth::default(),
             grid: Grid::default(),
             spare: Grid::default(),
-            reading: MarkerReading::default(),
+            reading: MarkerReading::new(thresholds.labels),
             guesses: Vec::new(),
             refined: Vec::new(),
+            thresholds,
         })
     }
 
@@ -96,22 +103,23 @@ impl TargetDetector {
     /// [`NoTarget`] says why there is none.
     pub fn find(&mut self, image: GrayView<'_>) -> Result<TargetDetection, NoTarget> {
         let (width, height) = (image.width(), image.height());
-        if width.min(height) < LEAST_SIDE_PX {
+        if width.min(height) < self.thresholds.lattice.least_side_px {
             let target = self.target.to_string();
             return Err(NoTarget::ImageTooSmall { width, height, target });
         }
         let coarsest = coarsest_level(image.size(), 1);
         self.pyramid.build(image, coarsest);
         let mut seen = Unlabelled::default();
-        let half = usize::from(width.max(height) > LARGE_SIDE_PX).min(coarsest);
+        let half =
+            usize::from(width.max(height) > self.thresholds.lattice.large_side_px).min(coarsest);
         let order = (0..=coarsest).map(|level| if level <= half { half - level } else { level });
         for level in order {
-            if (width.min(height) >> level) < LEAST_SIDE_PX {
+            if (width.min(height) >> level) < self.thresholds.lattice.least_side_px {
                 continue;
             }
             if let Some(label) = self.search_level(image, level, &mut seen)
                 && let Some(detection) = self.finish(image, level, label)
-                && detection.corners.len() >= LEAST_CORNERS
+                && detection.corners.len() >= self.thresholds.marker_corners.least_corners
             {
                 return Ok(detection);
             }
@@ -134,7 +142,7 @@ impl TargetDetector {
     /// Grows lattices from the candidates of `view`, until one is labelled; it is left in `grid`.
     fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabelled) -> Option<BoardLabel> {
         self.response.compute(view, 1);
-        let probe = Probe { image: view, thresholds: &Thresholds::DEFAULT };
+        let probe = Probe { image: view, thresholds: &self.thresholds };
         self.candidates.search(probe, &self.response, usize::from(u16::MAX));
         let candidates = &self.candidates.found;
         seen.candidates = seen.candidates.max(candidates.len());
@@ -146,7 +154,9 @@ impl TargetDetector {
         by_reach(view, candidates, &mut self.order);
         for place in 0..self.order.len() {
             let first = self.order[place].1;
-            if starts == MOST_STARTS || read == MOST_READ {
+            if starts == self.thresholds.lattice.most_starts
+                || read == self.thresholds.lattice.most_read
+            {
                 break;
             }
             if self.used[first] {
@@ -160,11 +170,12 @@ impl TargetDetector {
                 candidates,
                 neighborhood: &self.neighborhood,
                 sheets: &self.sheets,
+                thresholds: &self.thresholds.lattice,
             };
             self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
             self.spend();
             let count = self.grid.members.len();
-            if count < LEAST_LATTICE {
+            if count < self.thresholds.lattice.least_crossings {
                 continue;
             }
             read += 1;
@@ -189,9 +200,14 @@ impl TargetDetector {
         let used = &mut self.used;
         for &(i, j) in &self.grid.members {
             let Some(p) = self.grid.pixel(i, j) else { continue };
-            self.neighborhood.visit_near(&self.candidates.found, p, SAME_CROSSING_PX, |index| {
-                used[index] = true;
-            });
+            self.neighborhood.visit_near(
+                &self.candidates.found,
+                p,
+                self.thresholds.lattice.same_px,
+                |index| {
+                    used[index] = true;
+                },
+            );
         }
     }
 
@@ -210,7 +226,7 @@ impl TargetDetector {
                     .iter()
                     .take_while(|other| other.inset == sheet.inset)
                     .count();
-                for beyond in [0, MOST_BEYOND] {
+                for beyond in [0, self.thresholds.labels.most_beyond] {
                     let mut best = BestLabel::default();
                     for way in way..way + alike {
                         let sheet = (&self.sheets, way);
@@ -232,7 +248,8 @@ impl TargetDetector {
     fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
         let BoardLabels::Two(first, second) = labels else { return labels };
         let ends = [first, second].map(|label| {
-            let sheet = (&self.sheets, self.sheets.ways[label.way].lines);
+            let lines = self.sheets.ways[label.way].lines;
+            let sheet = (&self.sheets, lines, &self.thresholds.labels);
             seen_ends(view, sheet, &self.grid, label.placement, &mut self.pairs)
         });
         match (ends[0], ends[1]) {
@@ -261,6 +278,7 @@ impl TargetDetector {
             candidates: &self.candidates.found,
             neighborhood: &self.neighborhood,
             sheets: &self.sheets,
+            thresholds: &self.thresholds.lattice,
         };
         for _ in 0..8 {
             if !self.growth.detect_missing(scene, &mut self.grid, &places) {
@@ -280,7 +298,7 @@ impl TargetDetector {
         let (count, cols, rows) = seen.lattice;
         if seen.elsewhere > 0 {
             NoTarget::OtherBoard { markers: seen.elsewhere, target }
-        } else if count >= 2 * LEAST_LATTICE {
+        } else if count >= 2 * self.thresholds.lattice.least_crossings {
             NoTarget::NoMarkers { cols, rows, target }
         } else {
             NoTarget::NoLattice { corners: seen.candidates, target }

@@ -6,16 +6,16 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::coded::thresholds::{END_BESIDE, END_BEYOND, END_WITHIN, LEAST_END_SQUARES};
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
+use crate::detection::thresholds::markers::LabelThresholds;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::imaging::gray::GrayView;
 
 /// How many sides of the board of `lines` corners, placed so in `grid`, are seen to be its ends.
 pub(super) fn seen_ends(
     image: GrayView<'_>,
-    (sheets, lines): (&Sheets, [i32; 2]),
+    (sheets, lines, limits): (&Sheets, [i32; 2], &LabelThresholds),
     grid: &Grid,
     placement: BoardPlacement,
     pairs: &mut Vec<ChartPair>,
@@ -37,7 +37,7 @@ pub(super) fn seen_ends(
                     [corner(k), corner(k + 1)].map(|(col, row)| placement.in_grid(col, row));
                 let seen = square_ends(
                     image,
-                    (sheets, grid),
+                    (sheets, grid, limits),
                     (square, outward, upright),
                     placement,
                     pairs,
@@ -51,7 +51,7 @@ pub(super) fn seen_ends(
                     None => {}
                 }
             }
-            ends >= LEAST_END_SQUARES && bright >= 1
+            ends >= limits.least_end_squares && bright >= 1
         })
         .count()
 }
@@ -60,7 +60,7 @@ pub(super) fn seen_ends(
 /// `None` where it is not seen.
 fn square_ends(
     image: GrayView<'_>,
-    (sheets, grid): (&Sheets, &Grid),
+    (sheets, grid, limits): (&Sheets, &Grid, &LabelThresholds),
     (square, outward, upright): ([(i32, i32); 2], i32, bool),
     placement: BoardPlacement,
     pairs: &mut Vec<ChartPair>,
@@ -79,16 +79,18 @@ fn square_ends(
         let y = start.1 + u * out.1 + v * along.1;
         sample(image, chart.at(x, y)?)
     };
-    let beside = at(END_BESIDE, END_BESIDE)? - at(-END_BESIDE, END_BESIDE)?;
-    let middle = (at(END_BESIDE, END_BESIDE)? + at(-END_BESIDE, END_BESIDE)?) / 2.0;
+    let aside = limits.end_beside;
+    let (inside, outside) = (at(aside, aside)?, at(-aside, aside)?);
+    let (beside, middle) = (inside - outside, (inside + outside) / 2.0);
     let contrast = 0.5 * (near.contrast.abs() + far.contrast.abs());
-    if beside.abs() < 0.4 * contrast {
+    if beside.abs() < limits.least_end_contrast * contrast {
         return None;
     }
     let is_bright = beside > 0.0;
     let mut ends = true;
     for v in [0.3, 0.5, 0.7] {
-        let (within, beyond) = (at(END_WITHIN, v)? > middle, at(END_BEYOND, v)? > middle);
+        let (within, beyond) =
+            (at(limits.end_within, v)? > middle, at(limits.end_beyond, v)? > middle);
         ends &= within == is_bright && beyond;
     }
     Some((ends, is_bright))

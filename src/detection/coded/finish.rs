@@ -7,14 +7,11 @@ use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::{LatticeScene, expect_curved, settle};
 use crate::detection::coded::print::LabelledPrint;
-use crate::detection::coded::thresholds::{
-    MOST_MISPLACED_SHARE, MOST_MISPLACEMENT, MOST_MOVED, MOST_REACH_PX, MOST_REFINED_MISPLACEMENT,
-    STANDING_SCORE, STANDING_STD_PX, SUSPECT_SHARE, SUSPECT_STDS,
-};
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::GridCorner;
+use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -35,11 +32,11 @@ impl TargetDetector {
             self.complete(view, label);
         }
         self.pyramid = pyramid;
-        if !self.drop_misplaced(MOST_MISPLACEMENT) {
+        if !self.drop_misplaced(self.thresholds.marker_corners.most_off) {
             return None;
         }
         self.refine(image, label);
-        if !self.drop_misplaced(MOST_REFINED_MISPLACEMENT) {
+        if !self.drop_misplaced(self.thresholds.marker_corners.most_refined_off) {
             return None;
         }
         Some(self.detection(label))
@@ -47,6 +44,7 @@ impl TargetDetector {
 
     /// Moves each crossing to where a finer level shows it.
     fn sharpen(&mut self, view: GrayView<'_>) {
+        let Thresholds { marker_corners: limits, lattice, .. } = self.thresholds;
         for index in 0..self.grid.members.len() {
             let (i, j) = self.grid.members[index];
             let (Some(node), Some((_, steps))) =
@@ -59,14 +57,16 @@ impl TargetDetector {
                 candidates: &[],
                 neighborhood: &self.neighborhood,
                 sheets: &self.sheets,
+                thresholds: &self.thresholds.lattice,
             };
             let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
             let near = |p: Vec2| {
                 in_steps(p - node.pixel, steps.map(|step| step * narrow))
-                    .is_some_and(|off| off.x.abs().max(off.y.abs()) < 0.15)
+                    .is_some_and(|off| off.x.abs().max(off.y.abs()) < limits.most_sharpened)
             };
-            if let Some(sharp) = settle(scene, node.pixel, steps, (0.5, MOST_REACH_PX))
-                .filter(|sharp| near(sharp.pixel))
+            if let Some(sharp) =
+                settle(scene, node.pixel, steps, (lattice.least_known_score, lattice.most_reach_px))
+                    .filter(|sharp| near(sharp.pixel))
             {
                 self.grid.set(i, j, sharp);
             }
@@ -76,7 +76,8 @@ impl TargetDetector {
     /// Drops the crossing that lies farthest from where the others put it, until all lie within
     /// `most`. False if too many must go.
     fn drop_misplaced(&mut self, most: f32) -> bool {
-        let budget = (MOST_MISPLACED_SHARE * self.grid.members.len() as f32) as usize + 1;
+        let limits = self.thresholds.marker_corners;
+        let budget = (limits.most_misplaced * self.grid.members.len() as f32) as usize + 1;
         let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
         for _ in 0..=budget {
             let mut worst = (most, None);
@@ -100,7 +101,7 @@ impl TargetDetector {
                     off = off.min(off_from(curved));
                 }
                 let suspect = self.grid.get(i, j).is_some_and(|node| node.tight);
-                let off = if suspect { off / SUSPECT_SHARE } else { off };
+                let off = if suspect { off / limits.suspect_share } else { off };
                 if off > worst.0 {
                     worst = (off, Some((i, j)));
                 }
@@ -115,6 +116,7 @@ impl TargetDetector {
 
     /// Refines all crossings of `grid`; those that are none are taken out.
     fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
+        let limits = self.thresholds.marker_corners;
         self.guesses.clear();
         let reach = 0.5 * (self.sheets.widths[0] + self.sheets.widths[1]);
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
@@ -137,13 +139,13 @@ impl TargetDetector {
         self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
         let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
         stds.sort_unstable_by(f64::total_cmp);
-        let most_std_px = SUSPECT_STDS * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
+        let most_std_px = limits.suspect_stds * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
         for (guess, refined) in self.guesses.iter().zip(&mut self.refined) {
             let GridIndex { col, row } = guess.index;
             let nearest = guess.neighbors.iter().flatten();
             let cell = nearest.map(|p| p.distance_px(guess.pixel)).fold(f64::MAX, f64::min);
             *refined = refined.filter(|refined| {
-                refined.pixel.distance_px(guess.pixel) < (MOST_MOVED * cell).max(1.0)
+                refined.pixel.distance_px(guess.pixel) < (limits.most_moved * cell).max(1.0)
             });
             let Some(node) = self.grid.get(col, row) else { continue };
             match refined {
@@ -152,7 +154,7 @@ impl TargetDetector {
                     let tight = refined.std_px > most_std_px;
                     self.grid.set(col, row, Node { pixel, tight, ..node });
                 }
-                None if node.score < STANDING_SCORE => self.grid.remove(col, row),
+                None if node.score < limits.standing_score => self.grid.remove(col, row),
                 None => self.grid.set(col, row, Node { tight: true, ..node }),
             }
         }
@@ -174,7 +176,9 @@ impl TargetDetector {
                 id,
                 index: GridIndex { col, row },
                 pixel: refined.map_or(guess.pixel, |refined| refined.pixel),
-                std_px: refined.map_or(STANDING_STD_PX, |refined| refined.std_px),
+                std_px: refined.map_or(self.thresholds.marker_corners.standing_std_px, |refined| {
+                    refined.std_px
+                }),
             });
         }
         corners.sort_unstable_by_key(|corner| corner.id);

@@ -9,11 +9,8 @@
 
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::{Sheet, Sheets};
-use crate::detection::coded::thresholds::{
-    CLEAR_AGREEMENT, CONTRADICTING_AGREEMENT, LABEL_MARGIN, LEAST_CLEAR_SIGNIFICANCE,
-    LEAST_ON_BOARD, LEAST_READ_WEIGHT, LEAST_SIGNIFICANCE, MOST_CONTRADICTIONS,
-};
 use crate::detection::grid::{Bounds, Grid};
+use crate::detection::thresholds::markers::LabelThresholds;
 use crate::detection::verify::placement::BoardPlacement;
 
 /// Where a lattice lies.
@@ -63,18 +60,18 @@ impl BestLabel {
         (inverted, beyond): (bool, i32),
     ) {
         let Some(bounds) = grid.anchored_bounds() else { return };
-        let sheet = &sheets.ways[way];
+        let (sheet, limits) = (&sheets.ways[way], &reading.limits);
         for cell in 0..reading.cells.len() {
             self.contradictions += usize::from(
-                reading.cells[cell].weight >= LEAST_READ_WEIGHT
-                    && reading.best(cell) > CLEAR_AGREEMENT,
+                reading.cells[cell].weight >= limits.least_read_weight
+                    && reading.best(cell) > limits.clear_agreement,
             );
         }
         self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
         for turns in 0..4 {
             for first in firsts(sheet, bounds, turns, beyond) {
                 let placement = BoardPlacement { first, turns, known: true };
-                if !aligned(sheets, placement) || !covers(sheet, grid, placement) {
+                if !aligned(sheets, placement) || !covers(sheet, grid, placement, limits) {
                     continue;
                 }
                 if let Some(label) = weigh_one((sheets, sheet), reading, placement) {
@@ -99,30 +96,31 @@ impl BestLabel {
     /// What is believed.
     pub(super) fn labels(&self, reading: &MarkerReading, sheets: &Sheets) -> BoardLabels {
         let Some(best) = self.first else { return self.none() };
-        let sheet = &sheets.ways[best.way];
+        let (sheet, limits) = (&sheets.ways[best.way], &reading.limits);
         let (mut agree, mut against, mut clear) = (0, 0, 0);
         for (index, cell) in reading.cells.iter().enumerate() {
-            if cell.weight < LEAST_READ_WEIGHT {
+            if cell.weight < limits.least_read_weight {
                 continue;
             }
             let own = own_agreement(sheet, reading, index, best.placement).unwrap_or(0.0);
-            agree += usize::from(own > CONTRADICTING_AGREEMENT);
-            clear += usize::from(own > CLEAR_AGREEMENT);
+            agree += usize::from(own > limits.contradicting_agreement);
+            clear += usize::from(own > limits.clear_agreement);
             against += usize::from(
-                own <= CONTRADICTING_AGREEMENT && reading.best(index) > CLEAR_AGREEMENT,
+                own <= limits.contradicting_agreement
+                    && reading.best(index) > limits.clear_agreement,
             );
         }
         let least = if clear >= 2 && clear == agree + against {
-            LEAST_CLEAR_SIGNIFICANCE
+            limits.least_clear_significance
         } else {
-            LEAST_SIGNIFICANCE
+            limits.least_significance
         };
-        if best.significance < least || against as f32 > MOST_CONTRADICTIONS * agree as f32 {
+        if best.significance < least || against as f32 > limits.most_contradictions * agree as f32 {
             return self.none();
         }
         let best = BoardLabel { markers: agree, ..best };
         match self.second {
-            Some(second) if best.significance < second.significance + LABEL_MARGIN => {
+            Some(second) if best.significance < second.significance + limits.margin => {
                 BoardLabels::Two(best, BoardLabel { markers: agree, ..second })
             }
             _ => BoardLabels::One(best),
@@ -157,13 +155,13 @@ fn firsts(
 }
 
 /// Whether nearly all crossings lie on the sheet.
-fn covers(sheet: &Sheet, grid: &Grid, placement: BoardPlacement) -> bool {
+fn covers(sheet: &Sheet, grid: &Grid, placement: BoardPlacement, limits: &LabelThresholds) -> bool {
     let [across, down] = sheet.lines;
     let on = grid.members.iter().filter(|&&(i, j)| {
         let (col, row) = placement.in_board(i, j);
         (0..across).contains(&col) && (0..down).contains(&row)
     });
-    on.count() as f32 >= LEAST_ON_BOARD * grid.members.len() as f32
+    on.count() as f32 >= limits.least_on_board * grid.members.len() as f32
 }
 
 /// The grid's cell in which the sheet's cell (col, row) lies.
@@ -204,7 +202,8 @@ fn weigh_one(
     let (mut sum, mut weights) = (0.0, 0.0);
     for (index, cell) in reading.cells.iter().enumerate() {
         // A cell of the board without a marker, or one beside it, speaks against the place.
-        let own = own_agreement(sheet, reading, index, placement).unwrap_or(-0.2);
+        let own = own_agreement(sheet, reading, index, placement)
+            .unwrap_or(-reading.limits.no_marker_penalty);
         sum += cell.weight * own;
         weights += cell.weight * cell.weight;
     }

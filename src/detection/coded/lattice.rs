@@ -4,16 +4,12 @@ use std::collections::VecDeque;
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::Sheets;
-use crate::detection::coded::thresholds::{
-    CLOSE_REACH_PX, LEAST_ALTERNATION, LEAST_CONTRAST, LEAST_CROSSING_SCORE, LEAST_KNOWN_CONTRAST,
-    LEAST_KNOWN_SCORE, LEAST_REACH_PX, MOST_GROWN_MISPLACEMENT, MOST_REACH_PX, REACH,
-    TRIAL_CROSSINGS,
-};
 use crate::detection::grid::in_steps;
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::search::candidates::Candidate;
 use crate::detection::search::seeds::{Neighborhood, Seed};
+use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::imaging::gray::GrayView;
 
 /// Grows lattices; its buffers are kept.
@@ -30,6 +26,7 @@ pub(super) struct LatticeScene<'a> {
     pub candidates: &'a [Candidate],
     pub neighborhood: &'a Neighborhood,
     pub sheets: &'a Sheets,
+    pub thresholds: &'a LatticeThresholds,
 }
 
 impl LatticeGrowth {
@@ -53,8 +50,8 @@ impl LatticeGrowth {
                     Node { pixel, contrast, near_contrast: contrast, score: 0.5, tight: false };
                 spare.set(i, j, node);
             }
-            self.grow(scene, spare, TRIAL_CROSSINGS);
-            if spare.members.len() > TRIAL_CROSSINGS {
+            self.grow(scene, spare, scene.thresholds.trial_crossings);
+            if spare.members.len() > scene.thresholds.trial_crossings {
                 spare.forget_attempts();
                 self.grow(scene, spare, usize::MAX);
             }
@@ -161,22 +158,23 @@ impl Expected {
     fn detect(&self, scene: LatticeScene<'_>) -> Option<Node> {
         let narrow = scene.sheets.widths[0].min(scene.sheets.widths[1]);
         let cell = self.steps.map(|step| step * narrow);
+        let limits = scene.thresholds;
         let (least_score, least_contrast) = if self.labelled {
-            (LEAST_KNOWN_SCORE, LEAST_KNOWN_CONTRAST)
+            (limits.least_known_score, limits.least_known_contrast)
         } else {
-            (LEAST_CROSSING_SCORE, LEAST_CONTRAST)
+            (limits.least_score, limits.least_contrast)
         };
         let is_it = |node: &Node| {
             in_steps(node.pixel - self.pixel, cell).is_some_and(|off| {
                 node.contrast * self.polarity >= least_contrast * self.contrast
-                    && off.x.abs() <= MOST_GROWN_MISPLACEMENT
-                    && off.y.abs() <= MOST_GROWN_MISPLACEMENT
+                    && off.x.abs() <= limits.most_off
+                    && off.y.abs() <= limits.most_off
             })
         };
         let nearest = self.candidate(scene, cell);
         let places = [nearest.map(|index| scene.candidates[index].pixel), Some(self.pixel)];
-        let reaches: &[f32] =
-            if self.labelled { &[MOST_REACH_PX, CLOSE_REACH_PX] } else { &[MOST_REACH_PX] };
+        let reaches = [limits.most_reach_px, limits.close_reach_px];
+        let reaches = &reaches[..if self.labelled { 2 } else { 1 }];
         reaches.iter().find_map(|&most_px| {
             places.iter().flatten().find_map(|&place| {
                 settle(scene, place, self.steps, (least_score, most_px)).filter(is_it)
@@ -191,9 +189,9 @@ impl Expected {
         let edges = if self.polarity > 0.0 { way } else { [way[1], way[0]] };
         let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
         let alike = |candidate: &Candidate| {
-            turn(candidate.edges[0], edges[0]) < 0.5 && turn(candidate.edges[1], edges[1]) < 0.5
+            (0..2).all(|k| turn(candidate.edges[k], edges[k]) < scene.thresholds.most_rotation)
         };
-        let reach = (MOST_GROWN_MISPLACEMENT * cell[0].norm().max(cell[1].norm())).max(1.5);
+        let reach = (scene.thresholds.most_off * cell[0].norm().max(cell[1].norm())).max(1.5);
         scene.neighborhood.nearest(scene.candidates, self.pixel, reach, alike)
     }
 }
@@ -224,19 +222,19 @@ pub(super) fn settle(
     steps: [Vec2; 2],
     (least_score, most_px): (f32, f32),
 ) -> Option<Node> {
-    let LatticeScene { image, sheets, .. } = scene;
+    let LatticeScene { image, sheets, thresholds: limits, .. } = scene;
     let [u, v] = steps;
     let shortest = u.norm().min(v.norm()).max(1e-3);
-    let reach = (REACH * sheets.room).max(LEAST_REACH_PX / shortest);
+    let reach = (limits.reach * sheets.room).max(limits.least_reach_px / shortest);
     let window = |center| CrossWindow::on_board(center, u, v, reach, most_px).inside(image, 0.4);
-    let first = window(expected)?.measure_above(image, 0.3)?;
+    let first = window(expected)?.measure_above(image, limits.least_first_score)?;
     let mut cross = window(first.center)?.measure(image)?;
     if cross.score < least_score {
         cross = window(cross.center)?.measure_above(image, least_score)?;
     }
     // A corner of one square alone is as much like a crossing, but for its opposite square.
     let depth = window(cross.center)?.alternation(image)?;
-    if depth * cross.contrast.signum() < LEAST_ALTERNATION * cross.contrast.abs() {
+    if depth * cross.contrast.signum() < limits.least_alternation * cross.contrast.abs() {
         return None;
     }
     Some(Node {

@@ -30,4 +30,3 @@ mod order;
 mod print;
 mod reading;
 mod sheet;
-mod thresholds;

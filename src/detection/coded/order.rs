@@ -4,11 +4,14 @@
 //! payload cell, while a crossing of the board has the same black (of an inverted board white) on
 //! both sides as far as a square or a marker's border reaches.
 
-use crate::detection::coded::thresholds::SQUARE_DISTANCES_PX;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
 use crate::detection::search::candidates::Candidate;
 use crate::imaging::gray::GrayView;
+
+/// Distances from a crossing at which its squares are sampled, along their diagonals in pixels:
+/// from just outside a blurred crossing, each about 4/3 of the one before.
+const SQUARE_DISTANCES_PX: [f32; 8] = [4.0, 5.5, 7.5, 10.0, 13.5, 18.0, 24.0, 32.0];
 
 /// Fills `order` with the indices of `candidates`, those whose squares reach farthest first.
 pub(super) fn by_reach(

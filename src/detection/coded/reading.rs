@@ -2,9 +2,9 @@
 
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::{Sheet, Sheets, unit};
-use crate::detection::coded::thresholds::LEAST_PAYLOAD_CONTRAST;
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
+use crate::detection::thresholds::markers::LabelThresholds;
 use crate::imaging::gray::GrayView;
 
 /// A cell that may hold a marker.
@@ -19,6 +19,8 @@ pub(super) struct MarkerCell {
 /// Reads cells; its buffers are kept.
 #[derive(Debug, Default)]
 pub(super) struct MarkerReading {
+    /// What readings are held to.
+    pub limits: LabelThresholds,
     /// The cells that were read.
     pub cells: Vec<MarkerCell>,
     /// For each cell, marker and quarter turn: correlation with its code.
@@ -29,6 +31,11 @@ pub(super) struct MarkerReading {
 }
 
 impl MarkerReading {
+    /// One with empty buffers.
+    pub(super) fn new(limits: LabelThresholds) -> Self {
+        Self { limits, ..Self::default() }
+    }
+
     /// Reads all cells of `grid` that are bright, or dark, as `in_bright` has it, at least three of
     /// whose corners are known, as cells of `sheet`.
     pub(super) fn read(
@@ -94,8 +101,8 @@ impl MarkerReading {
         let squares = sheets.bits * sheets.bits;
         // A pattern of black and white in equal parts has a deviation of half its contrast.
         let depth = 2.0 * depth / contrast.max(1.0);
-        self.cells
-            .push(MarkerCell { at, weight: (depth / LEAST_PAYLOAD_CONTRAST).min(1.0).powi(2) });
+        let weight = (depth / self.limits.least_payload_contrast).min(1.0).powi(2);
+        self.cells.push(MarkerCell { at, weight });
         let values = &self.values;
         self.agreement.extend(
             sheets

@@ -1,7 +1,7 @@
 //! How the extent of a grid compares with the board searched for.
 
 use crate::detection::grid::{Bounds, Grid};
-use crate::detection::thresholds::SearchThresholds;
+use crate::detection::thresholds::chessboard::SearchThresholds;
 use crate::geometry::board::BoardSize;
 
 /// Corners along the longer side.

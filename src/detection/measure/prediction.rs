@@ -9,7 +9,7 @@ use crate::detection::grid::perspective::Perspective;
 use crate::detection::grid::{Grid, Node, in_steps};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
-use crate::detection::thresholds::{MeasureThresholds, WindowThresholds};
+use crate::detection::thresholds::chessboard::{MeasureThresholds, WindowThresholds};
 
 /// Prediction of a corner: position and appearance.
 #[derive(Debug, Clone, Copy)]

@@ -7,11 +7,6 @@ use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::axes_of;
 use crate::detection::refine::normal_equations::Noise;
 use crate::detection::refine::refiner::Refiner;
-use crate::detection::refine::thresholds::{
-    FIRST_ALIKE, FIRST_ENOUGH, FIRST_REACH, FIRST_TOLERANCE_AMPLITUDE, FIRST_TOLERANCE_LEVELS,
-    LEAST_START_AMPLITUDE, LEAST_START_BLUR_PX, MOST_START_CONTRAST, MOST_START_OFFSET,
-    MOST_WINDOWS, RECENTER, WIDER,
-};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
 use crate::imaging::gray::GrayView;
 
@@ -42,7 +37,7 @@ impl Refiner {
         for corner in corners {
             let fitted = self
                 .fit_alone(image, corner, &before)
-                .filter(|fitted| fitted.may_be_corner(corner));
+                .filter(|fitted| fitted.may_be_corner(corner, &self.thresholds));
             if let Some(fitted) = &fitted {
                 before = self.as_before(fitted);
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
@@ -63,29 +58,29 @@ impl Refiner {
         let axes = axes_of(corner)?;
         let guess = [corner.pixel.x, corner.pixel.y];
         let (mut origin, mut blur_px, mut coarser) =
-            (guess, before.blur_px.max(LEAST_START_BLUR_PX), 1);
+            (guess, before.blur_px.max(self.thresholds.least_start_blur_px), 1);
         let mut best = None;
-        for _ in 0..MOST_WINDOWS {
+        for _ in 0..self.thresholds.most_windows {
             let window = Window::new(
                 origin,
                 axes,
                 blur_px,
-                (FIRST_REACH * coarser as f64, 1.0 - self.taken),
+                (self.thresholds.first_reach * coarser as f64, 1.0 - self.taken),
             )
             .coarsened(coarser);
             let Some(first) = self
                 .fit_in(image, window, &Before { blur_px, ..*before })
-                .filter(Fitted::has_settled)
+                .filter(|fitted| fitted.has_settled(&self.thresholds))
             else {
                 (origin, coarser) = (guess, 2 * coarser);
                 continue;
             };
             let (center, seen) = (first.center(), first.blur_px());
             let stayed = length([center[0] - origin[0], center[1] - origin[1]])
-                < RECENTER * window.bin as f64;
+                < self.thresholds.recenter * window.bin as f64;
             if coarser == 1 {
                 best = Some(first);
-                if seen < WIDER * blur_px && stayed {
+                if seen < self.thresholds.wider * blur_px && stayed {
                     break;
                 }
                 blur_px = blur_px.max(seen);
@@ -99,13 +94,15 @@ impl Refiner {
     fn as_before(&self, fitted: &Fitted) -> Before {
         let model = &fitted.fit.model;
         let [minus, plus] = self.quarter_means;
-        let half = ((plus - minus) / 2.0).abs().max(LEAST_START_AMPLITUDE);
+        let half = ((plus - minus) / 2.0).abs().max(self.thresholds.least_start_amplitude);
         Before {
             blur_px: fitted.blur_px(),
-            contrast: (model.amplitude.abs() / half).clamp(1.0, MOST_START_CONTRAST),
+            contrast: (model.amplitude.abs() / half)
+                .clamp(1.0, self.thresholds.most_start_contrast),
             offset: ((model.level - (plus + minus) / 2.0) / half)
-                .clamp(-MOST_START_OFFSET, MOST_START_OFFSET),
-            gamma_term: (model.gamma_term / half).clamp(-MOST_START_OFFSET, MOST_START_OFFSET),
+                .clamp(-self.thresholds.most_start_offset, self.thresholds.most_start_offset),
+            gamma_term: (model.gamma_term / half)
+                .clamp(-self.thresholds.most_start_offset, self.thresholds.most_start_offset),
         }
     }
 
@@ -117,13 +114,14 @@ impl Refiner {
         let noise = Noise {
             black: 1.0,
             white: 1.0,
-            tolerance: FIRST_TOLERANCE_AMPLITUDE * start.amplitude.abs() + FIRST_TOLERANCE_LEVELS,
+            tolerance: self.thresholds.first_tolerance * start.amplitude.abs()
+                + self.thresholds.first_tolerance_levels,
         };
         // The first step may leave the position and still find black, white and blur.
         let options = FitOptions {
             iterations: [2, 8],
-            enough: FIRST_ENOUGH,
-            alike: FIRST_ALIKE,
+            enough: self.thresholds.first_enough,
+            alike: self.thresholds.first_alike,
             with_flat: true,
         };
         self.fit(window, start, &noise, &options)
@@ -138,7 +136,7 @@ impl Refiner {
         let [minus, plus] = self.quarter_means;
         let sigma = (before.blur_px * before.blur_px + PIXEL_VARIANCE * bin * bin).sqrt() / bin;
         let amplitude = (plus - minus) / 2.0;
-        (amplitude.abs() > LEAST_START_AMPLITUDE).then_some(CornerModel {
+        (amplitude.abs() > self.thresholds.least_start_amplitude).then_some(CornerModel {
             center: [0.0; 2],
             along,
             sharpness: [1.0 / sigma; 2],

@@ -7,13 +7,13 @@ use crate::detection::refine::lattice::Known;
 use crate::detection::refine::misfit::Quality;
 use crate::detection::refine::normal_equations::Noise;
 use crate::detection::refine::refined_corner::RefinedCorner;
-use crate::detection::refine::thresholds::{
-    ALWAYS_MOVED_CELLS, ALWAYS_MOVED_PX, LEAST_AMPLITUDE, LEAST_BLUR_VARIANCE, LEAST_INLIERS,
-    LEAST_SETTLED_INLIERS, MOST_CORRELATION, MOST_MOVED_CELLS, MOST_RESIDUAL, MOST_SETTLED_STEP,
-    MOST_STEP,
-};
 use crate::detection::refine::window::{PIXEL_VARIANCE, Window};
+use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::pixel::Pixel;
+
+/// Least variance of the blur, in pixels squared: an edge is never sharper than the tenth of a
+/// pixel that its samples can distinguish.
+const LEAST_BLUR_VARIANCE: f64 = 0.01;
 
 /// The fit of one corner, with the window and the noise it was made with.
 #[derive(Debug, Clone, Copy)]
@@ -46,31 +46,34 @@ impl Fitted {
     }
 
     /// Whether the fit has converged to something that explains most of the contrast.
-    pub(super) fn has_settled(&self) -> bool {
-        self.inlier_ratio > LEAST_SETTLED_INLIERS && self.fit.last_step < MOST_SETTLED_STEP
+    pub(super) fn has_settled(&self, limits: &RefinementThresholds) -> bool {
+        self.inlier_ratio > limits.least_settled_inliers
+            && self.fit.last_step < limits.most_settled_step
     }
 
     /// Whether this may be the requested corner.
-    pub(super) fn may_be_corner(&self, corner: &GridCorner) -> bool {
+    pub(super) fn may_be_corner(&self, corner: &GridCorner, limits: &RefinementThresholds) -> bool {
         let [x, y] = self.center();
         let cell = self.window.axes.map(length).into_iter().fold(f64::INFINITY, f64::min);
         let moved = length([x - corner.pixel.x, y - corner.pixel.y]);
         let model = &self.fit.model;
-        moved < (MOST_MOVED_CELLS * cell).min(f64::max(ALWAYS_MOVED_PX, ALWAYS_MOVED_CELLS * cell))
-            && model.amplitude.abs() > LEAST_AMPLITUDE
-            && model.correlation().abs() < MOST_CORRELATION
+        moved
+            < (limits.most_moved * cell)
+                .min(f64::max(limits.always_moved_px, limits.always_moved * cell))
+            && model.amplitude.abs() > limits.least_amplitude
+            && model.correlation().abs() < limits.most_correlation
     }
 
     /// Whether the second fit is accepted. True corners keep a margin to each bound in the worst
     /// conditions (motion blur over several pixels, heavy noise); of other positions in images of
     /// boards one in a hundred passes.
-    pub(super) fn is_corner(&self, corner: &GridCorner) -> bool {
+    pub(super) fn is_corner(&self, corner: &GridCorner, limits: &RefinementThresholds) -> bool {
         let model = &self.fit.model;
-        self.may_be_corner(corner)
-            && self.inlier_ratio > LEAST_INLIERS
-            && self.fit.last_step < MOST_STEP
+        self.may_be_corner(corner, limits)
+            && self.inlier_ratio > limits.least_inliers
+            && self.fit.last_step < limits.most_step
             && model.gamma_term.abs() < model.amplitude.abs()
-            && self.fit.residual_rms < MOST_RESIDUAL * model.amplitude.abs()
+            && self.fit.residual_rms < limits.most_residual * model.amplitude.abs()
     }
 
     pub(super) fn quality(&self) -> Quality {

@@ -42,7 +42,6 @@ mod scatter;
 mod second_fit;
 mod shading;
 mod straightness;
-mod thresholds;
 mod window;
 
 pub use crate::detection::refine::grid_corner::GridCorner;

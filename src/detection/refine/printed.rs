@@ -6,9 +6,6 @@ use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::{Known, axes_of};
 use crate::detection::refine::print::{BoardPrint, PrintBlur, disturbs, linear_power};
 use crate::detection::refine::refiner::Refiner;
-use crate::detection::refine::thresholds::{
-    COMPARED_CORNERS, LEAST_MOTION_PX, PRINT_ROUNDS, SECOND_REACH,
-};
 use crate::detection::refine::window::Window;
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
@@ -35,7 +32,7 @@ impl Refiner {
         self.place(print);
         let mut power = self.median_power()?;
         let mut blur = PrintBlur::round(blur_px);
-        for _ in 0..PRINT_ROUNDS {
+        for _ in 0..self.thresholds.print_rounds {
             let noise = self.noise.of_pixels();
             self.noise.clear();
             for (slot, corner) in corners.iter().enumerate() {
@@ -44,7 +41,7 @@ impl Refiner {
                 let beside = Beside { print, shaded: self.shaded[slot] };
                 let second = self
                     .fit_within_board(image, corner, &first, (noise, beside))
-                    .filter(|second| second.may_be_corner(corner));
+                    .filter(|second| second.may_be_corner(corner, &self.thresholds));
                 if let Some(second) = second {
                     self.noise.take(second.fit.residuals.flat, second.window.bin);
                     self.fitted[slot] = Some(second);
@@ -92,7 +89,7 @@ impl Refiner {
     ) -> Option<PrintBlur> {
         let blur_px = self.median_blur_px()?;
         let round = PrintBlur::round(blur_px);
-        if blur_px < LEAST_MOTION_PX {
+        if blur_px < self.thresholds.least_motion_px {
             return Some(round);
         }
         let fitted = std::mem::take(&mut self.fitted);
@@ -100,11 +97,16 @@ impl Refiner {
             .filter_map(|(slot, fitted)| Some((slot, fitted.as_ref()?)))
             .filter(|(slot, _)| self.known[*slot].is_some())
             .collect();
-        let every = (compared.len() / COMPARED_CORNERS).max(1);
+        let every = (compared.len() / self.thresholds.compared_corners).max(1);
         let mut misfit = |blur: PrintBlur| -> f64 {
             let each = compared.iter().step_by(every).filter_map(|(slot, fitted)| {
                 let axes = fitted.window.axes;
-                let window = Window::new(fitted.center(), axes, blur_px, (SECOND_REACH, 1.0));
+                let window = Window::new(
+                    fitted.center(),
+                    axes,
+                    blur_px,
+                    (self.thresholds.second_reach, 1.0),
+                );
                 self.gather(image, &window)?;
                 self.patch.render(print, *slot, &window, blur);
                 let bins = [fitted.window.bin, window.bin].map(|bin| bin as f64);

@@ -17,8 +17,8 @@ use crate::detection::refine::refined_corner::RefinedCorner;
 use crate::detection::refine::samples::Samples;
 use crate::detection::refine::scatter::Scatter;
 use crate::detection::refine::straightness::{Placed, Straightness};
-use crate::detection::refine::thresholds::{ENOUGH_CORNERS, FEWEST_SAMPLES, LEAST_INSIDE, SHADED};
 use crate::detection::refine::window::Window;
+use crate::detection::thresholds::refinement::RefinementThresholds;
 use crate::geometry::median::median_of;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
@@ -26,6 +26,7 @@ use crate::imaging::gray::GrayView;
 /// Refines corners; its buffers are reused from call to call.
 #[derive(Debug, Default)]
 pub struct Refiner {
+    pub(super) thresholds: RefinementThresholds,
     /// The part of the way to the neighbors that is not free of other edges.
     pub(super) taken: f64,
     pub(super) samples: Samples,
@@ -61,13 +62,13 @@ pub struct Refiner {
 
 impl Refiner {
     /// A refiner with empty buffers.
-    pub fn new() -> Self {
-        Self::default()
+    pub fn new(thresholds: RefinementThresholds) -> Self {
+        Self { thresholds, ..Self::default() }
     }
 
     /// One for boards whose next edges lie at this part of the way to the given neighbors.
-    pub fn with_room(room: f64) -> Self {
-        Self { taken: 1.0 - room, ..Self::default() }
+    pub fn with_room(room: f64, thresholds: RefinementThresholds) -> Self {
+        Self { taken: 1.0 - room, thresholds, ..Self::default() }
     }
 
     /// Refines each of `corners` of one board in `image` into `refined`, in their order, replacing
@@ -109,9 +110,9 @@ impl Refiner {
             let second = first
                 .as_ref()
                 .and_then(|first| self.fit_within_board(image, corner, first, (noise, beside)));
-            let second = second.filter(|second| second.is_corner(corner));
+            let second = second.filter(|second| second.is_corner(corner, &self.thresholds));
             self.misfit.take(second.as_ref().map(Fitted::quality));
-            if let Some(second) = second.as_ref().filter(|_| is_compared(corners, corner)) {
+            if let Some(second) = second.as_ref().filter(|_| self.is_compared(corners, corner)) {
                 self.note_scatter(refined.len(), second);
             }
             self.own_curvatures.push(second.as_ref().map_or([None; 2], |second| {
@@ -157,7 +158,7 @@ impl Refiner {
             .iter()
             .for_each(|fitted| self.misfit.take(fitted.as_ref().map(Fitted::quality)));
         self.shaded.clear();
-        self.shaded.extend(self.misfit.worse_than(SHADED));
+        self.shaded.extend(self.misfit.worse_than(self.thresholds.shaded));
         self.known.clear();
         let fits = self.misfit.fits();
         self.known.extend(
@@ -219,7 +220,8 @@ impl Refiner {
     }
 
     pub(super) fn gather(&mut self, image: GrayView<'_>, window: &Window) -> Option<()> {
-        (self.samples.gather(image, window) > LEAST_INSIDE && self.samples.count >= FEWEST_SAMPLES)
+        (self.samples.gather(image, window) > self.thresholds.least_inside
+            && self.samples.count >= self.thresholds.fewest_samples)
             .then_some(())
     }
 
@@ -238,9 +240,10 @@ impl Refiner {
             inlier_ratio: fit.residuals.effective / self.samples.count as f64,
         })
     }
-}
 
-/// Whether a corner's edge halves are compared: of many corners, every other one is enough.
-fn is_compared(corners: &[GridCorner], corner: &GridCorner) -> bool {
-    corners.len() < ENOUGH_CORNERS || (corner.index.col + corner.index.row) % 2 == 0
+    /// Whether a corner's edge halves are compared: of many corners, every other one is enough.
+    fn is_compared(&self, corners: &[GridCorner], corner: &GridCorner) -> bool {
+        corners.len() < self.thresholds.enough_corners
+            || (corner.index.col + corner.index.row) % 2 == 0
+    }
 }

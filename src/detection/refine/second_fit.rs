@@ -10,10 +10,6 @@ use crate::detection::refine::lattice::axes_of;
 use crate::detection::refine::normal_equations::Noise;
 use crate::detection::refine::refiner::Refiner;
 use crate::detection::refine::shading::take_off_shading;
-use crate::detection::refine::thresholds::{
-    MOST_AGREE, PATIENT_TOLERANCE, SECOND_ENOUGH, SECOND_REACH, SECOND_TOLERANCE_AMPLITUDE,
-    SECOND_TOLERANCE_STDS, SHADED_TOLERANCES,
-};
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
@@ -28,7 +24,12 @@ impl Refiner {
     ) -> Option<Fitted> {
         let free = if beside.print.is_some() { 1.0 } else { 1.0 - self.taken };
         let axes = axes_of(corner)?;
-        let window = Window::new(first.center(), axes, first.blur_px(), (SECOND_REACH, free));
+        let window = Window::new(
+            first.center(),
+            axes,
+            first.blur_px(),
+            (self.thresholds.second_reach, free),
+        );
         let window = window.along_edges(first.fit.model.along, first.blur_px());
         self.gather(image, &window)?;
         let bin = window.bin as f64;
@@ -46,12 +47,12 @@ impl Refiner {
         let noise = Noise {
             black,
             white,
-            tolerance: SECOND_TOLERANCE_STDS * black.max(white)
-                + SECOND_TOLERANCE_AMPLITUDE * start.amplitude.abs(),
+            tolerance: self.thresholds.second_tolerance_stds * black.max(white)
+                + self.thresholds.second_tolerance * start.amplitude.abs(),
         };
         let options = FitOptions {
             iterations: [1, 4],
-            enough: SECOND_ENOUGH,
+            enough: self.thresholds.second_enough,
             alike: 0.0,
             with_flat: beside.print.is_some(),
         };
@@ -59,13 +60,13 @@ impl Refiner {
         if beside.shaded {
             return self.fit_shaded(window, second.fit.model, &noise, &options);
         }
-        if second.inlier_ratio > MOST_AGREE {
+        if second.inlier_ratio > self.thresholds.clear_inliers {
             return Some(second);
         }
         // Many outliers may belong to another corner or a hand, or the start was too far off for so
         // narrow a tolerance.
         let patient = Noise {
-            tolerance: noise.tolerance + PATIENT_TOLERANCE * start.amplitude.abs(),
+            tolerance: noise.tolerance + self.thresholds.patient_tolerance * start.amplitude.abs(),
             ..noise
         };
         let start = self
@@ -85,7 +86,7 @@ impl Refiner {
     ) -> Option<Fitted> {
         let reach = [0, 1].map(|k| window.extent[k] * length(window.axes[k]) / window.bin as f64);
         let amplitude = model.amplitude.abs();
-        for tolerance in SHADED_TOLERANCES {
+        for tolerance in self.thresholds.shaded_tolerances {
             let patient = Noise { tolerance: noise.tolerance + tolerance * amplitude, ..*noise };
             let options = FitOptions { iterations: [1, 4], ..*options };
             model = self.fit(window, model, &patient, &options)?.fit.model;

@@ -7,7 +7,7 @@
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::search::response::{HALF_RING, REACH, Response};
-use crate::detection::thresholds::CandidateThresholds;
+use crate::detection::thresholds::chessboard::CandidateThresholds;
 use crate::imaging::gray::GrayView;
 
 /// Side of the tiles of which the largest response is examined, in pixels.

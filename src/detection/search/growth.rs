@@ -10,7 +10,7 @@ use crate::detection::measure::prediction::{Prediction, settle};
 use crate::detection::search::candidates::Candidate;
 use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::search::stretch::Stretch;
-use crate::detection::thresholds::WindowThresholds;
+use crate::detection::thresholds::chessboard::WindowThresholds;
 
 /// Correlation of a corner of a seed before it is measured: of a candidate only that it is one.
 const SEED_SCORE: f32 = 0.5;

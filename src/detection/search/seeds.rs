@@ -5,7 +5,7 @@
 
 use crate::detection::measure::cross::Vec2;
 use crate::detection::search::candidates::Candidate;
-use crate::detection::thresholds::SeedThresholds;
+use crate::detection::thresholds::chessboard::SeedThresholds;
 
 /// Side of a bin, in pixels.
 const BIN: f32 = 16.0;

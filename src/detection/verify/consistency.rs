@@ -4,7 +4,7 @@ use crate::detection::grid::curved_board::predict_on_curve;
 use crate::detection::grid::{Grid, in_steps};
 use crate::detection::measure::Probe;
 use crate::detection::measure::edges::{EdgeCount, count_edges};
-use crate::detection::thresholds::ConsistencyThresholds;
+use crate::detection::thresholds::chessboard::ConsistencyThresholds;
 
 /// Drops the corners of `grid` that do not hold in the image. False if too few hold to accept any
 /// of it.

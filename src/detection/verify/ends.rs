@@ -8,7 +8,7 @@ use crate::detection::grid::{Bounds, Grid};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::measure::edges::sample;
-use crate::detection::thresholds::EndThresholds;
+use crate::detection::thresholds::chessboard::EndThresholds;
 use crate::detection::verify::placement::Ends;
 
 /// Which sides of `grid` are visible ends of the board: first those that may be, and of these those

@@ -257,11 +257,18 @@ impl EffectSearch {
                 nalgebra::UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
             let own = &mut next.motions[view.observation];
             *own += motion * part;
-            let turned = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
+            let rotated = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
                 rotation * own.fixed_rows::<3>(at).into_owned()
             };
-            let (spin, shift) = (turned(0, own), turned(3, own));
-            *own = Vector6::new(spin.x, spin.y, spin.z, shift.x, shift.y, shift.z);
+            let (rotation, translation) = (rotated(0, own), rotated(3, own));
+            *own = Vector6::new(
+                rotation.x,
+                rotation.y,
+                rotation.z,
+                translation.x,
+                translation.y,
+                translation.z,
+            );
         }
         let lens = scene.layout.len;
         let global: Vec<f64> = posterior.global.iter().map(|step| step * part).collect();

@@ -25,7 +25,7 @@ const SOLVED: f64 = 1e-6;
 pub(super) struct ViewJacobian<'a> {
     columns: ViewColumns<'a>,
     values: Vec<f64>,
-    /// The derivatives by a shift of each corner along the board's x and y.
+    /// The derivatives by a movement of each corner along the board's x and y.
     in_plane: [Vec<f64>; 2],
     /// Of the pose, with the motion where there is one.
     local_square: Cholesky<f64, Dyn>,
@@ -34,7 +34,7 @@ pub(super) struct ViewJacobian<'a> {
     first_local: usize,
 }
 
-/// The Jacobians of the views that take part, or of enough of them, evenly; `of_motion` is the λ of
+/// The Jacobians of the views in use, or of enough of them, evenly; `of_motion` is the λ of
 /// a motion where there is one.
 pub(super) fn view_jacobians<'a>(
     scene: Scene<'a>,

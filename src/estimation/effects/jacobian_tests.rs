@@ -47,11 +47,11 @@ impl World {
             points,
         }];
         let basis = BoardBasis::of(&observations, true).expect("a basis");
-        let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.4, -0.3, 0.2));
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::new(0.4, -0.3, 0.2));
         let fixed = State {
             lenses: vec![Lens::from_parameters(model, &parameters).expect("a lens")],
             sensor_from_rig: vec![Pose::identity()],
-            rig_from_board: vec![Pose::new(turn, Vector3::new(0.02, -0.01, 0.5))],
+            rig_from_board: vec![Pose::new(rotation, Vector3::new(0.02, -0.01, 0.5))],
             warp: [0.0; 2],
         };
         let mut state = EffectsState::flat_and_still(fixed, &basis, 1);
@@ -125,9 +125,9 @@ fn columns_are_the_derivatives_of_the_residuals() {
     let at = (scene.layout, &world.state.fixed);
     let results = (residuals.as_mut_slice(), &mut local);
     assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, results));
-    let turn = world.state.fixed.rig_from_board[0].rotation_matrix();
+    let rotation = world.state.fixed.rig_from_board[0].rotation_matrix();
     let (view, mut values) = (ViewColumns::of(scene, &seen, 0), Vec::new());
-    let in_plane = view.fill(&turn, &seen, columns.values(), &mut values);
+    let in_plane = view.fill(&rotation, &seen, columns.values(), &mut values);
     // Without the padding of columns.
     let trimmed = |column: &[f64]| -> Vec<f64> {
         [&column[..count], &column[view.rows / 2..][..count]].concat()

@@ -13,7 +13,7 @@ pub(super) struct Scene<'a> {
     pub(super) layout: &'a Layout,
     pub(super) basis: &'a BoardBasis,
     pub(super) observations: &'a [BoardObservation],
-    /// The observations that take part, by index.
+    /// The observations that are inliers, by index.
     pub(super) good: &'a [usize],
     /// The height of the images, in rows.
     pub(super) rows: f64,
@@ -72,11 +72,11 @@ impl EffectsState {
             let board_from_camera = self.fixed.rig_from_board[seen.frame_set].rotation().inverse();
             let lever = scene.basis.half_extent[0].hypot(scene.basis.half_extent[1]);
             let spin = board_from_camera * (motion.fixed_rows::<3>(0).into_owned() / lever);
-            let shift = board_from_camera * motion.fixed_rows::<3>(3).into_owned();
+            let velocity = board_from_camera * motion.fixed_rows::<3>(3).into_owned();
             let times = read_out_times(&seen, scene);
             for (point, time) in seen.points.iter_mut().zip(times) {
                 let rotation = UnitQuaternion::from_scaled_axis(spin * time);
-                *point = Point3::from(rotation * point.coords + shift * time);
+                *point = Point3::from(rotation * point.coords + velocity * time);
             }
         }
         seen

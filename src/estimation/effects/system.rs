@@ -56,7 +56,7 @@ struct Room {
 }
 
 impl System {
-    /// `None` where a corner that takes part cannot be projected.
+    /// `None` where an inlier cannot be projected.
     pub(super) fn at(scene: Scene<'_>, state: &EffectsState) -> Option<Self> {
         let globals = scene.global_len();
         let mut system = Self {
@@ -186,7 +186,7 @@ impl<'a> ViewColumns<'a> {
     }
 
     /// Fills `values` from the columns (lens, pose, residual) of the plain problem; answers the
-    /// derivatives by a shift along the board's x and y.
+    /// derivatives by a movement along the board's x and y.
     pub(super) fn fill(
         &self,
         camera_from_board: &nalgebra::Matrix3<f64>,

@@ -36,8 +36,8 @@ fn lens(model: LensModel) -> Lens {
 }
 
 fn pose(rotation: [f64; 3], translation: [f64; 3]) -> Pose {
-    let turned = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::from(rotation));
-    Pose::new(turned, Vector3::from(translation))
+    let rotated = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::from(rotation));
+    Pose::new(rotated, Vector3::from(translation))
 }
 
 /// Two sensors with different lenses, the second with a pose of its own, two frame sets, a warp.

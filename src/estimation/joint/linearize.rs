@@ -33,7 +33,7 @@ impl LocalEquations {
 /// Room for one observation's columns, kept between observations.
 #[derive(Debug, Default)]
 pub(crate) struct Columns {
-    /// Turned points (without the translation), then points in the camera frame: x, y, z each.
+    /// Rotated points (without the translation), then points in the camera frame: x, y, z each.
     points: [Vec<f64>; 6],
     distorted: DistortedColumns,
     /// The residuals in pixels, and √weight / std of each corner; 0 for an unused one.
@@ -104,7 +104,7 @@ impl WithSimd for ObservationRef<'_> {
 }
 
 impl ObservationRef<'_> {
-    /// The corners, turned and moved into the sensor's frame; padded with points on the axis.
+    /// The corners, rotated and moved into the sensor's frame; padded with points on the axis.
     #[inline(always)]
     fn transform(&mut self) {
         let sensor_from_board =
@@ -112,25 +112,25 @@ impl ObservationRef<'_> {
         let (r, t) = (sensor_from_board.rotation_matrix(), sensor_from_board.translation());
         let padded = self.observation.points.len().max(1).next_multiple_of(LANES);
         let [x, y, z, moved @ ..] = &mut self.columns.points;
-        for (column, (turned, moved)) in [x, y, z].into_iter().zip(moved).enumerate() {
+        for (column, (rotated, moved)) in [x, y, z].into_iter().zip(moved).enumerate() {
             let row = [r[(column, 0)], r[(column, 1)], r[(column, 2)]];
             let on_axis = f64::from(u8::from(column == 2));
-            turned.resize(padded, 0.0);
+            rotated.resize(padded, 0.0);
             moved.resize(padded, 0.0);
-            turned[self.observation.points.len()..].fill(on_axis);
+            rotated[self.observation.points.len()..].fill(on_axis);
             moved[self.observation.points.len()..].fill(on_axis);
-            for (turned, point) in turned.iter_mut().zip(&self.observation.points) {
-                *turned = row[0] * point.x + row[1] * point.y + row[2] * point.z;
+            for (rotated, point) in rotated.iter_mut().zip(&self.observation.points) {
+                *rotated = row[0] * point.x + row[1] * point.y + row[2] * point.z;
             }
             if self.layout.warp.is_some() {
-                for (turned, point) in turned.iter_mut().zip(&self.observation.points) {
-                    *turned += row[2] * self.state.bow(self.layout, point);
+                for (rotated, point) in rotated.iter_mut().zip(&self.observation.points) {
+                    *rotated += row[2] * self.state.bow(self.layout, point);
                 }
             }
-            for (moved, turned) in
-                moved.iter_mut().zip(&*turned).take(self.observation.points.len())
+            for (moved, rotated) in
+                moved.iter_mut().zip(&*rotated).take(self.observation.points.len())
             {
-                *moved = turned + t[column];
+                *moved = rotated + t[column];
             }
         }
     }
@@ -242,7 +242,7 @@ fn fill_lens_column(
     };
 }
 
-/// The six columns of the pose: the translation is the pixel by the point, the rotation (turned
+/// The six columns of the pose: the translation is the pixel by the point, the rotation (rotated
 /// point) × that.
 #[inline(always)]
 fn fill_pose_columns(

@@ -1,7 +1,7 @@
 //! The board's motion from poses in time order, and by how much a second sensor takes its images
 //! later than the first.
 //!
-//! With u the board's velocity (a turn and a shift) in the second sensor's frame when the first
+//! With u the board's velocity (angular and linear) in the second sensor's frame when the first
 //! takes its image, and T the sensors' pose, a image that is taken by δ later shows the board
 //! at T · first_from_board moved by δ · u. Both δ and what T is off by are linear in how far that
 //! is from where the second sensor sees the board. Velocities come from cubic splines through the
@@ -16,10 +16,10 @@ use crate::geometry::pose::Pose;
 /// How fast a board moves, in a camera's frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BoardMotion {
-    /// Its turn about the camera's axes, in rad/s.
-    pub turn: Vector3<f64>,
+    /// Its rotation about the camera's axes, in rad/s.
+    pub angular_velocity: Vector3<f64>,
     /// The velocity of its origin, in m/s.
-    pub shift: Vector3<f64>,
+    pub velocity: Vector3<f64>,
 }
 
 /// By how much a sensor takes its images later than the first.
@@ -84,16 +84,16 @@ fn spline_motions(moments: &[(f64, Pose)], motions: &mut [Option<BoardMotion>]) 
     for index in 1..moments.len() - 1 {
         let by_time = Matrix3::from_fn(|i, j| slopes[3 * i + j][index]);
         let rotation = moments[index].1.rotation_matrix();
-        // Ṙ Rᵀ is the matrix of the cross product with the turn, but for the spline's own small
+        // Ṙ Rᵀ is the matrix of the cross product with the rotation, but for the spline's own small
         // errors.
         let spin = by_time * rotation.transpose();
         motions[index] = Some(BoardMotion {
-            turn: Vector3::new(
+            angular_velocity: Vector3::new(
                 spin[(2, 1)] - spin[(1, 2)],
                 spin[(0, 2)] - spin[(2, 0)],
                 spin[(1, 0)] - spin[(0, 1)],
             ) * 0.5,
-            shift: Vector3::from_fn(|k, _| slopes[9 + k][index]),
+            velocity: Vector3::from_fn(|k, _| slopes[9 + k][index]),
         });
     }
 }
@@ -204,7 +204,7 @@ pub fn time_offset(
 /// radius), and by what.
 struct OffsetRow {
     difference: SVector<f64, 6>,
-    /// By a turn and a shift of the sensors' pose, and by time.
+    /// By a rotation and a translation of the sensors' pose, and by time.
     by: SMatrix<f64, 6, 7>,
     /// The length of its last column, in m/s.
     speed: f64,
@@ -214,13 +214,13 @@ impl OffsetRow {
     fn of(second_from_first: &Pose, seen: &SeenByBoth, center: &Vector3<f64>, radius: f64) -> Self {
         let expected = *second_from_first * seen.first_from_board;
         let middle = |a_from_b: &Pose| a_from_b.translation() + *a_from_b * *center;
-        let turn = (seen.second_from_board.rotation() * expected.rotation().inverse())
+        let rotation = (seen.second_from_board.rotation() * expected.rotation().inverse())
             .scaled_axis()
             * radius;
-        let shift = middle(&seen.second_from_board) - middle(&expected);
+        let translation = middle(&seen.second_from_board) - middle(&expected);
         let lever = middle(&expected) - second_from_first.translation();
         let motion = seen.motion.in_frame(second_from_first).about(&(expected * *center));
-        let (spin, speed) = (motion.turn * radius, motion.shift);
+        let (spin, speed) = (motion.angular_velocity * radius, motion.velocity);
         let mut by = SMatrix::<f64, 6, 7>::zeros();
         by.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * radius));
         by.fixed_view_mut::<3, 3>(3, 0)
@@ -228,7 +228,7 @@ impl OffsetRow {
         by.fixed_view_mut::<3, 3>(3, 3).copy_from(&Matrix3::identity());
         by.fixed_view_mut::<3, 1>(0, 6).copy_from(&spin);
         by.fixed_view_mut::<3, 1>(3, 6).copy_from(&speed);
-        let difference = SVector::from_iterator(turn.iter().chain(shift.iter()).copied());
+        let difference = SVector::from_iterator(rotation.iter().chain(translation.iter()).copied());
         Self { difference, by, speed: spin.norm().hypot(speed.norm()) }
     }
 
@@ -250,19 +250,25 @@ fn solve(rows: &[OffsetRow], weights: &[f64]) -> Option<(SVector<f64, 7>, SMatri
 impl BoardMotion {
     /// The same motion in another camera's frame.
     pub(crate) fn in_frame(&self, other_from_this: &Pose) -> Self {
-        Self { turn: *other_from_this * self.turn, shift: *other_from_this * self.shift }
+        Self {
+            angular_velocity: *other_from_this * self.angular_velocity,
+            velocity: *other_from_this * self.velocity,
+        }
     }
 
     /// The motion with the velocity of a point that is `lever` away from the origin, in the same
     /// frame.
     pub(crate) fn about(&self, lever: &Vector3<f64>) -> Self {
-        Self { turn: self.turn, shift: self.shift + self.turn.cross(lever) }
+        Self {
+            angular_velocity: self.angular_velocity,
+            velocity: self.velocity + self.angular_velocity.cross(lever),
+        }
     }
 
     /// The step (ω, τ) that it makes in `seconds`.
     pub(crate) fn step(&self, seconds: f64) -> [f64; 6] {
-        let (turn, shift) = (self.turn * seconds, self.shift * seconds);
-        [turn.x, turn.y, turn.z, shift.x, shift.y, shift.z]
+        let (rotation, translation) = (self.angular_velocity * seconds, self.velocity * seconds);
+        [rotation.x, rotation.y, rotation.z, translation.x, translation.y, translation.z]
     }
 }
 
@@ -291,12 +297,13 @@ mod tests {
                 continue;
             };
             let later = pose(time + 1e-6);
-            let turn = (later.rotation() * at.rotation().inverse()).scaled_axis() * 1e6;
-            let shift = (later.translation() - at.translation()) * 1e6;
+            let rotation = (later.rotation() * at.rotation().inverse()).scaled_axis() * 1e6;
+            let translation = (later.translation() - at.translation()) * 1e6;
             let near_end = [1, 18, 21, 38].contains(&index);
             let limit = if near_end { 0.05 } else { 0.01 };
             assert!(
-                (motion.turn - turn).norm() < limit && (motion.shift - shift).norm() < limit,
+                (motion.angular_velocity - rotation).norm() < limit
+                    && (motion.velocity - translation).norm() < limit,
                 "{index} {motion:?}"
             );
         }

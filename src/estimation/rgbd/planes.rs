@@ -185,7 +185,7 @@ impl<'a> Planes<'a> {
         })
     }
 
-    /// Lets those tiles take part that lie on the plane; answers whether that changed.
+    /// Makes those tiles inliers that lie on the plane; answers whether that changed.
     fn select(&mut self, residuals: &[Vec<f64>], pose_jitter: f64) -> bool {
         let sizes = residuals.iter().flatten().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
         let limit = pose_jitter * LIMIT * median(sizes).unwrap_or(0.0) / 0.6745;
@@ -200,7 +200,7 @@ impl<'a> Planes<'a> {
         changed
     }
 
-    /// Root mean square of the residuals of tiles that take part.
+    /// Root mean square of the residuals of inlier tiles.
     fn scatter(&self, residuals: &[Vec<f64>]) -> f64 {
         let pairs = self.planes.iter().zip(residuals).flat_map(|(p, r)| p.used.iter().zip(r));
         let (sum, count) = pairs
@@ -240,7 +240,7 @@ impl<'a> Planes<'a> {
             .sqrt()
     }
 
-    /// Part of the board's own tiles that take part.
+    /// Part of the board's own tiles that are inliers.
     fn following(&self) -> f64 {
         let own = self.planes.iter().flat_map(|plane| {
             plane.used.iter().take(self.problem.views[plane.frame_set].tiles.len())
@@ -310,9 +310,10 @@ impl<'a> Planes<'a> {
             }
             if let Some(at) = sensor.pose_at {
                 let [before, after] = [fit, other].map(|fit| fit.state.sensor_from_rig[1]);
-                let turn = (after.rotation() * before.rotation().inverse()).scaled_axis();
-                let shift = after.translation() - before.translation();
-                (0..3).for_each(|k| (step[at + k], step[at + 3 + k]) = (turn[k], shift[k]));
+                let rotation = (after.rotation() * before.rotation().inverse()).scaled_axis();
+                let translation = after.translation() - before.translation();
+                (0..3)
+                    .for_each(|k| (step[at + k], step[at + 3 + k]) = (rotation[k], translation[k]));
             }
         }
         let beyond_chance = (0..step.len())
@@ -436,10 +437,17 @@ fn linearized(
 impl Anchor {
     /// Adds the corners' equations about their own answer.
     fn hold(&self, rig_from_board: &Pose, cost: &mut f64, block: &mut LocalBlock) {
-        let turn =
+        let rotation =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
-        let shift = rig_from_board.translation() - self.rig_from_board.translation();
-        let step = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
+        let translation = rig_from_board.translation() - self.rig_from_board.translation();
+        let step = Vector6::new(
+            rotation.x,
+            rotation.y,
+            rotation.z,
+            translation.x,
+            translation.y,
+            translation.z,
+        );
         let pull = self.square * step;
         *cost += step.dot(&pull);
         for a in 0..6 {

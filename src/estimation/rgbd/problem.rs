@@ -79,7 +79,7 @@ pub struct RgbdEstimate {
     pub depth_covariance: DMatrix<f64>,
     /// Where the depth (and infrared) camera is.
     pub color_from_depth: Pose,
-    /// Covariance of its turn about color's axes and of its translation, in rad² and m².
+    /// Covariance of its rotation about color's axes and of its translation, in rad² and m².
     pub color_from_depth_covariance: Matrix6<f64>,
     /// By how much infrared and depth are taken later than color, where the board's motion determines it.
     pub time_offset: Option<TimeOffset>,

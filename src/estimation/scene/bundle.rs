@@ -119,8 +119,8 @@ impl Bundle {
             let scale = seen.inverse_std * weight;
             let rotation = camera_from_scene.rotation_matrix();
             let by_point = projection.by_point * scale;
-            let turned = rotation * state.points[point].coords;
-            let by_rotation = -by_point * turned.cross_matrix();
+            let rotated = rotation * state.points[point].coords;
+            let by_rotation = -by_point * rotated.cross_matrix();
             let mut by_pose = Matrix2x6::zeros();
             by_pose.fixed_columns_mut::<3>(0).copy_from(&by_rotation);
             if self.motion == CameraMotion::Moving {
@@ -279,9 +279,9 @@ impl Bundle {
             let Some(start) = self.pose_start(camera) else { return *camera_from_scene };
             let part =
                 |k: usize| Vector3::new(step[start + k], step[start + k + 1], step[start + k + 2]);
-            let turn = nalgebra::UnitQuaternion::from_scaled_axis(part(0));
+            let rotation = nalgebra::UnitQuaternion::from_scaled_axis(part(0));
             let translation = camera_from_scene.translation() + part(3);
-            Pose::new(turn * camera_from_scene.rotation(), translation)
+            Pose::new(rotation * camera_from_scene.rotation(), translation)
         };
         let points = state.points.iter().zip(&reduced.points);
         Some(SceneState {

@@ -104,9 +104,9 @@ impl SampledModel for Resection<'_> {
             let in_camera = *camera_from_scene * seen.point;
             let Some(projection) = self.lens.project(&in_camera) else { continue };
             let residual = projection.pixel.to_vector() - seen.pixel.to_vector();
-            let turned = in_camera.coords - camera_from_scene.translation();
+            let rotated = in_camera.coords - camera_from_scene.translation();
             let mut by_pose = nalgebra::Matrix2x6::zeros();
-            let by_rotation = -projection.by_point * turned.cross_matrix();
+            let by_rotation = -projection.by_point * rotated.cross_matrix();
             by_pose.fixed_columns_mut::<3>(0).copy_from(&by_rotation);
             by_pose.fixed_columns_mut::<3>(3).copy_from(&projection.by_point);
             normal += by_pose.tr_mul(&by_pose);
@@ -114,9 +114,9 @@ impl SampledModel for Resection<'_> {
         }
         let step = normal.cholesky()?.solve(&gradient);
         let part = |k: usize| -Vector3::new(step[k], step[k + 1], step[k + 2]);
-        let turn = nalgebra::UnitQuaternion::from_scaled_axis(part(0));
+        let rotation = nalgebra::UnitQuaternion::from_scaled_axis(part(0));
         let translation = camera_from_scene.translation() + part(3);
-        Some(Pose::new(turn * camera_from_scene.rotation(), translation))
+        Some(Pose::new(rotation * camera_from_scene.rotation(), translation))
     }
 
     fn squared_residual_px2(&self, camera_from_scene: &Pose, index: usize) -> f64 {

@@ -137,11 +137,11 @@ impl EpipolarGeometry for Orthonormal {
     }
 
     fn stepped(&self, step: &DVector<f64>) -> Self {
-        let turn = |k: usize| {
+        let rotation = |k: usize| {
             Rotation3::from_scaled_axis(Vector3::new(step[k], step[k + 1], step[k + 2]))
                 .into_inner()
         };
-        Self { u: self.u * turn(0), v: self.v * turn(3), angle: self.angle + step[6] }
+        Self { u: self.u * rotation(0), v: self.v * rotation(3), angle: self.angle + step[6] }
     }
 }
 
@@ -173,10 +173,10 @@ impl EpipolarGeometry for UnitBaseline {
     }
 
     fn stepped(&self, step: &DVector<f64>) -> Self {
-        let turn = Rotation3::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
+        let rotation = Rotation3::from_scaled_axis(Vector3::new(step[0], step[1], step[2]));
         let [a, b] = self.across();
         Self {
-            rotation: self.rotation * turn.into_inner(),
+            rotation: self.rotation * rotation.into_inner(),
             translation: (self.translation + a * step[3] + b * step[4]).normalize(),
         }
     }

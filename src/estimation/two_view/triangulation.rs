@@ -12,18 +12,18 @@ pub fn triangulate_rays(
     first: Vector3<f64>,
     second: Vector3<f64>,
 ) -> Option<Point3<f64>> {
-    let turned = second_from_first.rotation().inverse() * second;
+    let rotated = second_from_first.rotation().inverse() * second;
     let center = second_from_first.inverse().translation();
-    // first · a − turned · b = center in the least squares sense.
-    let (ff, ft, tt) = (first.norm_squared(), first.dot(&turned), turned.norm_squared());
+    // first · a − rotated · b = center in the least squares sense.
+    let (ff, ft, tt) = (first.norm_squared(), first.dot(&rotated), rotated.norm_squared());
     let determinant = ff * tt - ft * ft;
     if !(determinant > 1e-14 * ff * tt) {
         return None;
     }
-    let (fc, tc) = (first.dot(&center), turned.dot(&center));
+    let (fc, tc) = (first.dot(&center), rotated.dot(&center));
     let a = (tt * fc - ft * tc) / determinant;
     let b = (ft * fc - ff * tc) / determinant;
-    Some(Point3::from(0.5 * (first * a + center + turned * b)))
+    Some(Point3::from(0.5 * (first * a + center + rotated * b)))
 }
 
 /// The point whose projections satisfy all of (pose `camera_from_scene`, normalized coordinates)

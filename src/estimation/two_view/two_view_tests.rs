@@ -33,12 +33,12 @@ impl World {
     fn new(seed: u64, count: usize) -> Self {
         let mut random = ChaCha8Rng::seed_from_u64(seed);
         let mut uniform = |reach: f64| random.random_range(-reach..reach);
-        let turn = Vector3::new(uniform(0.1), uniform(0.2), uniform(0.3));
+        let rotation = Vector3::new(uniform(0.1), uniform(0.2), uniform(0.3));
         let translation = Vector3::new(1.0, uniform(0.3), uniform(0.3));
         let points = (0..count)
             .map(|_| Point3::new(uniform(2.0), uniform(1.5), 7.0 + uniform(2.0)))
             .collect();
-        Self { second_from_first: Pose::from_axis_angle(turn, -translation), points }
+        Self { second_from_first: Pose::from_axis_angle(rotation, -translation), points }
     }
 
     fn normalized(&self) -> Vec<PointPair> {
@@ -188,13 +188,13 @@ fn wrong_matches_are_left_out_and_degeneracies_named() {
     plane.points.iter_mut().for_each(|p| p.z = 7.0 + 0.3 * p.x - 0.2 * p.y);
     let found = two_view_geometry(&plane.pixels(0.3, 6), SIZE).unwrap();
     assert_eq!(found.kind, TwoViewKind::Homography);
-    let mut turned = World::new(7, 150);
+    let mut rotated = World::new(7, 150);
     let rotation = Rotation3::from_scaled_axis(Vector3::new(0.05, 0.2, 0.1));
-    turned.second_from_first = Pose::from_matrix(&rotation.into_inner(), Vector3::zeros());
-    let found = two_view_geometry(&turned.pixels(0.3, 7), SIZE).unwrap();
+    rotated.second_from_first = Pose::from_matrix(&rotation.into_inner(), Vector3::zeros());
+    let found = two_view_geometry(&rotated.pixels(0.3, 7), SIZE).unwrap();
     assert_eq!(found.kind, TwoViewKind::Homography);
-    turned.second_from_first = Pose::identity();
-    let found = two_view_geometry(&turned.pixels(0.1, 8), SIZE).unwrap();
+    rotated.second_from_first = Pose::identity();
+    let found = two_view_geometry(&rotated.pixels(0.1, 8), SIZE).unwrap();
     assert_eq!(found.kind, TwoViewKind::Still);
     for pair in &mut pairs {
         pair.second =

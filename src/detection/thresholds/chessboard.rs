@@ -1,110 +1,6 @@
-//! Every threshold of the search, the verification and the tracking of a chessboard, with its unit
-//! and its origin.
-//!
-//! They are one value, [`Thresholds`], that goes through the pipeline beside the image: nothing in
-//! `search/`, `measure/`, `verify/` or `tracking/` compares with a number of its own. The
-//! sensitivity bench (`benches/thresholds.rs`) changes one at a time by a fifth and counts what
-//! that costs in recall, in wrong boards and in accuracy; `docs/detection/thresholds.md` is its
-//! table.
-//!
-//! The bounds of a corner's fit are in `refine/thresholds.rs`, those of boards with markers in
-//! `coded/thresholds.rs`.
+//! The thresholds of chessboards: search, verification, tracking, reasons.
 
-/// Where a threshold's value comes from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ThresholdOrigin {
-    /// Follows from what is said.
-    Derived(&'static str),
-    /// Chosen where the figures are flat: the bench's table says how flat.
-    Swept,
-}
-
-/// A threshold as the sensitivity bench sees it.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ThresholdEntry {
-    /// Stage and field: `candidates.least_score`.
-    pub name: String,
-    /// Its value.
-    pub value: f64,
-    /// Its unit.
-    pub unit: &'static str,
-    /// Where the value comes from.
-    pub origin: ThresholdOrigin,
-}
-
-/// A number that the bench may scale.
-trait Scale {
-    fn value(&self) -> f64;
-    /// Multiplies; whole numbers change by one at least.
-    fn scale(&mut self, factor: f64);
-}
-
-macro_rules! scale_floats {
-    ($($type:ty),*) => {$(
-        impl Scale for $type {
-            fn value(&self) -> f64 {
-                // As it is written: 0.35, not the nearest float's 0.3499999940395355.
-                self.to_string().parse().unwrap_or(f64::NAN)
-            }
-            fn scale(&mut self, factor: f64) {
-                *self = (f64::from(*self) * factor) as $type;
-            }
-        }
-    )*};
-}
-scale_floats!(f32, f64);
-
-macro_rules! scale_counts {
-    ($($type:ty),*) => {$(
-        impl Scale for $type {
-            fn value(&self) -> f64 {
-                *self as f64
-            }
-            fn scale(&mut self, factor: f64) {
-                let scaled = (*self as f64 * factor).round() as $type;
-                *self = if scaled != *self {
-                    scaled
-                } else if factor > 1.0 {
-                    *self + 1
-                } else {
-                    self.saturating_sub(1)
-                };
-            }
-        }
-    )*};
-}
-scale_counts!(u8, u32, usize);
-
-/// What is visited of each threshold: name, unit, origin, the number.
-type Visitor<'a> = dyn FnMut(&'static str, &'static str, ThresholdOrigin, &mut dyn Scale) + 'a;
-
-/// A struct of thresholds, its default values, and a visit of each.
-macro_rules! thresholds {
-    ($(#[$doc:meta])* $name:ident {
-        $($(#[$field_doc:meta])* $field:ident: $type:ty = $value:expr, $unit:literal, $origin:expr;)*
-    }) => {
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq)]
-        pub struct $name {
-            $($(#[$field_doc])* pub $field: $type,)*
-        }
-
-        impl $name {
-            /// The values in use.
-            pub const DEFAULT: Self = Self { $($field: $value,)* };
-
-            fn visit(&mut self, visit: &mut Visitor<'_>) {
-                $(visit(stringify!($field), $unit, $origin, &mut self.$field);)*
-            }
-        }
-
-        impl Default for $name {
-            fn default() -> Self {
-                Self::DEFAULT
-            }
-        }
-    };
-}
+use crate::detection::thresholds::entry::{ThresholdOrigin, Visitor, thresholds};
 
 thresholds! {
     /// Candidates for corners: maxima of the response, each measured twice
@@ -179,7 +75,7 @@ impl WindowThresholds {
     pub const CLOSE: Self =
         Self { reach: 0.08, most_px: 4.0, least_score: 0.75, least_contrast: 0.4, most_off: 0.1 };
 
-    fn visit(&mut self, names: [&'static str; 5], visit: &mut Visitor<'_>) {
+    pub(super) fn visit(&mut self, names: [&'static str; 5], visit: &mut Visitor<'_>) {
         let [reach, most_px, score, contrast, off] = names;
         visit(reach, "steps", ThresholdOrigin::Swept, &mut self.reach);
         visit(most_px, "px", ThresholdOrigin::Swept, &mut self.most_px);
@@ -213,7 +109,7 @@ impl Windows {
         WindowThresholds { most_px: f32::MAX, ..self.0[0] }
     }
 
-    fn visit(&mut self, visit: &mut Visitor<'_>) {
+    pub(super) fn visit(&mut self, visit: &mut Visitor<'_>) {
         const NAMES: [[&str; 5]; 3] = [
             [
                 "wide.reach",
@@ -440,128 +336,5 @@ thresholds! {
         least_grid: usize = 6, "corners", ThresholdOrigin::Swept;
         /// Blur wider than this hides the corners of a square.
         most_blur: f32 = 0.25, "steps", ThresholdOrigin::Derived("a Gaussian's ±2σ then fills the square");
-    }
-}
-
-/// All thresholds of chessboards.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Thresholds {
-    /// Candidates for corners.
-    pub candidates: CandidateThresholds,
-    /// Squares of four candidates.
-    pub seeds: SeedThresholds,
-    /// The windows in which a corner is measured.
-    pub windows: Windows,
-    /// One corner at its prediction.
-    pub measure: MeasureThresholds,
-    /// Candidates farther off than predicted.
-    pub stretch: StretchThresholds,
-    /// The search over the levels.
-    pub search: SearchThresholds,
-    /// Edges between corners.
-    pub edges: EdgeThresholds,
-    /// A grid held against the image.
-    pub consistency: ConsistencyThresholds,
-    /// Visible ends of the board.
-    pub ends: EndThresholds,
-    /// Refined corners.
-    pub corners: CornerThresholds,
-    /// From image to image.
-    pub tracking: TrackingThresholds,
-    /// Why there is no board.
-    pub reasons: ReasonThresholds,
-}
-
-impl Default for Thresholds {
-    fn default() -> Self {
-        Self::DEFAULT
-    }
-}
-
-impl Thresholds {
-    /// The values in use.
-    pub const DEFAULT: Self = Self {
-        candidates: CandidateThresholds::DEFAULT,
-        seeds: SeedThresholds::DEFAULT,
-        windows: Windows::DEFAULT,
-        measure: MeasureThresholds::DEFAULT,
-        stretch: StretchThresholds::DEFAULT,
-        search: SearchThresholds::DEFAULT,
-        edges: EdgeThresholds::DEFAULT,
-        consistency: ConsistencyThresholds::DEFAULT,
-        ends: EndThresholds::DEFAULT,
-        corners: CornerThresholds::DEFAULT,
-        tracking: TrackingThresholds::DEFAULT,
-        reasons: ReasonThresholds::DEFAULT,
-    };
-
-    /// Every threshold, in the order of the stages.
-    pub fn entries() -> Vec<ThresholdEntry> {
-        let mut entries = Vec::new();
-        let mut thresholds = Self::DEFAULT;
-        thresholds.visit(&mut |name, unit, origin, number| {
-            entries.push(ThresholdEntry { name, value: number.value(), unit, origin });
-        });
-        entries
-    }
-
-    /// These thresholds with the one called `name` multiplied by `factor` (a count changes by one
-    /// at least); `None` if no threshold has that name.
-    pub fn scaled(mut self, name: &str, factor: f64) -> Option<Self> {
-        let mut found = false;
-        self.visit(&mut |visited, _, _, number| {
-            if visited == name {
-                number.scale(factor);
-                found = true;
-            }
-        });
-        found.then_some(self)
-    }
-
-    fn visit(
-        &mut self,
-        visit: &mut dyn FnMut(String, &'static str, ThresholdOrigin, &mut dyn Scale),
-    ) {
-        macro_rules! stages {
-            ($($stage:ident),*) => {$(
-                self.$stage.visit(&mut |field, unit, origin, number| {
-                    visit(format!("{}.{field}", stringify!($stage)), unit, origin, number);
-                });
-            )*};
-        }
-        stages!(
-            candidates,
-            seeds,
-            windows,
-            measure,
-            stretch,
-            search,
-            edges,
-            consistency,
-            ends,
-            corners,
-            tracking,
-            reasons
-        );
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_threshold_has_one_name_and_can_be_scaled() {
-        let entries = Thresholds::entries();
-        assert!(entries.len() > 100, "{}", entries.len());
-        for entry in &entries {
-            let same = entries.iter().filter(|other| other.name == entry.name).count();
-            assert_eq!(same, 1, "{}", entry.name);
-            for factor in [0.8, 1.25] {
-                let scaled = Thresholds::DEFAULT.scaled(&entry.name, factor).expect("its name");
-                assert_ne!(scaled, Thresholds::DEFAULT, "{} by {factor}", entry.name);
-            }
-        }
-        assert_eq!(Thresholds::DEFAULT.scaled("candidates.nothing", 2.0), None);
     }
 }
