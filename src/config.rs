@@ -7,7 +7,8 @@
 //! ```toml
 //! [server]
 //! listen = "127.0.0.1:8600"      # default; an address that others can reach needs a token
-//! token_file = "token"           # default: none; the file's first line is the token
+//! token_file = "tokens"          # default: none; `plumb token add` writes it
+//! tls = { cert = "cert.pem", key = "key.pem" } # default: none, plain HTTP
 //!
 //! [store]
 //! path = "plumb-data"            # default; made if it is not there
@@ -37,6 +38,7 @@
 mod error;
 mod place;
 pub mod source;
+pub mod token_file;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
@@ -49,7 +51,10 @@ pub use crate::config::error::ConfigError;
 use crate::config::place::Place;
 pub use crate::config::source::SourceConfig;
 use crate::config::source::{WrittenSource, check_domain};
+use crate::config::token_file::read_tokens;
 use crate::document::session::StartDocument;
+use crate::http::tls::{Certificate, TlsError};
+use crate::http::tokens::AccessTokens;
 use crate::store::Retention;
 
 /// Where the daemon listens by default.
@@ -63,8 +68,11 @@ const DEFAULT_MIN_FREE_MB: u32 = 100;
 pub struct Config {
     /// Where to listen. Default: 127.0.0.1:8600.
     pub listen: SocketAddr,
-    /// What every request must carry. Default: none, which only a loopback address allows.
-    pub token: Option<Token>,
+    /// One of them is what every request must carry. Default: none, which only a loopback address
+    /// allows.
+    pub tokens: Option<AccessTokens>,
+    /// What connections are secured with. Default: nothing.
+    pub tls: Option<TlsFiles>,
     /// The folder of the database and the kept images. Default: `plumb-data`.
     pub store_path: PathBuf,
     /// What stays free of the disk that it is on, in bytes. Default: 100 million.
@@ -93,6 +101,16 @@ pub struct Ros2Config {
     pub session: Option<SessionRequest>,
 }
 
+/// Where the certificate is, and its key; both PEM.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TlsFiles {
+    /// The server's certificate, and those that it is signed with.
+    pub cert: PathBuf,
+    /// Its private key.
+    pub key: PathBuf,
+}
+
 /// Cameras that are fixed to each other.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RigConfig {
@@ -109,23 +127,6 @@ pub struct CameraConfig {
     pub name: String,
     /// Where its frames come from.
     pub source: SourceConfig,
-}
-
-/// A secret that is never printed.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Token(String);
-
-impl Token {
-    /// The secret itself.
-    pub fn reveal(&self) -> &str {
-        &self.0
-    }
-}
-
-impl std::fmt::Debug for Token {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Token(…)")
-    }
 }
 
 /// What the command line says louder than the file.
@@ -181,6 +182,7 @@ struct Tables {
 struct ServerTable {
     listen: Option<Spanned<String>>,
     token_file: Option<Spanned<PathBuf>>,
+    tls: Option<Spanned<TlsFiles>>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -255,9 +257,10 @@ impl Written {
     /// there, an impossible size, an address that others can reach without a token.
     pub fn check(self, overrides: &Overrides) -> Result<Config, ConfigError> {
         let Self { tables, place } = self;
-        let token = check_token(tables.server.token_file.as_ref(), &place)?;
+        let tokens = check_tokens(tables.server.token_file.as_ref(), &place)?;
         let listen =
-            check_listen(tables.server.listen.as_ref(), token.is_some(), overrides, &place)?;
+            check_listen(tables.server.listen.as_ref(), tokens.is_some(), overrides, &place)?;
+        let tls = check_tls(tables.server.tls, &place)?;
         let mut cameras: Vec<CameraConfig> = Vec::new();
         for table in &tables.camera {
             let taken: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
@@ -278,7 +281,8 @@ impl Written {
         };
         Ok(Config {
             listen,
-            token,
+            tokens,
+            tls,
             store_path,
             least_free_bytes,
             retention,
@@ -290,21 +294,25 @@ impl Written {
     }
 }
 
-fn check_token(
+fn check_tokens(
     file: Option<&Spanned<PathBuf>>,
     place: &Place,
-) -> Result<Option<Token>, ConfigError> {
+) -> Result<Option<AccessTokens>, ConfigError> {
     let Some(file) = file else { return Ok(None) };
-    let path = file.get_ref();
     let refuse = |problem: String| place.refuse(&file.span(), "server.token_file", problem);
-    let text = std::fs::read_to_string(path)
-        .map_err(|error| refuse(format!("`{}` cannot be read: {error}", path.display())))?;
-    match text.lines().next().map(str::trim) {
-        Some(token) if !token.is_empty() => Ok(Some(Token(token.to_owned()))),
-        _ => {
-            Err(refuse(format!("`{}` is empty; its first line must be the token", path.display())))
-        }
-    }
+    read_tokens(file.get_ref()).map(Some).map_err(|error| refuse(error.to_string()))
+}
+
+/// The files, if they hold a certificate and its key.
+fn check_tls(
+    files: Option<Spanned<TlsFiles>>,
+    place: &Place,
+) -> Result<Option<TlsFiles>, ConfigError> {
+    let Some(files) = files else { return Ok(None) };
+    let TlsFiles { cert, key } = files.get_ref();
+    let refuse = |error: TlsError| place.refuse(&files.span(), "server.tls", error.to_string());
+    Certificate::read(cert, key).map_err(refuse)?;
+    Ok(Some(files.into_inner()))
 }
 
 fn check_listen(
@@ -426,7 +434,8 @@ mod tests {
             .unwrap();
         let expected = Config {
             listen: "127.0.0.1:8600".parse().unwrap(),
-            token: None,
+            tokens: None,
+            tls: None,
             store_path: "plumb-data".into(),
             least_free_bytes: 100_000_000,
             retention: Retention::default(),
@@ -501,10 +510,5 @@ mod tests {
         assert_eq!(listen("127.0.0.1:0").unwrap().listen, "127.0.0.1:0".parse().unwrap());
         let message = listen("0.0.0.0:80").unwrap_err().to_string();
         assert!(message.starts_with("--listen 0.0.0.0:80: can be reached by others"), "{message}");
-    }
-
-    #[test]
-    fn a_token_is_not_printed() {
-        assert_eq!(format!("{:?}", Token("secret".to_owned())), "Token(…)");
     }
 }

@@ -24,7 +24,8 @@ use crate::config::Config;
 use crate::daemon::reload::Reload;
 use crate::daemon::sources::{plan_of, rig_of};
 use crate::document::time;
-use crate::http::{self, Service};
+use crate::http::tls::{Certificate, Tls};
+use crate::http::{self, Access, Service};
 use crate::pipeline::FleetOptions;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Retention, Store};
@@ -73,18 +74,28 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     if config.cameras.is_empty() {
         tracing::warn!("no camera is configured; give a file with [[camera]] tables with --config");
     }
-    let reload = Reload { fleet: Arc::clone(&fleet), file: file.clone(), config: config.clone() };
+    let listening = listener.local_addr().unwrap_or(address);
+    let access = Access::new(config.tokens.clone(), listening.port(), config.tls.is_some());
+    let access = Arc::new(access);
+    let tls = config.tls.as_ref().map(|files| Certificate::read(&files.cert, &files.key));
+    let tls = tls.transpose()?.map(|certificate| Arc::new(Tls::new(certificate)));
+    let scheme = if tls.is_some() { "https" } else { "http" };
+    let reload = Reload {
+        fleet: Arc::clone(&fleet),
+        access: Arc::clone(&access),
+        tls: tls.clone(),
+        file: file.clone(),
+        config: config.clone(),
+    };
     runtime.block_on(async { reload.with_each_hangup() })?;
     runtime.spawn(prune_by_the_hour(Arc::clone(&store), config.retention));
     #[cfg(feature = "ros2")]
     graph::begin(runtime, &fleet, &store, config);
-    let listening = listener.local_addr().unwrap_or(address);
     tracing::info!(
         file = file.map(|file| file.display().to_string()),
-        "listening on http://{listening}"
+        "listening on {scheme}://{listening}"
     );
-    let token = config.token.as_ref().map(|token| token.reveal().to_owned());
-    let service = Service { fleet: Arc::clone(&fleet), store, token };
+    let service = Service { fleet: Arc::clone(&fleet), store, access, tls };
     #[cfg(target_os = "linux")]
     systemd::ready_and_alive(runtime, &fleet, listening);
     let served = runtime.block_on(http::serve(listener, service, stop));

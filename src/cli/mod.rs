@@ -41,6 +41,7 @@ pub mod store;
 pub mod target;
 pub mod target_args;
 mod target_sheet;
+pub mod token;
 pub mod uncertainty;
 pub mod undistort;
 pub mod verify;
@@ -79,6 +80,7 @@ enum Command {
     Simulate(simulate::Args),
     Store(store::Args),
     Target(target::Args),
+    Token(token::Args),
     Uncertainty(uncertainty::Args),
     Undistort(undistort::Args),
     Verify(verify::Args),
@@ -100,6 +102,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Simulate(args) => simulate::run(&args),
         Command::Store(args) => store::run(&args),
         Command::Target(args) => target::run(&args),
+        Command::Token(args) => token::run(&args),
         Command::Uncertainty(args) => uncertainty::run(&args),
         Command::Undistort(args) => undistort::run(&args),
         Command::Verify(args) => verify::run(&args),

@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 
+use crate::http::tls::TlsError;
 use crate::pipeline::fleet_error::FleetError;
 use crate::store::StoreError;
 
@@ -21,6 +22,9 @@ pub enum DaemonError {
     /// The store cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
+    /// The certificate cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
     /// The cameras cannot be set going.
     #[error(transparent)]
     Fleet(#[from] FleetError),

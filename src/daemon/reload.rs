@@ -1,5 +1,5 @@
-//! SIGHUP: the configuration is read again, and the cameras and rigs that changed are exchanged;
-//! the others go on undisturbed.
+//! SIGHUP: the configuration is read again, the cameras and rigs that changed are exchanged, and
+//! tokens and certificate are those of the files; the others go on undisturbed.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -7,11 +7,15 @@ use std::sync::Arc;
 use crate::config::{CameraConfig, Config, Overrides, RigConfig};
 use crate::daemon::error::DaemonError;
 use crate::daemon::sources::{plan_of, rig_of};
+use crate::http::Access;
+use crate::http::tls::{Certificate, Tls};
 use crate::pipeline::fleet::Fleet;
 
 /// What is running, and from where it was read.
 pub(super) struct Reload {
     pub(super) fleet: Arc<Fleet>,
+    pub(super) access: Arc<Access>,
+    pub(super) tls: Option<Arc<Tls>>,
     pub(super) file: Option<PathBuf>,
     pub(super) config: Config,
 }
@@ -70,14 +74,20 @@ impl Reload {
         if let Err(error) = exchanged {
             tracing::error!("not everything could be exchanged: {error}");
         }
+        if config.tokens != self.config.tokens {
+            self.access.replace(config.tokens.clone());
+            tracing::info!("tokens read again");
+        }
+        self.read_certificate(&config);
         let kept = Config {
+            tokens: config.tokens.clone(),
             cameras: config.cameras.clone(),
             rigs: config.rigs.clone(),
             ..self.config.clone()
         };
         if kept != config {
             tracing::warn!(
-                "only cameras and rigs change while plumb runs; what else changed holds from the next start"
+                "only cameras, rigs, tokens and the certificate change while plumb runs; what else changed holds from the next start"
             );
         }
         let count = |cameras: usize, rigs: usize| format!("{cameras} cameras, {rigs} rigs");
@@ -85,6 +95,17 @@ impl Reload {
         let started = count(changes.started.len(), changes.started_rigs.len());
         tracing::info!(stopped, started, "configuration read again");
         self.config = kept;
+    }
+}
+
+impl Reload {
+    /// Takes the certificate that is in the files now: it is renewed every few months.
+    fn read_certificate(&self, config: &Config) {
+        let (Some(tls), Some(files)) = (&self.tls, &config.tls) else { return };
+        match Certificate::read(&files.cert, &files.key) {
+            Ok(certificate) => tls.replace(certificate),
+            Err(error) => tracing::error!("the certificate stays as it was: {error}"),
+        }
     }
 }
 

@@ -19,8 +19,10 @@ use crate::geometry::pixel::Pixel;
 #[serde(deny_unknown_fields)]
 pub struct ProblemDocument {
     /// Width and height of the images, in pixels.
+    #[schema(value_type = Vec<u32>, min_items = 2, max_items = 2)]
     pub image_size: [u32; 2],
     /// What was seen, image by image.
+    #[schema(min_items = 1)]
     pub views: Vec<ProblemViewDocument>,
     /// The lens model to fit; `auto` when left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -10,9 +10,11 @@ use crate::document::error::DocumentError;
 #[serde(deny_unknown_fields)]
 pub struct RecordDocument {
     /// It ends after so many seconds of frames.
+    #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_seconds: Option<f64>,
-    /// It ends once its file is so large.
+    /// It ends once its file is so large: up to what a double holds exactly.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_992_u64)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_bytes: Option<u64>,
 }
@@ -23,6 +25,11 @@ impl RecordDocument {
     /// # Errors
     /// [`DocumentError::Field`] naming the field.
     pub fn check(&self) -> Result<(), DocumentError> {
+        const MOST_BYTES: u64 = 1 << 53;
+        if let Some(bytes) = self.max_bytes.filter(|bytes| !(1..=MOST_BYTES).contains(bytes)) {
+            let problem = format!("{bytes} is no size; give 1 to {MOST_BYTES}");
+            return Err(DocumentError::field("max_bytes", problem));
+        }
         match self.max_seconds.filter(|seconds| seconds.is_nan() || *seconds <= 0.0) {
             Some(seconds) => Err(DocumentError::field(
                 "max_seconds",

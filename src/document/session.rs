@@ -100,6 +100,7 @@ fn held(name: &str, lens: &LensDocument) -> Result<HeldLens, DocumentError> {
 pub struct FinishDocument {
     /// The median over the image of the predicted 1-σ reprojection uncertainty that is good enough,
     /// in pixels.
+    #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub uncertainty_px: Option<f64>,
     /// Not before so many views are kept.
@@ -107,6 +108,7 @@ pub struct FinishDocument {
     pub min_views: Option<u32>,
     /// The longest it may collect, in seconds of the frames' time; what has been gathered by then
     /// is solved.
+    #[schema(exclusive_minimum = 0.0)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub max_seconds: Option<f64>,
 }

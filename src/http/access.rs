@@ -1,109 +1,106 @@
-//! Who may ask: with a token, who knows it; without one, only this machine, and no page of another
-//! site in its browser.
+//! Who may ask: the bearers of tokens, known by a header or by the session of their browser.
 
-use std::net::IpAddr;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
-use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, COOKIE, HOST, LOCATION, ORIGIN, SET_COOKIE};
-use axum::http::{HeaderMap, Method, StatusCode, Uri};
-use axum::middleware::Next;
+use axum::http::header::{AUTHORIZATION, COOKIE, LOCATION, SET_COOKIE};
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
+use tokio::sync::Semaphore;
 
+use crate::http::browser_sessions::BrowserSessions;
 use crate::http::problem::Problem;
-use crate::http::shared::Shared;
+use crate::http::tokens::{AccessTokens, TokenRole};
 
-/// The cookie that a browser carries the token in.
-const COOKIE_NAME: &str = "plumb_token";
+/// Wrong tokens that wait for their answer at once; more are refused without being compared.
+const GUESSES: usize = 8;
+/// How long the answer to a wrong token takes: eight at once are then 32 a second.
+const GUESS_TIME: Duration = Duration::from_millis(250);
 
-/// Lets a request through, or refuses it.
-pub(super) async fn check(
-    State(shared): State<Arc<Shared>>,
-    request: Request,
-    next: Next,
-) -> Response {
-    let path = request.uri().path();
-    if path == "/healthz" {
-        return next.run(request).await;
-    }
-    if let Err(problem) = same_site(request.method(), request.headers(), shared.token.is_some()) {
-        return problem.into_response();
-    }
-    let Some(token) = &shared.token else { return next.run(request).await };
-    if path == "/" && query_token(request.uri()).is_some_and(|given| is_same(given, token)) {
-        return with_cookie(token);
-    }
-    if carries(request.headers(), token) {
-        return next.run(request).await;
-    }
-    let detail =
-        "a token is needed: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN in a browser";
-    Problem::unauthorized(detail).into_response()
+/// Who may ask: the bearers of tokens, or everyone who reaches the address.
+#[derive(Debug)]
+pub struct Access {
+    /// `None` lets everyone in, which only a loopback address allows.
+    tokens: RwLock<Option<Arc<AccessTokens>>>,
+    sessions: BrowserSessions,
+    /// Cookies are shared by all ports of a host, so the cookie's name has the port.
+    cookie_name: String,
+    /// Whether connections are secured: the cookie is then sent over such ones alone.
+    is_secured: bool,
+    guesses: Semaphore,
 }
 
-/// Refuses what a page of another site sends: by its `Origin` for requests that change something,
-/// and by a `Host` that is a foreign name where no token protects (a foreign name that was made to
-/// point here).
-fn same_site(method: &Method, headers: &HeaderMap, has_token: bool) -> Result<(), Problem> {
-    // RFC 9112, 3.2: none, or several, are answered by 400.
-    if headers.get_all(HOST).iter().count() != 1 {
-        return Err(Problem::new(StatusCode::BAD_REQUEST, "one `Host` header is needed; send one"));
+impl Access {
+    /// For a daemon that listens on `port`, by TLS if `is_secured`; without `tokens`, everyone may
+    /// ask.
+    pub fn new(tokens: Option<AccessTokens>, port: u16, is_secured: bool) -> Self {
+        Self {
+            tokens: RwLock::new(tokens.map(Arc::new)),
+            sessions: BrowserSessions::default(),
+            cookie_name: format!("plumb_session_{port}"),
+            is_secured,
+            guesses: Semaphore::new(GUESSES),
+        }
     }
-    let host = headers.get(HOST).and_then(|host| host.to_str().ok());
-    if !has_token && host.is_some_and(|host| !is_local(host)) {
-        let detail = "this daemon answers to localhost or an IP address only; use one of these in the address";
-        return Err(Problem::new(StatusCode::MISDIRECTED_REQUEST, detail));
+
+    /// From now on these tokens are good, and no others: sessions of browsers end with their token.
+    pub fn replace(&self, tokens: Option<AccessTokens>) {
+        *self.tokens.write().unwrap_or_else(PoisonError::into_inner) = tokens.map(Arc::new);
     }
-    if matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS) {
-        return Ok(());
+
+    pub(super) fn tokens(&self) -> Option<Arc<AccessTokens>> {
+        self.tokens.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
-    let Some(origin) = headers.get(ORIGIN) else { return Ok(()) };
-    let origin_host =
-        origin.to_str().ok().and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
-    if origin_host.is_some() && origin_host == host {
-        return Ok(());
+
+    /// What the request says of who asks.
+    pub(super) fn bearer(&self, tokens: &AccessTokens, headers: &HeaderMap) -> Bearer {
+        // The scheme's name is the same in any case (RFC 9110, 11.1).
+        let given = headers.get(AUTHORIZATION).and_then(|value| {
+            let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
+            scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
+        });
+        if let Some(given) = given {
+            return tokens.of_bearer(given).map_or(Bearer::Unknown, |token| Bearer::Of(token.role));
+        }
+        let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+        let number = cookies
+            .flat_map(|cookies| cookies.split(';'))
+            .find_map(|cookie| cookie.trim().strip_prefix(&self.cookie_name)?.strip_prefix('='));
+        let token = number
+            .and_then(|number| self.sessions.token_of(number, Instant::now()))
+            .and_then(|hash| tokens.of_hash(hash));
+        token.map_or(Bearer::None, |token| Bearer::Of(token.role))
     }
-    Err(Problem::new(StatusCode::FORBIDDEN, "a page of another site may not change anything here"))
+
+    /// Opens a browser's session for the bearer of `given`, and sends it to the page.
+    pub(super) fn open_session(&self, tokens: &AccessTokens, given: &str) -> Option<Response> {
+        let number = self.sessions.open(tokens.of_bearer(given)?.hash, Instant::now())?;
+        let secure = if self.is_secured { "; Secure" } else { "" };
+        let name = &self.cookie_name;
+        let cookie = format!("{name}={number}; HttpOnly; SameSite=Strict; Path=/{secure}");
+        let headers = [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)];
+        Some((StatusCode::SEE_OTHER, headers).into_response())
+    }
+
+    /// The answer to a wrong token, after a while; while many wait for theirs, at once.
+    pub(super) async fn refuse_guess(&self) -> Problem {
+        let Ok(_place) = self.guesses.try_acquire() else {
+            return Problem::too_many("too many wrong tokens; wait a moment");
+        };
+        tokio::time::sleep(GUESS_TIME).await;
+        Problem::unauthorized("this token is not known here; `plumb token add` makes one")
+    }
 }
 
-fn is_local(host: &str) -> bool {
-    let without_port = match host.rsplit_once(':') {
-        Some((name, port)) if port.bytes().all(|b| b.is_ascii_digit()) => name,
-        _ => host,
-    };
-    let name = without_port.trim_start_matches('[').trim_end_matches(']');
-    name.eq_ignore_ascii_case("localhost")
-        || name.ends_with(".localhost")
-        || name.parse::<IpAddr>().is_ok()
-}
-
-fn carries(headers: &HeaderMap, token: &str) -> bool {
-    // The scheme's name is the same in any case (RFC 9110, 11.1).
-    let bearer = headers.get(AUTHORIZATION).and_then(|value| {
-        let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
-        scheme.eq_ignore_ascii_case("bearer").then_some(token)
-    });
-    let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
-    let cookie = cookies
-        .flat_map(|cookies| cookies.split(';'))
-        .find_map(|cookie| cookie.trim().strip_prefix(COOKIE_NAME)?.strip_prefix('='));
-    bearer.into_iter().chain(cookie).any(|given| is_same(given.trim(), token))
-}
-
-fn query_token(uri: &Uri) -> Option<&str> {
-    uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))
-}
-
-fn with_cookie(token: &str) -> Response {
-    let cookie = format!("{COOKIE_NAME}={token}; HttpOnly; SameSite=Strict; Path=/");
-    (StatusCode::SEE_OTHER, [(LOCATION, "/".to_owned()), (SET_COOKIE, cookie)]).into_response()
-}
-
-/// Compares in a time that does not reveal how much was right.
-fn is_same(given: &str, token: &str) -> bool {
-    let (given, token) = (given.as_bytes(), token.as_bytes());
-    given.len() == token.len()
-        && given.iter().zip(token).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
+/// Who asks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Bearer {
+    /// The bearer of a token of this role.
+    Of(TokenRole),
+    /// A token that is not known.
+    Unknown,
+    /// No token, or a browser's session that has ended.
+    None,
 }
 
 #[cfg(test)]
@@ -115,46 +112,39 @@ mod tests {
     }
 
     #[test]
-    fn a_foreign_page_may_not_change_anything() {
-        let table = [
-            (Method::POST, "localhost:8600", None, true),
-            (Method::POST, "localhost:8600", Some("http://localhost:8600"), true),
-            (Method::POST, "localhost:8600", Some("http://evil.example"), false),
-            (Method::POST, "localhost:8600", Some("null"), false),
-            (Method::DELETE, "127.0.0.1:8600", Some("http://localhost:8600"), false),
-            (Method::GET, "[::1]:8600", Some("http://evil.example"), true),
-            (Method::GET, "evil.example", None, false),
-            (Method::GET, "localhost.evil.example:8600", None, false),
-            (Method::GET, "192.168.0.7", None, true),
-        ];
-        for (method, host, origin, let_in) in table {
-            let mut headers = headers(&[(HOST, host)]);
-            if let Some(origin) = origin {
-                headers.insert(ORIGIN, origin.parse().unwrap());
-            }
-            assert_eq!(
-                same_site(&method, &headers, false).is_ok(),
-                let_in,
-                "{method} {host} {origin:?}"
-            );
+    fn a_bearer_is_known_by_header_or_by_a_browsers_session() {
+        let tokens = AccessTokens::parse("s3cret-token-of-the-test").unwrap();
+        let access = Access::new(Some(tokens.clone()), 8600, false);
+        let of = |pairs: &[(axum::http::HeaderName, &str)]| access.bearer(&tokens, &headers(pairs));
+        let known = Bearer::Of(TokenRole::Approve);
+        assert_eq!(of(&[(AUTHORIZATION, "Bearer s3cret-token-of-the-test")]), known);
+        assert_eq!(of(&[(AUTHORIZATION, "bearer s3cret-token-of-the-test")]), known);
+        for wrong in ["Bearer s3cret-token-of-the-tes", "Bearer x", "Bearer "] {
+            assert_eq!(of(&[(AUTHORIZATION, wrong)]), Bearer::Unknown, "{wrong}");
         }
-        assert!(same_site(&Method::GET, &headers(&[(HOST, "robot.example")]), true).is_ok());
-        let mut twice = headers(&[(HOST, "localhost")]);
-        twice.append(HOST, "localhost".parse().unwrap());
-        for wrong in [HeaderMap::new(), twice] {
-            let problem = same_site(&Method::GET, &wrong, false).unwrap_err();
-            assert!(format!("{problem:?}").contains("one `Host` header is needed"), "{problem:?}");
+        for none in ["s3cret-token-of-the-test", "Basic s3cret-token-of-the-test"] {
+            assert_eq!(of(&[(AUTHORIZATION, none)]), Bearer::None, "{none}");
         }
+        let opened = access.open_session(&tokens, "s3cret-token-of-the-test").unwrap();
+        let cookie = opened.headers()[SET_COOKIE].to_str().unwrap();
+        assert!(!cookie.contains("s3cret"), "{cookie}");
+        assert!(cookie.ends_with("; HttpOnly; SameSite=Strict; Path=/"), "{cookie}");
+        let (number, _) = cookie.split_once(';').unwrap();
+        assert_eq!(of(&[(COOKIE, &format!("a=b; {number}"))]), known);
+        assert_eq!(of(&[(COOKIE, &number.replace("8600", "8601"))]), Bearer::None, "other port");
+        assert_eq!(of(&[(COOKIE, "plumb_session_8600=s3cret-token-of-the-test")]), Bearer::None);
+        assert!(access.open_session(&tokens, "another").is_none());
+        // The token is revoked.
+        let others = AccessTokens::parse("another-token-of-the-test").unwrap();
+        assert_eq!(access.bearer(&others, &headers(&[(COOKIE, number)])), Bearer::None);
     }
 
-    #[test]
-    fn the_token_is_carried_by_header_or_cookie() {
-        assert!(carries(&headers(&[(AUTHORIZATION, "Bearer s3cret")]), "s3cret"));
-        assert!(carries(&headers(&[(AUTHORIZATION, "bearer s3cret")]), "s3cret"));
-        assert!(carries(&headers(&[(COOKIE, "a=b; plumb_token=s3cret")]), "s3cret"));
-        for wrong in ["Bearer s3cre", "Bearer s3cretx", "Bearer ", "s3cret", "Basic s3cret"] {
-            assert!(!carries(&headers(&[(AUTHORIZATION, wrong)]), "s3cret"), "{wrong}");
-        }
-        assert!(!carries(&headers(&[(COOKIE, "plumb_tokens3cret; plumb_token=")]), "s3cret"));
+    #[tokio::test]
+    async fn wrong_tokens_are_not_answered_all_at_once() {
+        let access = Access::new(None, 8600, false);
+        let places: Vec<_> = (0..GUESSES).map(|_| access.guesses.try_acquire().unwrap()).collect();
+        assert_eq!(access.refuse_guess().await.status(), 429);
+        drop(places);
+        assert_eq!(access.refuse_guess().await.status(), 401);
     }
 }

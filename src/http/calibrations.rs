@@ -18,6 +18,7 @@ use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery};
+use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 
 /// How a calibration is to be written.
@@ -26,18 +27,21 @@ use crate::http::shared::{Shared, on_a_blocking_thread};
 pub(super) struct ExportParameters {
     /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors
     /// are); depth (what readings mean, corrected).
-    #[param(value_type = Option<String>)]
+    #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
     /// color when left out.
+    #[param(min_length = 1)]
     sensor: Option<String>,
     /// For images (or the part of them that `crop` says) scaled to this width.
+    #[param(schema_with = schemas::count, required = false)]
     width: Option<u32>,
     /// For images scaled to this height.
+    #[param(schema_with = schemas::count, required = false)]
     height: Option<u32>,
     /// For a part of the images, `left,top,width,height` in their pixels; of several sensors' the
     /// one that `sensor` says.
-    #[param(value_type = Option<String>)]
+    #[param(schema_with = schemas::region, required = false)]
     crop: Option<ImageRegion>,
 }
 

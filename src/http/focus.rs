@@ -8,21 +8,58 @@ use axum::extract::State;
 use crate::document::focus::FocusDocument;
 use crate::geometry::thin_lens::ThinLens;
 use crate::http::problem::Problem;
-use crate::http::request::{Address, Parameters};
+use crate::http::request::{Address, Asked, Parameters, ReadQuery};
+use crate::http::schemas;
 use crate::http::shared::Shared;
 use crate::imaging::frame::SensorKind;
+
+/// What is known of the lens, and what is asked of it.
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(super) struct FocusParameters {
+    /// Focal length over the aperture's diameter, as in 2.8.
+    #[param(schema_with = schemas::positive, required = true)]
+    f_number: f64,
+    /// The width of one pixel, in micrometers.
+    #[param(schema_with = schemas::positive, required = true)]
+    pixel_um: f64,
+    /// Focal length, in millimeters; the current calibration's when left out.
+    #[param(schema_with = schemas::positive, required = false)]
+    focal_mm: Option<f64>,
+    /// The distance in focus, in meters; infinity when left out.
+    #[param(schema_with = schemas::positive, required = false)]
+    focus_m: Option<f64>,
+    /// How wide a point may become and count as sharp, in pixels; 1 when left out.
+    #[param(schema_with = schemas::positive, required = false)]
+    blur_px: Option<f64>,
+    /// Inner corners along a row of the board that advice is wanted for.
+    #[param(schema_with = schemas::count, required = false)]
+    cols: Option<u32>,
+}
+
+impl ReadQuery for FocusParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        let needed = |name: &str| {
+            let missing = || Problem::field(name, "is missing; give a positive number");
+            parameters.positive(name)?.ok_or_else(missing)
+        };
+        Ok(Self {
+            pixel_um: needed("pixel_um")?,
+            f_number: needed("f_number")?,
+            focus_m: parameters.positive("focus_m")?,
+            focal_mm: parameters.positive("focal_mm")?,
+            blur_px: parameters.positive("blur_px")?,
+            cols: parameters.count("cols")?,
+        })
+    }
+}
 
 /// What a lens keeps sharp, by the thin-lens model: depth of field, hyperfocal distance, and the
 /// board size and distance to use.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/focus", tag = "cameras",
     params(
         ("camera" = String, Path, description = "its name in the configuration"),
-        ("f_number" = f64, Query, description = "focal length over the aperture's diameter, as in 2.8"),
-        ("pixel_um" = f64, Query, description = "the width of one pixel, in micrometers"),
-        ("focal_mm" = Option<f64>, Query, description = "focal length, in millimeters; the current calibration's when left out"),
-        ("focus_m" = Option<f64>, Query, description = "the distance in focus, in meters; infinity when left out"),
-        ("blur_px" = Option<f64>, Query, description = "how wide a point may become and count as sharp; 1 when left out"),
-        ("cols" = Option<u32>, Query, description = "inner corners along a row of the board that advice is wanted for"),
+        FocusParameters,
     ),
     responses(
         (status = 200, description = "what is sharp", body = FocusDocument),
@@ -33,25 +70,21 @@ use crate::imaging::frame::SensorKind;
 pub(super) async fn focus(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-    parameters: Parameters,
+    Asked(asked): Asked<FocusParameters>,
 ) -> Result<Json<FocusDocument>, Problem> {
     let status = shared.fleet.camera(&camera)?;
-    let needed = |name: &str| {
-        let missing = || Problem::field(name, "is missing; give a positive number");
-        parameters.positive(name)?.ok_or_else(missing)
-    };
-    let pixel_m = needed("pixel_um")? * 1e-6;
-    let f_number = needed("f_number")?;
-    let focus_m = parameters.positive("focus_m")?.unwrap_or(f64::INFINITY);
-    let focal_m = match parameters.positive("focal_mm")? {
+    let pixel_m = asked.pixel_um * 1e-6;
+    let f_number = asked.f_number;
+    let focus_m = asked.focus_m.unwrap_or(f64::INFINITY);
+    let focal_m = match asked.focal_mm {
         Some(focal_mm) => focal_mm * 1e-3,
         None => calibrated_focal_m(&shared, status.calibration, pixel_m, focus_m).await?,
     };
     let lens = ThinLens { focal_m, f_number, pixel_m, focus_m };
     let lens = lens.check().map_err(|e| Problem::field("focus_m", &e.to_string()))?;
-    let blur_px = parameters.positive("blur_px")?.unwrap_or(1.0);
+    let blur_px = asked.blur_px.unwrap_or(1.0);
     let color = status.sensors.iter().find(|sensor| sensor.kind == SensorKind::Color);
-    let board = match parameters.count("cols")? {
+    let board = match asked.cols {
         None => None,
         Some(cols) => {
             let unseen = || {

@@ -11,6 +11,7 @@ use futures_util::StreamExt;
 
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery};
+use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::preview::PreviewReceiver;
@@ -23,7 +24,7 @@ const BOUNDARY: &str = "plumb-frame";
 #[into_params(parameter_in = Query)]
 pub(super) struct DrawingParameters {
     /// color (when left out), infrared, infrared2 (the right one of two) or depth.
-    #[param(value_type = Option<String>)]
+    #[param(schema_with = schemas::sensor_kind, required = false)]
     sensor: Option<SensorKind>,
     /// Draw the corners that were found, and with `registered=color` the edges of depth over
     /// color. When left out: false for an image, true for the preview.
@@ -34,7 +35,7 @@ pub(super) struct DrawingParameters {
     undistorted: Option<bool>,
     /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
     /// depth's image. By the current calibration.
-    #[param(value_type = Option<String>)]
+    #[param(schema_with = schemas::sensor_kind, required = false)]
     registered: Option<SensorKind>,
 }
 

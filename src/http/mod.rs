@@ -7,12 +7,14 @@
 
 mod access;
 mod board;
+mod browser_sessions;
 mod calibrations;
 mod cameras;
 mod connections;
 mod events;
 mod focus;
 mod frames;
+mod gate;
 mod health;
 mod openapi;
 mod page;
@@ -21,12 +23,16 @@ mod recordings;
 mod request;
 mod rigs;
 mod router;
+mod schemas;
 mod serve;
 mod sessions;
 mod shared;
 mod solve;
+pub mod tls;
+pub mod tokens;
 mod uncertainty;
 mod views;
 
+pub use crate::http::access::Access;
 pub use crate::http::serve::serve;
 pub use crate::http::shared::Service;

@@ -1,6 +1,8 @@
 //! The OpenAPI 3.1 document, made of the routes' own descriptions.
 
-use utoipa::OpenApi;
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+use utoipa::openapi::{ContentBuilder, Ref, Response, ResponseBuilder};
+use utoipa::{Modify, OpenApi};
 
 use crate::http::{
     board, calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve,
@@ -58,6 +60,8 @@ use crate::http::{
         events::CalibrationEventDocument<'_>,
         events::DriftEventDocument<'_>,
     )),
+    modifiers(&Gate),
+    security((), ("bearer" = [])),
     tags(
         (name = "cameras", description = "the configured cameras and what they see"),
         (name = "rigs", description = "cameras that are fixed to each other"),
@@ -69,6 +73,45 @@ use crate::http::{
     )
 )]
 struct Description;
+
+/// What every operation may answer before it is asked, and how a client is known.
+struct Gate;
+
+/// What the daemon answers in place of any operation: the status, and why.
+const REFUSALS: [(&str, &str); 6] = [
+    ("400", "no `Host`, or several; or a query that cannot be read"),
+    ("401", "no token, or one that is not known"),
+    ("403", "the token's role does not go so far, or a page of another site asks"),
+    ("421", "a foreign name of this machine, where no token protects it"),
+    ("429", "too many wrong tokens"),
+    ("503", "too many connections, or the daemon is stopping"),
+];
+
+impl Modify for Gate {
+    fn modify(&self, document: &mut utoipa::openapi::OpenApi) {
+        let scheme = HttpBuilder::new()
+            .scheme(HttpAuthScheme::Bearer)
+            .description(Some("A token that `plumb token add` made, where the daemon has tokens."))
+            .build();
+        let components = document.components.get_or_insert_default();
+        components.add_security_scheme("bearer", SecurityScheme::Http(scheme));
+        let operations = document.paths.paths.iter_mut().flat_map(|(_, item)| {
+            [&mut item.get, &mut item.post, &mut item.delete].into_iter().flatten()
+        });
+        for operation in operations {
+            for (status, why) in REFUSALS {
+                let of_status = operation.responses.responses.entry(status.to_owned());
+                of_status.or_insert_with(|| refusal(why).into());
+            }
+        }
+    }
+}
+
+fn refusal(why: &str) -> Response {
+    let schema = Ref::from_schema_name("Problem");
+    let content = ContentBuilder::new().schema(Some(schema)).build();
+    ResponseBuilder::new().description(why).content("application/problem+json", content).build()
+}
 
 /// The OpenAPI document.
 pub(super) fn document() -> utoipa::openapi::OpenApi {

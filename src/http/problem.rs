@@ -73,6 +73,12 @@ impl Problem {
         Self { header: Some(Box::new((RETRY_AFTER, HeaderValue::from_static("1")))), ..refusal }
     }
 
+    /// 429: too much of it in too short a time.
+    pub fn too_many(detail: impl Into<String>) -> Self {
+        let refusal = Self::new(StatusCode::TOO_MANY_REQUESTS, detail);
+        Self { header: Some(Box::new((RETRY_AFTER, HeaderValue::from_static("1")))), ..refusal }
+    }
+
     /// 401: no token, or another one.
     pub fn unauthorized(detail: impl Into<String>) -> Self {
         let refusal = Self::new(StatusCode::UNAUTHORIZED, detail);
@@ -86,6 +92,11 @@ impl Problem {
     pub fn method_not_allowed(detail: impl Into<String>, allowed: Option<HeaderValue>) -> Self {
         let refusal = Self::new(StatusCode::METHOD_NOT_ALLOWED, detail);
         Self { header: allowed.map(|allowed| Box::new((ALLOW, allowed))), ..refusal }
+    }
+
+    /// The status of the answer.
+    pub fn status(&self) -> u16 {
+        self.status
     }
 
     /// The field at fault, where it is one.

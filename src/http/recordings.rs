@@ -36,7 +36,8 @@ pub(super) async fn start(
     let RecordDocument { max_seconds, max_bytes } = match request.body().is_end_stream() {
         true => RecordDocument::default(),
         false => {
-            let document: RecordDocument = document(request, SMALL_BODY).await?;
+            let document: Option<RecordDocument> = document(request, SMALL_BODY).await?;
+            let document = document.unwrap_or_default();
             document.check()?;
             document
         }

@@ -14,7 +14,7 @@ use utoipa_swagger_ui::SwaggerUi;
 use crate::http::problem::Problem;
 use crate::http::shared::Shared;
 use crate::http::{
-    access, board, calibrations, cameras, events, focus, frames, health, openapi, page, recordings,
+    board, calibrations, cameras, events, focus, frames, gate, health, openapi, page, recordings,
     rigs, sessions, solve, uncertainty, views,
 };
 
@@ -61,7 +61,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi::document()))
         .fallback(no_route)
         .method_not_allowed_fallback(no_method)
-        .layer(from_fn_with_state(Arc::clone(&shared), access::check))
+        .layer(from_fn_with_state(Arc::clone(&shared), gate::check))
         .layer(from_fn(careful))
         .layer(CatchPanicLayer::custom(|_: Box<dyn Any + Send>| {
             Problem::broken("a fault in the daemon; its log says more").into_response()

@@ -5,20 +5,22 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::server::graceful::GracefulShutdown;
+use hyper_util::server::graceful::{GracefulShutdown, Watcher};
 use hyper_util::service::TowerToHyperService;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 
 use crate::http::connections::{Connections, WatchedStream};
 use crate::http::problem::Problem;
 use crate::http::router::router;
 use crate::http::shared::{Service, Shared};
+use crate::http::tls::{HANDSHAKE, Tls};
 
 /// How many stateless solves run at once; more wait.
 const SOLVES: usize = 2;
@@ -45,10 +47,10 @@ pub async fn serve(
     stop: impl Future<Output = ()>,
 ) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
-    let Service { fleet, store, token } = service;
+    let Service { fleet, store, access, tls } = service;
     let solves = Arc::new(Semaphore::new(SOLVES));
     let streams = Arc::new(Semaphore::new(STREAMS));
-    let shared = Shared { fleet, store, token, solves, streams, stopping: watched };
+    let shared = Shared { fleet, store, access, solves, streams, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);
@@ -79,7 +81,7 @@ pub async fn serve(
                     service.call(request).await
                 }
             });
-            let served = graceful.watch(http.serve_connection(TokioIo::new(stream), answer));
+            let served = serve_one(http.clone(), stream, tls.clone(), answer, graceful.watcher());
             let connections = Arc::clone(&connections);
             tokio::spawn(async move {
                 tokio::select! {
@@ -106,6 +108,60 @@ pub async fn serve(
         tracing::info!("connections that were still busy are closed");
     }
     Ok(())
+}
+
+/// Answers one client. Where connections are secured, one that does not secure its own is only told
+/// so, and whether the daemon is alive: its watchdog asks that.
+async fn serve_one<S>(
+    http: http1::Builder,
+    mut stream: WatchedStream<TcpStream>,
+    tls: Option<Arc<Tls>>,
+    answer: S,
+    graceful: Watcher,
+) -> Result<(), ConnectionError>
+where
+    S: hyper::service::Service<hyper::Request<Incoming>, Response = Response, Error = Infallible>,
+    S::Future: Send,
+{
+    let Some(tls) = tls else {
+        let served = graceful.watch(http.serve_connection(TokioIo::new(stream), answer)).await;
+        return Ok(served?);
+    };
+    let secured = tokio::time::timeout(HEAD_TIME, async {
+        if stream.first_byte().await? != HANDSHAKE {
+            return Ok(Err(stream));
+        }
+        tls.acceptor().accept(stream).await.map(Ok)
+    });
+    match secured.await.map_err(|_| io::Error::from(io::ErrorKind::TimedOut))?? {
+        Ok(secured) => {
+            graceful.watch(http.serve_connection(TokioIo::new(secured), answer)).await?;
+        }
+        Err(plain) => {
+            let answer =
+                service_fn(|request| async move { Ok::<_, Infallible>(in_plain(&request)) });
+            graceful.watch(http.serve_connection(TokioIo::new(plain), answer)).await?;
+        }
+    }
+    Ok(())
+}
+
+/// What is said to a client that does not secure its connection.
+fn in_plain(request: &hyper::Request<Incoming>) -> Response {
+    if request.uri().path() == "/healthz" {
+        return StatusCode::OK.into_response();
+    }
+    let detail = "this address is secured; write https:// in place of http://";
+    Problem::new(StatusCode::BAD_REQUEST, detail).into_response()
+}
+
+/// Why a connection ended early.
+#[derive(Debug, thiserror::Error)]
+enum ConnectionError {
+    #[error(transparent)]
+    Http(#[from] hyper::Error),
+    #[error(transparent)]
+    Stream(#[from] io::Error),
 }
 
 fn crowded() -> Response {

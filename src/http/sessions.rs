@@ -122,6 +122,7 @@ pub(super) async fn one(
         (status = 202, description = "solving (`wait=false`)", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "it is over already", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`wait` is neither true nor false", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn stop(
     State(shared): State<Arc<Shared>>,
@@ -154,6 +155,7 @@ pub(super) async fn stop(
         (status = 200, description = "aborted, or deleted: as it was last", body = SessionDocument),
         (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "it is over already; with `purge=true`: it is not over, or an approved calibration came from it", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`purge` is neither true nor false", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn abort(
     State(shared): State<Arc<Shared>>,

@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
+use crate::http::access::Access;
 use crate::http::problem::Problem;
+use crate::http::tls::Tls;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Store, StoreError};
 
@@ -15,9 +17,10 @@ pub struct Service {
     pub fleet: Arc<Fleet>,
     /// What has been stored.
     pub store: Arc<Store>,
-    /// The secret that every request must carry; `None` lets everyone in who reaches the address,
-    /// which must then be a loopback one.
-    pub token: Option<String>,
+    /// Who may ask.
+    pub access: Arc<Access>,
+    /// What connections are secured with; `None` for plain HTTP.
+    pub tls: Option<Arc<Tls>>,
 }
 
 /// What every route shares.
@@ -25,7 +28,7 @@ pub struct Service {
 pub(super) struct Shared {
     pub(super) fleet: Arc<Fleet>,
     pub(super) store: Arc<Store>,
-    pub(super) token: Option<String>,
+    pub(super) access: Arc<Access>,
     /// How many stateless solves may run at once, their bodies in memory.
     pub(super) solves: Arc<Semaphore>,
     /// How many endless answers may go out at once.

@@ -14,6 +14,7 @@ use crate::estimation::uncertainty::Distance;
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
+use crate::http::schemas;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::frame::SensorKind;
 use crate::imaging::heat_map::{GridValues, heat_map_png};
@@ -28,6 +29,7 @@ pub(super) struct UncertaintyParameters {
     /// color, infrared, infrared2, or a rig's camera; the first there is when left out.
     sensor: Option<String>,
     /// How far away things are, in meters; at infinity when left out.
+    #[param(schema_with = schemas::positive, required = false)]
     distance_m: Option<f64>,
 }
 

@@ -618,21 +618,3 @@ fn openapi_describes_every_route_of_the_contract() {
     assert!(pages.status == 200 && pages.media_type.starts_with("text/html"), "{}", pages.status);
     assert_eq!(served.get("/docs").location.as_deref(), Some("/docs/"));
 }
-
-#[test]
-fn with_a_token_nobody_enters_without_it() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("token");
-    std::fs::write(&file, "s3cret-token-of-the-test\n").unwrap();
-    let config = format!("[server]\ntoken_file = {:?}\n", file.display().to_string());
-    let served = Served::start(folder.path(), &config);
-    assert_eq!(served.get("/healthz").status, 200);
-    for path in ["/", "/v1/cameras", "/metrics", "/docs/", "/openapi.json", "/v1/events"] {
-        is_problem(&served.get(path), 401);
-    }
-    let with = |header: (&str, &str)| served.get_with("/v1/cameras", &[header]).status;
-    assert_eq!(with(("Authorization", "Bearer s3cret-token-of-the-test")), 200);
-    assert_eq!(with(("Authorization", "Bearer wrong")), 401);
-    assert_eq!(with(("Cookie", "plumb_token=s3cret-token-of-the-test")), 200);
-    assert_eq!(served.get("/?token=s3cret-token-of-the-test").status, 303);
-}

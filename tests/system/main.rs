@@ -36,4 +36,8 @@ mod shared_data;
 mod snapshots;
 mod solve_requests;
 mod store_upkeep;
+#[cfg(unix)]
+mod tls;
+#[cfg(unix)]
+mod tokens;
 mod words;

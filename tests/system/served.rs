@@ -28,6 +28,8 @@ pub struct Answer {
     pub location: Option<String>,
     /// The `Link`, if there is one.
     pub link: Option<String>,
+    /// The `Set-Cookie`, if there is one.
+    pub cookie: Option<String>,
     /// The body.
     pub bytes: Vec<u8>,
 }
@@ -80,8 +82,8 @@ impl Served {
         let address = loop {
             let Some(line) = log.next() else { panic!("the daemon ended: {}", said.join("\n")) };
             let line = line.unwrap();
-            if let Some((_, address)) = line.split_once("http://") {
-                break format!("http://{}", address.split_whitespace().next().unwrap());
+            if let Some((_, address)) = line.split_once("listening on ") {
+                break address.split_whitespace().next().unwrap().to_owned();
             }
             said.push(line);
         };
@@ -118,6 +120,15 @@ impl Served {
     /// POST without a body.
     pub fn post_nothing(&self, path: &str) -> Answer {
         answer(self.agent.post(format!("{}{path}", self.address)).send_empty().unwrap())
+    }
+
+    /// POST without a body, with headers of its own.
+    pub fn post_with(&self, path: &str, headers: &[(&str, &str)]) -> Answer {
+        let mut request = self.agent.post(format!("{}{path}", self.address));
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        answer(request.send_empty().unwrap())
     }
 
     /// DELETE.
@@ -185,11 +196,11 @@ fn answer(response: Response<ureq::Body>) -> Answer {
     let header =
         |name: &str| response.headers().get(name).map(|value| value.to_str().unwrap().to_owned());
     let (media_type, location) = (header("content-type").unwrap_or_default(), header("location"));
-    let link = header("link");
+    let (link, cookie) = (header("link"), header("set-cookie"));
     let status = response.status().as_u16();
     let mut bytes = Vec::new();
     response.into_body().into_reader().read_to_end(&mut bytes).unwrap();
-    Answer { status, media_type, location, link, bytes }
+    Answer { status, media_type, location, link, cookie, bytes }
 }
 
 /// Server-sent events as they come.

@@ -1,0 +1,89 @@
+//! TLS: the certificate, its key, and what a client is told that does not use it.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, PoisonError, RwLock};
+
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls;
+use tokio_rustls::rustls::pki_types::pem::{self, PemObject};
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+
+/// The first byte of a TLS connection: a record of the handshake (RFC 8446, 5.1).
+pub(super) const HANDSHAKE: u8 = 0x16;
+
+/// Why a certificate and its key cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TlsError {
+    /// No PEM file, or none that holds what it must.
+    #[error("`{}` holds no {what} in PEM: {source}", file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// What it must hold.
+        what: &'static str,
+        /// What is wrong with it.
+        source: pem::Error,
+    },
+    /// The two do not belong together, or the key is of no kind that is known.
+    #[error("`{}` and its key cannot be used: {source}", certificate.display())]
+    Pair {
+        /// The certificate's file.
+        certificate: PathBuf,
+        /// What is wrong with them.
+        source: rustls::Error,
+    },
+}
+
+/// A certificate and its key, that connections are secured with.
+#[derive(Clone)]
+pub struct Certificate(Arc<rustls::ServerConfig>);
+
+impl fmt::Debug for Certificate {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("Certificate(…)")
+    }
+}
+
+impl Certificate {
+    /// Reads a chain of certificates, the server's first, and the server's key, both PEM.
+    ///
+    /// # Errors
+    /// [`TlsError`].
+    pub fn read(certificate: &Path, key: &Path) -> Result<Self, TlsError> {
+        let unusable = |file: &Path, what| {
+            let file = file.to_owned();
+            move |source| TlsError::File { file, what, source }
+        };
+        let chain: Result<Vec<CertificateDer<'static>>, pem::Error> =
+            CertificateDer::pem_file_iter(certificate).and_then(Iterator::collect);
+        let chain = chain.map_err(unusable(certificate, "certificate"))?;
+        let key = PrivateKeyDer::from_pem_file(key).map_err(unusable(key, "private key"))?;
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let config = rustls::ServerConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .and_then(|builder| builder.with_no_client_auth().with_single_cert(chain, key))
+            .map_err(|source| TlsError::Pair { certificate: certificate.to_owned(), source })?;
+        Ok(Self(Arc::new(config)))
+    }
+}
+
+/// The certificate of a daemon that runs; it can be exchanged.
+#[derive(Debug)]
+pub struct Tls(RwLock<Certificate>);
+
+impl Tls {
+    /// Secures with `certificate`.
+    pub fn new(certificate: Certificate) -> Self {
+        Self(RwLock::new(certificate))
+    }
+
+    /// Secures new connections with `certificate`.
+    pub fn replace(&self, certificate: Certificate) {
+        *self.0.write().unwrap_or_else(PoisonError::into_inner) = certificate;
+    }
+
+    pub(super) fn acceptor(&self) -> TlsAcceptor {
+        TlsAcceptor::from(Arc::clone(&self.0.read().unwrap_or_else(PoisonError::into_inner).0))
+    }
+}
