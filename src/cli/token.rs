@@ -14,11 +14,11 @@ const TOKEN_BYTES: usize = 32;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
-    task: Task,
+    task: TokenTask,
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum Task {
+enum TokenTask {
     /// Makes a token and prints it; the file keeps only its hash.
     Add(Add),
     /// Prints who has a token, and its role.
@@ -63,9 +63,9 @@ struct Revoke {
 /// name that has a token already, or one that has none.
 pub fn run(args: &Args) -> Result<(), Failure> {
     match &args.task {
-        Task::Add(args) => add(args),
-        Task::List(args) => list(&args.file),
-        Task::Revoke(args) => revoke(args),
+        TokenTask::Add(args) => add(args),
+        TokenTask::List(args) => list(&args.file),
+        TokenTask::Revoke(args) => revoke(args),
     }
 }
 

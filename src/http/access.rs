@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(of(&[(COOKIE, "plumb_session_8600=s3cret-token-of-the-test")]), Bearer::None);
         assert!(access.open_session(&tokens, "another").is_none());
         // The token is revoked.
-        let others = AccessTokens::parse("another-token-of-the-test").unwrap();
+        let others = AccessTokens::parse("another-t0ken-of-the-test").unwrap();
         assert_eq!(access.bearer(&others, &headers(&[(COOKIE, number)])), Bearer::None);
     }
 

@@ -60,7 +60,7 @@ use crate::http::{
         events::CalibrationEventDocument<'_>,
         events::DriftEventDocument<'_>,
     )),
-    modifiers(&Gate),
+    modifiers(&GateRefusals),
     security((), ("bearer" = [])),
     tags(
         (name = "cameras", description = "the configured cameras and what they see"),
@@ -75,7 +75,7 @@ use crate::http::{
 struct Description;
 
 /// What every operation may answer before it is asked, and how a client is known.
-struct Gate;
+struct GateRefusals;
 
 /// What the daemon answers in place of any operation: the status, and why.
 const REFUSALS: [(&str, &str); 6] = [
@@ -87,7 +87,7 @@ const REFUSALS: [(&str, &str); 6] = [
     ("503", "too many connections, or the daemon is stopping"),
 ];
 
-impl Modify for Gate {
+impl Modify for GateRefusals {
     fn modify(&self, document: &mut utoipa::openapi::OpenApi) {
         let scheme = HttpBuilder::new()
             .scheme(HttpAuthScheme::Bearer)

@@ -1,4 +1,4 @@
-//! TLS: the certificate, its key, and what a client is told that does not use it.
+//! TLS: the certificate, its key, and what is said to a client that does not use it.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -57,7 +57,11 @@ impl Certificate {
         };
         let chain: Result<Vec<CertificateDer<'static>>, pem::Error> =
             CertificateDer::pem_file_iter(certificate).and_then(Iterator::collect);
-        let chain = chain.map_err(unusable(certificate, "certificate"))?;
+        let chain = chain
+            .and_then(
+                |chain| if chain.is_empty() { Err(pem::Error::NoItemsFound) } else { Ok(chain) },
+            )
+            .map_err(unusable(certificate, "certificate"))?;
         let key = PrivateKeyDer::from_pem_file(key).map_err(unusable(key, "private key"))?;
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let config = rustls::ServerConfig::builder_with_provider(provider)

@@ -1,4 +1,4 @@
-//! HTTP by TLS: a client that knows the certificate is answered, one in plain is told what to do,
+//! HTTP by TLS: a client that knows the certificate is answered, one in plain is answered what to do,
 //! and a renewed certificate is taken without a restart.
 
 use std::io::{Read, Write};
@@ -60,7 +60,7 @@ fn ask_in_plain(served: &Served, path: &str) -> String {
 }
 
 #[test]
-fn connections_are_secured_and_a_plain_one_is_told_so() {
+fn connections_are_secured_and_a_plain_one_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let certificate = renew(folder.path());
     let served = Served::start(folder.path(), &config(folder.path()));

@@ -66,6 +66,9 @@ const ALLOWED_TEXT: &[&str] = &[
     "older.companions",
     "hard_pictures",
     "\"picture\"",
+    "board_turns",
+    "HALF_TURN",
+    "HalfTurn",
 ];
 
 /// Names that mean the same in every file: the arguments of one command.

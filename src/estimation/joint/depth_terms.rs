@@ -160,8 +160,15 @@ fn linearize_tile(
     );
     let by_rotation =
         (normal.cross(&ray) - normal.cross(&translation) * plane) * (-inverse_std / distance);
-    let by_shift = normal * (plane / distance * inverse_std);
-    row.by_pose = [by_rotation.x, by_rotation.y, by_rotation.z, by_shift.x, by_shift.y, by_shift.z];
+    let by_translation = normal * (plane / distance * inverse_std);
+    row.by_pose = [
+        by_rotation.x,
+        by_rotation.y,
+        by_rotation.z,
+        by_translation.x,
+        by_translation.y,
+        by_translation.z,
+    ];
     true
 }
 
