@@ -6,9 +6,10 @@ use std::sync::atomic::AtomicU64;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::capture::ros2::options::Ros2Options;
 use crate::capture::ros2::source::{Ros2Source, Subscriptions};
 use crate::capture::{CaptureError, FrameSource, SourceOpener};
-use crate::dds::{DdsError, Domain, Participant, PublishedTopic};
+use crate::dds::{DdsError, Participant, PublishedTopic};
 use crate::recording::CameraMessages;
 
 /// How long opening waits for a publisher to be discovered: by RTPS each participant announces
@@ -22,17 +23,6 @@ const TRANSFORMS_DEPTH: i32 = 64;
 const TRANSFORMS: &str = "/tf_static";
 const INFO_TYPE: &str = "sensor_msgs/msg/CameraInfo";
 const TRANSFORMS_TYPE: &str = "tf2_msgs/msg/TFMessage";
-
-/// Which topics of which graph.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Ros2Options {
-    /// The graph.
-    pub domain: Domain,
-    /// The topic of images, raw or compressed.
-    pub topic: String,
-    /// The topic of their depth.
-    pub depth: Option<String>,
-}
 
 /// A camera whose publisher may come and go.
 #[derive(Debug)]

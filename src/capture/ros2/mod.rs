@@ -4,6 +4,8 @@
 //! a camera that is lost and found again; why is in one line.
 
 mod camera;
+mod options;
 mod source;
 
-pub use camera::{Ros2Camera, Ros2Options};
+pub use camera::Ros2Camera;
+pub use options::Ros2Options;

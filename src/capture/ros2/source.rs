@@ -7,7 +7,7 @@ use std::thread::{self, Thread};
 use std::time::{Duration, Instant};
 
 use crate::capture::host_clock::now;
-use crate::capture::ros2::camera::Ros2Options;
+use crate::capture::ros2::options::Ros2Options;
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription};
 use crate::dds::{PublishedTopic, ReaderChange, Received, TopicReader};
 use crate::geometry::pixel::ImageSize;
