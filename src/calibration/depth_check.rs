@@ -6,6 +6,7 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 
 use crate::calibration::depth_calibration::{DepthBias, DepthCalibration};
 use crate::calibration::plane_error::{PatchError, patch_errors};
+use crate::calibration::result::Extrinsics;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 use crate::geometry::target::Target;
@@ -38,7 +39,8 @@ pub struct DepthCheck {
     pub ranges: Vec<CheckedRange>,
     /// Views with readings on the board.
     pub views: usize,
-    /// How far patches are off, in standard deviations of those of held-out views: the robust
+    /// How far patches are off, in standard deviations of those of held-out views with what the
+    /// sensors' calibrated pose leaves open: the robust
     /// figure of each view, squared, in the mean over views. A view whose board moved between the
     /// images is no change: of four and more the worst is left out.
     pub off_sigmas: f64,
@@ -62,7 +64,7 @@ pub struct CheckedRange {
     pub bias_std_m: f64,
     /// The robust standard deviation of patches about the bias, in meters.
     pub spread_m: f64,
-    /// The same of held-out views when the camera was calibrated, in meters.
+    /// What the calibration predicts for it, in meters.
     pub calibrated_m: f64,
     /// Views with patches here.
     pub views: usize,
@@ -78,22 +80,20 @@ impl CheckedRange {
 }
 
 impl DepthCheck {
-    /// Compares depth with the planes of `board`; `color_from_depth` has the standard deviation
-    /// `translation_std_m` along each axis.
+    /// Compares depth with the planes of `board`.
     pub fn of(
-        (depth, color_from_depth): (&DepthCalibration, &Pose),
-        translation_std_m: [f64; 3],
+        (depth, color_from_depth): (&DepthCalibration, &Extrinsics),
         board: &Target,
         views: &[DepthView],
     ) -> Self {
         let errors = |view: &DepthView| {
-            let camera = (&depth.camera, color_from_depth);
+            let camera = (&depth.camera, &color_from_depth.target_from_source);
             let image = (&view.image, depth.invalid);
             patch_errors(camera, (board, &view.color_from_board), image)
         };
         let mut seen: Vec<Vec<PatchError>> = views.iter().map(errors).collect();
         seen.retain(|patches| !patches.is_empty());
-        let known = CalibratedErrors { depth, translation_std_m };
+        let known = CalibratedErrors { depth, color_from_depth };
         let places = 0..depth.bias.len().max(1);
         let relative = |patches: &Vec<PatchError>| {
             median(patches.iter().map(|one| one.error_m / one.point_in_depth.z).collect())
@@ -123,7 +123,7 @@ impl DepthCheck {
 /// What the calibration knows of its errors.
 struct CalibratedErrors<'a> {
     depth: &'a DepthCalibration,
-    translation_std_m: [f64; 3],
+    color_from_depth: &'a Extrinsics,
 }
 
 impl CalibratedErrors<'_> {
@@ -135,13 +135,21 @@ impl CalibratedErrors<'_> {
     }
 
     /// The standard deviation of a patch at `z_m`: that of held-out views, which grows with the
-    /// square of distance beyond them; without any, that of single readings and of the pose.
-    fn patch_std_m(&self, z_m: f64) -> f64 {
-        let [_, _, along_m] = self.translation_std_m;
+    /// square of distance beyond them; without any, that of single readings.
+    fn held_out_std_m(&self, z_m: f64) -> f64 {
         match self.depth.bias.get(self.place(z_m)) {
             Some(range) => range.rms_after_m * (z_m / range.to_m).powi(2).max(1.0),
-            None => self.depth.noise.at(z_m).hypot(along_m),
+            None => self.depth.noise.at(z_m),
         }
+    }
+
+    /// The same with what the sensors' calibrated pose leaves open, as if each of its six numbers
+    /// erred by itself: it is large where the calibration was weak.
+    fn patch_std_m(&self, patch: &PatchError) -> f64 {
+        let Extrinsics { translation_std_m, rotation_std, .. } = self.color_from_depth;
+        let std = Vector6::from_iterator(translation_std_m.iter().chain(rotation_std).copied());
+        let of_pose_m = moved(patch).component_mul(&std).norm();
+        self.held_out_std_m(patch.point_in_depth.z).hypot(of_pose_m)
     }
 }
 
@@ -161,7 +169,7 @@ fn range(
     let bias_m = median(errors(&all))?;
     let absolute = all.iter().map(|patch| (patch.error_m - bias_m).abs()).collect();
     let of_views: Vec<f64> = views.iter().filter_map(|view| median(errors(view))).collect();
-    let stds = distances().map(|z_m| known.patch_std_m(z_m)).collect();
+    let stds = all.iter().map(|patch| known.patch_std_m(patch)).collect();
     Some(CheckedRange {
         seen_m: [distances().fold(f64::INFINITY, f64::min), distances().fold(0.0, f64::max)],
         bias_m,
@@ -176,7 +184,7 @@ fn range(
 /// How far views are off, see [`DepthCheck::off_sigmas`].
 fn off_sigmas(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> f64 {
     let of_view = |patches: &Vec<PatchError>| {
-        let sigmas = |one: &PatchError| one.error_m.abs() / known.patch_std_m(one.point_in_depth.z);
+        let sigmas = |one: &PatchError| one.error_m.abs() / known.patch_std_m(one);
         Some(SIGMA_PER_MAD * median(patches.iter().map(sigmas).collect())?)
     };
     let mut views: Vec<f64> = seen.iter().filter_map(of_view).collect();
@@ -196,20 +204,24 @@ fn median_std(values: &[f64]) -> f64 {
     if values.len() < 2 { f64::INFINITY } else { MEDIAN_OVER_MEAN * (square / count).sqrt() }
 }
 
-/// From how far on a move of the depth camera shows. A move by t with a rotation w changes the
-/// depth of the plane with normal n at the point p by n · (t + w × p) / n_z', with n_z' the normal
-/// along the ray per meter of depth; patches of one view err together, so that each view counts as
-/// the three numbers of its plane.
+/// How the depth of a patch changes with a move of the depth camera by t and a rotation w: that of a
+/// plane with normal n at the point p by n · (t + w × p) / (n · p / p_z).
+fn moved(patch: &PatchError) -> Vector6<f64> {
+    let (point, normal) = (patch.point_in_depth.coords, patch.normal_in_depth);
+    let rotated = point.cross(&normal);
+    let row = Vector6::from_iterator(normal.iter().chain(rotated.iter()).copied());
+    row / normal.dot(&(point / point.z))
+}
+
+/// From how far on a move of the depth camera shows; patches of one view err together, so that each
+/// view counts as the three numbers of its plane.
 fn visible_m(known: &CalibratedErrors<'_>, seen: &[Vec<PatchError>]) -> Option<f64> {
     let mut information = Matrix6::zeros();
     for patches in seen {
         let weight = (3.0 / patches.len() as f64).min(1.0);
         for patch in patches {
-            let (point, normal) = (patch.point_in_depth.coords, patch.normal_in_depth);
-            let along = normal.dot(&(point / point.z));
-            let turned = point.cross(&normal);
-            let row = Vector6::from_iterator(normal.iter().chain(turned.iter()).copied()) / along;
-            let std_m = known.patch_std_m(point.z);
+            let row = moved(patch);
+            let std_m = known.held_out_std_m(patch.point_in_depth.z);
             information += row * row.transpose() * (weight / (std_m * std_m));
         }
     }

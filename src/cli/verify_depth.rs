@@ -28,8 +28,8 @@ pub struct VerifiedDepth {
     pub holds: bool,
     /// Views with readings on the board.
     pub views: usize,
-    /// How far depth is off, in standard deviations of held-out views when it was calibrated: a
-    /// change above 3.
+    /// How far depth is off, in the standard deviations that the calibration predicts: a change
+    /// above 3.
     pub off_sigmas: f64,
     /// From how far on these views show that the depth camera moved; null where there is a way
     /// of moving that they do not show.
@@ -125,11 +125,11 @@ fn change(check: &DepthCheck) -> String {
     if check.is_scaled() {
         let percent = 100.0 * check.relative_bias;
         return format!(
-            "depth reads {percent:+.1} % off the board in all views alike, {sigmas:.0} times what it was when calibrated: check the board's square and the depth images' unit; if they are as then, calibrate again"
+            "depth reads {percent:+.1} % off the board in all views alike, {sigmas:.0} times as far as the calibration predicts: check the board's square and the depth images' unit; if they are as then, calibrate again"
         );
     }
     format!(
-        "depth is off the board, {sigmas:.0} times what it was when calibrated: check that depth and color are of the same device, moment and orientation; if they are, the sensors have moved: calibrate again"
+        "depth is off the board, {sigmas:.0} times as far as the calibration predicts: check that depth and color are of the same device, moment and orientation; if they are, the sensors have moved: calibrate again"
     )
 }
 
@@ -171,9 +171,7 @@ pub fn verify_depth(
             seen.push(DepthView { color_from_board: *color_from_board, image });
         }
     }
-    let std_m = color_from_depth.translation_std_m;
-    let of_depth = (&depth, &color_from_depth.target_from_source);
-    let check = DepthCheck::of(of_depth, std_m, board, &seen);
+    let check = DepthCheck::of((&depth, color_from_depth), board, &seen);
     Ok((!seen.is_empty()).then(|| VerifiedDepth::of(&check, views.len())))
 }
 
