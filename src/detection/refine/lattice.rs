@@ -67,7 +67,7 @@ impl Lattice {
                 let (behind, here, ahead) =
                     (beside(corner, -1)?, beside(corner, 0)?, beside(corner, 1)?);
                 let (value, span) = curvature([behind.at, here.at, ahead.at], here.along[axis])?;
-                // A second difference of three positions, half the span apart.
+                // A second difference of three positions, at intervals of half the span.
                 let weight = (span / 2.0).powi(4) / 6.0;
                 Some(FieldSample { place: place(corner.index), value, weight })
             }));

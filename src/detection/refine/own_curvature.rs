@@ -1,6 +1,6 @@
 //! What the pixels of a corner's own window say of the curvature of its edges, beyond that which
 //! the fit took from the board. An edge's offset far from the corner against that near it, by least
-//! squares on the last linearization: offset = shift + turn · t + excess · t²/2.
+//! squares on the last linearization: offset = a + b · t + excess · t²/2.
 //!
 //! One window says little (for small cells about a third of what a corner with both its neighbors
 //! does, for large ones nothing), but it says it at the ends of the board's lines too, where the
@@ -26,8 +26,7 @@ pub(super) struct OwnCurvature {
 }
 
 /// Of the fit of a corner in bins of `bin` pixels, whose samples and last linearization these are.
-/// `None` where the window
-/// does not determine it.
+/// `None` where the window does not determine it.
 pub(super) fn own_curvatures(
     samples: &Samples,
     columns: &ModelColumns,

@@ -125,13 +125,13 @@ impl Refiner {
             refined.push(second.as_ref().map(Fitted::refined));
         }
         self.fitted = fitted;
-        self.bend_edges(corners, refined);
+        self.curve_edges(corners, refined);
         self.set_stds(refined);
     }
 
     /// Moves corners by how much more curved their edges are than in the second fit, as the windows
     /// of all corners together with the first fits' positions say.
-    fn bend_edges(&mut self, corners: &[GridCorner], refined: &mut [Option<RefinedCorner>]) {
+    fn curve_edges(&mut self, corners: &[GridCorner], refined: &mut [Option<RefinedCorner>]) {
         let Self { fitted, variances_px2, own_curvatures, lattice, .. } = self;
         variances_px2.clear();
         variances_px2.extend(fitted.iter().flatten().map(|first| first.refined().std_px.powi(2)));

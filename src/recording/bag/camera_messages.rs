@@ -8,7 +8,7 @@ use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::recording::bag::camera_info::CameraInfo;
 use crate::recording::bag::images;
 use crate::recording::bag::stamped_sets::StampedSets;
-use crate::recording::bag::stated;
+use crate::recording::bag::stated::stated;
 use crate::recording::bag::storage::{BagTopic, MessageEncoding, one_type_name};
 use crate::recording::bag::topics::{ImageTopic, sensor_and_info, transport};
 use crate::recording::bag::transforms::FrameTree;

@@ -12,6 +12,7 @@ mod mcap_storage;
 mod ros1_storage;
 mod sqlite_storage;
 mod stamped_sets;
+mod stated;
 mod storage;
 mod topics;
 mod transforms;
@@ -28,6 +29,7 @@ use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
 use crate::recording::bag::camera_info::CameraInfo;
 use crate::recording::bag::stamped_sets::StampedSets;
+use crate::recording::bag::stated::stated;
 use crate::recording::bag::storage::{BagMessage, BagStorage, BagTopic};
 use crate::recording::bag::topics::{CameraTopics, Role};
 use crate::recording::bag::transforms::FrameTree;
@@ -196,29 +198,4 @@ impl BagReader {
         }
         Ok(stated(infos, &frame_ids, &tree))
     }
-}
-
-/// What a camera states of itself, from the `camera_info` and frame of each sensor.
-fn stated(
-    infos: BTreeMap<SensorKind, CameraInfo>,
-    frame_ids: &BTreeMap<SensorKind, String>,
-    tree: &FrameTree,
-) -> FactoryCalibration {
-    let color = frame_ids.get(&SensorKind::Color);
-    let sensors = infos.into_iter().filter_map(|(sensor, info)| {
-        let frame_id = frame_ids.get(&sensor);
-        let color_from_sensor =
-            color.zip(frame_id).and_then(|(color, sensor)| tree.a_from_b(color, sensor));
-        Some(FactorySensor {
-            sensor,
-            image_size: info.image_size,
-            stated: info.stated()?,
-            lens: info.lens(),
-            color_from_sensor,
-        })
-    });
-    let sensors: Vec<FactorySensor> = sensors.collect();
-    let of_depth = sensors.iter().find(|stated| stated.sensor == SensorKind::Depth);
-    let depth_encoding = of_depth.map(|_| DepthEncoding::ORDINARY);
-    FactoryCalibration { sensors, depth_encoding }
 }
