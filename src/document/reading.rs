@@ -1,7 +1,7 @@
 //! JSON in and out: errors that name the field, numbers that keep every bit.
 
 use serde::Serialize;
-use serde::de::DeserializeOwned;
+use serde::de::{DeserializeOwned, IgnoredAny};
 use serde_json::error::Category;
 
 use crate::document::error::DocumentError;
@@ -46,6 +46,13 @@ fn unwritable(error: serde_json::Error) -> DocumentError {
 }
 
 fn located(json: &[u8], path: &str, error: &serde_json::Error) -> DocumentError {
+    // An array that is too long ends, to the parser, where the last element it wants does.
+    if error.classify() == Category::Syntax
+        && error.to_string().starts_with("trailing characters")
+        && serde_json::from_slice::<IgnoredAny>(json).is_ok()
+    {
+        return DocumentError::field(path, "has too many elements");
+    }
     let not_a_number = not_a_number_at(json, error);
     match error.classify() {
         Category::Syntax
@@ -156,6 +163,7 @@ mod tests {
             (view("[[1,1e999]]"), "views[0].image[0][1]: number out of range"),
             (view("[[1,null]]"), "views[0].image[0][1]: is null, expected a number"),
             (view("[[1]]"), "views[0].image[0]: has length 1, expected an array of length 2"),
+            (view("[[1,2,3]]"), "views[0].image[0]: has too many elements"),
             (view("[1,2]"), "views[0].image[0]: is `1`, expected an array of length 2"),
             (view("{}"), "views[0].image: is an object, expected an array"),
             (view(r#""x""#), r#"views[0].image: is "x", expected an array"#),

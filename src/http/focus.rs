@@ -18,10 +18,10 @@ use crate::imaging::frame::SensorKind;
 #[into_params(parameter_in = Query)]
 pub(super) struct FocusParameters {
     /// Focal length over the aperture's diameter, as in 2.8.
-    #[param(schema_with = schemas::positive, required = true)]
+    #[param(exclusive_minimum = 0.0)]
     f_number: f64,
     /// The width of one pixel, in micrometers.
-    #[param(schema_with = schemas::positive, required = true)]
+    #[param(exclusive_minimum = 0.0)]
     pixel_um: f64,
     /// Focal length, in millimeters; the current calibration's when left out.
     #[param(schema_with = schemas::positive, required = false)]

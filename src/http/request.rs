@@ -170,6 +170,10 @@ pub(super) async fn document<T: DeserializeOwned>(
         )
     };
     let body = body.await.map_err(|_| too_slow())??;
+    // The parser would take an array's elements for the fields in their order.
+    if body.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[') {
+        return Err(Problem::field("document", "is an array, expected an object"));
+    }
     Ok(from_json(&body)?)
 }
 

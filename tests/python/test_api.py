@@ -31,7 +31,7 @@ def test_each_answer_is_the_one_that_the_api_describes(plumb_binary, tmp_path):
                 *("run", f"{address}/openapi.json", "--checks", "all"),
                 *("--phases", "examples,coverage,fuzzing", "--max-examples", "10"),
                 *("--exclude-path-regex", ENDLESS, "--request-timeout", "30"),
-                *("--seed", "1", "--generation-deterministic", "--generation-database", "none"),
+                *("--seed", "1", "--generation-deterministic"),
                 *("--continue-on-failure", "--warnings", "off", "--no-color"),
             ],
             capture_output=True,

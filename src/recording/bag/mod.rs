@@ -23,8 +23,7 @@ pub(super) use folder::{holds_bag, is_bag_file};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use crate::imaging::depth_encoding::DepthEncoding;
-use crate::imaging::factory::{FactoryCalibration, FactorySensor};
+use crate::imaging::factory::FactoryCalibration;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
 use crate::recording::bag::camera_info::CameraInfo;
