@@ -75,33 +75,43 @@ impl WithSimd for AlongEdges<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        [self.along(simd, 0), self.along(simd, 1)]
+    }
+}
+
+impl AlongEdges<'_> {
+    /// No closures: all of it must be inlined to be compiled for the processor.
+    #[inline(always)]
+    fn along<S: Simd>(&self, simd: S, edge: usize) -> EdgeSums {
         let Self { samples, columns, model } = self;
         let [xs, ys, ..] = samples.vectors::<S>();
         let residuals = columns.column::<S>(RESIDUAL, xs.len());
         let zero = simd.splat_f32s(0.0);
-        [0, 1].map(|edge| {
-            let shifts = columns.column::<S>(SHIFT + edge, xs.len());
-            let [ax, ay] = model.along[edge];
-            let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
-            let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
-            let (mut information, mut scores) = ([zero; 5], [zero; 3]);
-            for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
-                let t = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
-                let mut square = simd.mul_f32s(shifts[i], shifts[i]);
-                for sum in &mut information {
-                    *sum = simd.add_f32s(*sum, square);
-                    square = simd.mul_f32s(square, t);
-                }
-                let mut score = simd.mul_f32s(shifts[i], residuals[i]);
-                for sum in &mut scores {
-                    *sum = simd.add_f32s(*sum, score);
-                    score = simd.mul_f32s(score, t);
-                }
+        let shifts = columns.column::<S>(SHIFT + edge, xs.len());
+        let [ax, ay] = model.along[edge];
+        let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
+        let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
+        let (mut information, mut scores) = ([zero; 5], [zero; 3]);
+        for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
+            let t = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
+            let mut square = simd.mul_f32s(shifts[i], shifts[i]);
+            for sum in &mut information {
+                *sum = simd.add_f32s(*sum, square);
+                square = simd.mul_f32s(square, t);
             }
-            EdgeSums {
-                information: information.map(|sum| f64::from(simd.reduce_sum_f32s(sum))),
-                scores: scores.map(|sum| f64::from(simd.reduce_sum_f32s(sum))),
+            let mut score = simd.mul_f32s(shifts[i], residuals[i]);
+            for sum in &mut scores {
+                *sum = simd.add_f32s(*sum, score);
+                score = simd.mul_f32s(score, t);
             }
-        })
+        }
+        let mut sums = EdgeSums::default();
+        for (into, sum) in sums.information.iter_mut().zip(information) {
+            *into = f64::from(simd.reduce_sum_f32s(sum));
+        }
+        for (into, sum) in sums.scores.iter_mut().zip(scores) {
+            *into = f64::from(simd.reduce_sum_f32s(sum));
+        }
+        sums
     }
 }
