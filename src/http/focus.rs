@@ -18,19 +18,19 @@ use crate::imaging::frame::SensorKind;
 #[into_params(parameter_in = Query)]
 pub(super) struct FocusParameters {
     /// Focal length over the aperture's diameter, as in 2.8.
-    #[param(exclusive_minimum = 0.0)]
+    #[param(minimum = 0.1, maximum = 1000.0)]
     f_number: f64,
     /// The width of one pixel, in micrometers.
-    #[param(exclusive_minimum = 0.0)]
+    #[param(minimum = 0.01, maximum = 1000.0)]
     pixel_um: f64,
     /// Focal length, in millimeters; the current calibration's when left out.
-    #[param(schema_with = schemas::positive, required = false)]
+    #[param(schema_with = schemas::focal_mm, required = false)]
     focal_mm: Option<f64>,
     /// The distance in focus, in meters; infinity when left out.
-    #[param(schema_with = schemas::positive, required = false)]
+    #[param(schema_with = schemas::focus_m, required = false)]
     focus_m: Option<f64>,
     /// How wide a point may become and count as sharp, in pixels; 1 when left out.
-    #[param(schema_with = schemas::positive, required = false)]
+    #[param(schema_with = schemas::blur_px, required = false)]
     blur_px: Option<f64>,
     /// Inner corners along a row of the board that advice is wanted for.
     #[param(schema_with = schemas::count, required = false)]
@@ -39,16 +39,16 @@ pub(super) struct FocusParameters {
 
 impl ReadQuery for FocusParameters {
     fn read(parameters: &Parameters) -> Result<Self, Problem> {
-        let needed = |name: &str| {
+        let needed = |name: &str, range| {
             let missing = || Problem::field(name, "is missing; give a positive number");
-            parameters.positive(name)?.ok_or_else(missing)
+            parameters.within(name, range)?.ok_or_else(missing)
         };
         Ok(Self {
-            pixel_um: needed("pixel_um")?,
-            f_number: needed("f_number")?,
-            focus_m: parameters.positive("focus_m")?,
-            focal_mm: parameters.positive("focal_mm")?,
-            blur_px: parameters.positive("blur_px")?,
+            pixel_um: needed("pixel_um", schemas::PIXEL_UM)?,
+            f_number: needed("f_number", schemas::F_NUMBER)?,
+            focus_m: parameters.within("focus_m", schemas::FOCUS_M)?,
+            focal_mm: parameters.within("focal_mm", schemas::FOCAL_MM)?,
+            blur_px: parameters.within("blur_px", schemas::BLUR_PX)?,
             cols: parameters.count("cols")?,
         })
     }

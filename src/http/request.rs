@@ -113,6 +113,21 @@ impl Parameters {
         self.text(name).map(|text| number(text).ok_or_else(|| wrong(text))).transpose()
     }
 
+    /// `name` as a positive number from `least` to `most`.
+    pub(super) fn within(
+        &self,
+        name: &str,
+        [least, most]: [f64; 2],
+    ) -> Result<Option<f64>, Problem> {
+        match self.positive(name)? {
+            Some(number) if !(least..=most).contains(&number) => {
+                let problem = format!("{number} cannot be; give {least} to {most}");
+                Err(Problem::field(name, &problem))
+            }
+            number => Ok(number),
+        }
+    }
+
     /// `name` as a count of at least 1.
     pub(super) fn count(&self, name: &str) -> Result<Option<u32>, Problem> {
         let count = |text: &str| text.parse().ok().filter(|count: &u32| *count > 0);

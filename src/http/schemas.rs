@@ -21,6 +21,35 @@ pub(super) fn positive() -> Object {
     number.exclusive_minimum(Some(0.0)).build()
 }
 
+/// What a lens may be asked for, as least and most: wider than what is built, and narrow enough that
+/// every figure that follows from it is a number.
+pub(super) const F_NUMBER: [f64; 2] = [0.1, 1e3];
+pub(super) const PIXEL_UM: [f64; 2] = [0.01, 1e3];
+pub(super) const FOCAL_MM: [f64; 2] = [0.01, 1e5];
+pub(super) const FOCUS_M: [f64; 2] = [1e-3, 1e6];
+pub(super) const BLUR_PX: [f64; 2] = [0.01, 1e3];
+
+/// A number from the least to the most of `range`.
+fn within([least, most]: [f64; 2]) -> Object {
+    let number = ObjectBuilder::new().schema_type(SchemaType::Type(Type::Number));
+    number.minimum(Some(least)).maximum(Some(most)).build()
+}
+
+/// See [`FOCAL_MM`].
+pub(super) fn focal_mm() -> Object {
+    within(FOCAL_MM)
+}
+
+/// See [`FOCUS_M`].
+pub(super) fn focus_m() -> Object {
+    within(FOCUS_M)
+}
+
+/// See [`BLUR_PX`].
+pub(super) fn blur_px() -> Object {
+    within(BLUR_PX)
+}
+
 /// A whole number of at least 1.
 pub(super) fn count() -> Object {
     let number = ObjectBuilder::new().schema_type(SchemaType::Type(Type::Integer));

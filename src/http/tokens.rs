@@ -225,14 +225,14 @@ fn check_token(token: &str) -> Result<(), TokenError> {
         return Err(TokenError::Character { character });
     }
     // At most what so many characters of its own alphabet hold; few repeated ones hold less.
-    let kinds: [(fn(char) -> bool, usize); 4] = [
-        (|c| c.is_ascii_digit(), 10),
-        (|c| c.is_ascii_lowercase(), 26),
-        (|c| c.is_ascii_uppercase(), 26),
-        (|c| !c.is_ascii_alphanumeric(), 7),
+    let has = |is: fn(&char) -> bool| token.chars().any(|c| is(&c));
+    let kinds = [
+        (has(char::is_ascii_digit), 10),
+        (has(char::is_ascii_lowercase), 26),
+        (has(char::is_ascii_uppercase), 26),
+        (has(|c| !c.is_ascii_alphanumeric()), 7),
     ];
-    let alphabet: usize =
-        kinds.iter().filter(|(is, _)| token.chars().any(is)).map(|(_, size)| size).sum();
+    let alphabet: usize = kinds.iter().filter(|(has, _)| *has).map(|(_, size)| size).sum();
     let distinct = token.chars().collect::<std::collections::BTreeSet<_>>().len();
     let alphabet = if distinct < FEW_CHARACTERS { distinct } else { alphabet };
     let bits = token.len() as f64 * (alphabet as f64).log2();

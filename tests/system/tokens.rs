@@ -10,7 +10,7 @@ const PLAIN: &str = "s3cret-token-of-the-test";
 /// What `plumb token` prints; it must succeed.
 fn token(arguments: &[&str], file: &Path) -> String {
     let file = file.display().to_string();
-    let done = plumb(&[&["token"], arguments, &["--file", &file]].concat());
+    let done = plumb([&["token"], arguments, &["--file", &file]].concat());
     assert_eq!(done.code, Some(0), "{}", done.stderr);
     done.stdout.trim().to_owned()
 }
@@ -73,15 +73,14 @@ fn a_role_goes_as_far_as_it_goes() {
     let tokens = roles.map(|role| token(&["add", role, "--role", role], &file));
     assert_eq!(token(&["list"], &file), "view view\noperate operate\napprove approve");
     let served = serving(folder.path(), &file);
-    let statuses = |ask: &dyn Fn(&[(&str, &str)]) -> u16| {
-        tokens.each_ref().map(|token| ask(&[("Authorization", &bearer(token))]))
-    };
-    assert_eq!(statuses(&|with| served.get_with("/v1/sessions", with).status), [200; 3]);
-    let stop = |with: &[(&str, &str)]| served.post_with("/v1/sessions/none/stop", with).status;
-    assert_eq!(statuses(&stop), [403, 404, 404]);
-    let approve =
-        |with: &[(&str, &str)]| served.post_with("/v1/calibrations/none/approve", with).status;
-    assert_eq!(statuses(&approve), [403, 403, 404]);
+    let headers = tokens.each_ref().map(|token| bearer(token));
+    let with = headers.each_ref().map(|header| [("Authorization", header.as_str())]);
+    let seen = with.map(|with| served.get_with("/v1/sessions", &with).status);
+    assert_eq!(seen, [200; 3]);
+    let stopped = with.map(|with| served.post_with("/v1/sessions/none/stop", &with).status);
+    assert_eq!(stopped, [403, 404, 404]);
+    let approved = with.map(|with| served.post_with("/v1/calibrations/none/approve", &with).status);
+    assert_eq!(approved, [403, 403, 404]);
 }
 
 #[test]
@@ -118,7 +117,7 @@ fn files_and_names_that_cannot_be_are_refused() {
         (&["add", "hall", "--role", "root"], 2, "invalid value 'root'"),
     ];
     for (arguments, code, expected) in cases {
-        let refused = plumb(&[&["token"], arguments, &["--file", &path]].concat());
+        let refused = plumb([&["token"], arguments, &["--file", &path]].concat());
         assert_eq!(refused.code, Some(code), "{}", refused.stderr);
         assert!(refused.stderr.contains(expected), "{}", refused.stderr);
         assert_eq!(refused.stderr.trim().lines().count(), 1, "{}", refused.stderr);
@@ -128,7 +127,7 @@ fn files_and_names_that_cannot_be_are_refused() {
         std::fs::write(&file, content).unwrap();
         std::fs::set_permissions(&file, std::fs::Permissions::from_mode(mode)).unwrap();
         std::fs::write(&config, format!("[server]\ntoken_file = {path:?}\n")).unwrap();
-        let served = plumb(&["serve", "--config", &config.display().to_string()]);
+        let served = plumb(["serve", "--config", &config.display().to_string()]);
         assert_eq!(served.code, Some(2), "{}", served.stderr);
         served.stderr
     };
