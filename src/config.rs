@@ -8,6 +8,7 @@
 //! [server]
 //! listen = "127.0.0.1:8600"      # default; an address that others can reach needs a token
 //! token_file = "tokens"          # default: none; `plumb token add` writes it
+//! solve_seconds = 60             # default; how long POST /v1/solve may compute
 //! tls = { cert = "cert.pem", key = "key.pem" } # default: none, plain HTTP
 //!
 //! [store]
@@ -42,6 +43,7 @@ pub mod token_file;
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
@@ -60,6 +62,9 @@ use crate::store::Retention;
 /// Where the daemon listens by default.
 const DEFAULT_LISTEN: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8600);
 
+/// How long a stateless solve may take by default: ordinary ones take less than a second.
+const DEFAULT_SOLVE_TIME: Duration = Duration::from_secs(60);
+
 /// What stays free of the disk by default, in millions of bytes: room to end what runs.
 const DEFAULT_MIN_FREE_MB: u32 = 100;
 
@@ -71,6 +76,8 @@ pub struct Config {
     /// One of them is what every request must carry. Default: none, which only a loopback address
     /// allows.
     pub tokens: Option<AccessTokens>,
+    /// How long a stateless solve may take. Default: a minute.
+    pub solve_time: Duration,
     /// What connections are secured with. Default: nothing.
     pub tls: Option<TlsFiles>,
     /// The folder of the database and the kept images. Default: `plumb-data`.
@@ -182,6 +189,7 @@ struct Tables {
 struct ServerTable {
     listen: Option<Spanned<String>>,
     token_file: Option<Spanned<PathBuf>>,
+    solve_seconds: Option<Spanned<u64>>,
     tls: Option<Spanned<TlsFiles>>,
 }
 
@@ -260,6 +268,7 @@ impl Written {
         let tokens = check_tokens(tables.server.token_file.as_ref(), &place)?;
         let listen =
             check_listen(tables.server.listen.as_ref(), tokens.is_some(), overrides, &place)?;
+        let solve_time = check_solve_time(tables.server.solve_seconds.as_ref(), &place)?;
         let tls = check_tls(tables.server.tls, &place)?;
         let mut cameras: Vec<CameraConfig> = Vec::new();
         for table in &tables.camera {
@@ -282,6 +291,7 @@ impl Written {
         Ok(Config {
             listen,
             tokens,
+            solve_time,
             tls,
             store_path,
             least_free_bytes,
@@ -292,6 +302,18 @@ impl Written {
             rigs,
         })
     }
+}
+
+fn check_solve_time(
+    seconds: Option<&Spanned<u64>>,
+    place: &Place,
+) -> Result<Duration, ConfigError> {
+    let Some(seconds) = seconds else { return Ok(DEFAULT_SOLVE_TIME) };
+    if !(1..=3600).contains(seconds.get_ref()) {
+        let problem = format!("{} cannot be; give 1 to 3600", seconds.get_ref());
+        return Err(place.refuse(&seconds.span(), "server.solve_seconds", problem));
+    }
+    Ok(Duration::from_secs(*seconds.get_ref()))
 }
 
 fn check_tokens(
@@ -435,6 +457,7 @@ mod tests {
         let expected = Config {
             listen: "127.0.0.1:8600".parse().unwrap(),
             tokens: None,
+            solve_time: Duration::from_secs(60),
             tls: None,
             store_path: "plumb-data".into(),
             least_free_bytes: 100_000_000,
@@ -464,6 +487,10 @@ mod tests {
             ),
             ("[servers]\n", "plumb.toml:1: servers: unknown field `servers`"),
             ("\n[server]\nlisten = 8600\n", "plumb.toml:3: listen: invalid type: integer `8600`"),
+            (
+                "[server]\nsolve_seconds = 0\n",
+                "plumb.toml:2: server.solve_seconds: 0 cannot be; give 1 to 3600",
+            ),
             ("[server]\nlisten = \"here\"\n", "plumb.toml:2: server.listen: `here` is no address"),
             (
                 "[server]\nlisten = \"0.0.0.0:1\"\n",

@@ -95,7 +95,8 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
         file = file.map(|file| file.display().to_string()),
         "listening on {scheme}://{listening}"
     );
-    let service = Service { fleet: Arc::clone(&fleet), store, access, tls };
+    let service =
+        Service { fleet: Arc::clone(&fleet), store, access, tls, solve_time: config.solve_time };
     #[cfg(target_os = "linux")]
     systemd::ready_and_alive(runtime, &fleet, listening);
     let served = runtime.block_on(http::serve(listener, service, stop));

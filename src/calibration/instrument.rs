@@ -19,8 +19,19 @@ use crate::imaging::frame::SensorKind;
 /// Calibrates every sensor of the instrument, and where it is beside the first camera's color.
 ///
 /// # Errors
-/// [`InstrumentError`]: views that leave something open, or sensors that do not go together.
+/// [`InstrumentError`]: views that leave something open, or sensors that do not go together;
+/// [`EstimationError::Interrupted`] once `options.camera.interrupt` was requested.
 pub fn solve(
+    observations: &InstrumentObservations,
+    options: &SolveOptions,
+) -> Result<Calibration, InstrumentError> {
+    let solved = solve_all(observations, options);
+    // A sensor that was given up early is not one that cannot be calibrated.
+    options.camera.interrupt.check()?;
+    solved
+}
+
+fn solve_all(
     observations: &InstrumentObservations,
     options: &SolveOptions,
 ) -> Result<Calibration, InstrumentError> {
@@ -55,10 +66,10 @@ fn color_alone(
     camera: &CameraFrameSets,
     options: &SolveOptions,
 ) -> Result<Calibration, EstimationError> {
-    let held = camera.given.map(|lens| holding(&lens));
+    let held = camera.given.map(|lens| holding(&lens, &options.camera.interrupt));
     let problem = camera.problem(SensorKind::Color);
     let solved = match options.method {
-        SolveMethod::LinearTransform => solve_dlt(&problem),
+        SolveMethod::LinearTransform => solve_dlt(&problem, &options.camera.interrupt),
         SolveMethod::BundleAdjustment => {
             solve_views(&problem, held.as_ref().unwrap_or(&options.camera))
         }

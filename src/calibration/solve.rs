@@ -14,6 +14,7 @@ use crate::estimation::camera::{
 };
 use crate::estimation::dlt::calibrate_dlt;
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::CameraProblem;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
@@ -76,8 +77,11 @@ pub fn solve_views(
 ///
 /// # Errors
 /// As [`calibrate_dlt`].
-pub(super) fn solve_dlt(problem: &CameraProblem) -> Result<SolvedCamera, EstimationError> {
-    let estimate = calibrate_dlt(problem)?.camera;
+pub(super) fn solve_dlt(
+    problem: &CameraProblem,
+    interrupt: &Interrupt,
+) -> Result<SolvedCamera, EstimationError> {
+    let estimate = calibrate_dlt(problem, interrupt)?.camera;
     let coverage = corner_coverage(problem, &estimate);
     let checks = Checks { coverage: coverage.fraction(), ..Checks::default() };
     let uncertainty = uncertainty_map(&estimate, UNCERTAINTY_COLUMNS, Distance::Infinity);

@@ -12,6 +12,7 @@ use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
 use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use crate::estimation::rig::{RigProblem, RigSensor, SensorPlace, calibrate_rig};
 use crate::geometry::lens::Lens;
@@ -124,7 +125,8 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
     let (mut alone, mut failed) = (Vec::new(), Vec::new());
     for sensor in &input.sensors {
         let views = sensor.views.iter().map(|(_, view)| view.clone()).collect();
-        let options = sensor.given.map_or_else(|| options.clone(), |lens| holding(&lens));
+        let held = |lens: Lens| holding(&lens, &options.interrupt);
+        let options = sensor.given.map_or_else(|| options.clone(), held);
         match solve_views(&CameraProblem { image_size: sensor.image_size, views }, &options) {
             Ok(solved) => alone.push(Alone { input: sensor, solved }),
             Err(source) => failed.push((sensor, source)),
@@ -155,7 +157,7 @@ pub fn solve_rig(input: &RigInput, options: &CameraOptions) -> Result<SolvedRig,
             continue;
         }
         let members: Vec<&Alone<'_>> = group.iter().map(|index| &alone[*index]).collect();
-        let joint = Joint::solve(input, &members)?;
+        let joint = Joint::solve(input, &members, &options.interrupt)?;
         findings.extend(joint.findings(&members));
         for (index, sensor) in group.iter().zip(joint.sensors) {
             sensors[*index] = sensor;
@@ -199,11 +201,16 @@ fn open_place(isolated: &Alone<'_>) -> String {
     format!("where camera `{name}` is stays open: it {reason}")
 }
 
-/// Options that hold every parameter of `lens`.
-pub(super) fn holding(lens: &Lens) -> CameraOptions {
+/// Options that hold every parameter of `lens`; `interrupt` ends the estimate.
+pub(super) fn holding(lens: &Lens, interrupt: &Interrupt) -> CameraOptions {
     let names = Lens::parameter_names(lens.model()).into_iter().map(str::to_owned);
     let given = names.zip(lens.parameters()).collect();
-    CameraOptions { lens: LensChoice::Model(lens.model()), given, ..CameraOptions::default() }
+    CameraOptions {
+        lens: LensChoice::Model(lens.model()),
+        given,
+        interrupt: interrupt.clone(),
+        ..CameraOptions::default()
+    }
 }
 
 /// A camera whose frames agree with the first one's when they are taken to be of frame sets a few
@@ -295,7 +302,11 @@ struct Joint {
 }
 
 impl Joint {
-    fn solve(input: &RigInput, group: &[&Alone<'_>]) -> Result<Self, RigError> {
+    fn solve(
+        input: &RigInput,
+        group: &[&Alone<'_>],
+        interrupt: &Interrupt,
+    ) -> Result<Self, RigError> {
         let turns = input.board.symmetries();
         let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
         let chosen =
@@ -305,9 +316,10 @@ impl Joint {
             image_size: one.input.image_size,
             views: one.turned(&board_from_labels, chosen),
             options: match &one.input.given {
-                Some(lens) => holding(lens),
+                Some(lens) => holding(lens, interrupt),
                 None => CameraOptions {
                     lens: LensChoice::Model(one.solved.sensor.lens.model()),
+                    interrupt: interrupt.clone(),
                     ..CameraOptions::default()
                 },
             },

@@ -40,6 +40,7 @@ pub fn calibrate_and_check(
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
     let check = ModelCheck::of(&fit, &estimate, options);
+    options.interrupt.check()?;
     Ok((estimate, check))
 }
 
@@ -56,6 +57,7 @@ pub fn calibrate_with_jackknife(
     let weighted = with_noise_floor(problem, estimate.noise_floor_px);
     let estimate = with_jackknife(&weighted, options, (estimate, &fit));
     let check = ModelCheck::of(&fit, &estimate, options);
+    options.interrupt.check()?;
     Ok((estimate, check))
 }
 
@@ -64,6 +66,17 @@ fn solve(
     options: &CameraOptions,
 ) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     check(problem)?;
+    let solved = solve_twice(problem, options);
+    // What it ended early with is no result, and its reason not the views'.
+    options.interrupt.check()?;
+    solved
+}
+
+/// Solves again with the noise floor that the first solve shows.
+fn solve_twice(
+    problem: &CameraProblem,
+    options: &CameraOptions,
+) -> Result<(CameraEstimate, CameraFit), EstimationError> {
     let known_px = options.start.as_ref().map_or(0.0, |start| start.noise_floor_px);
     let (first, first_fit) = solve_weighted((problem, known_px), options)?;
     let Some(noise_floor_px) = noise_floor_px_of(problem, &first) else {

@@ -106,6 +106,8 @@ pub(crate) fn fit_camera(
     model: LensModel,
     options: &CameraOptions,
 ) -> Result<CameraFit, EstimationError> {
+    options.interrupt.check()?;
+    prepared.interrupt = options.interrupt.clone();
     let (free_lens, given) = FreeLens::from_options(model, options)?;
     let needs_focal = free_lens.free.contains(&0) || free_lens.free.contains(&1);
     let needed = if needs_focal && prepared.is_flat() { 3 } else { 1 };
@@ -127,7 +129,7 @@ fn fit_from(
     free_lens: FreeLens,
     needed: usize,
 ) -> Result<CameraFit, EstimationError> {
-    let layout = Layout::new(vec![free_lens], None);
+    let layout = Layout::new(vec![free_lens], None).ended_by(&prepared.interrupt);
     let mut observations = prepared.observations.clone();
     let mut faults = prepared.faults();
     let fit = |start, observations: &mut _, faults: &mut _| {
@@ -187,7 +189,7 @@ fn locate(prepared: &Prepared, view: usize, state: &State) -> Option<(Pose, Vec<
     let pose = prepared.pose(view, &lens)?;
     let start = State { rig_from_board: vec![pose], ..state.clone() };
     let fixed = FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false };
-    let layout = Layout::new(vec![fixed], None);
+    let layout = Layout::new(vec![fixed], None).ended_by(&prepared.interrupt);
     let mut observation = BoardObservation { frame_set: 0, ..prepared.observations[view].clone() };
     let at_start = start.residuals(&layout, &observation);
     observation.used = at_start.iter().map(|residual| residual[0].is_finite()).collect();

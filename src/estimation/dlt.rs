@@ -10,6 +10,7 @@ use crate::estimation::camera_estimate::{CameraEstimate, Part, assemble};
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::clustered_covariance::FitCovariance;
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{FreeLens, Layout, State};
 use crate::estimation::problem::{CameraOptions, CameraProblem, Correspondence, LensChoice, check};
@@ -136,8 +137,11 @@ pub fn camera_from_projection(projection: &Matrix3x4<f64>) -> Option<(CameraMatr
 ///
 /// # Errors
 /// More than one view, fewer than 6 points, points that determine no projection, numbers that are
-/// not finite.
-pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationError> {
+/// not finite; [`EstimationError::Interrupted`].
+pub fn calibrate_dlt(
+    problem: &CameraProblem,
+    interrupt: &Interrupt,
+) -> Result<DltEstimate, EstimationError> {
     check(problem)?;
     let [view] = problem.views.as_slice() else {
         return Err(EstimationError::NotOneView { views: problem.views.len() });
@@ -156,10 +160,13 @@ pub fn calibrate_dlt(problem: &CameraProblem) -> Result<DltEstimate, EstimationE
     let lens = LensChoice::Model(LensModel::Pinhole);
     let options = CameraOptions { lens, skew: true, ..CameraOptions::default() };
     let (free_lens, _) = FreeLens::from_options(LensModel::Pinhole, &options)?;
-    let (layout, loss) = (Layout::new(vec![free_lens], None), Loss::Squares);
+    let layout = Layout::new(vec![free_lens], None).ended_by(interrupt);
+    let loss = Loss::Squares;
+    interrupt.check()?;
     let minimum = Minimum::start(&layout, start, &prepared.observations, loss)
         .ok_or(EstimationError::NoFit)?;
     let minimum = minimum.descend(&layout, &prepared.observations, loss, Stop::default());
+    interrupt.check()?;
     let robust = RobustFit { minimum, limit: f64::INFINITY };
     let fit = CameraFit::new(layout, robust, prepared.observations.clone(), vec![None]);
     let known = FitCovariance::of(&fit);
@@ -202,7 +209,7 @@ mod tests {
     fn exact_points_give_the_exact_camera() {
         let (lens, camera_from_world) = truth();
         for count in [6, 7, 8] {
-            let found = calibrate_dlt(&problem(cube(count))).unwrap();
+            let found = calibrate_dlt(&problem(cube(count)), &Interrupt::default()).unwrap();
             let matrix = found.camera.lens.matrix.to_matrix();
             assert!((matrix - lens.matrix.to_matrix()).norm() < 1e-6, "{count} points: {matrix}");
             let pose = found.camera.views[0].camera_from_board.unwrap();
@@ -228,10 +235,13 @@ mod tests {
             ),
         ];
         for (problem, expected) in table {
-            assert_eq!(calibrate_dlt(&problem).unwrap_err(), expected);
+            assert_eq!(calibrate_dlt(&problem, &Interrupt::default()).unwrap_err(), expected);
         }
         let mut two = problem(cube(8));
         two.views.push(two.views[0].clone());
-        assert_eq!(calibrate_dlt(&two).unwrap_err(), EstimationError::NotOneView { views: 2 });
+        assert_eq!(
+            calibrate_dlt(&two, &Interrupt::default()).unwrap_err(),
+            EstimationError::NotOneView { views: 2 }
+        );
     }
 }

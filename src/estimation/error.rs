@@ -107,6 +107,9 @@ pub enum EstimationError {
         /// The same along y.
         y_m: f64,
     },
+    /// Whoever asked for the estimate does not want it any more.
+    #[error("the computation was ended before it had a result: start it again")]
+    Interrupted,
     /// A view that determines no pose.
     #[error("view `{view}` determines no pose: {reason}")]
     NoPose {

@@ -242,7 +242,8 @@ pub(crate) fn squares_under(
     let layout = Layout::new(
         vec![FreeLens { model: lens.model(), free: Vec::new(), square_pixels: false }],
         None,
-    );
+    )
+    .ended_by(&fit.layout.interrupt);
     let pose = all.rig_from_board[observation.frame_set];
     let state = State { lenses: vec![*lens], rig_from_board: vec![pose], ..all.clone() };
     let observations = [BoardObservation { frame_set: 0, ..observation.clone() }];

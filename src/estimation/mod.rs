@@ -16,6 +16,7 @@
 //! | how far to trust a projection | [`uncertainty`] |
 //! | which lens model | [`lens_choice`] |
 //! | why there is no answer | [`error`] |
+//! | how an estimate that nobody waits for ends early | [`interrupt`] |
 
 pub mod board_pose;
 pub mod board_turns;
@@ -27,6 +28,7 @@ pub mod depth_error;
 pub mod dlt;
 mod effects;
 pub mod error;
+pub mod interrupt;
 mod jackknife;
 mod joint;
 pub mod lens_choice;

@@ -4,6 +4,7 @@
 use nalgebra::Point3;
 
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
@@ -92,6 +93,8 @@ pub struct CameraOptions {
     pub given: Vec<(String, f64)>,
     /// An earlier estimate to go on from. Default: none.
     pub start: Option<CameraStart>,
+    /// Ends the estimate early. Default: nothing does.
+    pub interrupt: Interrupt,
 }
 
 impl CameraOptions {
@@ -113,6 +116,7 @@ impl Default for CameraOptions {
             shutter: Shutter::Auto,
             given: Vec::new(),
             start: None,
+            interrupt: Interrupt::default(),
         }
     }
 }

@@ -164,7 +164,8 @@ fn fit_jointly(
         warp: alone[0].1.robust.minimum.state.warp,
     };
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
-    let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent));
+    let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent))
+        .ended_by(&alone[0].1.layout.interrupt);
     let robust =
         robust_fit(&layout, state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
     Ok(CameraFit::new(layout, robust, observations, faults))

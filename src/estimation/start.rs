@@ -4,6 +4,7 @@
 use nalgebra::{Point2, Point3, Vector3};
 
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
@@ -33,6 +34,8 @@ pub(crate) struct Prepared {
     /// One per view; `frame_set` is the view's index.
     pub(crate) observations: Vec<BoardObservation>,
     pub(crate) views: Vec<PreparedView>,
+    /// Ends what is computed of them.
+    pub(crate) interrupt: Interrupt,
 }
 
 /// What a view says by itself.
@@ -71,7 +74,15 @@ impl Prepared {
         let mut views: Vec<_> = observations.iter().map(PreparedView::of).collect();
         name_mislabelled(&observations, &mut views);
         let names = problem.views.iter().map(|view| view.name.clone()).collect();
-        Self { image_size: problem.image_size, names, center_in_board, observations, views }
+        let interrupt = Interrupt::default();
+        Self {
+            image_size: problem.image_size,
+            names,
+            center_in_board,
+            observations,
+            views,
+            interrupt,
+        }
     }
 
     /// Puts the corners where a measurement of the board has them. What views say by themselves

@@ -7,7 +7,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
 use crate::http::problem::Problem;
-use crate::http::shared::Shared;
+use crate::http::shared::{SOLVES, Shared};
 
 /// Whether the daemon is alive.
 #[utoipa::path(get, path = "/healthz", tag = "daemon", responses((status = 200, description = "alive", body = String, content_type = "text/plain")))]
@@ -45,5 +45,11 @@ pub(super) async fn readyz(State(shared): State<Arc<Shared>>) -> Result<&'static
 /// What has been counted, as Prometheus text.
 #[utoipa::path(get, path = "/metrics", tag = "daemon", responses((status = 200, description = "Prometheus text", body = String, content_type = "text/plain")))]
 pub(super) async fn metrics(State(shared): State<Arc<Shared>>) -> impl IntoResponse {
-    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], shared.fleet.metrics_text())
+    let running = SOLVES - shared.solves.available_permits();
+    let own = format!(
+        "# HELP plumb_solves_running stateless solves that are being computed\n\
+         # TYPE plumb_solves_running gauge\nplumb_solves_running {running}\n"
+    );
+    let text = shared.fleet.metrics_text() + &own;
+    ([(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], text)
 }

@@ -7,6 +7,7 @@
 
 mod access;
 mod board;
+mod bodies;
 mod browser_sessions;
 mod calibrations;
 mod cameras;

@@ -1,27 +1,18 @@
 //! What a request says: its address, its query, its body. Each refusal is a [`Problem`].
 
-use std::time::Duration;
-
 use axum::extract::rejection::PathRejection;
 use axum::extract::{FromRequestParts, Path, Query, Request};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode};
-use futures_util::StreamExt;
 use serde::de::DeserializeOwned;
 
 use crate::document::reading::from_json;
+use crate::http::bodies::body;
 use crate::http::problem::Problem;
 
 /// The largest body of an ordinary request, in bytes.
 pub(super) const SMALL_BODY: usize = 1 << 20;
-/// The largest problem to solve, in bytes.
-pub(super) const LARGE_BODY: usize = 64 << 20;
-/// So much of a body that is too large is read and thrown away, so that its sender gets to read the
-/// refusal.
-const DRAINED: usize = 256 << 20;
-/// How long a body may take to arrive.
-const BODY_TIME: Duration = Duration::from_secs(60);
 
 /// The changing parts of the address, decoded.
 pub(super) struct Address<T>(pub(super) T);
@@ -156,7 +147,7 @@ pub(super) enum BodyRefusals {
     /// not JSON
     #[response(status = 400, content_type = "application/problem+json")]
     Syntax(Problem),
-    /// it did not arrive within a minute
+    /// it did not arrive within a minute, or nothing of it for ten seconds
     #[response(status = 408, content_type = "application/problem+json")]
     Slow(Problem),
     /// too large
@@ -177,22 +168,25 @@ pub(super) async fn document<T: DeserializeOwned>(
     limit: usize,
 ) -> Result<T, Problem> {
     json_only(request.headers())?;
-    let body = tokio::time::timeout(BODY_TIME, body(request, limit));
-    let too_slow = || {
-        Problem::new(
-            StatusCode::REQUEST_TIMEOUT,
-            "the body did not arrive within a minute; send it again",
-        )
-    };
-    let body = body.await.map_err(|_| too_slow())??;
+    let body = body(request, limit, None).await?;
+    parsed(&body.bytes)
+}
+
+/// A body as a document.
+///
+/// # Errors
+/// 400 for what is not JSON, 422 for a field that cannot be.
+pub(super) fn parsed<T: DeserializeOwned>(body: &[u8]) -> Result<T, Problem> {
     // The parser would take an array's elements for the fields in their order.
     if body.iter().find(|byte| !byte.is_ascii_whitespace()) == Some(&b'[') {
         return Err(Problem::field("document", "is an array, expected an object"));
     }
-    Ok(from_json(&body)?)
+    Ok(from_json(body)?)
 }
 
-fn json_only(headers: &HeaderMap) -> Result<(), Problem> {
+/// # Errors
+/// 415 for a body that says to be something else.
+pub(super) fn json_only(headers: &HeaderMap) -> Result<(), Problem> {
     let Some(given) = headers.get(CONTENT_TYPE) else { return Ok(()) };
     let given = String::from_utf8_lossy(given.as_bytes());
     let essence = given.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
@@ -205,30 +199,4 @@ fn json_only(headers: &HeaderMap) -> Result<(), Problem> {
         "the body is `{given}`; send JSON with the header `Content-Type: application/json`"
     );
     Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, detail))
-}
-
-async fn body(request: Request, limit: usize) -> Result<Vec<u8>, Problem> {
-    let mut chunks = request.into_body().into_data_stream();
-    let mut body = Vec::new();
-    let mut length = 0_usize;
-    while let Some(chunk) = chunks.next().await {
-        let cut = |error: axum::Error| {
-            Problem::new(StatusCode::BAD_REQUEST, format!("the body was cut off: {error}"))
-        };
-        let chunk = chunk.map_err(cut)?;
-        length += chunk.len();
-        if length <= limit {
-            body.extend_from_slice(&chunk);
-        } else if length > DRAINED {
-            break;
-        } else {
-            body = Vec::new();
-        }
-    }
-    if length > limit {
-        let detail =
-            format!("the body is larger than {limit} bytes, the most that is read here; send less");
-        return Err(Problem::new(StatusCode::PAYLOAD_TOO_LARGE, detail));
-    }
-    Ok(body)
 }

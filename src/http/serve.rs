@@ -16,14 +16,13 @@ use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
 
+use crate::http::bodies::Bodies;
 use crate::http::connections::{Connections, WatchedStream};
 use crate::http::problem::Problem;
 use crate::http::router::router;
-use crate::http::shared::{Service, Shared};
+use crate::http::shared::{SOLVES, Service, Shared};
 use crate::http::tls::{HANDSHAKE, Tls};
 
-/// How many stateless solves run at once; more wait.
-const SOLVES: usize = 2;
 /// How many endless answers (previews, events) go out at once.
 const STREAMS: usize = 128;
 /// How long the head of a request may take to arrive, and a connection may idle.
@@ -47,10 +46,12 @@ pub async fn serve(
     stop: impl Future<Output = ()>,
 ) -> io::Result<()> {
     let (stopping, watched) = watch::channel(false);
-    let Service { fleet, store, access, tls } = service;
+    let Service { fleet, store, access, tls, solve_time } = service;
     let solves = Arc::new(Semaphore::new(SOLVES));
     let streams = Arc::new(Semaphore::new(STREAMS));
-    let shared = Shared { fleet, store, access, solves, streams, stopping: watched };
+    let bodies = Bodies::new();
+    let shared =
+        Shared { fleet, store, access, solves, solve_time, bodies, streams, stopping: watched };
     let service = TowerToHyperService::new(router(Arc::new(shared)));
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIME);

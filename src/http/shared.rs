@@ -1,14 +1,19 @@
 //! What every route shares.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::http::access::Access;
+use crate::http::bodies::Bodies;
 use crate::http::problem::Problem;
 use crate::http::tls::Tls;
 use crate::pipeline::fleet::Fleet;
 use crate::store::{Store, StoreError};
+
+/// How many stateless solves run at once; more wait.
+pub(super) const SOLVES: usize = 2;
 
 /// What is served.
 #[derive(Debug, Clone)]
@@ -21,6 +26,8 @@ pub struct Service {
     pub access: Arc<Access>,
     /// What connections are secured with; `None` for plain HTTP.
     pub tls: Option<Arc<Tls>>,
+    /// How long a stateless solve may take.
+    pub solve_time: Duration,
 }
 
 /// What every route shares.
@@ -29,8 +36,12 @@ pub(super) struct Shared {
     pub(super) fleet: Arc<Fleet>,
     pub(super) store: Arc<Store>,
     pub(super) access: Arc<Access>,
-    /// How many stateless solves may run at once, their bodies in memory.
+    /// How many stateless solves may run at once.
     pub(super) solves: Arc<Semaphore>,
+    /// How long one may take, and wait for its place.
+    pub(super) solve_time: Duration,
+    /// The memory that there is for what is to be solved.
+    pub(super) bodies: Bodies,
     /// How many endless answers may go out at once.
     pub(super) streams: Arc<Semaphore>,
     /// Becomes true when the daemon goes down: endless answers end.

@@ -5,45 +5,94 @@ use std::time::Instant;
 
 use axum::Json;
 use axum::extract::{Request, State};
+use axum::http::StatusCode;
 
 use crate::calibration::result::Calibration;
 use crate::calibration::{self, InstrumentObservations, SolveOptions};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::problem::ProblemDocument;
 use crate::document::time;
+use crate::estimation::camera::CameraOptions;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::CameraProblem;
+use crate::http::bodies::body;
 use crate::http::problem::Problem;
-use crate::http::request::{BodyRefusals, LARGE_BODY, document};
+use crate::http::request::{BodyRefusals, json_only, parsed};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 
-/// Calibrates from given correspondences; nothing is stored.
+/// The largest problem, in bytes: [`MOST_POINTS`] with every digit of a double.
+const LARGEST: usize = 8 << 20;
+/// The most points of all views together: 925 views of 54. A solve holds 1 to 2.2 kB a point.
+const MOST_POINTS: usize = 50_000;
+
+/// Ends a computation when the request that it is for is answered, or its client has left.
+struct EndsWithRequest(Interrupt);
+
+impl Drop for EndsWithRequest {
+    fn drop(&mut self) {
+        self.0.request();
+    }
+}
+
+/// Calibrates from given correspondences; nothing is stored. Two are solved at once, others wait. A
+/// solve whose client has left is ended.
 #[utoipa::path(post, path = "/v1/solve", tag = "calibrations", request_body = ProblemDocument,
     responses(
         (status = 200, description = "the calibration", body = CalibrationDocument),
         BodyRefusals,
-        (status = 422, description = "a field that cannot be, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "a field that cannot be, more than 50000 points, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "it took longer than `[server] solve_seconds` (60 unless set), or waited as long for its turn; other requests' bodies take all the memory there is for them; too many connections; or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn solve(
     State(shared): State<Arc<Shared>>,
     request: Request,
 ) -> Result<Json<CalibrationDocument>, Problem> {
-    let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
-    // Before the body is read, so that the bodies of all together are bounded.
-    let place = Arc::clone(&shared.solves).acquire_owned().await.map_err(|_| stopping())?;
-    let document: ProblemDocument = document(request, LARGE_BODY).await?;
-    // The place is the computation's, which goes on when the client has left.
-    let solved = move || {
-        let _place = place;
-        solved(&document)
+    json_only(request.headers())?;
+    // Whoever sends slowly takes nobody's place.
+    let body = body(request, LARGEST, Some(&shared.bodies)).await?;
+    let seconds = shared.solve_time.as_secs();
+    let busy = || {
+        Problem::unavailable(format!("others are solved, and were for {seconds} s; send it again"))
     };
-    Ok(Json(on_a_blocking_thread(solved).await??))
+    let stopping = || Problem::unavailable("the daemon is stopping; send it again when it is back");
+    let place = Arc::clone(&shared.solves).acquire_owned();
+    let place = tokio::time::timeout(shared.solve_time, place).await;
+    let place = place.map_err(|_| busy())?.map_err(|_| stopping())?;
+    let interrupt = Interrupt::new();
+    let _ends = EndsWithRequest(interrupt.clone());
+    let computed = move || {
+        // The place is the computation's, which goes on for a moment when the client has left.
+        let _place = place;
+        let document: ProblemDocument = parsed(&body.bytes)?;
+        drop(body);
+        solved(document, interrupt)
+    };
+    let too_long = || {
+        let detail = format!(
+            "it was not solved within {seconds} s (solve_seconds in the daemon's configuration); \
+             give fewer points or views, name the lens model, or use `plumb solve`"
+        );
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
+    };
+    let computed = on_a_blocking_thread(computed);
+    let solved = tokio::time::timeout(shared.solve_time, computed).await;
+    Ok(Json(solved.map_err(|_| too_long())???))
 }
 
-fn solved(document: &ProblemDocument) -> Result<CalibrationDocument, Problem> {
-    let problem = CameraProblem::try_from(document)?;
-    let options = document.options();
-    let started = Instant::now();
+fn solved(document: ProblemDocument, interrupt: Interrupt) -> Result<CalibrationDocument, Problem> {
+    let points: usize = document.views.iter().map(|view| view.object.len()).sum();
+    if points > MOST_POINTS {
+        let problem = format!(
+            "have {points} points; at most {MOST_POINTS} are solved here: give fewer views, or use \
+             `plumb solve`"
+        );
+        return Err(Problem::field("views", &problem));
+    }
+    let problem = CameraProblem::try_from(&document)?;
+    let options = CameraOptions { interrupt, ..document.options() };
     let method = document.method.into();
+    drop(document);
+    let started = Instant::now();
     let options = SolveOptions { camera: options, method, ..SolveOptions::default() };
     let observations = InstrumentObservations::of_views(None, problem);
     let solved = calibration::solve(&observations, &options);

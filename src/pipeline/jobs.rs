@@ -4,6 +4,7 @@
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
+use crate::estimation::interrupt::Interrupt;
 use crate::pipeline::solve_job::{EstimateJob, SolveJob};
 
 /// What is computed next.
@@ -25,6 +26,8 @@ pub(super) struct Jobs {
 #[derive(Debug, Default)]
 struct WaitingJobs {
     solve: Option<Box<SolveJob>>,
+    /// Ends the solve that was taken last.
+    running: Interrupt,
     /// By the camera's place.
     estimates: Vec<Option<Box<EstimateJob>>>,
     closed: bool,
@@ -33,6 +36,7 @@ struct WaitingJobs {
 impl Jobs {
     pub(super) fn solve(&self, job: SolveJob) {
         let mut state = self.lock();
+        state.running.request();
         state.solve = Some(Box::new(job));
         // Its session takes no estimate any more.
         state.estimates.clear();
@@ -57,6 +61,7 @@ impl Jobs {
                 return None;
             }
             if let Some(job) = state.solve.take() {
+                state.running = job.interrupt.clone();
                 return Some(Job::Solve(job));
             }
             if let Some(job) = state.estimates.iter_mut().find_map(Option::take) {
@@ -66,13 +71,61 @@ impl Jobs {
         }
     }
 
-    /// Ends the thread that takes them.
+    /// Nobody waits for a result any more.
+    pub(super) fn abandon_solve(&self) {
+        let mut state = self.lock();
+        state.solve = None;
+        state.running.request();
+    }
+
+    /// Ends the thread that takes them, and what it computes.
     pub(super) fn close(&self) {
-        self.lock().closed = true;
+        let mut state = self.lock();
+        state.closed = true;
+        state.running.request();
         self.changed.notify_all();
     }
 
     fn lock(&self) -> MutexGuard<'_, WaitingJobs> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibration::InstrumentObservations;
+    use crate::estimation::problem::LensChoice;
+
+    fn job(session: &str) -> SolveJob {
+        let observations = InstrumentObservations { board: None, cameras: Vec::new() };
+        let interrupt = Interrupt::new();
+        SolveJob { session: session.into(), lens: LensChoice::Auto, observations, interrupt }
+    }
+
+    fn taken(jobs: &Jobs) -> Box<SolveJob> {
+        match jobs.take() {
+            Some(Job::Solve(job)) => job,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_solve_that_nobody_waits_for_is_ended() {
+        let jobs = Jobs::default();
+        jobs.solve(job("first"));
+        let first = taken(&jobs);
+        assert!(!first.interrupt.is_requested());
+        jobs.solve(job("second"));
+        assert!(first.interrupt.is_requested(), "a newer one took its place");
+        let second = taken(&jobs);
+        assert!(!second.interrupt.is_requested());
+        jobs.abandon_solve();
+        assert!(second.interrupt.is_requested());
+        jobs.solve(job("third"));
+        let third = taken(&jobs);
+        jobs.close();
+        assert!(third.interrupt.is_requested() && jobs.take().is_none());
+        assert!(third.solve().is_err());
     }
 }

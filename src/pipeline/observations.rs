@@ -4,6 +4,7 @@ use crate::calibration::session::Session;
 use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::Correspondence;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::target::Target;
@@ -38,7 +39,12 @@ pub(super) fn solve_job(
         board: Some(target_as_seen(&record.request.target, views)),
         cameras: places.filter_map(camera).collect(),
     };
-    SolveJob { session: record.id.clone(), lens: record.request.lens, observations }
+    SolveJob {
+        session: record.id.clone(),
+        lens: record.request.lens,
+        observations,
+        interrupt: Interrupt::new(),
+    }
 }
 
 /// What one camera of a session saw.

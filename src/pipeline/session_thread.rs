@@ -255,6 +255,7 @@ impl SessionThread {
         let (instrument, state) = (Arc::clone(&self.instrument), record.state.name());
         let name = &instrument.name;
         self.release(&record.id);
+        instrument.jobs.abandon_solve();
         tracing::info!(
             instrument = name,
             session = record.id,

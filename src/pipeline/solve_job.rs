@@ -5,6 +5,7 @@ use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_f
 use crate::calibration::session::Session;
 use crate::calibration::{self, InstrumentObservations, SolveOptions, UnsolvedDepth};
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
 use crate::pipeline::guarded::guarded;
@@ -68,6 +69,8 @@ pub(super) struct SolveJob {
     pub(super) session: String,
     pub(super) lens: LensChoice,
     pub(super) observations: InstrumentObservations,
+    /// Ends the solve when nobody waits for it any more.
+    pub(super) interrupt: Interrupt,
 }
 
 impl SolveJob {
@@ -76,7 +79,11 @@ impl SolveJob {
     /// missing.
     pub(super) fn solve(&self) -> Result<Box<Calibration>, String> {
         let options = SolveOptions {
-            camera: CameraOptions { lens: self.lens, ..CameraOptions::default() },
+            camera: CameraOptions {
+                lens: self.lens,
+                interrupt: self.interrupt.clone(),
+                ..CameraOptions::default()
+            },
             unsolved_depth: UnsolvedDepth::LeftOut,
             ..SolveOptions::default()
         };

@@ -14,6 +14,11 @@ pub(super) fn run(instrument: &Arc<Instrument>) {
         let answer = match job {
             Job::Solve(job) => {
                 let solved = job.solve();
+                // What was ended early says nothing of its session: that is over, or is solved
+                // again when the daemon is back.
+                if job.interrupt.is_requested() {
+                    continue;
+                }
                 let elapsed_s = started.elapsed().as_secs_f64();
                 let seconds = &instrument.metrics.solve_seconds;
                 seconds.with_label_values(&[&instrument.name]).observe(elapsed_s);

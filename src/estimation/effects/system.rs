@@ -56,7 +56,7 @@ struct Room {
 }
 
 impl System {
-    /// `None` where an inlier cannot be projected.
+    /// `None` where an inlier cannot be projected, or an interrupt was requested.
     pub(super) fn at(scene: Scene<'_>, state: &EffectsState) -> Option<Self> {
         let globals = scene.global_len();
         let mut system = Self {
@@ -71,6 +71,9 @@ impl System {
         let offsets = scene.basis.offsets(&state.shape);
         let mut room = Room::default();
         for observation in scene.good {
+            if scene.layout.interrupt.is_requested() {
+                return None;
+            }
             system.add_view(scene, (state, &offsets), *observation, &mut room)?;
         }
         system.eliminate_poses();

@@ -28,6 +28,7 @@ pub(crate) mod per_observation;
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
+use crate::estimation::interrupt::Interrupt;
 pub(crate) use crate::estimation::joint::free_lens::FreeLens;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::Pixel;
@@ -66,6 +67,8 @@ pub(crate) struct Layout {
     pub(crate) warp: Option<(usize, [f64; 2])>,
     /// How many global parameters there are.
     pub(crate) len: usize,
+    /// Ends what iterates over it: there are no equations any more once it is requested.
+    pub(crate) interrupt: Interrupt,
 }
 
 /// Where the parameters of one sensor lie.
@@ -95,7 +98,12 @@ impl Layout {
             })
             .collect();
         let warp = warp_half_extent.map(|extent| (take(2), extent));
-        Self { sensors, warp, len }
+        Self { sensors, warp, len, interrupt: Interrupt::default() }
+    }
+
+    /// The same, which `interrupt` ends the iterations over.
+    pub(crate) fn ended_by(self, interrupt: &Interrupt) -> Self {
+        Self { interrupt: interrupt.clone(), ..self }
     }
 
     /// How far a point of the board is moved off its plane per meter of each of the two bows: 1 −

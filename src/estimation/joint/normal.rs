@@ -41,7 +41,8 @@ pub(crate) struct Step {
     pub(crate) predicted_decrease: f64,
 }
 
-/// The normal equations at `state`; `None` where a used corner cannot be projected.
+/// The normal equations at `state`; `None` where a used corner cannot be projected, or
+/// an interrupt was requested.
 pub(crate) fn linearize(
     layout: &Layout,
     state: &State,
@@ -63,6 +64,9 @@ pub(crate) fn linearize_within(
         observations.iter().map(|observation| vec![[0.0; 2]; observation.points.len()]).collect();
     equations.local.reserve_exact(observations.len());
     for (index, observation) in observations.iter().enumerate() {
+        if layout.interrupt.is_requested() {
+            return None;
+        }
         let mut local = LocalEquations::default();
         let results = (equations.residuals[index].as_mut_slice(), &mut local);
         if !linearize_observation((layout, state), observation, loss, columns, results) {

@@ -17,6 +17,9 @@ pub(crate) fn linearize_each(
         observations.iter().map(|_| LocalEquations::default()).collect();
     let (mut columns, mut residuals) = (Columns::default(), Vec::new());
     for index in which {
+        if layout.interrupt.is_requested() {
+            return None;
+        }
         let observation = &observations[*index];
         residuals.resize(observation.points.len(), [0.0; 2]);
         let results = (residuals.as_mut_slice(), &mut local_equations[*index]);

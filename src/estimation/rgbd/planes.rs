@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes, ray};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
@@ -118,7 +119,8 @@ impl<'a> Planes<'a> {
         let each = depth_state.rig_from_board.iter().zip(by_corners);
         let anchors =
             (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
-        let layout = Layout { sensors: vec![color, depth], warp: None, len };
+        let interrupt = Interrupt::default();
+        let layout = Layout { sensors: vec![color, depth], warp: None, len, interrupt };
         Self { problem, layout, planes: planes.collect(), anchors }
     }
 
