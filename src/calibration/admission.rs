@@ -80,7 +80,7 @@ pub enum Rejection {
 impl Rejection {
     /// The stable names, as counted in [`Rejections`], in the order of documents: those of
     /// [`NoBoard::KINDS`] among them.
-    pub const KINDS: [&'static str; 17] = [
+    pub const KINDS: [&'static str; 18] = [
         "no_corners",
         "no_grid",
         "other_size",
@@ -91,6 +91,7 @@ impl Rejection {
         "no_lattice",
         "no_markers",
         "other_board",
+        "two_places",
         "partial",
         "blurred",
         "moving",

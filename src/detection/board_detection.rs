@@ -157,7 +157,7 @@ pub enum NoBoard {
 
 impl NoBoard {
     /// Every name that [`Self::kind`] gives.
-    pub const KINDS: [&'static str; 11] = [
+    pub const KINDS: [&'static str; 12] = [
         "image_too_small",
         "low_contrast",
         "blurred",
@@ -169,6 +169,7 @@ impl NoBoard {
         "no_lattice",
         "no_markers",
         "other_board",
+        "two_places",
     ];
 
     /// A short stable name for counters and events.

@@ -4,6 +4,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 use plumb::detection::coded::detector::TargetDetector;
+use plumb::detection::coded::no_target::NoTarget;
 use plumb::geometry::dictionary::Dictionary;
 use plumb::geometry::printed_board::PrintedBoard;
 use plumb::geometry::target::{AprilGrid, CharucoBoard, Target, chessboard};
@@ -171,5 +172,46 @@ fn other_boards_are_not_answered() {
         let mut detector = TargetDetector::new(asked).expect("a target with markers");
         let answer = detector.find(image.view());
         assert!(answer.is_err(), "{shown} for {asked}: {answer:?}");
+    }
+}
+
+/// The image's columns in `range`.
+fn columns(image: &GrayImage, range: std::ops::Range<usize>) -> GrayImage {
+    let rows = image.view();
+    let pixels = (0..HEIGHT).flat_map(|y| rows.row(y)[range.clone()].to_vec()).collect();
+    GrayImage::from_pixels(range.len(), HEIGHT, pixels).expect("so many pixels")
+}
+
+/// The two layouts of a board of even rows and odd columns have the same markers one square from each other.
+#[test]
+fn part_of_a_board_is_labelled_where_one_of_its_own_ends_is_seen() {
+    let (left, right) = (0..WIDTH * 11 / 20, WIDTH * 9 / 20..WIDTH);
+    let middle = WIDTH * 5 / 16..WIDTH * 11 / 16;
+    for seed in 300..312 {
+        let board = charuco("DICT_4X4_100", 6, seed % 2 == 0);
+        let (shown, asked) = (Target::Charuco(board), CharucoBoard { legacy: None, ..board });
+        let (image, pixel_from_sheet) = image(&shown, seed);
+        let print = PrintedBoard::of(&shown);
+        let mut detector =
+            TargetDetector::new(Target::Charuco(asked)).expect("a target with markers");
+        let mut find = |range: &std::ops::Range<usize>| {
+            let found = detector.find(columns(&image, range.clone()).view())?;
+            for corner in &found.corners {
+                let truth = print.corner(&shown, corner.id).expect("an id of the board");
+                let truth = pixel_from_sheet * Vector3::new(truth.x, truth.y, 1.0);
+                let x = corner.pixel.x + range.start as f64;
+                let off = (x - truth.x / truth.z).hypot(corner.pixel.y - truth.y / truth.z);
+                assert!(off < 0.25, "seed {seed}, {range:?}: corner {} is {off} px off", corner.id);
+            }
+            Ok::<_, NoTarget>(found.corners.len())
+        };
+        for end in [&left, &right] {
+            let corners = find(end).unwrap_or_else(|none| panic!("seed {seed}, {end:?}: {none}"));
+            assert!(corners >= 10, "seed {seed}, {end:?}: {corners} corners");
+        }
+        let none = find(&middle).expect_err("either layout fits");
+        assert!(matches!(none, NoTarget::TwoPlaces { .. }), "seed {seed}: {none}");
+        let stated = TargetDetector::new(shown).expect("a target with markers");
+        assert!({ stated }.find(columns(&image, middle.clone()).view()).is_ok(), "seed {seed}");
     }
 }

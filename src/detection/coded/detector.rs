@@ -3,7 +3,7 @@
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
-use crate::detection::coded::ends::seen_ends;
+use crate::detection::coded::ends::by_sides;
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
@@ -52,6 +52,7 @@ struct Unlabelled {
     candidates: usize,
     lattice: (usize, u32, u32),
     elsewhere: usize,
+    undecided: usize,
 }
 
 impl TargetDetector {
@@ -183,13 +184,15 @@ impl TargetDetector {
                 let (a, b) = (bounds.width() as u32, bounds.height() as u32);
                 seen.lattice = (count, a.max(b), a.min(b));
             }
-            match self.label(view) {
+            let dbg = self.label(view);
+            match dbg {
                 BoardLabels::One(label) => {
                     self.complete(view, label);
                     return Some(label);
                 }
                 BoardLabels::Elsewhere(markers) => seen.elsewhere = seen.elsewhere.max(markers),
-                BoardLabels::Two(..) | BoardLabels::None => {}
+                BoardLabels::Two(first, _) => seen.undecided = seen.undecided.max(first.markers),
+                BoardLabels::None => {}
             }
         }
         None
@@ -247,16 +250,10 @@ impl TargetDetector {
     /// Of two places alike the one whose ends are seen.
     fn by_ends(&mut self, view: GrayView<'_>, labels: BoardLabels) -> BoardLabels {
         let BoardLabels::Two(first, second) = labels else { return labels };
-        let ends = [first, second].map(|label| {
-            let lines = self.sheets.ways[label.way].lines;
-            let sheet = (&self.sheets, lines, &self.thresholds.labels);
-            seen_ends(view, sheet, &self.grid, label.placement, &mut self.pairs)
-        });
-        match (ends[0], ends[1]) {
-            (1.., 0) => BoardLabels::One(first),
-            (0, 1..) => BoardLabels::One(second),
-            _ => BoardLabels::Elsewhere(first.markers),
-        }
+        let sheet = (&self.sheets, &self.thresholds.labels);
+        let both = [first, second];
+        by_sides(view, sheet, &self.grid, both, &mut self.pairs)
+            .map_or(labels, |seen| BoardLabels::One(both[seen]))
     }
 
     /// Searches for those corners of the labelled board that growing did not reach, and forgets
@@ -296,7 +293,9 @@ impl TargetDetector {
     fn reason(&self, seen: &Unlabelled) -> NoTarget {
         let target = self.target.to_string();
         let (count, cols, rows) = seen.lattice;
-        if seen.elsewhere > 0 {
+        if seen.undecided > 0 {
+            NoTarget::TwoPlaces { markers: seen.undecided, target }
+        } else if seen.elsewhere > 0 {
             NoTarget::OtherBoard { markers: seen.elsewhere, target }
         } else if count >= 2 * self.thresholds.lattice.least_crossings {
             NoTarget::NoMarkers { cols, rows, target }
@@ -323,6 +322,8 @@ fn better(one: BoardLabels, other: BoardLabels) -> BoardLabels {
         (BoardLabels::One(a), BoardLabels::One(b)) if b.significance > a.significance => other,
         (BoardLabels::One(_), _) => one,
         (_, BoardLabels::One(_)) => other,
+        (BoardLabels::Two(..), _) => one,
+        (_, BoardLabels::Two(..)) => other,
         (BoardLabels::Elsewhere(a), BoardLabels::Elsewhere(b)) => BoardLabels::Elsewhere(a.max(b)),
         (BoardLabels::Elsewhere(_), _) => one,
         _ => other,

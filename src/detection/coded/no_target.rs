@@ -45,6 +45,16 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
+    /// Markers that fit two places alike.
+    #[error(
+        "{markers} markers of the {target} are seen, but the part in view fits two places on it: show one of its ends, or state its layout (\"legacy\": true or false)"
+    )]
+    TwoPlaces {
+        /// How many markers say so.
+        markers: usize,
+        /// What was searched for.
+        target: String,
+    },
 }
 
 impl NoTarget {
@@ -55,6 +65,7 @@ impl NoTarget {
             Self::NoLattice { .. } => "no_lattice",
             Self::NoMarkers { .. } => "no_markers",
             Self::OtherBoard { .. } => "other_board",
+            Self::TwoPlaces { .. } => "two_places",
         }
     }
 }

@@ -138,7 +138,7 @@ impl Neighborhood {
                     return;
                 }
                 let quarter = nearest_direction(origin, step);
-                let way = direction(origin, quarter);
+                let way = common_direction(origin, other, quarter);
                 let along = step.dot(&way);
                 let off = (step.x * way.y - step.y * way.x).abs();
                 // A lateral offset counts as extra distance.
@@ -226,6 +226,16 @@ impl Neighborhood {
 fn direction(candidate: &Candidate, quarter: usize) -> Vec2 {
     let edge = candidate.edges[quarter % 2];
     if quarter < 2 { edge } else { -edge }
+}
+
+/// The way along the edge that two neighbors share: the mean of what each sees of it. Motion blur
+/// turns the edges of a corner by some degrees, and those of its neighbors, whose colors are
+/// exchanged, by as much the other way.
+fn common_direction(origin: &Candidate, other: &Candidate, quarter: usize) -> Vec2 {
+    let own = direction(origin, quarter);
+    let its = other.edges[1 - quarter % 2];
+    let sum = if its.dot(&own) < 0.0 { own - its } else { own + its };
+    sum / sum.norm()
 }
 
 /// Which of the four ways leads most nearly along `step`.
