@@ -10,11 +10,12 @@ use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict,
 };
 use crate::calibration::rgbd_calibration::{color_from_depth, judged_with_depth};
+use crate::calibration::rgbd_input::RgbdInput;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve_options::{
     InstrumentError, SolveOptions, UnsolvedDepth, without_depth,
 };
-use crate::calibration::solve_rgbd::{RgbdInput, SolvedRgbd, solve_rgbd};
+use crate::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
 use crate::calibration::solve_rig::{RigInput, RigSensorInput, solve_rig};
 use crate::estimation::rgbd::{PlacedDevice, RgbdEstimate, recalibrate_depth};
 use crate::geometry::pose::Pose;

@@ -39,10 +39,10 @@ pub struct DepthCheck {
     pub ranges: Vec<CheckedRange>,
     /// Views with readings on the board.
     pub views: usize,
-    /// How far patches are off, in standard deviations of those of held-out views with what the
-    /// sensors' calibrated pose leaves open: the robust
-    /// figure of each view, squared, in the mean over views. A view whose board moved between the
-    /// images is no change: of four and more the worst is left out.
+    /// How far patches are off: the robust figure of each view, squared, in the mean over views. Its
+    /// unit is the standard deviation of held-out views' patches, with what the sensors' calibrated
+    /// pose leaves open. A view whose board moved between the images is no change: of four and more
+    /// the worst is left out.
     pub off_sigmas: f64,
     /// By what part depth is too long, in the median over views.
     pub relative_bias: f64,

@@ -21,6 +21,8 @@ pub mod result;
 pub mod rgbd_calibration;
 mod rgbd_check;
 mod rgbd_error;
+mod rgbd_guess;
+pub mod rgbd_input;
 pub mod rounded;
 pub mod running_estimate;
 pub mod scene;

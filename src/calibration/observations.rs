@@ -1,8 +1,8 @@
 //! What the sensors of an instrument saw: the one input of [`crate::calibration::solve()`], whether
 //! the instrument is a camera, a depth camera, or a rig of either.
 
+use crate::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use crate::calibration::sensor::SensorId;
-use crate::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
 use crate::calibration::solve_rig::RigSensorInput;
 use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
 use crate::geometry::lens::Lens;

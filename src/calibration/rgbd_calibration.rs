@@ -7,9 +7,10 @@ use crate::calibration::factory_check::FactoryCheck;
 use crate::calibration::result::{
     CalibratedSensor, Calibration, Extrinsics, Grade, ImageCalibration, Verdict, pose_std,
 };
+use crate::calibration::rgbd_input::{RgbdCapture, RgbdInput};
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, uncertainty_over};
-use crate::calibration::solve_rgbd::{RgbdCapture, RgbdInput, SolvedRgbd};
+use crate::calibration::solve_rgbd::SolvedRgbd;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::depth_error::JudgedTile;
 use crate::estimation::problem::{BoardView, Correspondence};

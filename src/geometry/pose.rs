@@ -3,6 +3,7 @@
 
 use nalgebra::{
     Isometry3, Matrix3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3,
+    Vector6,
 };
 
 /// A rigid transform between two frames. A value is named `a_from_b`, and `p_a = a_from_b * p_b`.
@@ -91,6 +92,12 @@ impl std::ops::Mul<Vector3<f64>> for Pose {
     fn mul(self, direction_in_b: Vector3<f64>) -> Vector3<f64> {
         self.isometry.rotation * direction_in_b
     }
+}
+
+/// The six numbers of a small change of a pose: its rotation vector in radians, then its translation
+/// in meters.
+pub(crate) fn pose_step(rotation: &Vector3<f64>, translation: &Vector3<f64>) -> Vector6<f64> {
+    Vector6::from_fn(|row, _| if row < 3 { rotation[row] } else { translation[row - 3] })
 }
 
 #[cfg(test)]

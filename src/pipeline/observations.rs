@@ -1,7 +1,7 @@
 //! A session's views, with what the cameras' other sensors gave, as a problem to solve.
 
+use crate::calibration::rgbd_input::DepthSensor;
 use crate::calibration::session::Session;
-use crate::calibration::solve_rgbd::DepthSensor;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
 use crate::estimation::interrupt::Interrupt;

@@ -8,8 +8,9 @@ use std::process::Command;
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::result::Calibration;
+use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use plumb::calibration::sensor::SensorId;
-use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput, solve_rgbd};
+use plumb::calibration::solve_rgbd::solve_rgbd;
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::detector::Detector;

@@ -3,7 +3,8 @@
 
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::depth_calibration::{DepthCalibration, judge_depth};
-use plumb::calibration::solve_rgbd::{RgbdInput, solve_rgbd};
+use plumb::calibration::rgbd_input::RgbdInput;
+use plumb::calibration::solve_rgbd::solve_rgbd;
 use plumb::geometry::depth_camera::DepthReading;
 use plumb::geometry::pose::Pose;
 use plumb::imaging::depth_image::DepthImage;

@@ -2,7 +2,7 @@
 //! a known error of depth.
 
 use nalgebra::{Point3, Vector3};
-use plumb::calibration::solve_rgbd::{DepthSensor, RgbdCapture, RgbdInput};
+use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use plumb::estimation::camera::CameraOptions;
 use plumb::estimation::problem::{Correspondence, LensChoice};
 use plumb::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};

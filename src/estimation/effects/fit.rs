@@ -15,6 +15,7 @@ use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
+use crate::geometry::pose::pose_step;
 
 /// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
 /// model: chance alone does once in a hundred times (χ² of the few variances that each has).
@@ -260,15 +261,7 @@ impl EffectSearch {
             let rotated = |at: usize, own: &Vector6<f64>| -> Vector3<f64> {
                 rotation * own.fixed_rows::<3>(at).into_owned()
             };
-            let (rotation, translation) = (rotated(0, own), rotated(3, own));
-            *own = Vector6::new(
-                rotation.x,
-                rotation.y,
-                rotation.z,
-                translation.x,
-                translation.y,
-                translation.z,
-            );
+            *own = pose_step(&rotated(0, own), &rotated(3, own));
         }
         let lens = scene.layout.len;
         let global: Vec<f64> = posterior.global.iter().map(|step| step * part).collect();

@@ -3,7 +3,7 @@
 //! too, else moved within what the corners leave open, so that a far board's uncertain tilt does
 //! not distort the lens.
 
-use nalgebra::{DMatrix, Matrix6, Vector3, Vector6};
+use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
@@ -18,7 +18,7 @@ use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
-use crate::geometry::pose::Pose;
+use crate::geometry::pose::{Pose, pose_step};
 
 /// Residual limit of an inlier tile, in standard deviations of the tiles' scatter.
 const LIMIT: f64 = 6.0;
@@ -442,14 +442,7 @@ impl Anchor {
         let rotation =
             (rig_from_board.rotation() * self.rig_from_board.rotation().inverse()).scaled_axis();
         let translation = rig_from_board.translation() - self.rig_from_board.translation();
-        let step = Vector6::new(
-            rotation.x,
-            rotation.y,
-            rotation.z,
-            translation.x,
-            translation.y,
-            translation.z,
-        );
+        let step = pose_step(&rotation, &translation);
         let pull = self.square * step;
         *cost += step.dot(&pull);
         for a in 0..6 {

@@ -1,0 +1,92 @@
+//! What a camera with color and depth saw, before anything is calibrated.
+
+use crate::calibration::solve::SolvedCamera;
+use crate::estimation::problem::{BoardView, CameraProblem, Correspondence};
+use crate::geometry::depth_camera::DepthReading;
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+use crate::imaging::depth_image::DepthImage;
+
+/// What is known of a depth camera beforehand.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthSensor {
+    /// What its numbers mean; `None` for disparity of unknown meaning: it is
+    /// estimated from the board.
+    pub reading: Option<DepthReading>,
+    /// The reading that means none, besides 0 for metric depth.
+    pub invalid: Option<u16>,
+    /// The device's own lens and pose, where it states them.
+    pub factory: Option<(Lens, Pose)>,
+    /// The infrared image is the depth image's: same size, same lens. Default for every device
+    /// that has one.
+    pub with_infrared: bool,
+}
+
+/// What was seen at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RgbdCapture {
+    /// Its path or sequence number.
+    pub name: String,
+    /// When the color image was taken, in seconds since any moment; `None` where times mean
+    /// nothing.
+    pub time_s: Option<f64>,
+    /// Whether it is a view. Others determine the board's motion, and the time between the sensors'
+    /// exposures.
+    pub is_view: bool,
+    /// The board in the color image; empty where it wasn't found.
+    pub color: Vec<Correspondence>,
+    /// The board in the infrared image; empty where it wasn't found.
+    pub infrared: Vec<Correspondence>,
+    /// The depth image, where there is one.
+    pub depth: Option<DepthImage>,
+}
+
+/// A camera with color and depth to calibrate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RgbdInput {
+    /// The board.
+    pub board: Target,
+    /// The size of the color images.
+    pub color_size: ImageSize,
+    /// What is known of the depth camera.
+    pub depth: DepthSensor,
+    /// What was seen.
+    pub captures: Vec<RgbdCapture>,
+}
+
+/// The captures that are views.
+pub(super) fn views(input: &RgbdInput) -> impl Iterator<Item = &RgbdCapture> {
+    input.captures.iter().filter(|capture| capture.is_view)
+}
+
+/// The problem of one sensor by itself, whose corners `seen` gives.
+pub(super) fn problem(
+    input: &RgbdInput,
+    image_size: ImageSize,
+    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+) -> CameraProblem {
+    let with_board = views(input).filter(|capture| !seen(capture).is_empty());
+    let views = with_board
+        .map(|c| BoardView { name: c.name.clone(), correspondences: seen(c).clone() })
+        .collect();
+    CameraProblem { image_size, views }
+}
+
+/// The pose of every capture that a sensor's solve used.
+pub(super) fn poses(
+    input: &RgbdInput,
+    solved: &SolvedCamera,
+    seen: impl Fn(&RgbdCapture) -> &Vec<Correspondence>,
+) -> Vec<Option<Pose>> {
+    let mut views = solved.estimate.views.iter();
+    let of_capture = |capture: &RgbdCapture| {
+        if seen(capture).is_empty() || !capture.is_view {
+            return None;
+        }
+        let view = views.next()?;
+        view.camera_from_board.filter(|_| view.fault.is_none())
+    };
+    input.captures.iter().map(of_capture).collect()
+}
