@@ -34,6 +34,7 @@ mod solve_options;
 pub mod solve_rgbd;
 pub mod solve_rig;
 pub mod stated_calibration;
+pub mod stereo_pair;
 pub(crate) mod verdict;
 pub mod view;
 

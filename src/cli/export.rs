@@ -1,7 +1,7 @@
 //! `plumb export`: a stored calibration in another program's format.
 
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
@@ -24,9 +24,14 @@ pub struct Args {
     #[arg(long)]
     format: Format,
     /// Which sensor, where the calibration has several and the format holds one: color, infrared,
-    /// infrared2, depth, or a rig's camera [default: color].
+    /// infrared2, depth, or a rig's camera [default: color]. Of a stereo format two of them, as
+    /// left,right [default: the two cameras of a rig].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
+    /// Of a stereo format: 0 for rectified images of which every pixel is seen, 1 for those that
+    /// hold everything that was seen.
+    #[arg(long, default_value_t = 0.0)]
+    alpha: f64,
     /// The part of the images it was made with that those show that it is wanted for, in pixels
     /// from the top left, as in 160,120,320,240.
     #[arg(long, value_name = "LEFT,TOP,WIDTH,HEIGHT")]
@@ -37,7 +42,7 @@ pub struct Args {
     /// Height of those images.
     #[arg(long, value_name = "PIXELS", requires = "width")]
     height: Option<u32>,
-    /// Where to write; standard output unless given.
+    /// Where to write; standard output unless given. Of ros_stereo the folder that gets both files.
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
     /// Print one JSON document that holds the file and what to know about it.
@@ -54,7 +59,9 @@ impl ValueEnum for Format {
         let help = match self {
             Self::Json => "Plumb's calibration document",
             Self::Ros => "ROS camera_info YAML",
+            Self::RosStereo => "ROS camera_info YAML of two cameras, rectified",
             Self::Opencv => "OpenCV FileStorage YAML",
+            Self::OpencvStereo => "OpenCV FileStorage YAML of two cameras, rectified",
             Self::Kalibr => "Kalibr camera chain YAML",
             Self::Mrcal => "mrcal .cameramodel",
             Self::Colmap => "COLMAP cameras.txt",
@@ -82,25 +89,41 @@ struct ExportedDocument<'a> {
 /// # Errors
 /// When the calibration cannot be read, or the format cannot hold it.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    if !(0.0..=1.0).contains(&args.alpha) {
+        return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
+    }
     let calibration = read_calibration(&args.calibration)?;
     let in_file =
         |error: &dyn Display| Failure::failed(format!("{}: {error}", args.calibration.display()));
     let size = args.width.zip(args.height).map(|(width, height)| ImageSize::new(width, height));
-    let other = OtherImages { crop: args.crop, size, sensor: args.sensor.clone() };
+    // Two names are of a stereo format, for images of both.
+    let sensor = args.sensor.clone().filter(|names| !names.contains(','));
+    let other = OtherImages { crop: args.crop, size, sensor };
     let calibration = for_other_images(&calibration, &other).map_err(|error| in_file(&error))?;
-    let options = ExportOptions { sensor: args.sensor.clone() };
+    let options = ExportOptions { sensor: args.sensor.clone(), alpha: args.alpha };
     let exported = export(&calibration, args.format, &options).map_err(|error| in_file(&error))?;
     if let Some(note) = &exported.note {
         tracing::warn!("{note}");
     }
     if let Some(path) = &args.out {
-        write_file(path, &exported.bytes)?;
+        write(path, &exported)?;
     }
     match (args.json, &args.out) {
         (true, _) => print_document(args.format, &exported),
         (false, None) => output::print_bytes(&exported.bytes),
         (false, Some(_)) => Ok(()),
     }
+}
+
+/// Writes the file, or the files of a format of several into the folder.
+fn write(path: &Path, exported: &Exported) -> Result<(), Failure> {
+    if exported.files.is_empty() {
+        return write_file(path, &exported.bytes);
+    }
+    std::fs::create_dir_all(path).map_err(|error| {
+        Failure::failed(format!("{}: cannot be made ({error})", path.display()))
+    })?;
+    exported.files.iter().try_for_each(|file| write_file(&path.join(&file.file_name), &file.bytes))
 }
 
 fn print_document(format: Format, exported: &Exported) -> Result<(), Failure> {

@@ -30,7 +30,10 @@ pub mod output;
 mod plane_errors;
 pub mod progress;
 pub mod record;
+pub mod rectify;
+mod result_image;
 pub mod rig;
+mod row_differences;
 pub mod search;
 pub mod search_args;
 pub mod serve;
@@ -77,6 +80,7 @@ enum Command {
     Export(export::Args),
     Focus(focus::Args),
     Record(record::Args),
+    Rectify(rectify::Args),
     Simulate(simulate::Args),
     Store(store::Args),
     Target(target::Args),
@@ -99,6 +103,7 @@ fn dispatch(command: Command) -> Result<(), Failure> {
         Command::Export(args) => export::run(&args),
         Command::Focus(args) => focus::run(&args),
         Command::Record(args) => record::run(&args),
+        Command::Rectify(args) => rectify::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Store(args) => store::run(&args),
         Command::Target(args) => target::run(&args),

@@ -1,13 +1,12 @@
 //! `plumb undistort`: images as a lens without distortion would have taken them.
 
 use std::collections::BTreeSet;
-use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use image::{DynamicImage, GrayImage, ImageFormat, RgbImage};
 use serde::Serialize;
 
 use crate::cli::files::{read_calibration, write_file};
+use crate::cli::result_image::{png, result_name};
 use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs};
 use crate::cli::{Failure, output, progress};
 use crate::document::lens::LensDocument;
@@ -154,7 +153,7 @@ fn undistorted(
         let expected = undistortion.map.source_size();
         format!("{path}: {size} pixels, but the calibration is for {expected}; give images of the calibrated camera")
     })?;
-    let out = folder.join(file_name(frames));
+    let out = folder.join(result_name(frames));
     if !taken.insert(out.clone()) {
         return Err(format!(
             "{path}: {} was written from another image of that name; rename one",
@@ -164,36 +163,4 @@ fn undistorted(
     let png = png(flat).map_err(|error| format!("{path}: {error}"))?;
     write_file(&out, &png).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
     Ok(UndistortedImage { path, out: out.display().to_string() })
-}
-
-/// The image's name with the ending .png; for a frame of a recording the recording's name and the
-/// sequence number.
-fn file_name(frames: &SourcedFrames) -> String {
-    let stem =
-        |path: &str| Path::new(path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    match (&frames.set.name, &frames.recording) {
-        (Some(name), _) => format!("{}.png", stem(name)),
-        (None, recording) => {
-            format!(
-                "{}-{:06}.png",
-                stem(recording.as_deref().unwrap_or("frame")),
-                frames.set.sequence
-            )
-        }
-    }
-}
-
-/// A PNG file: gray for an image without colors.
-fn png(image: RgbImage) -> Result<Vec<u8>, image::ImageError> {
-    let gray = image.pixels().all(|pixel| pixel[0] == pixel[1] && pixel[1] == pixel[2]);
-    let image = if gray {
-        let values = image.pixels().map(|pixel| pixel[0]).collect();
-        GrayImage::from_raw(image.width(), image.height(), values)
-            .map_or(DynamicImage::ImageRgb8(image), DynamicImage::ImageLuma8)
-    } else {
-        DynamicImage::ImageRgb8(image)
-    };
-    let mut bytes = Cursor::new(Vec::new());
-    image.write_to(&mut bytes, ImageFormat::Png)?;
-    Ok(bytes.into_inner())
 }

@@ -1,7 +1,10 @@
 //! What a format cannot hold, and what to do instead.
 
+use crate::calibration::stereo_pair::StereoPairError;
 use crate::export::format::Format;
 use crate::geometry::lens::LensModel;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::rectification::RectificationError;
 
 /// A calibration that a format cannot hold.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -78,6 +81,40 @@ pub enum ExportError {
     NoSensor {
         /// The format.
         format: Format,
+    },
+    /// It is no stereo pair.
+    #[error("{0}")]
+    StereoPair(#[from] StereoPairError),
+    /// It cannot be rectified.
+    #[error("{0}")]
+    Rectification(#[from] RectificationError),
+    /// A pair is two.
+    #[error("the {format} format is of two cameras: `{asked}` is not two names, as in left,right")]
+    StereoNames {
+        /// The format.
+        format: Format,
+        /// What was asked for.
+        asked: String,
+    },
+    /// Rectified images have one size.
+    #[error(
+        "the {format} format has one size for both cameras, and these have {} and {}; export for images of one size (--width, --height), or to json", sizes[0], sizes[1]
+    )]
+    StereoSizes {
+        /// The format.
+        format: Format,
+        /// The cameras' image sizes.
+        sizes: [ImageSize; 2],
+    },
+    /// OpenCV's functions are of one kind of lens.
+    #[error(
+        "the {format} format has one kind of lens for both cameras, and these are {} and {}; calibrate both with one of them", models[0].name(), models[1].name()
+    )]
+    StereoModels {
+        /// The format.
+        format: Format,
+        /// The cameras' lens models.
+        models: [LensModel; 2],
     },
     /// The document could not be written.
     #[error("the calibration cannot be written as {format}: {reason}")]

@@ -34,6 +34,7 @@ fn lens_formats() -> impl Iterator<Item = Format> {
     Format::ALL
         .into_iter()
         .filter(|format| !matches!(format, Format::Urdf | Format::Tf | Format::Depth))
+        .filter(|format| !matches!(format, Format::RosStereo | Format::OpencvStereo))
 }
 
 #[test]
@@ -107,7 +108,8 @@ fn rig() -> Calibration {
 
 #[test]
 fn one_sensor_of_several_is_asked_for_by_name() {
-    let of = |sensor: &str| ExportOptions { sensor: Some(sensor.into()) };
+    let of =
+        |sensor: &str| ExportOptions { sensor: Some(sensor.into()), ..ExportOptions::default() };
     let known = || "left, right, isolated".to_owned();
     let several = ExportError::SeveralSensors { format: Format::Ros, known: known() };
     assert_eq!(refused(&rig(), Format::Ros), several);

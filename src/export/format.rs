@@ -9,8 +9,12 @@ pub enum Format {
     Json,
     /// ROS `camera_info` YAML, as `camera_info_manager` and `image_geometry` read it.
     Ros,
+    /// The same of two cameras, rectified: one file each.
+    RosStereo,
     /// OpenCV `FileStorage` YAML, with the field names of its calibration sample.
     Opencv,
+    /// The same of two cameras, rectified, with the names of its stereo calibration sample.
+    OpencvStereo,
     /// Kalibr's camera chain YAML.
     Kalibr,
     /// mrcal's `.cameramodel`.
@@ -28,10 +32,12 @@ pub enum Format {
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Json,
         Self::Ros,
+        Self::RosStereo,
         Self::Opencv,
+        Self::OpencvStereo,
         Self::Kalibr,
         Self::Mrcal,
         Self::Colmap,
@@ -45,7 +51,9 @@ impl Format {
         match self {
             Self::Json => "json",
             Self::Ros => "ros",
+            Self::RosStereo => "ros_stereo",
             Self::Opencv => "opencv",
+            Self::OpencvStereo => "opencv_stereo",
             Self::Kalibr => "kalibr",
             Self::Mrcal => "mrcal",
             Self::Colmap => "colmap",
@@ -63,7 +71,12 @@ impl Format {
     pub(super) fn media_type(self) -> &'static str {
         match self {
             Self::Json => "application/json",
-            Self::Ros | Self::Opencv | Self::Kalibr | Self::Tf => "application/yaml",
+            Self::Ros
+            | Self::RosStereo
+            | Self::Opencv
+            | Self::OpencvStereo
+            | Self::Kalibr
+            | Self::Tf => "application/yaml",
             Self::Urdf => "application/xml",
             Self::Mrcal | Self::Colmap | Self::Depth => "text/plain; charset=utf-8",
         }
@@ -73,7 +86,9 @@ impl Format {
         match self {
             Self::Json => format!("{camera}.json"),
             Self::Ros => format!("{camera}.yaml"),
+            Self::RosStereo => format!("{camera}-stereo.yaml"),
             Self::Opencv => format!("{camera}-opencv.yaml"),
+            Self::OpencvStereo => format!("{camera}-opencv-stereo.yaml"),
             Self::Kalibr => format!("{camera}-camchain.yaml"),
             Self::Mrcal => format!("{camera}.cameramodel"),
             Self::Colmap => "cameras.txt".to_owned(),

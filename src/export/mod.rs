@@ -13,6 +13,7 @@ mod colmap;
 pub mod colmap_scene;
 mod depth;
 mod error;
+mod exported;
 mod format;
 mod kalibr;
 mod mrcal;
@@ -22,36 +23,17 @@ pub mod other_images;
 mod refit;
 mod ros;
 mod sensors;
+mod stereo;
 mod transforms;
 
 pub use error::ExportError;
+pub use exported::{ExportOptions, Exported, ExportedFile};
 pub use format::Format;
 
 use crate::calibration::result::Calibration;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
 use crate::export::sensors::{depth_sensor, one_sensor, placed_sensors};
-
-/// A calibration, written.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Exported {
-    /// The file's content.
-    pub bytes: Vec<u8>,
-    /// Its media type.
-    pub media_type: &'static str,
-    /// What to call it.
-    pub file_name: String,
-    /// What the reader must know: that the lens was refitted, and how well.
-    pub note: Option<String>,
-}
-
-/// What of a calibration is written.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct ExportOptions {
-    /// The sensor, for formats that hold one, by its name in documents (`color`, `left.infrared`).
-    /// Default: the only one, or color's.
-    pub sensor: Option<String>,
-}
 
 /// Writes `calibration` in `format`.
 ///
@@ -64,16 +46,25 @@ pub fn export(
 ) -> Result<Exported, ExportError> {
     let camera = calibration.camera.as_deref().unwrap_or("camera");
     let one = || one_sensor(calibration, format, options.sensor.as_deref());
+    let mut files = Vec::new();
     let (text, file, note) = match format {
         Format::Json => (json(calibration)?, camera.to_owned(), None),
         Format::Ros | Format::Opencv | Format::Mrcal => {
             let (sensor, note) = one()?;
             let text = match format {
-                Format::Ros => ros::camera_info(&sensor.frame_name(camera), &sensor)?,
+                Format::Ros => ros::camera_info(&sensor.frame_name(camera), &sensor, None)?,
                 Format::Opencv => opencv::file_storage(calibration, &sensor)?,
                 _ => mrcal::camera_model(&sensor)?,
             };
             (text, sensor.frame_name(camera), note)
+        }
+        Format::RosStereo => {
+            let (text, each) = stereo::camera_infos(camera, calibration, options)?;
+            files = each;
+            (text, camera.to_owned(), None)
+        }
+        Format::OpencvStereo => {
+            (stereo::opencv_matrices(calibration, options)?, camera.to_owned(), None)
         }
         Format::Kalibr => {
             let (text, note) = match &options.sensor {
@@ -102,7 +93,8 @@ pub fn export(
         }
     };
     let file_name = format.file_name(&file);
-    Ok(Exported { bytes: text.into_bytes(), media_type: format.media_type(), file_name, note })
+    let (bytes, media_type) = (text.into_bytes(), format.media_type());
+    Ok(Exported { bytes, files, media_type, file_name, note })
 }
 
 fn json(calibration: &Calibration) -> Result<String, ExportError> {

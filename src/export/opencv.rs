@@ -6,6 +6,7 @@ use crate::export::number::{decimal, list};
 use crate::export::sensors::{Sensor, without_skew};
 use crate::export::{ExportError, Format};
 use crate::geometry::board::Chessboard;
+use crate::geometry::lens::Lens;
 use crate::geometry::target::Target;
 
 /// What `cv::FileStorage` opens: `camera_matrix`, `distortion_coefficients` and `fisheye_model` (1:
@@ -17,12 +18,7 @@ pub(super) fn file_storage(
 ) -> Result<String, ExportError> {
     without_skew(sensor, Format::Opencv)?;
     let lens = sensor.lens;
-    let known = lens.model().facts().opencv.ok_or_else(|| ExportError::Lens {
-        format: Format::Opencv,
-        model: lens.model(),
-        instead: models(|model| model.facts().opencv.is_some()),
-    })?;
-    let coefficients = lens.distortion.padded_coefficients(known.coefficients);
+    let (is_fisheye, coefficients) = coefficients(lens, Format::Opencv)?;
     let k = lens.matrix;
     let mut text = String::from("%YAML:1.0\n---\n");
     text += &format!(
@@ -33,7 +29,7 @@ pub(super) fn file_storage(
         text += &format!("board_width: {}\nboard_height: {}\n", size.cols, size.rows);
         text += &format!("square_size: {}\n", decimal(*square_m));
     }
-    text += &format!("fisheye_model: {}\n", i32::from(known.fisheye));
+    text += &format!("fisheye_model: {}\n", i32::from(is_fisheye));
     text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
     text += &matrix("distortion_coefficients", coefficients.len(), &coefficients);
     if let Some(rms_px) = sensor.rms_px {
@@ -42,7 +38,20 @@ pub(super) fn file_storage(
     Ok(text)
 }
 
-fn matrix(name: &str, rows: usize, values: &[f64]) -> String {
+/// Whether the lens is one of `cv::fisheye`, and its coefficients in OpenCV's order.
+///
+/// # Errors
+/// [`ExportError::Lens`] of a lens that OpenCV has not.
+pub(super) fn coefficients(lens: &Lens, format: Format) -> Result<(bool, Vec<f64>), ExportError> {
+    let known = lens.model().facts().opencv.ok_or_else(|| ExportError::Lens {
+        format,
+        model: lens.model(),
+        instead: models(|model| model.facts().opencv.is_some()),
+    })?;
+    Ok((known.fisheye, lens.distortion.padded_coefficients(known.coefficients)))
+}
+
+pub(super) fn matrix(name: &str, rows: usize, values: &[f64]) -> String {
     let cols = values.len() / rows;
     format!(
         "{name}: !!opencv-matrix\n   rows: {rows}\n   cols: {cols}\n   dt: d\n   data: [ {} ]\n",

@@ -46,12 +46,7 @@ impl Sensor<'_> {
 
     /// The ROS name of its optical frame (REP 103: x right, y down, z forward).
     pub fn optical_frame(&self, camera: &str) -> String {
-        let camera = self.camera(camera);
-        if self.is_camera {
-            format!("{camera}_optical_frame")
-        } else {
-            format!("{camera}_{}_optical_frame", self.id.kind.name())
-        }
+        self.id.kind.optical_frame(self.camera(camera))
     }
 
     /// The topic that Plumb's recordings have it on.

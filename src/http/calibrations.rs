@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 
 use crate::calibration::result::Calibration;
 use crate::calibration::stated_calibration::stated_calibration;
+use crate::calibration::stereo_pair::StereoPairError;
 use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::time;
 use crate::export::other_images::{OtherImages, OtherImagesError, for_other_images};
@@ -25,14 +26,20 @@ use crate::http::shared::{Shared, on_a_blocking_thread};
 #[derive(utoipa::IntoParams)]
 #[into_params(parameter_in = Query)]
 pub(super) struct ExportParameters {
-    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; urdf or tf (where the sensors
-    /// are); depth (what readings mean, corrected).
+    /// json (when left out), ros, opencv, kalibr, mrcal, colmap; ros_stereo or opencv_stereo (two
+    /// cameras, rectified); urdf or tf (where the sensors are); depth (what readings mean,
+    /// corrected).
     #[param(schema_with = schemas::format, required = false)]
     format: Option<Format>,
     /// For formats that hold one sensor: color, infrared, infrared2, depth, or a rig's camera;
-    /// color when left out.
+    /// color when left out. For stereo formats two of them, as `left,right`; the two cameras of a
+    /// rig when left out.
     #[param(min_length = 1)]
     sensor: Option<String>,
+    /// Of a stereo format: 0 (when left out) for rectified images of which every pixel is seen, 1
+    /// for those that hold everything that was seen.
+    #[param(schema_with = schemas::alpha, required = false)]
+    alpha: Option<f64>,
     /// For images (or the part of them that `crop` says) scaled to this width.
     #[param(schema_with = schemas::count, required = false)]
     width: Option<u32>,
@@ -52,6 +59,7 @@ impl ReadQuery for ExportParameters {
         Ok(Self {
             format: parameters.one_of("format", Format::from_name, &known)?,
             sensor: parameters.text("sensor").map(str::to_owned),
+            alpha: parameters.fraction("alpha")?,
             width: parameters.count("width")?,
             height: parameters.count("height")?,
             crop: crop.map_err(|error| Problem::field("crop", &error.to_string()))?,
@@ -226,7 +234,9 @@ fn for_asked_images(
         }
     };
     let crop = parameters.crop;
-    let other = OtherImages { crop, size, sensor: parameters.sensor.clone() };
+    // Two names are of a stereo format, for images of both.
+    let sensor = parameters.sensor.clone().filter(|names| !names.contains(','));
+    let other = OtherImages { crop, size, sensor };
     let field = |error: &OtherImagesError| match error {
         OtherImagesError::SeveralSensors { .. } | OtherImagesError::UnknownSensor { .. } => {
             "sensor"
@@ -241,14 +251,20 @@ fn for_asked_images(
 
 fn written(calibration: &Calibration, parameters: &ExportParameters) -> Result<Response, Problem> {
     let format = parameters.format.unwrap_or(Format::Json);
-    let options = ExportOptions { sensor: parameters.sensor.clone() };
+    let options = ExportOptions {
+        sensor: parameters.sensor.clone(),
+        alpha: parameters.alpha.unwrap_or_default(),
+    };
     let field = |error: &ExportError| match error {
-        ExportError::SeveralSensors { .. } | ExportError::UnknownSensor { .. } => "sensor",
+        ExportError::SeveralSensors { .. }
+        | ExportError::UnknownSensor { .. }
+        | ExportError::StereoNames { .. }
+        | ExportError::StereoPair(StereoPairError::Unknown { .. }) => "sensor",
         _ => "format",
     };
     let exported = export(calibration, format, &options)
         .map_err(|e| Problem::field(field(&e), &e.to_string()))?;
-    let Exported { bytes, media_type, file_name, note } = exported;
+    let Exported { bytes, media_type, file_name, note, .. } = exported;
     let mut response = ([(CONTENT_TYPE, media_type)], bytes).into_response();
     let mut set = |name: HeaderName, value: &str| {
         // A name that no header can hold is one that the browser may choose itself.

@@ -33,6 +33,10 @@ pub(super) struct DrawingParameters {
     guidance: Option<bool>,
     /// Through the current calibration; false when left out.
     undistorted: Option<bool>,
+    /// As one of two parallel cameras, so that a row of it corresponds to the same row of the
+    /// other's, by the current calibration of its rig (or of its own two infrared sensors); false
+    /// when left out.
+    rectified: Option<bool>,
     /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
     /// depth's image. By the current calibration.
     #[param(schema_with = schemas::sensor_kind, required = false)]
@@ -47,6 +51,7 @@ impl ReadQuery for DrawingParameters {
             overlay: parameters.flag("overlay")?,
             guidance: parameters.flag("guidance")?,
             undistorted: parameters.flag("undistorted")?,
+            rectified: parameters.flag("rectified")?,
             registered: parameters.one_of("registered", SensorKind::from_name, "color, depth")?,
         })
     }
@@ -58,7 +63,7 @@ impl ReadQuery for DrawingParameters {
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "no frame yet, or no calibration to undistort with", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "no frame yet, or no calibration to undistort or rectify with", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn frame(
@@ -121,6 +126,7 @@ fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem>
         overlay,
         guidance: asked.guidance.unwrap_or(overlay),
         undistorted: asked.undistorted.unwrap_or(false),
+        rectified: asked.rectified.unwrap_or(false),
         registered: registered(asked, sensor)?,
     })
 }
@@ -128,6 +134,9 @@ fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem>
 /// Whether the sensor is to be shown in the other one's image.
 fn registered(asked: &DrawingParameters, sensor: SensorKind) -> Result<bool, Problem> {
     let Some(to) = asked.registered else { return Ok(false) };
+    if asked.rectified == Some(true) {
+        return Err(Problem::field("rectified", "is not shown registered; give one of both"));
+    }
     match (sensor, to) {
         (SensorKind::Depth, SensorKind::Color) | (SensorKind::Color, SensorKind::Depth) => Ok(true),
         _ => {

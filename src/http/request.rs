@@ -119,6 +119,15 @@ impl Parameters {
         }
     }
 
+    /// `name` as a number from 0 to 1.
+    pub(super) fn fraction(&self, name: &str) -> Result<Option<f64>, Problem> {
+        let number =
+            |text: &str| text.parse().ok().filter(|number: &f64| (0.0..=1.0).contains(number));
+        let wrong =
+            |text: &str| Problem::field(name, &format!("`{text}` is not a number from 0 to 1"));
+        self.text(name).map(|text| number(text).ok_or_else(|| wrong(text))).transpose()
+    }
+
     /// `name` as a count of at least 1.
     pub(super) fn count(&self, name: &str) -> Result<Option<u32>, Problem> {
         let count = |text: &str| text.parse().ok().filter(|count: &u32| *count > 0);

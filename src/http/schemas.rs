@@ -50,6 +50,11 @@ pub(super) fn blur_px() -> Object {
     within(BLUR_PX)
 }
 
+/// How much of what cameras see is in rectified images.
+pub(super) fn alpha() -> Object {
+    within([0.0, 1.0])
+}
+
 /// A whole number of at least 1.
 pub(super) fn count() -> Object {
     let number = ObjectBuilder::new().schema_type(SchemaType::Type(Type::Integer));

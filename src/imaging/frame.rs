@@ -44,6 +44,15 @@ impl SensorKind {
         self == Self::Infrared
     }
 
+    /// What ROS calls the optical frame (x right, y down, z forward: REP 103) of this sensor of
+    /// `camera`; a camera's own is its color sensor's.
+    pub fn optical_frame(self, camera: &str) -> String {
+        match self {
+            Self::Color => format!("{camera}_optical_frame"),
+            other => format!("{camera}_{}_optical_frame", other.name()),
+        }
+    }
+
     /// The sensor with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|sensor| sensor.name() == name)

@@ -24,6 +24,7 @@ pub mod pixel_format;
 mod plausible;
 mod png;
 pub mod point_cloud;
+pub mod rectify;
 pub mod registration;
 pub mod remap;
 pub mod timestamp;

@@ -3,12 +3,10 @@
 use nalgebra::Vector2;
 
 use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::flat_image::{WIDEST, flat_from_ray};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::remap::PixelMap;
-
-/// The widest that a flat image can show of a lens: 78° off the axis. Beyond, everything is edge.
-const WIDEST: f64 = 4.7;
 
 /// What of the image to keep.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -87,12 +85,8 @@ fn flat_matrix(lens: &Lens, size: ImageSize, target: ImageSize, balance: f64) ->
 fn fields(lens: &Lens, size: ImageSize) -> (FieldOfView, FieldOfView) {
     const STEPS: u32 = 32;
     let [right, bottom] = [f64::from(size.width) - 1.0, f64::from(size.height) - 1.0];
-    let seen = |x: f64, y: f64| {
-        let ray = lens.bearing_from_pixel(Pixel::new(x, y)).map(nalgebra::Unit::into_inner);
-        // What lies sideways or behind is as far out as a flat image goes.
-        let flat = ray.map(|ray| Vector2::new(ray.x, ray.y) / ray.z.max(1e-3));
-        flat.map(|at| if at.norm() > WIDEST { at * (WIDEST / at.norm()) } else { at })
-    };
+    let seen =
+        |x: f64, y: f64| lens.bearing_from_pixel(Pixel::new(x, y)).map(|ray| flat_from_ray(&ray));
     let mut inner = FieldOfView { low: Vector2::repeat(-WIDEST), high: Vector2::repeat(WIDEST) };
     let mut outer = FieldOfView {
         low: Vector2::repeat(f64::INFINITY),

@@ -62,9 +62,17 @@ impl Instrument {
     /// Shows the calibration that holds from now on.
     pub(super) fn set_calibration(&self, id: &str) {
         self.calibration.send_replace(Some(id.to_owned()));
-        if let ([camera], false) = (self.cameras.as_slice(), self.is_rig) {
-            camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+        match (self.cameras.as_slice(), self.is_rig) {
+            ([camera], false) => {
+                camera.status.send_modify(|status| status.calibration = Some(id.to_owned()));
+            }
+            _ => self.share_calibration(Some(id)),
         }
+    }
+
+    /// Has a rig's cameras know its calibration; with `None`, that there is no such rig any more.
+    pub(super) fn share_calibration(&self, id: Option<&str>) {
+        self.cameras.iter().for_each(|camera| camera.set_rig_calibration(&self.name, id));
     }
 
     pub(super) fn publish(&self, kind: EventKind) {

@@ -38,6 +38,15 @@ pub(super) struct LiveCamera {
     pub(super) preview: Preview,
     /// Where the running session asks for the board.
     pub(super) guidance: Mutex<Guidance>,
+    /// The rigs that it is in with their current calibrations, the newest last.
+    pub(super) rigs: Mutex<Vec<RigCalibration>>,
+}
+
+/// The current calibration of a rig.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct RigCalibration {
+    pub(super) rig: String,
+    pub(super) id: String,
 }
 
 impl LiveCamera {
@@ -73,7 +82,9 @@ impl LiveCamera {
         let outline_px = guidance.outline_px.clone();
         drop(guidance);
         let calibration = self.status.borrow().calibration.clone();
-        PreviewState { camera: self.name.clone(), calibration, outline_px }
+        let rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        let rig_calibration = rigs.last().map(|rig| rig.id.clone());
+        PreviewState { camera: self.name.clone(), calibration, rig_calibration, outline_px }
     }
 
     /// Shows from now on where the board should be held.
@@ -85,6 +96,13 @@ impl LiveCamera {
     /// The pose of the board that the running session suggests, as camera_from_board.
     pub(super) fn suggested_pose(&self) -> Option<Pose> {
         self.guidance.lock().unwrap_or_else(PoisonError::into_inner).camera_from_board
+    }
+
+    /// From now on, the rig's calibration is the one `id`; without one, it is in the rig no more.
+    pub(super) fn set_rig_calibration(&self, rig: &str, id: Option<&str>) {
+        let mut rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
+        rigs.retain(|known| known.rig != rig);
+        rigs.extend(id.map(|id| RigCalibration { rig: rig.to_owned(), id: id.to_owned() }));
     }
 
     /// Counts `frames` lost for the reason `why`.

@@ -122,6 +122,7 @@ pub(super) fn start_camera(
         factory: Arc::default(),
         preview: Preview::new(Arc::clone(&shared.maps)),
         guidance: Mutex::default(),
+        rigs: Mutex::default(),
         name: name.clone(),
     });
     let instrument = Instrument {
@@ -177,6 +178,7 @@ pub(super) fn start_rig(
         stop: StopSignal::default(),
         name,
     };
+    instrument.share_calibration(instrument.calibration.borrow().as_deref());
     start_instrument(instrument, received, unfinished, shared, options)
 }
 
@@ -246,7 +248,10 @@ pub(super) fn stop(rigs: &[RunningInstrument], cameras: &[RunningCamera]) {
 
 /// Ends the threads of `rigs`, whose sessions stay as they are; blocks until they have.
 pub(super) fn stop_and_wait(rigs: Vec<RunningInstrument>) {
-    rigs.iter().for_each(|rig| rig.instrument.ask_to_stop());
+    for RunningInstrument { instrument, .. } in &rigs {
+        instrument.ask_to_stop();
+        instrument.share_calibration(None);
+    }
     for RunningInstrument { instrument, thread } in rigs {
         if thread.join().is_err() {
             tracing::error!(rig = instrument.name, "its thread had ended by a fault");

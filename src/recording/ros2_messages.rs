@@ -102,10 +102,7 @@ fn image_name(sensor: SensorKind) -> &'static str {
 }
 
 pub(super) fn frame_id(camera: &str, sensor: SensorKind) -> String {
-    match sensor {
-        SensorKind::Color => format!("{camera}_optical_frame"),
-        other => format!("{camera}_{}_optical_frame", other.name()),
-    }
+    sensor.optical_frame(camera)
 }
 
 /// The name in `sensor_msgs/image_encodings.hpp`.

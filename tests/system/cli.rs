@@ -11,6 +11,7 @@ const COMMANDS: &[&str] = &[
     "export",
     "simulate",
     "record",
+    "rectify",
     "verify",
     "focus",
     "uncertainty",

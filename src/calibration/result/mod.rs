@@ -165,6 +165,20 @@ impl Calibration {
         self.extrinsics.iter().find(|known| known.target == *target && known.source == *source)
     }
 
+    /// Where `source` is in the frame of `target`: as stated, the other way round, or by way of a
+    /// third sensor.
+    pub fn relative_pose(&self, target: &SensorId, source: &SensorId) -> Option<Pose> {
+        let step = |a: &SensorId, b: &SensorId| {
+            if a == b {
+                return Some(Pose::identity());
+            }
+            let stated = self.pose(a, b).map(|known| known.target_from_source);
+            stated.or_else(|| Some(self.pose(b, a)?.target_from_source.inverse()))
+        };
+        let by_way = |via: &CalibratedSensor| Some(step(target, &via.id)? * step(&via.id, source)?);
+        step(target, source).or_else(|| self.sensors.iter().find_map(by_way))
+    }
+
     /// What the sensor is called in documents: its kind; in a rig its camera, with the kind where
     /// cameras have several sensors (`left.infrared`).
     pub fn name_of(&self, id: &SensorId) -> String {

@@ -6,7 +6,7 @@ use crate::geometry::pixel::Pixel;
 use crate::imaging::decode;
 use crate::imaging::draw::{self, Pen};
 use crate::imaging::frame::{PixelFormat, SensorKind};
-use crate::imaging::remap::Interpolation;
+use crate::imaging::remap::{Interpolation, PixelMap};
 use crate::pipeline::live_frame::LiveFrame;
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
@@ -28,6 +28,8 @@ pub struct Drawing {
     pub guidance: bool,
     /// Through the current calibration.
     pub undistorted: bool,
+    /// As one of two parallel cameras, by the current calibration of its rig.
+    pub rectified: bool,
     /// Depth in color's image, or color in depth's.
     pub registered: bool,
 }
@@ -35,7 +37,7 @@ pub struct Drawing {
 impl Drawing {
     /// Whether the suggested pose is drawn: it is known in color's image as it comes.
     fn has_guidance(&self) -> bool {
-        let plain = !self.undistorted && !self.registered;
+        let plain = !self.undistorted && !self.rectified && !self.registered;
         self.guidance && self.sensor == SensorKind::Color && plain
     }
 }
@@ -45,6 +47,8 @@ impl Drawing {
 pub(super) struct DrawnScene<'a> {
     pub(super) camera: &'a str,
     pub(super) calibration: Option<&'a str>,
+    /// That of its rig.
+    pub(super) rig_calibration: Option<&'a str>,
     /// The outline of the board at its suggested pose.
     pub(super) outline_px: &'a [Pixel],
 }
@@ -72,17 +76,14 @@ pub(super) fn encoded(
         };
         return Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into());
     }
-    let undistortion = match drawing.undistorted {
-        true => Some(maps.undistortion(scene.camera, scene.calibration, sensor)?),
-        false => None,
-    };
+    let map = image_map(drawing, scene, maps)?;
     if sensor == SensorKind::Depth {
         return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
     }
     let seen = live.detection.as_ref().and_then(|found| found.outcome.as_ref().ok());
     let seen = seen.filter(|_| overlay && sensor == SensorKind::Color);
     let outline_px = if drawing.has_guidance() { scene.outline_px } else { &[] };
-    let is_plain = seen.is_none() && outline_px.is_empty() && undistortion.is_none();
+    let is_plain = seen.is_none() && outline_px.is_empty() && map.is_none();
     if is_plain && frame.format == PixelFormat::Jpeg {
         return Ok(Arc::clone(&frame.bytes));
     }
@@ -93,9 +94,26 @@ pub(super) fn encoded(
         let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
         draw::draw_corners(&mut image, &corners);
     }
-    if let Some(undistortion) = undistortion {
-        let undistorted = undistortion.map.rgb(&image, Interpolation::Bilinear);
-        image = undistorted.ok_or(PreviewError::OtherSize { sensor })?;
+    if let Some(map) = map {
+        let mapped = map.rgb(&image, Interpolation::Bilinear);
+        image = mapped.ok_or(PreviewError::OtherSize { sensor })?;
     }
     Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into())
+}
+
+/// What the image is shown through, if anything.
+fn image_map(
+    drawing: Drawing,
+    scene: &DrawnScene<'_>,
+    maps: &CalibrationMaps,
+) -> Result<Option<Arc<PixelMap>>, PreviewError> {
+    let Drawing { sensor, undistorted, rectified, .. } = drawing;
+    if rectified {
+        let ids = [scene.rig_calibration, scene.calibration];
+        return maps.rectification(scene.camera, ids, sensor).map(Some);
+    }
+    match undistorted {
+        true => maps.undistortion(scene.camera, scene.calibration, sensor).map(Some),
+        false => Ok(None),
+    }
 }

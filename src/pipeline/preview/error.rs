@@ -45,6 +45,20 @@ pub enum PreviewError {
         /// The sensor.
         sensor: SensorKind,
     },
+    /// The camera is in no stereo pair.
+    #[error(
+        "camera `{camera}` has no approved calibration of two cameras to rectify {} with{}; run a session of its rig, and approve it",
+        sensor.name(),
+        reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"))
+    )]
+    NotStereo {
+        /// The camera's name.
+        camera: String,
+        /// The sensor.
+        sensor: SensorKind,
+        /// Why the calibration of its rig is none.
+        reason: Option<String>,
+    },
     /// There is no current calibration of color and depth.
     #[error(
         "camera `{camera}` has no approved calibration of color and depth to register with; run a session, and approve it"

@@ -3,8 +3,11 @@
 use std::sync::Arc;
 
 use crate::calibration::sensor::SensorId;
+use crate::calibration::stereo_pair::StereoPair;
 use crate::imaging::frame::SensorKind;
+use crate::imaging::rectify::rectifying_maps;
 use crate::imaging::registration::DepthRegistration;
+use crate::imaging::remap::PixelMap;
 use crate::imaging::undistort::{UndistortOptions, Undistortion};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::newest::NewestValues;
@@ -15,7 +18,9 @@ use crate::store::Store;
 #[derive(Debug)]
 pub(in crate::pipeline) struct CalibrationMaps {
     store: Arc<Store>,
-    undistortions: NewestValues<(String, SensorKind), Undistortion>,
+    undistortions: NewestValues<(String, SensorKind), PixelMap>,
+    /// By calibration, camera and sensor.
+    rectifications: NewestValues<(String, String, SensorKind), PixelMap>,
     registrations: NewestValues<String, Registration>,
 }
 
@@ -24,6 +29,7 @@ impl CalibrationMaps {
         Self {
             store,
             undistortions: NewestValues::default(),
+            rectifications: NewestValues::default(),
             registrations: NewestValues::default(),
         }
     }
@@ -38,15 +44,55 @@ impl CalibrationMaps {
         camera: &str,
         id: Option<&str>,
         sensor: SensorKind,
-    ) -> Result<Arc<Undistortion>, PreviewError> {
+    ) -> Result<Arc<PixelMap>, PreviewError> {
         let none = || PreviewError::NotCalibrated { camera: camera.to_owned(), sensor };
         let key = (id.ok_or_else(none)?.to_owned(), sensor);
         self.undistortions.get_or_make(&key, || {
             let calibration = self.store.calibration(&key.0)?.ok_or_else(none)?;
             let calibrated = calibration.image(sensor).ok_or_else(none)?;
             let (lens, size) = (&calibrated.lens, calibrated.image_size);
-            Ok((key.clone(), Undistortion::new(lens, size, &UndistortOptions::default())))
+            let undistortion = Undistortion::new(lens, size, &UndistortOptions::default());
+            Ok((key.clone(), undistortion.map))
         })
+    }
+
+    /// The map that rectifies a sensor's images by the current calibration of the camera's rig, or
+    /// by its own, the first of `ids` that is of a stereo pair with the sensor in it. Every pixel
+    /// is seen.
+    ///
+    /// # Errors
+    /// [`PreviewError::NotStereo`], [`PreviewError::Store`].
+    pub(super) fn rectification(
+        &self,
+        camera: &str,
+        ids: [Option<&str>; 2],
+        sensor: SensorKind,
+    ) -> Result<Arc<PixelMap>, PreviewError> {
+        let mut why = None;
+        for id in ids.into_iter().flatten() {
+            let key = (id.to_owned(), camera.to_owned(), sensor);
+            let refused = |reason: Option<String>| {
+                let camera = camera.to_owned();
+                PreviewError::NotStereo { camera, sensor, reason }
+            };
+            let made = self.rectifications.get_or_make(&key, || {
+                let calibration = self.store.calibration(id)?.ok_or_else(|| refused(None))?;
+                let stated = |error: &dyn std::fmt::Display| refused(Some(error.to_string()));
+                let pair = StereoPair::of(&calibration, None).map_err(|error| stated(&error))?;
+                let stereo = pair.rectify(0.0).map_err(|error| stated(&error))?;
+                let is_own = |id: &SensorId| {
+                    id.kind == sensor && id.camera.as_deref().is_none_or(|own| own == camera)
+                };
+                let at = pair.sensors.iter().position(is_own).ok_or_else(|| refused(None))?;
+                let [first, second] = rectifying_maps(&pair.cameras, &stereo);
+                Ok((key.clone(), if at == 0 { first } else { second }))
+            });
+            match made {
+                Err(PreviewError::NotStereo { reason, .. }) => why = why.or(reason),
+                made => return made,
+            }
+        }
+        Err(PreviewError::NotStereo { camera: camera.to_owned(), sensor, reason: why })
     }
 
     /// How depth is brought into color's image by the calibration `id`, which is the current one of

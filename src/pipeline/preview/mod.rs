@@ -58,6 +58,8 @@ pub(super) struct PreviewState {
     pub(super) camera: String,
     /// The id of the current calibration.
     pub(super) calibration: Option<String>,
+    /// That of the rig that it is in.
+    pub(super) rig_calibration: Option<String>,
     /// The outline of the board at its suggested pose.
     pub(super) outline_px: Vec<Pixel>,
 }
@@ -149,6 +151,7 @@ impl Preview {
         let scene = DrawnScene {
             camera: &state.camera,
             calibration: state.calibration.as_deref(),
+            rig_calibration: state.rig_calibration.as_deref(),
             outline_px: &state.outline_px,
         };
         let jpeg = encoded(live, drawing, &scene, &self.maps)?;
@@ -193,6 +196,7 @@ mod tests {
         overlay: true,
         guidance: true,
         undistorted: false,
+        rectified: false,
         registered: false,
     };
 
@@ -216,7 +220,12 @@ mod tests {
     }
 
     fn state() -> PreviewState {
-        PreviewState { camera: "front".into(), calibration: None, outline_px: Vec::new() }
+        PreviewState {
+            camera: "front".into(),
+            calibration: None,
+            rig_calibration: None,
+            outline_px: Vec::new(),
+        }
     }
 
     #[test]
@@ -275,6 +284,8 @@ mod tests {
         assert_eq!(depth, "camera `front` has no depth sensor; see GET /v1/cameras/front");
         let undistorted = refusal(Drawing { undistorted: true, ..DRAWING });
         assert!(undistorted.contains("no approved calibration of color"), "{undistorted}");
+        let rectified = refusal(Drawing { rectified: true, ..DRAWING });
+        assert!(rectified.contains("no approved calibration of two cameras"), "{rectified}");
         let registered = refusal(Drawing { registered: true, ..DRAWING });
         assert!(registered.contains("color and depth to register"), "{registered}");
     }

@@ -1,0 +1,335 @@
+//! `plumb rectify`: images of two cameras with their epipolar lines horizontal.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::Matrix4;
+use serde::Serialize;
+
+use crate::calibration::result::Calibration;
+use crate::calibration::stereo_pair::StereoPair;
+use crate::cli::files::{read_calibration, write_file};
+use crate::cli::result_image::{png, result_name};
+use crate::cli::row_differences::{RowDifferences, differences};
+use crate::cli::search::read_luma;
+use crate::cli::sources::{FrameSets, SourcedFrames, TopicArgs, Unreadable};
+use crate::cli::target_args::read_target;
+use crate::cli::{Failure, output, progress};
+use crate::detection::board_detection::{DetectOptions, Detection};
+use crate::detection::finder::TargetFinder;
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::rectification::{RectifiedCamera, StereoRectification};
+use crate::geometry::target::Target;
+use crate::imaging::decode;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::gray::GrayImage;
+use crate::imaging::rectify::rectifying_maps;
+use crate::imaging::remap::{Interpolation, PixelMap};
+
+/// Frames further from each other in time than this were not taken together, in nanoseconds: half
+/// of what lies between frames at 60 a second.
+const TOGETHER_NS: i64 = 8_000_000;
+/// The side of a square, which has no influence on where a board is.
+const ANY_SQUARE_M: f64 = 0.025;
+
+/// Writes the images of two cameras so that what one shows in a row the other shows in the same
+/// row, and measures how well they do where a board is seen
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// The calibration of the rig, as `plumb calibrate --rig … --out FILE` and
+    /// GET /v1/rigs/{rig}/calibration give it
+    #[arg(long, value_name = "FILE")]
+    rig: PathBuf,
+    /// Which two of its cameras, the left (or the upper) one first [default: the rig's two]
+    #[arg(long, value_name = "LEFT,RIGHT")]
+    cameras: Option<String>,
+    /// 0: every pixel of the results is seen; 1: everything that was seen is in the results
+    #[arg(long, default_value_t = 0.0)]
+    alpha: f64,
+    /// The folder to write to, with a folder for each camera in it; made if it is not there. Results
+    /// are PNG files with the images' names
+    #[arg(long, value_name = "DIR", default_value = "rectified")]
+    out: PathBuf,
+    /// The board that rows are measured by: its inner corners, as in 9x6 [default: the board of
+    /// the calibration]
+    #[arg(long, value_name = "COLSxROWS")]
+    board: Option<BoardSize>,
+    /// The same as a file: a chessboard, a ChArUco board or an AprilGrid
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    target: Option<PathBuf>,
+    /// Print one JSON document: the matrices R, P and Q, and each pair with its results and the
+    /// differences of its rows
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    reading: TopicArgs,
+    /// Images of the left camera: a file, a folder, a quoted glob or a recording
+    left: String,
+    /// Those of the right camera, taken together with them, in the same order
+    right: String,
+}
+
+#[derive(Debug, Serialize)]
+struct RectificationReport {
+    alpha: f64,
+    axis: &'static str,
+    baseline_m: f64,
+    image_size: [u32; 2],
+    /// From (x, y, disparity, 1) to homogeneous coordinates in the left rectified frame.
+    q: [[f64; 4]; 4],
+    cameras: [RectifiedCameraReport; 2],
+    pairs: Vec<RectifiedImages>,
+    /// Over all pairs; null where no board was seen.
+    rows: Option<RowDifferences>,
+}
+
+#[derive(Debug, Serialize)]
+struct RectifiedCameraReport {
+    name: String,
+    r: [[f64; 3]; 3],
+    p: [[f64; 4]; 3],
+    /// The part of the rectified image that the camera sees.
+    seen_fraction: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct RectifiedImages {
+    images: [String; 2],
+    out: [String; 2],
+    /// Differences of the rows of the board's corners; null where they are not measured.
+    rows: Option<RowDifferences>,
+    /// Why not.
+    reason: Option<String>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the calibration is of no stereo pair, or an image cannot be read or written.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    if !(0.0..=1.0).contains(&args.alpha) {
+        return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
+    }
+    let calibration = read_calibration(&args.rig)?;
+    let target = target(args, calibration.target)?;
+    let (pair, stereo) = stereo(args, &calibration)?;
+    let folders = pair.names.each_ref().map(|name| args.out.join(name));
+    for folder in &folders {
+        std::fs::create_dir_all(folder).map_err(|error| {
+            Failure::failed(format!("{}: cannot be made ({error})", folder.display()))
+        })?;
+    }
+    let mut rectifier = Rectifier {
+        maps: rectifying_maps(&pair.cameras, &stereo),
+        stereo,
+        folders,
+        finder: target.as_ref().map(TargetFinder::new),
+        all_differences: Vec::new(),
+    };
+    let mut pairs = Vec::new();
+    let spinner = progress::spinner("rectifying");
+    let read = |path: &String| FrameSets::new(std::iter::once(path.clone())).reading(&args.reading);
+    let (mut left, mut right) = (read(&args.left), read(&args.right));
+    while let Some(frames) = taken_together(left.next(), right.next(), args)? {
+        pairs.push(rectifier.rectify(&frames).map_err(Failure::failed)?);
+        spinner.inc(1);
+    }
+    spinner.finish_and_clear();
+    report(args, &pair, &rectifier, pairs)
+}
+
+/// The board that rows are measured by; `None` where none is known.
+fn target(args: &Args, calibrated: Option<Target>) -> Result<Option<Target>, Failure> {
+    Ok(match (args.board, &args.target) {
+        (Some(board), _) => {
+            Some(Chessboard::new(board, ANY_SQUARE_M).map_err(Failure::usage)?.into())
+        }
+        (None, Some(file)) => Some(read_target(file)?),
+        (None, None) => calibrated,
+    })
+}
+
+/// The pair that is asked for, the left camera first, and its rectification.
+fn stereo(
+    args: &Args,
+    calibration: &Calibration,
+) -> Result<(StereoPair, StereoRectification), Failure> {
+    let in_file =
+        |error: &dyn std::fmt::Display| Failure::failed(format!("{}: {error}", args.rig.display()));
+    let asked = args.cameras.as_deref().map(|names| {
+        let two = names.split_once(',').map(|(first, second)| [first.trim(), second.trim()]);
+        two.ok_or_else(|| {
+            Failure::usage(format!("--cameras {names}: write two names, as in left,right"))
+        })
+    });
+    let pair = StereoPair::of(calibration, asked.transpose()?).map_err(|error| in_file(&error))?;
+    let stereo = pair.rectify(args.alpha).map_err(|error| in_file(&error))?;
+    if stereo.second_from_first_m > 0.0 {
+        let [first, second] = &pair.names;
+        let beyond = if stereo.axis.coordinate() == 0 { "right of" } else { "below" };
+        return Err(Failure::usage(format!(
+            "{}: `{first}` is {beyond} `{second}`: give --cameras {second},{first} and the images of `{second}` first",
+            args.rig.display()
+        )));
+    }
+    Ok((pair, stereo))
+}
+
+/// A frame of each camera; `None` at the end of both.
+fn taken_together(
+    left: Option<Result<SourcedFrames, Unreadable>>,
+    right: Option<Result<SourcedFrames, Unreadable>>,
+    args: &Args,
+) -> Result<Option<[SourcedFrames; 2]>, Failure> {
+    let frames = match (left, right) {
+        (None, None) => return Ok(None),
+        (Some(left), Some(right)) => [left, right],
+        (left, _) => {
+            let (more, less) = match left.is_some() {
+                true => (&args.left, &args.right),
+                false => (&args.right, &args.left),
+            };
+            return Err(Failure::failed(format!(
+                "{more} has more images than {less}: give as many of each camera, taken together"
+            )));
+        }
+    };
+    let [left, right] =
+        frames.map(|frames| frames.map_err(|unreadable| Failure::failed(unreadable.reason)));
+    let (left, right) = (left?, right?);
+    let off_ns = left.set.host_time.utc_ns.abs_diff(right.set.host_time.utc_ns);
+    if left.recording.is_some() && right.recording.is_some() && off_ns > TOGETHER_NS.unsigned_abs()
+    {
+        return Err(Failure::failed(format!(
+            "{} and {} were taken {} ms from each other: give recordings of the same time, without gaps",
+            left.path(),
+            right.path(),
+            off_ns / 1_000_000
+        )));
+    }
+    Ok(Some([left, right]))
+}
+
+/// Rectifies pair after pair.
+struct Rectifier {
+    maps: [PixelMap; 2],
+    stereo: StereoRectification,
+    folders: [PathBuf; 2],
+    finder: Option<TargetFinder>,
+    all_differences: Vec<f64>,
+}
+
+impl Rectifier {
+    fn rectify(&mut self, frames: &[SourcedFrames; 2]) -> Result<RectifiedImages, String> {
+        let images = frames.each_ref().map(SourcedFrames::path);
+        let [left, right] = &self.folders;
+        let out = [left.join(result_name(&frames[0])), right.join(result_name(&frames[1]))];
+        let mut gray = Vec::new();
+        for ((frames, map), out) in frames.iter().zip(&self.maps).zip(&out) {
+            let is_source = |path: PathBuf| out.canonicalize().is_ok_and(|known| known == path);
+            if Path::new(&frames.path()).canonicalize().is_ok_and(is_source) {
+                let name = out.display();
+                return Err(format!("{name} would be written over the image; give another --out"));
+            }
+            gray.push(write_rectified(frames, map, out)?);
+        }
+        let measured = self.differences(&gray);
+        self.all_differences.extend(measured.iter().flatten());
+        Ok(RectifiedImages {
+            images,
+            out: out.map(|path| path.display().to_string()),
+            rows: measured.as_ref().ok().and_then(|all| RowDifferences::of(all)),
+            reason: measured.err(),
+        })
+    }
+
+    /// The differences between the rows of a board's corners; why there are none.
+    fn differences(&mut self, gray: &[GrayImage]) -> Result<Vec<f64>, String> {
+        let finder = self.finder.as_mut().ok_or("no board is known to measure rows by")?;
+        let options = DetectOptions { allow_partial: true };
+        let mut found: Vec<Detection> = Vec::new();
+        for (image, which) in gray.iter().zip(["left", "right"]) {
+            let detection = finder.find(image.view(), &options);
+            found.push(detection.map_err(|no_board| format!("the {which} image: {no_board}"))?);
+        }
+        let [left, right] = found.as_slice() else { return Err("no pair".to_owned()) };
+        differences([left, right], self.stereo.axis).map_err(str::to_owned)
+    }
+}
+
+/// Writes one image rectified; its luma, rectified.
+fn write_rectified(
+    frames: &SourcedFrames,
+    map: &PixelMap,
+    out: &Path,
+) -> Result<GrayImage, String> {
+    let path = frames.path();
+    let other_size = |size: ImageSize| {
+        format!(
+            "{path}: {size} pixels, but the calibration is for {}; give images of the calibrated cameras, the left one's first",
+            map.source_size()
+        )
+    };
+    let mut luma = GrayImage::default();
+    read_luma(frames, &mut luma).map_err(|reason| format!("{path}: {reason}"))?;
+    let gray =
+        map.gray(luma.view(), Interpolation::Bicubic).ok_or_else(|| other_size(luma.size()))?;
+    let frame = [SensorKind::Color, SensorKind::Infrared]
+        .into_iter()
+        .find_map(|sensor| frames.set.frame(sensor))
+        .ok_or_else(|| format!("{path}: no image in this frame set"))?;
+    let image = decode::rgb(frame).map_err(|error| format!("{path}: {error}"))?;
+    let rectified =
+        map.rgb(&image, Interpolation::Bicubic).ok_or_else(|| other_size(luma.size()))?;
+    let bytes = png(rectified).map_err(|error| format!("{path}: {error}"))?;
+    write_file(out, &bytes).map_err(|failure| failure.line().unwrap_or_default().to_owned())?;
+    Ok(gray)
+}
+
+fn report(
+    args: &Args,
+    pair: &StereoPair,
+    rectifier: &Rectifier,
+    pairs: Vec<RectifiedImages>,
+) -> Result<(), Failure> {
+    let Rectifier { maps, stereo, all_differences, .. } = rectifier;
+    let rows = RowDifferences::of(all_differences);
+    if args.json {
+        let camera = |k: usize| {
+            let RectifiedCamera { rectified_from_camera: r, projection: p } = &stereo.cameras[k];
+            RectifiedCameraReport {
+                name: pair.names[k].clone(),
+                r: std::array::from_fn(|row| std::array::from_fn(|col| r[(row, col)])),
+                p: std::array::from_fn(|row| std::array::from_fn(|col| p[(row, col)])),
+                seen_fraction: maps[k].seen_fraction(),
+            }
+        };
+        let q: Matrix4<f64> = stereo.point_from_disparity();
+        return output::print_json(&RectificationReport {
+            alpha: args.alpha,
+            axis: stereo.axis.name(),
+            baseline_m: stereo.second_from_first_m.abs(),
+            image_size: [stereo.image_size.width, stereo.image_size.height],
+            q: std::array::from_fn(|row| std::array::from_fn(|col| q[(row, col)])),
+            cameras: [camera(0), camera(1)],
+            pairs,
+            rows,
+        });
+    }
+    let lines = stereo.axis.lines();
+    let words = |rows: &RowDifferences| {
+        let RowDifferences { corners, rms_px, worst_px, .. } = rows;
+        format!(
+            "{lines} of {corners} corners differ by {rms_px:.3} px rms, {worst_px:.3} px at worst"
+        )
+    };
+    for RectifiedImages { images, rows, reason, .. } in &pairs {
+        let measured = rows.as_ref().map(words);
+        let reason = reason.as_deref().unwrap_or_default();
+        let measured = measured.unwrap_or_else(|| format!("{lines} not measured: {reason}"));
+        output::print_line(&format!("{}, {}: {measured}", images[0], images[1]))?;
+    }
+    let all = rows.as_ref().map_or_else(|| format!("{lines} not measured"), words);
+    let count = pairs.len();
+    output::print_line(&format!("{}: {count} rectified pairs; {all}", args.out.display()))
+}

@@ -1,0 +1,184 @@
+//! Which part of what two parallel cameras see their rectified images show.
+
+use nalgebra::{Matrix3, Vector2};
+
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::flat_image::{WIDEST, flat_from_ray};
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::rectification::{StereoAxis, StereoCamera};
+
+/// A camera with the rotation that rectifies it.
+pub(super) struct RotatedCamera<'a> {
+    pub camera: &'a StereoCamera,
+    pub rectified_from_camera: Matrix3<f64>,
+}
+
+/// The camera matrix of both rectified images, of `size`.
+pub(super) fn common_matrix(
+    cameras: &[RotatedCamera<'_>; 2],
+    axis: StereoAxis,
+    size: ImageSize,
+    alpha: f64,
+) -> CameraMatrix {
+    let is_plane = |camera: &RotatedCamera<'_>| {
+        camera.camera.lens.model().facts().opencv.is_some_and(|known| !known.fisheye)
+    };
+    let (focal_px, principal) = match cameras.iter().all(is_plane) {
+        true => by_rectangles(cameras, axis, size, alpha),
+        false => by_sides(cameras, size, alpha),
+    };
+    CameraMatrix { fx: focal_px, fy: focal_px, cx: principal.x, cy: principal.y, skew: 0.0 }
+}
+
+/// As OpenCV's `stereoRectify`: the middle of what the corners show is in the middle of the image,
+/// and the focal length is between the least with which only what is seen everywhere is in the
+/// image and the greatest with which all is.
+fn by_rectangles(
+    cameras: &[RotatedCamera<'_>; 2],
+    axis: StereoAxis,
+    size: ImageSize,
+    alpha: f64,
+) -> (f64, Vector2<f64>) {
+    let start = 0.5 * cameras.iter().map(|camera| camera.focal_px(axis, size)).sum::<f64>();
+    let last = Vector2::new(f64::from(size.width), f64::from(size.height)).map(|l| l - 1.0);
+    let [a, b] = cameras.each_ref().map(RotatedCamera::middle_of_corners);
+    let principal = 0.5 * last - start * 0.5 * (a + b);
+    // The focal lengths with which each side of a field is at the image's.
+    let reaching = |field: &FlatField| {
+        let FlatField { low, high } = field;
+        [
+            -principal.x / low.x,
+            -principal.y / low.y,
+            (last.x - principal.x) / high.x,
+            (last.y - principal.y) / high.y,
+        ]
+    };
+    let fields = cameras.each_ref().map(RotatedCamera::fields);
+    let positive = |focal_px: &f64| focal_px.is_finite() && *focal_px > 0.0;
+    let of_inner = fields.iter().flat_map(|(inner, _)| reaching(inner)).filter(positive);
+    let of_outer = fields.iter().flat_map(|(_, outer)| reaching(outer)).filter(positive);
+    let inner = of_inner.reduce(f64::max).unwrap_or(start);
+    let outer = of_outer.reduce(f64::min).unwrap_or(start);
+    (inner * (1.0 - alpha) + outer * alpha, principal)
+}
+
+/// As OpenCV's `fisheye::stereoRectify`, by the middles of the images' sides, which OpenCV takes
+/// half a pixel to the right of and below where they are.
+fn by_sides(cameras: &[RotatedCamera<'_>; 2], size: ImageSize, alpha: f64) -> (f64, Vector2<f64>) {
+    let [(a, at_a), (b, at_b)] =
+        cameras.each_ref().map(|camera| camera.matrix_by_sides(size, alpha));
+    (a.min(b), 0.5 * (at_a + at_b))
+}
+
+/// A rectangle of normalized coordinates.
+#[derive(Debug, Clone, Copy)]
+struct FlatField {
+    low: Vector2<f64>,
+    high: Vector2<f64>,
+}
+
+impl RotatedCamera<'_> {
+    /// Normalized coordinates in the rectified frame of what is seen at `pixel`.
+    fn flat(&self, pixel: Pixel) -> Option<Vector2<f64>> {
+        let ray = self.camera.lens.bearing_from_pixel(pixel)?;
+        Some(flat_from_ray(&(self.rectified_from_camera * ray.into_inner())))
+    }
+
+    /// The focal length across the axis, for images of `size`.
+    fn focal_px(&self, axis: StereoAxis, size: ImageSize) -> f64 {
+        let (own, matrix) = (self.camera.image_size, &self.camera.lens.matrix);
+        match axis {
+            StereoAxis::Horizontal => matrix.fy * f64::from(size.height) / f64::from(own.height),
+            StereoAxis::Vertical => matrix.fx * f64::from(size.width) / f64::from(own.width),
+        }
+    }
+
+    /// The mean of what is seen at the image's corners, or as far towards them as the lens model
+    /// reaches in all four.
+    fn middle_of_corners(&self) -> Vector2<f64> {
+        const STEPS: u32 = 20;
+        let [x, y] = self.last_pixel().map(|last| 0.5 * last);
+        let corners_at = |part: f64| {
+            let corners = [(-part, -part), (part, -part), (-part, part), (part, part)];
+            let seen = corners
+                .map(|(right, down)| self.flat(Pixel::new(x * (1.0 + right), y * (1.0 + down))));
+            let seen: Vec<Vector2<f64>> = seen.into_iter().flatten().collect();
+            (seen.len() == corners.len()).then(|| mean(seen.into_iter()))
+        };
+        let parts = (1..=STEPS).rev().map(|step| f64::from(step) / f64::from(STEPS));
+        parts.into_iter().find_map(corners_at).unwrap_or_else(Vector2::zeros)
+    }
+
+    /// The field that is seen everywhere, by the image's sides, and the one that holds all that is
+    /// seen.
+    fn fields(&self) -> (FlatField, FlatField) {
+        // OpenCV's grid.
+        const LAST: u32 = 8;
+        let [right, bottom] = self.last_pixel();
+        let widest = Vector2::repeat(WIDEST);
+        let mut inner = FlatField { low: -widest, high: widest };
+        let mut outer = FlatField { low: widest, high: -widest };
+        for (row, col) in (0..=LAST).flat_map(|row| (0..=LAST).map(move |col| (row, col))) {
+            let part = |step: u32, length: f64| f64::from(step) * length / f64::from(LAST);
+            let Some(at) = self.flat(Pixel::new(part(col, right), part(row, bottom))) else {
+                continue;
+            };
+            outer = FlatField { low: outer.low.inf(&at), high: outer.high.sup(&at) };
+            if col == 0 {
+                inner.low.x = inner.low.x.max(at.x);
+            } else if col == LAST {
+                inner.high.x = inner.high.x.min(at.x);
+            }
+            if row == 0 {
+                inner.low.y = inner.low.y.max(at.y);
+            } else if row == LAST {
+                inner.high.y = inner.high.y.min(at.y);
+            }
+        }
+        (inner, outer)
+    }
+
+    /// OpenCV's `fisheye::estimateNewCameraMatrixForUndistortRectify`: the focal length down the
+    /// image, and the principal point.
+    fn matrix_by_sides(&self, size: ImageSize, alpha: f64) -> (f64, Vector2<f64>) {
+        let own = self.camera.image_size;
+        let (width, height) = (f64::from(own.width), f64::from(own.height));
+        let (half_width, half_height) = (f64::from(own.width / 2), f64::from(own.height / 2));
+        let aspect = self.camera.lens.matrix.fx / self.camera.lens.matrix.fy;
+        let sides =
+            [(half_width, 0.0), (width, half_height), (half_width, height), (0.0, half_height)];
+        let flat = sides.into_iter().filter_map(|(x, y)| self.flat(Pixel::new(x, y)));
+        let square: Vec<Vector2<f64>> = flat.map(|at| Vector2::new(at.x, at.y * aspect)).collect();
+        let middle = mean(square.iter().copied());
+        let reach = 0.5 * Vector2::new(width, height * aspect);
+        let low = square.iter().fold(middle, |low, at| low.inf(at));
+        let high = square.iter().fold(middle, |high, at| high.sup(at));
+        let each = [
+            reach.x / (middle.x - low.x),
+            reach.x / (high.x - middle.x),
+            reach.y / (middle.y - low.y),
+            reach.y / (high.y - middle.y),
+        ];
+        let finite = each.into_iter().filter(|focal_px| focal_px.is_finite());
+        let least = finite.clone().reduce(f64::min).unwrap_or(self.camera.lens.matrix.fx);
+        let most = finite.reduce(f64::max).unwrap_or(self.camera.lens.matrix.fx);
+        let focal_px = alpha * least + (1.0 - alpha) * most;
+        let principal = reach - focal_px * middle;
+        let scale = Vector2::new(f64::from(size.width) / width, f64::from(size.height) / height);
+        (
+            focal_px / aspect * scale.y,
+            Vector2::new(principal.x * scale.x, principal.y / aspect * scale.y),
+        )
+    }
+
+    fn last_pixel(&self) -> [f64; 2] {
+        let ImageSize { width, height } = self.camera.image_size;
+        [f64::from(width) - 1.0, f64::from(height) - 1.0]
+    }
+}
+
+/// The mean of `places`; 0 of none.
+fn mean(places: impl Iterator<Item = Vector2<f64>>) -> Vector2<f64> {
+    let (sum, count) = places.fold((Vector2::zeros(), 0.0), |(sum, n), at| (sum + at, n + 1.0));
+    sum / f64::max(count, 1.0)
+}
