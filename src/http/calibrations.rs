@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
-use axum::http::{HeaderName, HeaderValue, StatusCode};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
 use axum::response::{IntoResponse, Response};
 
 use crate::calibration::result::Calibration;
@@ -17,6 +17,7 @@ use crate::export::other_images::{OtherImages, OtherImagesError, for_other_image
 use crate::export::{ExportError, ExportOptions, Exported, Format, export};
 use crate::geometry::image_region::{ImageRegion, RegionError};
 use crate::geometry::pixel::ImageSize;
+use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery};
 use crate::http::schemas;
@@ -132,30 +133,34 @@ pub(super) async fn stated(
     written(&for_asked_images(&stated, &parameters)?, &parameters)
 }
 
-/// Every calibration of a camera, newest first.
+/// Every calibration of a camera, newest first; all, or page by page with `limit`.
 #[utoipa::path(get, path = "/v1/cameras/{camera}/calibrations", tag = "calibrations",
-    params(("camera" = String, Path, description = "its name in the configuration")),
+    params(("camera" = String, Path, description = "its name in the configuration"), PageParameters),
     responses(
-        (status = 200, description = "the calibrations", body = CalibrationsDocument),
-        (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "the calibrations", body = CalibrationsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
+        PageRefusals,
+        (status = 404, description = "no such camera, or none of its calibrations at that cursor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn history(
     State(shared): State<Arc<Shared>>,
     Address(camera): Address<String>,
-) -> Result<Json<CalibrationsDocument>, Problem> {
+    Asked(page): Asked<PageParameters>,
+) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     shared.fleet.camera(&camera)?;
-    history_of(&shared, camera).await
+    let path = format!("/v1/cameras/{camera}/calibrations");
+    history_of(&shared, camera, (&path, &page)).await
 }
 
-/// Every calibration of the camera or rig `name`, newest first.
+/// What part is asked for of the calibrations of the camera or rig `name`, newest first.
 pub(super) async fn history_of(
     shared: &Shared,
     name: String,
-) -> Result<Json<CalibrationsDocument>, Problem> {
+    (path, page): (&str, &PageParameters),
+) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     let calibrations = shared.stored(move |store| store.calibrations(&name)).await?;
-    Ok(Json(CalibrationsDocument {
-        calibrations: calibrations.iter().map(CalibrationDocument::from).collect(),
-    }))
+    let (calibrations, headers) = page.of(path, calibrations, |one| one.id.clone())?;
+    let calibrations = calibrations.iter().map(CalibrationDocument::from).collect();
+    Ok((headers, Json(CalibrationsDocument { calibrations })))
 }
 
 /// One calibration, approved or not.

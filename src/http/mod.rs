@@ -19,6 +19,7 @@ mod gate;
 mod health;
 mod openapi;
 mod page;
+mod pages;
 pub mod problem;
 mod recordings;
 mod request;

@@ -5,13 +5,14 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::HttpBody;
 use axum::extract::{Request, State};
-use axum::http::StatusCode;
 use axum::http::header::LOCATION;
+use axum::http::{HeaderMap, StatusCode};
 use axum::response::IntoResponse;
 
 use crate::document::recording::{RecordDocument, RecordingDocument, RecordingsDocument};
+use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
-use crate::http::request::{Address, BodyRefusals, SMALL_BODY, document};
+use crate::http::request::{Address, Asked, BodyRefusals, SMALL_BODY, document};
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::pipeline::recorder::{RecordError, RecordingLimits};
 use crate::pipeline::recording_notes::recording_document;
@@ -49,15 +50,23 @@ pub(super) async fn start(
     Ok((StatusCode::CREATED, [(LOCATION, location)], Json(recording_document(&status))))
 }
 
-/// The recordings that lie on disk, those that go on first.
+/// The recordings that lie on disk, those that go on first; all, or page by page with `limit`.
 #[utoipa::path(get, path = "/v1/recordings", operation_id = "list_recordings", tag = "recordings",
-    responses((status = 200, description = "the recordings", body = RecordingsDocument)))]
+    params(PageParameters),
+    responses(
+        (status = 200, description = "the recordings", body = RecordingsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
+        PageRefusals,
+        (status = 404, description = "no recording of that cursor", body = Problem, content_type = "application/problem+json"),
+    ))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
-) -> Result<Json<RecordingsDocument>, Problem> {
+    Asked(page): Asked<PageParameters>,
+) -> Result<(HeaderMap, Json<RecordingsDocument>), Problem> {
     let fleet = Arc::clone(&shared.fleet);
     let recordings = on_a_blocking_thread(move || fleet.recordings()).await?;
-    Ok(Json(RecordingsDocument { recordings: recordings.iter().map(recording_document).collect() }))
+    let (recordings, headers) = page.of("/v1/recordings", recordings, |one| one.id.clone())?;
+    let recordings = recordings.iter().map(recording_document).collect();
+    Ok((headers, Json(RecordingsDocument { recordings })))
 }
 
 /// One recording.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Request, State};
+use axum::http::HeaderMap;
 use axum::response::{IntoResponse, Response};
 
 use crate::calibration::session_record::{HeldLens, SessionRequest};
@@ -11,6 +12,7 @@ use crate::document::calibration::{CalibrationDocument, CalibrationsDocument};
 use crate::document::rig::{RigDocument, RigsDocument};
 use crate::document::session::{SessionDocument, StartDocument};
 use crate::http::calibrations::{self, ExportParameters};
+use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, BodyRefusals, SMALL_BODY, document};
 use crate::http::sessions::created;
@@ -86,19 +88,22 @@ pub(super) async fn calibration(
     calibrations::current_of(&shared, &format!("rig `{rig}`"), &rig, &parameters).await
 }
 
-/// Every calibration of a rig, newest first.
+/// Every calibration of a rig, newest first; all, or page by page with `limit`.
 #[utoipa::path(get, path = "/v1/rigs/{rig}/calibrations", tag = "rigs",
-    params(("rig" = String, Path, description = "its name in the configuration")),
+    params(("rig" = String, Path, description = "its name in the configuration"), PageParameters),
     responses(
-        (status = 200, description = "the calibrations", body = CalibrationsDocument),
-        (status = 404, description = "no such rig", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "the calibrations", body = CalibrationsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
+        PageRefusals,
+        (status = 404, description = "no such rig, or none of its calibrations at that cursor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn calibrations(
     State(shared): State<Arc<Shared>>,
     Address(rig): Address<String>,
-) -> Result<Json<CalibrationsDocument>, Problem> {
+    Asked(page): Asked<PageParameters>,
+) -> Result<(HeaderMap, Json<CalibrationsDocument>), Problem> {
     shared.fleet.rig(&rig)?;
-    calibrations::history_of(&shared, rig).await
+    let path = format!("/v1/rigs/{rig}/calibrations");
+    calibrations::history_of(&shared, rig, (&path, &page)).await
 }
 
 fn rig_document(status: RigStatus) -> RigDocument {

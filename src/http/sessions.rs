@@ -10,6 +10,7 @@ use axum::response::IntoResponse;
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::document::session::{SessionDocument, SessionsDocument, StartDocument};
+use crate::http::pages::page_limit;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, BodyRefusals, Parameters, SMALL_BODY, document};
 use crate::http::shared::Shared;
@@ -50,9 +51,6 @@ pub(super) fn created(record: &SessionRecord) -> impl IntoResponse + use<> {
 
 /// How many sessions a page has unless `limit` says: at ≈ 1.3 kB each, a page is below 64 kB.
 const PAGE: u32 = 40;
-/// The most that a page may have.
-const LARGEST_PAGE: u32 = 1000;
-
 /// The sessions, newest first, page by page: the header `Link` has the address of the next page.
 #[utoipa::path(get, path = "/v1/sessions", operation_id = "list_sessions", tag = "sessions",
     params(
@@ -69,10 +67,7 @@ pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
     parameters: Parameters,
 ) -> Result<impl IntoResponse, Problem> {
-    let limit = parameters.count("limit")?.unwrap_or(PAGE);
-    if limit > LARGEST_PAGE {
-        return Err(Problem::field("limit", &format!("`{limit}` is more than {LARGEST_PAGE}")));
-    }
+    let limit = page_limit(&parameters)?.unwrap_or(PAGE);
     let camera = parameters.text("camera").map(str::to_owned);
     let after = parameters.text("cursor").map(str::to_owned);
     let wanted = camera.clone();

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 
@@ -14,8 +15,9 @@ use crate::document::pose::PoseDocument;
 use crate::document::session::{SessionViewDocument, SessionViewsDocument};
 use crate::document::time;
 use crate::geometry::target::Target;
+use crate::http::pages::{PageParameters, PageRefusals};
 use crate::http::problem::Problem;
-use crate::http::request::Address;
+use crate::http::request::{Address, Asked};
 use crate::http::sessions::session;
 use crate::http::shared::{Shared, on_a_blocking_thread};
 use crate::imaging::decode;
@@ -26,17 +28,20 @@ use crate::store::SensorView;
 const JPEG: &str = "image/jpeg";
 const JPEG_QUALITY: u8 = 90;
 
-/// The views that a session kept, in order, each with its residuals once there is a calibration.
+/// The views that a session kept, in order, each with its residuals once there is a calibration; all,
+/// or page by page with `limit`. A cursor is a view's number.
 #[utoipa::path(get, path = "/v1/sessions/{id}/views", operation_id = "list_views", tag = "sessions",
-    params(("id" = String, Path, description = "the session's")),
+    params(("id" = String, Path, description = "the session's"), PageParameters),
     responses(
-        (status = 200, description = "the views", body = SessionViewsDocument),
-        (status = 404, description = "no such session", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "the views", body = SessionViewsDocument, headers(("Link" = String, description = "the next page, as `<address>; rel=\"next\"`; none on the last"))),
+        PageRefusals,
+        (status = 404, description = "no such session, or none of its views at that cursor", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn list(
     State(shared): State<Arc<Shared>>,
     Address(id): Address<String>,
-) -> Result<Json<SessionViewsDocument>, Problem> {
+    Asked(page): Asked<PageParameters>,
+) -> Result<(HeaderMap, Json<SessionViewsDocument>), Problem> {
     let record = session(&shared, &id).await?;
     let (mut views, calibration) = shared
         .stored(move |store| {
@@ -47,7 +52,10 @@ pub(super) async fn list(
         .await?;
     views.retain(|view| view.number.is_some());
     views.sort_by_key(|view| view.number);
-    let documents = views.iter().filter_map(|view| {
+    let number = |view: &&SensorView| view.number.unwrap_or_default().to_string();
+    let path = format!("/v1/sessions/{id}/views");
+    let (asked, headers) = page.of(&path, views.iter().collect(), number)?;
+    let documents = asked.into_iter().filter_map(|view| {
         // Which of its own camera's views it is.
         let before = |other: &&SensorView| {
             other.sensor.camera == view.sensor.camera && other.number < view.number
@@ -55,7 +63,7 @@ pub(super) async fn list(
         let place = views.iter().filter(before).count();
         view_document(&id, view, place, calibration.as_ref())
     });
-    Ok(Json(SessionViewsDocument { views: documents.collect() }))
+    Ok((headers, Json(SessionViewsDocument { views: documents.collect() })))
 }
 
 /// The image of a kept view, as JPEG.
@@ -109,7 +117,13 @@ fn view_document(
 ) -> Option<SessionViewDocument> {
     let (n, detection) = (view.number?, view.detection.as_ref()?);
     let sensor = calibration.and_then(|calibration| sensor_of(calibration, view));
-    let calibrated = sensor.and_then(|sensor| sensor.views.get(place));
+    let name = view.frame.display_name();
+    // The views before it may not all be readable any more: then it is the only one of its name.
+    let calibrated = sensor.and_then(|sensor| {
+        let at_place = sensor.views.get(place).filter(|calibrated| calibrated.name == name);
+        let mut of_name = sensor.views.iter().filter(|calibrated| calibrated.name == name);
+        at_place.or_else(|| of_name.next().filter(|_| of_name.next().is_none()))
+    });
     let target = calibration.and_then(|calibration| calibration.target);
     let residuals = sensor.zip(calibrated).zip(target);
     let corners = || detection.corners.iter();
@@ -117,7 +131,7 @@ fn view_document(
         n,
         camera: view.sensor.camera.clone(),
         moment: view.sensor.camera.is_some().then_some(view.frame_set),
-        name: view.frame.display_name(),
+        name,
         taken_at: time::from_utc_ns(view.frame.host_time_ns),
         corners: detection.corners.len() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),

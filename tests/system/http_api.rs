@@ -214,6 +214,10 @@ fn a_session_runs_from_start_to_calibration() {
         assert_eq!(view["n"], n);
         assert_eq!(view["picture"], format!("{path}/views/{n}.jpg"));
     }
+    let page = served.get(&format!("{path}/views?limit=2&cursor=1"));
+    assert_eq!(page.json()["views"].as_array().unwrap()[..], views[2..4]);
+    let next = format!("<{path}/views?limit=2&cursor=3>; rel=\"next\"");
+    assert_eq!(page.link, Some(next));
     assert_eq!(views[0]["residuals_px"].as_array().unwrap().len(), 54);
     is_jpeg(&served.get(&format!("{path}/views/0.jpg")), (640, 480));
     for unknown in ["999.jpg", "0.png", "-1.jpg", "x.jpg", "0"] {
@@ -353,6 +357,12 @@ fn the_way_back_to_an_older_calibration_is_to_approve_it() {
         (&history["calibrations"][0]["id"], &history["calibrations"][1]["id"]),
         (&ids[1], &ids[0])
     );
+    let newest = served.get("/v1/cameras/front/calibrations?limit=1");
+    assert_eq!(newest.json()["calibrations"][0]["id"], ids[1]);
+    let next = newest.link.unwrap();
+    let next = next.trim_start_matches('<').split('>').next().unwrap();
+    let older = served.get(next);
+    assert_eq!((&older.json()["calibrations"][0]["id"], older.link), (&ids[0], None));
     for id in [&ids[1], &ids[0]] {
         assert_eq!(
             served

@@ -51,6 +51,12 @@ fn sessions_come_in_pages_and_are_deleted_on_request() {
     assert_eq!(served.get("/v1/sessions?limit=0").status, 422);
     assert_eq!(served.get("/v1/sessions?limit=1001").status, 422);
     assert_eq!(served.get("/v1/sessions?cursor=nobody").status, 404);
+    let views = format!("/v1/sessions/{}/views", ids[0]);
+    for list in ["/v1/recordings", "/v1/cameras/front/calibrations", &views] {
+        assert_eq!(served.get(&format!("{list}?limit=1")).status, 200, "{list}");
+        assert_eq!(served.get(&format!("{list}?limit=1001")).status, 422, "{list}");
+        assert_eq!(served.get(&format!("{list}?cursor=nobody")).status, 404, "{list}");
+    }
 
     assert_eq!(served.delete(&format!("/v1/sessions/{}", ids[2])).status, 409, "it is over");
     assert_eq!(served.delete(&format!("/v1/sessions/{}?purge=true", ids[2])).status, 200);

@@ -1,0 +1,110 @@
+//! Lists page by page: which part of a list is asked for, and where the next one is.
+//!
+//! Without `limit` these lists come whole, as they always have; `GET /v1/sessions` alone has pages
+//! unless it is asked for more.
+
+use axum::http::header::LINK;
+use axum::http::{HeaderMap, HeaderValue};
+
+use crate::http::problem::Problem;
+use crate::http::request::{Parameters, ReadQuery};
+
+/// The most that a page may have.
+const LARGEST_PAGE: u32 = 1000;
+
+/// Which part of a list is asked for.
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(super) struct PageParameters {
+    /// How many, 1 to 1000; all when left out.
+    #[param(minimum = 1, maximum = 1000)]
+    limit: Option<u32>,
+    /// Those after this one, as the header `Link` of the page before says.
+    cursor: Option<String>,
+}
+
+/// How every list that comes in pages refuses a part that is not there.
+#[derive(utoipa::IntoResponses)]
+#[expect(dead_code, reason = "describes what `PageParameters` answers")]
+pub(super) enum PageRefusals {
+    /// a limit that cannot be
+    #[response(status = 422, content_type = "application/problem+json")]
+    Part(Problem),
+}
+
+impl ReadQuery for PageParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        let cursor = parameters.text("cursor").map(str::to_owned);
+        Ok(Self { limit: page_limit(parameters)?, cursor })
+    }
+}
+
+/// The query's `limit`.
+pub(super) fn page_limit(parameters: &Parameters) -> Result<Option<u32>, Problem> {
+    match parameters.count("limit")? {
+        Some(limit) if limit > LARGEST_PAGE => {
+            Err(Problem::field("limit", &format!("`{limit}` is more than {LARGEST_PAGE}")))
+        }
+        limit => Ok(limit),
+    }
+}
+
+impl PageParameters {
+    /// The part of `all` that is asked for, and the header with the address of the next one; `path`
+    /// is the list's address, and `id_of` what a cursor calls an item.
+    ///
+    /// # Errors
+    /// 404 for a cursor that is none of them.
+    pub(super) fn of<T>(
+        &self,
+        path: &str,
+        mut all: Vec<T>,
+        id_of: impl Fn(&T) -> String,
+    ) -> Result<(Vec<T>, HeaderMap), Problem> {
+        if let Some(cursor) = &self.cursor {
+            let at = all.iter().position(|item| id_of(item) == *cursor);
+            let unknown = || {
+                Problem::not_found(format!("cursor `{cursor}` is none of this list; begin without"))
+            };
+            all.drain(..=at.ok_or_else(unknown)?);
+        }
+        let mut headers = HeaderMap::new();
+        if let Some(limit) = self.limit.filter(|limit| (*limit as usize) < all.len()) {
+            all.truncate(limit as usize);
+            // What was matched in an address, and identifiers, need no escapes.
+            let last = all.last().map(&id_of).unwrap_or_default();
+            let next = format!("<{path}?limit={limit}&cursor={last}>; rel=\"next\"");
+            headers.extend(HeaderValue::from_str(&next).map(|next| (LINK, next)));
+        }
+        Ok((all, headers))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_pages_of_a_list_are_the_list() {
+        let all: Vec<u32> = (0..23).collect();
+        for limit in [1, 5, 22, 23, 1000] {
+            let (mut found, mut cursor) = (Vec::new(), None);
+            loop {
+                let asked = PageParameters { limit: Some(limit), cursor };
+                let (page, headers) = asked.of("/v1/n", all.clone(), u32::to_string).unwrap();
+                assert!(page.len() <= limit as usize);
+                found.extend(page);
+                let Some(link) = headers.get(LINK) else { break };
+                let last = found.last().unwrap();
+                let expected = format!("</v1/n?limit={limit}&cursor={last}>; rel=\"next\"");
+                assert_eq!(link.to_str().unwrap(), expected);
+                cursor = Some(last.to_string());
+            }
+            assert_eq!(found, all);
+        }
+        let whole = PageParameters { limit: None, cursor: None };
+        assert_eq!(whole.of("/v1/n", all.clone(), u32::to_string).unwrap().0, all);
+        let unknown = PageParameters { limit: None, cursor: Some("99".into()) };
+        assert_eq!(unknown.of("/v1/n", all, u32::to_string).unwrap_err().status(), 404);
+    }
+}
