@@ -1,6 +1,6 @@
 # Plumb. `make demo` shows it, `make test` checks it; both install what they need on a Debian machine that has Rust.
 
-.PHONY: build demo test lint examples audit rust-test device-test realsense-test python-test page-test elsewhere deb
+.PHONY: build demo test lint examples audit rust-test device-test realsense-test python-test page-test fuzz torture elsewhere deb
 .DEFAULT_GOAL := build
 
 VENV := target/venv
@@ -57,6 +57,17 @@ realsense-test: $(VENV)/installed
 	export PATH="$(CURDIR)/$(VENV)/bin:$$PATH" && environment="$$(tests/device/realsense_library.sh)" && eval "$$environment" && \
 	cargo test --features realsense --test realsense --no-run && \
 	timeout --kill-after=10 600 cargo test --features realsense --test realsense
+
+# Coverage-guided fuzzing of everything that is read, for so many seconds; see tests/fuzz/README.md.
+SECONDS ?= 600
+fuzz:
+	$(PACKAGES) build
+	tests/fuzz/run $(SECONDS)
+
+# Every fault at every moment, on this machine alone: the table of docs/reliability.md, in ten minutes or so.
+torture: $(VENV)/installed
+	$(TESTED) --no-run
+	PLUMB=target/debug/plumb timeout --kill-after=10 1800 $(VENV)/bin/python tests/torture/torture.py
 
 # That it compiles for macOS and Windows.
 elsewhere:

@@ -12,6 +12,7 @@ mod depth_file;
 mod detect_reasons;
 #[cfg(target_os = "linux")]
 mod full_disk;
+mod fuzz_corpus;
 mod greedy_solves;
 mod http_api;
 mod import_circles;
