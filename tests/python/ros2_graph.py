@@ -12,7 +12,7 @@ os.environ.setdefault("CYCLONEDDS_URI", LOOPBACK.format(lease_s=10))
 
 from cyclonedds.core import DDSStatus, InstanceState, Policy, Qos, ReadCondition, SampleState, ViewState, WaitSet  # noqa: E402
 from cyclonedds.domain import DomainParticipant  # noqa: E402
-from cyclonedds.idl import IdlStruct  # noqa: E402
+from cyclonedds.idl import IdlStruct, make_idl_struct  # noqa: E402
 from cyclonedds.idl.types import array, float64, int32, int64, sequence, uint8, uint32, uint64  # noqa: E402
 from cyclonedds.pub import DataWriter  # noqa: E402
 from cyclonedds.sub import DataReader  # noqa: E402
@@ -154,27 +154,14 @@ class TriggerRequest(IdlStruct, typename=dds("std_srvs/srv/Trigger_Request")):
     structure_needs_at_least_one_member: uint8 = 0
 
 
-@dataclass
-class TriggerResponse(IdlStruct, typename=dds("std_srvs/srv/Trigger_Response")):
-    client: uint64 = 0
-    count: int64 = 0
-    success: bool = False
-    message: str = ""
+def service_message(name, **content):
+    """The type of a request or reply; its messages are made with every member given."""
+    return make_idl_struct(name.rpartition("/")[2], dds(name), {"client": uint64, "count": int64, **content})
 
 
-@dataclass
-class SetCameraInfoRequest(IdlStruct, typename=dds("sensor_msgs/srv/SetCameraInfo_Request")):
-    client: uint64 = 0
-    count: int64 = 0
-    camera_info: CameraInfo = default(default_factory=CameraInfo)
-
-
-@dataclass
-class SetCameraInfoResponse(IdlStruct, typename=dds("sensor_msgs/srv/SetCameraInfo_Response")):
-    client: uint64 = 0
-    count: int64 = 0
-    success: bool = False
-    status_message: str = ""
+TriggerResponse = service_message("std_srvs/srv/Trigger_Response", success=bool, message=str)
+SetCameraInfoRequest = service_message("sensor_msgs/srv/SetCameraInfo_Request", camera_info=CameraInfo)
+SetCameraInfoResponse = service_message("sensor_msgs/srv/SetCameraInfo_Response", success=bool, status_message=str)
 
 
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))

@@ -1,6 +1,7 @@
 """A camera whose driver publishes over DDS: Eclipse Cyclone DDS is the driver."""
 
 import json
+import socket
 
 import cv2
 import numpy as np
@@ -146,3 +147,48 @@ def test_two_publishers_on_one_topic(walk, participant, daemon):
         expected = "two publishers send on /front/image_raw; a camera has one publisher: end the other"
         said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or ""))
         assert said["state"] == "lost"
+
+
+def test_a_publisher_that_offers_less_than_before_is_named(walk, participant, daemon):
+    with daemon() as plumb:
+        events = plumb.events("front")
+        driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+        driver.wait_for_reader()
+        driver.send(ros.image(walk[0], START_NS))
+        plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
+        other = ros.Publisher(participant, "/front/image_raw", ros.Image, reliability=ros.BEST_EFFORT)
+        expected = "a publisher of /front/image_raw offers other QoS than before: Reliability"
+        said = plumb.wait_for_state(events, "front", lambda status: expected in (status["reason"] or ""))
+        assert said["state"] == "lost" and "\n" not in said["reason"], said
+        del other
+
+
+def test_a_domain_without_a_free_place_is_one_line(plumb_binary, tmp_path):
+    """DDS has two ports for each of up to 120 participants in a domain: all are taken."""
+    domain, taken = 1 + (ros.DOMAIN + 30) % 200, []
+    for port in (7400 + 250 * domain + 10 + place for place in range(242)):
+        socket_ = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        socket_.bind(("", port))
+        taken.append(socket_)
+    config = CAMERA.format(topic="/front/image_raw", domain=domain)
+    with Daemon(plumb_binary, config, tmp_path, ROS_LOCALHOST_ONLY="1") as plumb:
+        events = plumb.events("front")
+        said = plumb.wait_for_state(events, "front", lambda status: status["state"] == "failed")
+        assert said["reason"].startswith(f"the DDS domain {domain} cannot be joined: "), said
+        assert said["reason"].endswith("end other participants in it, or choose another domain_id") and "\n" not in said["reason"]
+    for socket_ in taken:
+        socket_.close()
+
+
+def test_depth_comes_with_color(walk, participant, daemon):
+    with daemon(topic='/front/image_raw", depth = "/front/depth/image_rect_raw') as plumb:
+        events = plumb.events("front")
+        color = ros.Publisher(participant, "/front/image_raw", ros.Image)
+        depth = ros.Publisher(participant, "/front/depth/image_rect_raw", ros.Image)
+        for publisher in (color, depth):
+            publisher.wait_for_reader()
+        color.send(ros.image(walk[0], START_NS))
+        depth.send(ros.image(np.full((240, 320), 1234, np.uint16), START_NS, encoding="16UC1"))
+        status = plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
+        sensors = {name: sensor["image_size"] for name, sensor in status["sensors"].items()}
+        assert sensors == {"color": [640, 480], "depth": [320, 240]}, status
