@@ -26,6 +26,7 @@
 //! domain_id = 0                  # default: ROS_DOMAIN_ID, or 0
 //! session = { target = { kind = "chessboard", cols = 9, rows = 6, square_m = 0.025 } } # what the
 //!                                # service `start` begins: the body of POST …/sessions; default: refused
+//! camera_info_with_images = true # default: false; with each image, too, and with its stamp
 //!
 //! [[camera]]
 //! name = "front"                 # letters, digits, `-`, `_`; once each
@@ -106,6 +107,8 @@ pub struct Ros2Config {
     pub domain_id: Option<u16>,
     /// What the service `start` begins. Default: it is refused.
     pub session: Option<SessionRequest>,
+    /// Whether camera_info comes with each image too, with the image's stamp. Default: not.
+    pub camera_info_with_images: bool,
 }
 
 /// Where the certificate is, and its key; both PEM.
@@ -215,6 +218,7 @@ struct Ros2Table {
     publish: Option<Spanned<bool>>,
     domain_id: Option<Spanned<u16>>,
     session: Option<Spanned<StartDocument>>,
+    camera_info_with_images: Option<bool>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -380,6 +384,7 @@ fn check_ros2(table: &Ros2Table, place: &Place) -> Result<Ros2Config, ConfigErro
         publish: table.publish.as_ref().is_some_and(|publish| *publish.get_ref()),
         domain_id: table.domain_id.as_ref().map(|id| *id.get_ref()),
         session: table.session.as_ref().map(request).transpose()?,
+        camera_info_with_images: table.camera_info_with_images.unwrap_or(false),
     })
 }
 

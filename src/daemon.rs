@@ -17,6 +17,7 @@ use std::time::Duration;
 
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
+use tokio::sync::watch;
 
 pub use crate::daemon::error::DaemonError;
 
@@ -80,17 +81,19 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     let tls = config.tls.as_ref().map(|files| Certificate::read(&files.cert, &files.key));
     let tls = tls.transpose()?.map(|certificate| Arc::new(Tls::new(certificate)));
     let scheme = if tls.is_some() { "https" } else { "http" };
+    let running = watch::Sender::new(config.clone());
+    #[cfg(feature = "ros2")]
+    graph::begin(runtime, &fleet, &store, (config, running.subscribe()));
     let reload = Reload {
         fleet: Arc::clone(&fleet),
         access: Arc::clone(&access),
         tls: tls.clone(),
         file: file.clone(),
         config: config.clone(),
+        running,
     };
     runtime.block_on(async { reload.with_each_hangup() })?;
     runtime.spawn(prune_by_the_hour(Arc::clone(&store), config.retention));
-    #[cfg(feature = "ros2")]
-    graph::begin(runtime, &fleet, &store, config);
     tracing::info!(
         file = file.map(|file| file.display().to_string()),
         "listening on {scheme}://{listening}"

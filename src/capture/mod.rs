@@ -32,5 +32,7 @@ pub fn list_devices() -> Vec<device_list::DeviceListing> {
         v4l2::list_devices(),
         uvc::list_devices(),
         realsense::list_devices(),
+        #[cfg(feature = "ros2")]
+        ros2::list_devices(),
     ]
 }

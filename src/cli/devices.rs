@@ -35,11 +35,12 @@ fn print_listing(listing: &DeviceListing) -> Result<(), Failure> {
         Some(missing) => output::print_line(&format!("{}: {missing}", listing.backend))?,
         None => output::print_line(&format!("{}:", listing.backend))?,
     }
-    listing.devices.iter().try_for_each(print_device)
+    let key = if listing.backend == "ros2" { "topic" } else { "device" };
+    listing.devices.iter().try_for_each(|device| print_device(key, device))
 }
 
-fn print_device(device: &ListedDevice) -> Result<(), Failure> {
-    output::print_line(&format!("  {}   device = \"{}\"", device.name, device.identity))?;
+fn print_device(key: &str, device: &ListedDevice) -> Result<(), Failure> {
+    output::print_line(&format!("  {}   {key} = \"{}\"", device.name, device.identity))?;
     let facts = [
         (
             "also",

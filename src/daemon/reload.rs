@@ -4,6 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tokio::sync::watch;
+
 use crate::config::{CameraConfig, Config, Overrides, RigConfig};
 use crate::daemon::error::DaemonError;
 use crate::daemon::sources::{plan_of, rig_of};
@@ -18,6 +20,8 @@ pub(super) struct Reload {
     pub(super) tls: Option<Arc<Tls>>,
     pub(super) file: Option<PathBuf>,
     pub(super) config: Config,
+    /// What runs, for who follows it.
+    pub(super) running: watch::Sender<Config>,
 }
 
 impl Reload {
@@ -94,6 +98,7 @@ impl Reload {
         let stopped = count(changes.stopped.len(), changes.stopped_rigs.len());
         let started = count(changes.started.len(), changes.started_rigs.len());
         tracing::info!(stopped, started, "configuration read again");
+        self.running.send_replace(kept.clone());
         self.config = kept;
     }
 }

@@ -1,4 +1,4 @@
-//! One camera's topics and services.
+//! The topics and services of one camera or rig.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -6,13 +6,13 @@ use std::task::Waker;
 
 use crate::dds::{DdsError, Durability, Participant, ServiceServer, TopicWriter};
 use crate::graph::driver::Driver;
-use crate::graph::results::Results;
-use crate::recording::ros2_results::text;
+use crate::graph::results::{Results, SensorInfo};
+use crate::recording::ros2_results::{restamped, text};
 
 const INFO: &str = "sensor_msgs/msg/CameraInfo";
 const TRIGGER: &str = "std_srvs/srv/Trigger";
 
-/// A camera as the graph has it.
+/// A camera or rig as the graph has it.
 #[derive(Debug)]
 pub(super) struct GraphTopics {
     participant: Arc<Participant>,
@@ -72,24 +72,35 @@ impl GraphTopics {
         self.state.send(text(state))
     }
 
-    /// Publishes the calibration that is current now; has the driver keep it where it is `new`.
-    pub fn publish(&mut self, results: Results, new: bool) -> Result<(), DdsError> {
-        for (namespace, info) in &results.infos {
-            let topic = format!("/plumb{}/camera_info", namespace.replace('-', "_"));
+    /// Publishes the calibration that is current now.
+    pub fn publish(&mut self, results: Results) -> Result<(), DdsError> {
+        for SensorInfo { namespace, message, .. } in &results.infos {
+            let topic = info_topic(namespace);
             if !self.infos.contains_key(&topic) {
                 let writer = self.participant.advertise(&topic, INFO, Durability::Latched)?;
                 self.infos.insert(topic.clone(), writer);
             }
             if let Some(writer) = self.infos.get(&topic) {
-                writer.send(info.clone())?;
+                writer.send(message.clone())?;
             }
-        }
-        if let (Some(driver), Some((_, own)), true) = (&mut self.driver, results.infos.first(), new)
-        {
-            driver.keep(own.clone());
         }
         self.drift = None;
         self.results = Some(results);
         Ok(())
     }
+
+    /// Publishes what is known of `camera` again, with the stamp of an image that it took.
+    pub fn publish_with_image(&self, camera: &str, utc_ns: i64) -> Result<(), DdsError> {
+        let infos = self.results.iter().flat_map(|results| &results.infos);
+        for SensorInfo { namespace, message, .. } in infos.filter(|info| info.camera == camera) {
+            if let Some(writer) = self.infos.get(&info_topic(namespace)) {
+                writer.send(restamped(message, utc_ns))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn info_topic(namespace: &str) -> String {
+    format!("/plumb{}/camera_info", namespace.replace('-', "_"))
 }

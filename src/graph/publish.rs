@@ -5,14 +5,13 @@ use std::sync::Arc;
 use std::task::{Wake, Waker};
 use std::time::Duration;
 
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::{Notify, mpsc, watch};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::dds::{DdsError, Domain, Durability, Participant, Request, TopicWriter};
 use crate::graph::camera::GraphTopics;
 use crate::graph::diagnosis;
-use crate::graph::results::Results;
-use crate::pipeline::camera_status::CameraStatus;
+use crate::graph::results::{Results, SensorInfo};
 use crate::pipeline::event::{Event, EventKind};
 use crate::pipeline::fleet::Fleet;
 use crate::recording::ros2_results::{FrameTransform, diagnostics, reply, static_transforms};
@@ -25,14 +24,25 @@ const ENDING: usize = 64;
 const NO_BOARD: &str = "no board is configured: write [ros2] session = { target = { kind = \"chessboard\", cols = …, rows = …, square_m = … } }";
 
 /// What is published, and where.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct GraphPlan {
     /// The graph.
     pub domain: Domain,
     /// What the service `start` begins; `None` refuses it.
     pub session: Option<SessionRequest>,
+    /// Whether camera_info comes with each image too, with the image's stamp.
+    pub info_with_images: bool,
+    /// The cameras and rigs, which change with the configuration.
+    pub instruments: watch::Receiver<InstrumentsOnGraph>,
+}
+
+/// The cameras and rigs on the graph.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct InstrumentsOnGraph {
     /// The cameras.
     pub cameras: Vec<CameraOnGraph>,
+    /// The names of the rigs.
+    pub rigs: Vec<String>,
 }
 
 /// A camera on the graph.
@@ -56,7 +66,8 @@ impl Wake for Woken {
 
 /// The answer to who asked to stop a session.
 struct Ended {
-    camera: String,
+    /// The camera or rig.
+    name: String,
     request: Request,
     reply: Vec<u8>,
 }
@@ -71,19 +82,25 @@ pub async fn publish(
     plan: GraphPlan,
 ) -> Result<(), DdsError> {
     let mut events = fleet.events(None);
+    let mut instruments = plan.instruments.clone();
     let mut graph = GraphTask::join(fleet, store, plan)?;
-    graph.publish_current().await;
+    let known = instruments.borrow_and_update().clone();
+    graph.take_instruments(known).await?;
     let woken = Arc::new(Woken::default());
     let waker = Waker::from(Arc::clone(&woken));
     let (ended, mut endings) = mpsc::channel(ENDING);
     let mut seconds = tokio::time::interval(DIAGNOSTICS);
     loop {
-        graph.cameras.values().for_each(|camera| camera.wake(&waker));
+        graph.topics.values().for_each(|topics| topics.wake(&waker));
         graph.serve(&ended).await;
         tokio::select! {
             event = events.next() => graph.take(&event).await,
             () = woken.0.notified() => graph.drivers(0),
             Some(ended) = endings.recv() => graph.answer(&ended),
+            Ok(()) = instruments.changed() => {
+                let known = instruments.borrow_and_update().clone();
+                graph.take_instruments(known).await?;
+            }
             _ = seconds.tick() => {
                 graph.drivers(1);
                 graph.diagnose();
@@ -96,8 +113,11 @@ struct GraphTask {
     fleet: Arc<Fleet>,
     store: Arc<Store>,
     session: Option<SessionRequest>,
+    info_with_images: bool,
     participant: Arc<Participant>,
-    cameras: BTreeMap<String, GraphTopics>,
+    instruments: InstrumentsOnGraph,
+    /// By the name of the camera or rig.
+    topics: BTreeMap<String, GraphTopics>,
     transforms: TopicWriter,
     diagnostics: TopicWriter,
 }
@@ -112,40 +132,79 @@ impl GraphTask {
             "diagnostic_msgs/msg/DiagnosticArray",
             Durability::Volatile,
         )?;
-        let mut cameras = BTreeMap::new();
-        for CameraOnGraph { name, set_camera_info } in plan.cameras {
-            let topics = GraphTopics::new(&participant, &name, set_camera_info.as_deref())?;
-            cameras.insert(name, topics);
-        }
-        let session = plan.session;
-        Ok(Self { fleet, store, session, participant, cameras, transforms, diagnostics })
+        let GraphPlan { session, info_with_images, .. } = plan;
+        let (instruments, topics) = (InstrumentsOnGraph::default(), BTreeMap::new());
+        Ok(Self {
+            fleet,
+            store,
+            session,
+            info_with_images,
+            participant,
+            instruments,
+            topics,
+            transforms,
+            diagnostics,
+        })
     }
 
-    /// What is current already when the daemon starts.
-    async fn publish_current(&mut self) {
-        for status in self.fleet.cameras() {
-            let sessions = self.fleet.live_sessions();
-            let session = sessions.iter().find(|session| session.camera == status.name);
-            if let Some(camera) = self.cameras.get_mut(&status.name) {
-                warn(camera.say(session.map_or("idle", |session| session.state.name())));
-            }
-            if let Some(id) = status.calibration {
-                self.publish_calibration(&status.name, id, false).await;
-            }
+    /// Has the graph show these cameras and rigs; those that are as they were do not notice.
+    async fn take_instruments(&mut self, known: InstrumentsOnGraph) -> Result<(), DdsError> {
+        let before = std::mem::replace(&mut self.instruments, known.clone());
+        let stays = |name: &str| {
+            let of = |all: &InstrumentsOnGraph| all.camera(name).cloned();
+            let is_rig = |all: &InstrumentsOnGraph| all.rigs.iter().any(|rig| rig == name);
+            of(&before) == of(&known) && is_rig(&before) == is_rig(&known)
+        };
+        self.topics.retain(|name, _| known.names().any(|other| other == name) && stays(name));
+        let new: Vec<String> = known
+            .names()
+            .filter(|name| !self.topics.contains_key(*name))
+            .map(str::to_owned)
+            .collect();
+        for name in &new {
+            let service = known.camera(name).and_then(|camera| camera.set_camera_info.as_deref());
+            let topics = GraphTopics::new(&self.participant, name, service)?;
+            self.topics.insert(name.clone(), topics);
+            self.publish_current(name).await;
+        }
+        // Who is gone is in no frame any more.
+        self.publish_transforms();
+        Ok(())
+    }
+
+    /// What is current already of a camera or rig that comes.
+    async fn publish_current(&mut self, name: &str) {
+        let sessions = self.fleet.live_sessions();
+        let session = sessions.iter().find(|session| session.camera == name);
+        if let Some(topics) = self.topics.get_mut(name) {
+            warn(topics.say(session.map_or("idle", |session| session.state.name())));
+        }
+        let calibration = match self.fleet.rig(name) {
+            Ok(rig) => rig.calibration,
+            Err(_) => self.fleet.camera(name).ok().and_then(|camera| camera.calibration),
+        };
+        if let Some(id) = calibration {
+            self.publish_calibration(name, id, false).await;
         }
     }
 
     async fn take(&mut self, event: &Event) {
-        let Some(camera) = self.cameras.get_mut(&event.camera) else { return };
+        if let (EventKind::Frame(frame), true) = (&event.kind, self.info_with_images) {
+            // Its own topic, and those of the rigs that it is in.
+            for topics in self.topics.values() {
+                warn(topics.publish_with_image(&event.camera, frame.host_time_ns));
+            }
+        }
+        let Some(topics) = self.topics.get_mut(&event.camera) else { return };
         match &event.kind {
-            EventKind::Session(record) => warn(camera.say(record.state.name())),
+            EventKind::Session(record) => warn(topics.say(record.state.name())),
             EventKind::Calibration(made) if made.current => {
                 self.publish_calibration(&event.camera, made.id.clone(), true).await;
                 self.drivers(0);
                 self.diagnose();
             }
             EventKind::Drift(drift) => {
-                camera.drift = Some(drift.reason.clone());
+                topics.drift = Some(drift.reason.clone());
                 self.diagnose();
             }
             EventKind::Camera(_) => self.diagnose(),
@@ -153,6 +212,7 @@ impl GraphTask {
         }
     }
 
+    /// Publishes a calibration; has the drivers of its cameras keep it where it is `new`.
     async fn publish_calibration(&mut self, name: &str, id: String, new: bool) {
         let store = Arc::clone(&self.store);
         let read = tokio::task::spawn_blocking(move || store.calibration(&id)).await;
@@ -162,10 +222,31 @@ impl GraphTask {
             Ok(Ok(None)) | Err(_) => return,
         };
         let results = Results::of(name, &calibration);
-        if let Some(camera) = self.cameras.get_mut(name) {
-            warn(camera.publish(results, new));
+        if new {
+            self.have_kept(&results);
         }
-        let known = self.cameras.values().filter_map(|camera| camera.results.as_ref());
+        if let Some(topics) = self.topics.get_mut(name) {
+            warn(topics.publish(results));
+        }
+        self.publish_transforms();
+    }
+
+    /// Gives each camera's driver what is known of the camera: of several sensors the first.
+    fn have_kept(&mut self, results: &Results) {
+        let mut given: Vec<&str> = Vec::new();
+        for SensorInfo { camera, message, .. } in &results.infos {
+            let topics = self.topics.get_mut(camera);
+            if let Some(driver) = topics.and_then(|topics| topics.driver.as_mut())
+                && !given.contains(&camera.as_str())
+            {
+                driver.keep(message.clone());
+                given.push(camera);
+            }
+        }
+    }
+
+    fn publish_transforms(&self) {
+        let known = self.topics.values().filter_map(|topics| topics.results.as_ref());
         let transforms: Vec<FrameTransform> =
             known.flat_map(|results| results.transforms.iter().cloned()).collect();
         if !transforms.is_empty() {
@@ -174,50 +255,58 @@ impl GraphTask {
     }
 
     fn drivers(&mut self, seconds: u32) {
-        for driver in self.cameras.values_mut().filter_map(|camera| camera.driver.as_mut()) {
+        for driver in self.topics.values_mut().filter_map(|topics| topics.driver.as_mut()) {
             driver.advance(&self.participant, seconds);
         }
     }
 
     fn diagnose(&self) {
         let now_ns = utc_now_ns();
-        let of = |status: CameraStatus| {
-            let camera = self.cameras.get(&status.name);
-            diagnosis::of(&status, camera, now_ns)
-        };
-        let cameras: Vec<_> = self.fleet.cameras().into_iter().map(of).collect();
-        warn(self.diagnostics.send(diagnostics(&cameras, now_ns)));
+        let cameras = self.fleet.cameras().into_iter().map(|status| {
+            let topics = self.topics.get(&status.name);
+            diagnosis::of(&status, topics, now_ns)
+        });
+        let rigs = self.fleet.rigs().into_iter().map(|status| {
+            let topics = self.topics.get(&status.name);
+            diagnosis::of_rig(&status, topics, now_ns)
+        });
+        let all: Vec<_> = cameras.chain(rigs).collect();
+        warn(self.diagnostics.send(diagnostics(&all, now_ns)));
     }
 
     /// Does what has been asked.
     async fn serve(&mut self, ended: &mpsc::Sender<Ended>) {
-        let names: Vec<String> = self.cameras.keys().cloned().collect();
+        let names: Vec<String> = self.topics.keys().cloned().collect();
         for name in names {
-            while let Some(request) = self.cameras[&name].start.take() {
+            while let Some(request) = self.topics[&name].start.take() {
                 let (started, words) = self.start(&name).await;
-                warn(self.cameras[&name].start.reply(&request, reply(started, &words)));
+                warn(self.topics[&name].start.reply(&request, reply(started, &words)));
             }
-            while let Some(request) = self.cameras[&name].stop.take() {
+            while let Some(request) = self.topics[&name].stop.take() {
                 self.stop(&name, request, ended).await;
             }
         }
     }
 
-    async fn start(&self, camera: &str) -> (bool, String) {
+    async fn start(&self, name: &str) -> (bool, String) {
         let Some(session) = self.session.clone() else { return (false, NO_BOARD.to_owned()) };
-        match self.fleet.start_session(camera, session).await {
+        let started = match self.fleet.rig(name) {
+            Ok(_) => self.fleet.start_rig_session(name, session).await,
+            Err(_) => self.fleet.start_session(name, session).await,
+        };
+        match started {
             Ok(record) => (true, format!("session {} collects", record.id)),
             Err(error) => (false, error.to_string()),
         }
     }
 
-    /// Ends the camera's session; the answer comes with its result.
-    async fn stop(&self, camera: &str, request: Request, ended: &mpsc::Sender<Ended>) {
+    /// Ends the session of a camera or rig; the answer comes with its result.
+    async fn stop(&self, name: &str, request: Request, ended: &mpsc::Sender<Ended>) {
         let sessions = self.fleet.live_sessions();
         let runs =
-            |session: &&Arc<SessionRecord>| session.camera == camera && !session.state.is_over();
+            |session: &&Arc<SessionRecord>| session.camera == name && !session.state.is_over();
         let refuse = |words: &str| {
-            warn(self.cameras[camera].stop.reply(&request, reply(false, words)));
+            warn(self.topics[name].stop.reply(&request, reply(false, words)));
         };
         let Some(session) = sessions.iter().find(runs) else {
             return refuse("no session runs; start one first");
@@ -226,21 +315,32 @@ impl GraphTask {
             return refuse(&error.to_string());
         }
         let (fleet, id) = (Arc::clone(&self.fleet), session.id.clone());
-        let (camera, ended) = (camera.to_owned(), ended.clone());
+        let (name, ended) = (name.to_owned(), ended.clone());
         tokio::spawn(async move {
             let reply = match fleet.session_over(&id).await {
                 Ok(record) => outcome(&record),
                 Err(error) => reply(false, &error.to_string()),
             };
             // Nobody takes it when the daemon goes down.
-            let _ = ended.send(Ended { camera, request, reply }).await;
+            let _ = ended.send(Ended { name, request, reply }).await;
         });
     }
 
     fn answer(&self, ended: &Ended) {
-        if let Some(camera) = self.cameras.get(&ended.camera) {
-            warn(camera.stop.reply(&ended.request, ended.reply.clone()));
+        if let Some(topics) = self.topics.get(&ended.name) {
+            warn(topics.stop.reply(&ended.request, ended.reply.clone()));
         }
+    }
+}
+
+impl InstrumentsOnGraph {
+    fn camera(&self, name: &str) -> Option<&CameraOnGraph> {
+        self.cameras.iter().find(|camera| camera.name == name)
+    }
+
+    fn names(&self) -> impl Iterator<Item = &str> {
+        let cameras = self.cameras.iter().map(|camera| camera.name.as_str());
+        cameras.chain(self.rigs.iter().map(String::as_str))
     }
 }
 

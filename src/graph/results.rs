@@ -1,6 +1,9 @@
 //! A calibration as ROS 2 holds it.
 
 use crate::calibration::result::{Calibration, Grade, SensorResult};
+use crate::calibration::sensor::SensorId;
+use crate::calibration::stereo_pair::StereoPair;
+use crate::geometry::rectification::RectifiedCamera;
 use crate::recording::ros2_results::{
     FrameTransform, camera_info, optical_frame, sensor_namespace,
 };
@@ -13,45 +16,78 @@ pub(super) struct Results {
     pub grade: Grade,
     pub rms_px: Option<f64>,
     pub uncertainty_px: Option<f64>,
-    /// Each sensor's namespace, and its camera_info; the camera's own first.
-    pub infos: Vec<(String, Vec<u8>)>,
+    /// Each sensor's camera_info; a camera's own first.
+    pub infos: Vec<SensorInfo>,
     pub transforms: Vec<FrameTransform>,
     /// The sensors whose lens ROS has no exact name for.
     pub left_out: Vec<String>,
 }
 
+/// What is known of a sensor's lens.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct SensorInfo {
+    /// The sensor's camera.
+    pub camera: String,
+    /// Under which its topics are, as in `/front/depth`, in a rig `/head/left`.
+    pub namespace: String,
+    /// `sensor_msgs/msg/CameraInfo`.
+    pub message: Vec<u8>,
+}
+
 impl Results {
-    /// Of the calibration of `camera`.
-    pub fn of(camera: &str, calibration: &Calibration) -> Self {
+    /// Of the calibration of the camera or rig `name`.
+    pub fn of(name: &str, calibration: &Calibration) -> Self {
+        let guide = calibration.guide();
         let mut results = Self {
             id: calibration.id.clone(),
             created_at_ns: calibration.created_at_ns,
             grade: calibration.verdict.grade,
-            rms_px: calibration.guide().map(|sensor| sensor.rms_px),
-            uncertainty_px: calibration.guide().map(|sensor| sensor.uncertainty_px.median),
+            rms_px: guide.map(|sensor| sensor.rms_px),
+            uncertainty_px: guide.map(|sensor| sensor.uncertainty_px.median),
             infos: Vec::new(),
             transforms: Vec::new(),
             left_out: Vec::new(),
         };
+        let rectified = rectified(calibration);
         let first = calibration.sensors.first().map(|sensor| &sensor.id);
         for sensor in &calibration.sensors {
-            let (size, lens) = match &sensor.result {
-                SensorResult::Image(image) => (image.image_size, &image.lens),
-                SensorResult::Depth(depth) => (depth.camera.image_size, &depth.camera.lens),
+            let lens = match &sensor.result {
+                SensorResult::Image(image) => (&image.lens, image.image_size),
+                SensorResult::Depth(depth) => (&depth.camera.lens, depth.camera.image_size),
             };
-            let own = sensor.id.camera.as_deref().unwrap_or(camera);
+            let own = sensor.id.camera.as_deref().unwrap_or(name);
             let frame = optical_frame(own, sensor.id.kind);
-            match camera_info(&frame, lens, size, calibration.created_at_ns) {
-                Some(info) => results.infos.push((sensor_namespace(own, sensor.id.kind), info)),
+            let as_one_of_two = rectified.iter().find(|(id, _)| *id == sensor.id);
+            let as_one_of_two = as_one_of_two.map(|(_, rectified)| rectified);
+            match camera_info(&frame, lens, as_one_of_two, calibration.created_at_ns) {
+                Some(message) => {
+                    let within = sensor_namespace(own, sensor.id.kind);
+                    let rig = sensor.id.camera.as_ref().map(|_| format!("/{name}"));
+                    let namespace = rig.unwrap_or_default() + &within;
+                    results.infos.push(SensorInfo { camera: own.to_owned(), namespace, message });
+                }
                 None => results.left_out.push(calibration.name_of(&sensor.id)),
             }
             let known = first.and_then(|first| Some((first, calibration.pose(first, &sensor.id)?)));
             results.transforms.extend(known.map(|(first, pose)| FrameTransform {
-                parent: optical_frame(first.camera.as_deref().unwrap_or(camera), first.kind),
+                parent: optical_frame(first.camera.as_deref().unwrap_or(name), first.kind),
                 child: frame,
                 parent_from_child: pose.target_from_source,
             }));
         }
         results
     }
+}
+
+/// The two cameras of a stereo rig, or the two infrared sensors of a camera, rectified so that
+/// every pixel is seen; none of other calibrations.
+fn rectified(calibration: &Calibration) -> Vec<(SensorId, RectifiedCamera)> {
+    let Ok(pair) = StereoPair::of(calibration, None) else { return Vec::new() };
+    let Ok((pair, stereo)) = pair.left_first(0.0) else { return Vec::new() };
+    let [first, second] = pair.cameras.map(|camera| camera.image_size);
+    // ROS takes a rectified image to be of the raw one's size.
+    if first != second {
+        return Vec::new();
+    }
+    pair.sensors.into_iter().zip(stereo.cameras).collect()
 }

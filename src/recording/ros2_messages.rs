@@ -5,6 +5,7 @@
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::rectification::RectifiedCamera;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
 pub(super) const IMAGE: &str = "sensor_msgs/msg/Image";
@@ -55,16 +56,16 @@ pub(super) fn camera_info(
     size: ImageSize,
     utc_ns: i64,
 ) -> Option<Ros2Message> {
-    let bytes = camera_info_in(&frame_id(camera, sensor), lens, size, utc_ns)?;
+    let bytes = camera_info_in(&frame_id(camera, sensor), (lens, size), None, utc_ns)?;
     let topic = format!("{}/camera_info", namespace(camera, sensor));
     Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes })
 }
 
-/// The same in any frame.
+/// The same in any frame, of a camera by itself or rectified with another.
 pub(super) fn camera_info_in(
     frame_id: &str,
-    lens: &Lens,
-    size: ImageSize,
+    (lens, size): (&Lens, ImageSize),
+    rectified: Option<&RectifiedCamera>,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {
     let m = lens.matrix;
@@ -77,9 +78,11 @@ pub(super) fn camera_info_in(
     cdr.u32(distortion.len() as u32);
     distortion.iter().for_each(|d| cdr.f64(*d));
     let matrix = [m.fx, m.skew, m.cx, 0.0, m.fy, m.cy, 0.0, 0.0, 1.0];
-    let rotation = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
-    let projection = [m.fx, m.skew, m.cx, 0.0, 0.0, m.fy, m.cy, 0.0, 0.0, 0.0, 1.0, 0.0];
-    for value in matrix.iter().chain(&rotation).chain(&projection) {
+    let rectified = rectified.copied().unwrap_or_else(|| RectifiedCamera::alone(&m));
+    // Row by row.
+    let rotation = rectified.rectified_from_camera.transpose();
+    let projection = rectified.projection.transpose();
+    for value in matrix.iter().chain(rotation.iter()).chain(projection.iter()) {
         cdr.f64(*value);
     }
     // No binning, and the region of interest is the whole image.
@@ -137,6 +140,13 @@ pub(super) fn definition(type_name: &str) -> String {
     text
 }
 
+/// A `builtin_interfaces/Time`: seconds and nanoseconds.
+pub(super) fn stamp(utc_ns: i64) -> [u32; 2] {
+    let utc_ns = utc_ns.max(0);
+    let seconds = u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX);
+    [seconds, (utc_ns % 1_000_000_000) as u32]
+}
+
 /// A message in little-endian CDR.
 pub(super) struct Cdr(pub(super) Vec<u8>);
 
@@ -155,9 +165,7 @@ impl Cdr {
 
     /// A `std_msgs/Header`.
     pub(super) fn header(&mut self, utc_ns: i64, frame_id: &str) {
-        let utc_ns = utc_ns.max(0);
-        self.u32(u32::try_from(utc_ns / 1_000_000_000).unwrap_or(u32::MAX));
-        self.u32((utc_ns % 1_000_000_000) as u32);
+        stamp(utc_ns).iter().for_each(|value| self.u32(*value));
         self.text(frame_id);
     }
 

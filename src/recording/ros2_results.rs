@@ -3,9 +3,14 @@
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::geometry::rectification::RectifiedCamera;
 use crate::imaging::frame::SensorKind;
 use crate::recording::fields::Fields;
 use crate::recording::ros2_messages::{self, Cdr};
+
+/// Where a message that begins with a `std_msgs/Header` has its stamp: after the four bytes that
+/// state the encoding.
+const STAMP: std::ops::Range<usize> = 4..12;
 
 /// Where a frame is in its parent.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,13 +59,28 @@ pub fn sensor_namespace(camera: &str, sensor: SensorKind) -> String {
     ros2_messages::namespace(camera, sensor)
 }
 
-/// `sensor_msgs/msg/CameraInfo`, which is also the request of `sensor_msgs/srv/SetCameraInfo`;
-/// `None` for a lens that ROS cannot hold exactly.
-pub fn camera_info(frame_id: &str, lens: &Lens, size: ImageSize, utc_ns: i64) -> Option<Vec<u8>> {
+/// `sensor_msgs/msg/CameraInfo`, which is also the request of `sensor_msgs/srv/SetCameraInfo`, of a
+/// camera by itself or rectified with another; `None` for a lens that ROS cannot hold exactly.
+pub fn camera_info(
+    frame_id: &str,
+    (lens, size): (&Lens, ImageSize),
+    rectified: Option<&RectifiedCamera>,
+    utc_ns: i64,
+) -> Option<Vec<u8>> {
     if lens.matrix.skew != 0.0 {
         return None;
     }
-    ros2_messages::camera_info_in(frame_id, lens, size, utc_ns)
+    ros2_messages::camera_info_in(frame_id, (lens, size), rectified, utc_ns)
+}
+
+/// The same message with another stamp in its header.
+pub fn restamped(message: &[u8], utc_ns: i64) -> Vec<u8> {
+    let stamp = ros2_messages::stamp(utc_ns).map(u32::to_le_bytes).concat();
+    let mut message = message.to_vec();
+    if let Some(stated) = message.get_mut(STAMP) {
+        stated.copy_from_slice(&stamp);
+    }
+    message
 }
 
 /// `tf2_msgs/msg/TFMessage`.
@@ -120,6 +140,17 @@ pub fn read_reply(message: &[u8]) -> Option<(bool, String)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn another_stamp_and_nothing_else() {
+        let at = |utc_ns| static_header(utc_ns);
+        assert_eq!(restamped(&at(7), 1_700_000_000_123_456_789), at(1_700_000_000_123_456_789));
+        assert_eq!(restamped(b"short", 1), b"short");
+    }
+
+    fn static_header(utc_ns: i64) -> Vec<u8> {
+        Cdr::with_header(utc_ns, "front_optical_frame").0
+    }
 
     #[test]
     fn answers_are_read_as_they_are_written() {

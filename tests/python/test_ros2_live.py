@@ -1,7 +1,9 @@
 """A camera whose driver publishes over DDS: Eclipse Cyclone DDS is the driver."""
 
 import json
+import os
 import socket
+import subprocess
 
 import cv2
 import numpy as np
@@ -192,3 +194,31 @@ def test_depth_comes_with_color(walk, participant, daemon):
         status = plumb.wait_for_state(events, "front", lambda status: status["state"] == "streaming")
         sensors = {name: sensor["image_size"] for name, sensor in status["sensors"].items()}
         assert sensors == {"color": [640, 480], "depth": [320, 240]}, status
+
+
+def test_topics_of_images_are_listed(walk, participant, plumb_binary):
+    driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+    ros.Publisher(participant, "/front/name", ros.String)
+    environment = {**os.environ, "ROS_LOCALHOST_ONLY": "1", "ROS_DOMAIN_ID": str(ros.DOMAIN)}
+    listed = subprocess.run([plumb_binary, "devices", "--json"], capture_output=True, text=True, timeout=60, env=environment, check=True)
+    backend = next(backend for backend in json.loads(listed.stdout)["backends"] if backend["backend"] == "ros2")
+    assert [(device["device"], device["name"]) for device in backend["devices"]] == [(driver.name, "sensor_msgs/msg/Image")]
+
+
+def test_camera_info_comes_with_each_image(walk, participant, plumb_binary, tmp_path):
+    config = (f'[ros2]\npublish = true\ndomain_id = {ros.DOMAIN}\ncamera_info_with_images = true\n'
+              + CAMERA.format(topic="/front/image_raw", domain=ros.DOMAIN))
+    with Daemon(plumb_binary, config, tmp_path, ROS_LOCALHOST_ONLY="1") as plumb:
+        events = plumb.events("front")
+        driver = ros.Publisher(participant, "/front/image_raw", ros.Image)
+        driver.wait_for_reader()
+        session = plumb.ask("/v1/cameras/front/sessions", {"target": TARGET, "lens": "brown"})
+        publish_walk(walk, driver, events, every=3)
+        finished = plumb.ask(f"/v1/sessions/{session['id']}/stop", {})
+        plumb.ask(f"/v1/calibrations/{finished['calibration']}/approve", {})
+        infos = ros.Subscriber(participant, "/plumb/front/camera_info", ros.CameraInfo, latched=True)
+        latched = infos.take()
+        for stamp_ns in (START_NS + 60 * 10**9 + 7, START_NS + 61 * 10**9):
+            driver.send(ros.image(walk[0], stamp_ns))
+            info = infos.take_until(lambda info: info.header.stamp == ros.Time(stamp_ns // 10**9, stamp_ns % 10**9))
+            assert (list(info.k), list(info.d)) == (list(latched.k), list(latched.d))

@@ -1,6 +1,11 @@
 """What Plumb says on the graph of ROS 2, as Eclipse Cyclone DDS reads it."""
 
+import signal
+import urllib.request
+
+import numpy as np
 import pytest
+import yaml
 
 import ros2_graph as ros
 from served import Daemon
@@ -129,3 +134,63 @@ def test_sensors_of_a_camera_are_placed_by_tf_static(participant, plumb_binary, 
         assert_states(color, document["sensors"]["color"], "arm_optical_frame")
         infrared = ros.Subscriber(participant, "/plumb/arm/infra1/camera_info", ros.CameraInfo, latched=True).take()
         assert_states(infrared, document["sensors"]["infrared"], "arm_infrared_optical_frame")
+
+
+RIG = """
+[calibration]
+auto_approve = false
+[ros2]
+publish = true
+domain_id = {domain}
+camera_info_with_images = true
+session = {{ target = {{ kind = "chessboard", cols = 8, rows = 6, square_m = 0.03 }}, lens = "brown" }}
+[[camera]]
+name = "left"
+source = {{ kind = "recording", path = "{folder}/rig-left.mcap", pace = "fastest" }}
+[[camera]]
+name = "right"
+source = {{ kind = "recording", path = "{folder}/rig-right.mcap", pace = "fastest" }}
+"""
+HEAD = """
+[[rig]]
+name = "head"
+cameras = ["left", "right"]
+"""
+
+
+def test_a_rig_that_a_hangup_adds_is_calibrated_by_services_and_rectified(participant, plumb_binary, tmp_path):  # noqa: F811
+    config = RIG.format(domain=ros.DOMAIN, folder=RECORDINGS)
+    with Daemon(plumb_binary, config, tmp_path, ROS_LOCALHOST_ONLY="1") as plumb:
+        alone = ros.Subscriber(participant, "/plumb/left/state", ros.String, latched=True)
+        assert alone.take().data == "idle"
+        file = tmp_path / "plumb.toml"
+        file.write_text(file.read_text() + HEAD)
+        plumb.process.send_signal(signal.SIGHUP)
+        state = ros.Subscriber(participant, "/plumb/head/state", ros.String, latched=True)
+        assert state.take().data == "idle"
+        events = plumb.events("head")
+        started = ros.Client(participant, "/plumb/head/start", ros.TriggerRequest, ros.TriggerResponse).call(ros.TriggerRequest())
+        assert started.success, started
+        state.take_until(lambda message: message.data == "collecting")
+        next(data for kind, data in events if kind == "session" and "has ended" in (data["reason"] or ""))
+        stopped = ros.Client(participant, "/plumb/head/stop", ros.TriggerRequest, ros.TriggerResponse).call(ros.TriggerRequest())
+        assert stopped.success, stopped
+        identity = stopped.message.removeprefix("calibration ")
+        plumb.ask(f"/v1/calibrations/{identity}/approve", {})
+        infos = {}
+        for name in ("left", "right"):
+            infos[name] = ros.Subscriber(participant, f"/plumb/head/{name}/camera_info", ros.CameraInfo, latched=True).take()
+        with urllib.request.urlopen(f"{plumb.address}/v1/calibrations/{identity}?format=ros_stereo") as answer:
+            files = {one["camera_name"]: one for one in yaml.safe_load_all(answer.read())}
+        for name, info in infos.items():
+            assert (info.header.frame_id, info.distortion_model) == (f"{name}_optical_frame", "plumb_bob")
+            for stated, field in ((info.r, "rectification_matrix"), (info.p, "projection_matrix"), (info.k, "camera_matrix"), (info.d, "distortion_coefficients")):
+                assert list(stated) == files[name][field]["data"]
+        baseline_m = np.linalg.norm(plumb.ask(f"/v1/calibrations/{identity}")["extrinsics"][0]["translation"])
+        np.testing.assert_allclose(infos["right"].p[3], -infos["right"].p[0] * baseline_m, rtol=1e-9)
+        placed = ros.Subscriber(participant, "/tf_static", ros.TFMessage, latched=True).take().transforms
+        assert [(one.header.frame_id, one.child_frame_id) for one in placed] == [("left_optical_frame", "right_optical_frame")]
+        diagnostics = ros.Subscriber(participant, "/diagnostics", ros.DiagnosticArray)
+        said = diagnostics.take_until(lambda array: any(one.name == "plumb: head" for one in array.status))
+        values = {pair.key: pair.value for one in said.status if one.name == "plumb: head" for pair in one.values}
+        assert (values["cameras"], values["calibration"]) == ("left, right", identity)

@@ -14,7 +14,7 @@ use crate::recording::CameraMessages;
 
 /// How long opening waits for a publisher to be discovered: by RTPS each participant announces
 /// itself to a new one at once, and ten times a second is often enough to ask.
-const DISCOVERY: Duration = Duration::from_millis(1000);
+pub(super) const DISCOVERY: Duration = Duration::from_millis(1000);
 const GLANCE: Duration = Duration::from_millis(100);
 /// Images that wait to be taken: at 30 a second the reader may be 250 ms late.
 const DEPTH: i32 = 8;

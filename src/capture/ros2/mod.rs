@@ -4,8 +4,10 @@
 //! a camera that is lost and found again; why is in one line.
 
 mod camera;
+mod listing;
 mod options;
 mod source;
 
 pub use camera::Ros2Camera;
+pub use listing::list_devices;
 pub use options::Ros2Options;
