@@ -69,6 +69,22 @@ pub enum Rejection {
         /// The session's size.
         expected: ImageSize,
     },
+    /// Too few features to recognize a scene by.
+    #[error(
+        "only {features} features: point the camera at something with texture, in focus and lit"
+    )]
+    NoTexture {
+        /// How many there are.
+        features: usize,
+    },
+    /// A scene of which no kept view shows anything.
+    #[error(
+        "it shows nothing of what the kept views show ({matches} matches agree): go back, and take smaller steps"
+    )]
+    UnknownScene {
+        /// The most matches with a kept view that agree.
+        matches: usize,
+    },
     /// The session holds as many views as it may.
     #[error("the session holds its {limit} views already; stop it to solve")]
     Full {
@@ -80,7 +96,7 @@ pub enum Rejection {
 impl Rejection {
     /// The stable names, as counted in [`Rejections`], in the order of documents: those of
     /// [`NoBoard::KINDS`] among them.
-    pub const KINDS: [&'static str; 18] = [
+    pub const KINDS: [&'static str; 20] = [
         "no_corners",
         "no_grid",
         "other_size",
@@ -98,6 +114,8 @@ impl Rejection {
         "too_similar",
         "unreadable",
         "other_image_size",
+        "no_texture",
+        "unknown_scene",
         "full",
     ];
 
@@ -116,6 +134,8 @@ impl Rejection {
             Self::TooSimilar { .. } | Self::TeachesLittle { .. } => "too_similar",
             Self::Unreadable { .. } => "unreadable",
             Self::OtherImageSize { .. } => "other_image_size",
+            Self::NoTexture { .. } => "no_texture",
+            Self::UnknownScene { .. } => "unknown_scene",
             Self::Full { .. } => "full",
         }
     }

@@ -40,8 +40,13 @@ impl Coverage {
 
     /// Counts the corners of `detection` in an image of `size`.
     pub fn add(&mut self, detection: &Detection, size: ImageSize) {
-        for corner in &detection.corners {
-            if let Some((row, col)) = self.cell_of(corner.pixel, size) {
+        self.add_pixels(detection.corners.iter().map(|corner| corner.pixel), size);
+    }
+
+    /// Counts `pixels` of an image of `size`.
+    pub fn add_pixels(&mut self, pixels: impl IntoIterator<Item = Pixel>, size: ImageSize) {
+        for pixel in pixels {
+            if let Some((row, col)) = self.cell_of(pixel, size) {
                 self.cells[row][col] = self.cells[row][col].saturating_add(1);
             }
         }

@@ -149,6 +149,7 @@ mod tests {
             board_warp_m: None,
             board_shape: None,
             rolling_shutter: None,
+            scene: None,
         };
         DriftWatch::new("c1", &sensor)
     }

@@ -157,6 +157,12 @@ pub(crate) fn obstacle(rejection: &Rejection) -> Option<String> {
         | Rejection::Partial { .. } => Some("bring the whole board into the image".to_owned()),
         Rejection::NoBoard(_) => Some("show the board to the camera".to_owned()),
         Rejection::Moving { .. } => Some("hold the board still".to_owned()),
+        Rejection::NoTexture { .. } => {
+            Some("point the camera at something with texture, in focus and lit".to_owned())
+        }
+        Rejection::UnknownScene { .. } => {
+            Some("go back to where the scene is in view, and take smaller steps".to_owned())
+        }
         Rejection::Unreadable { .. }
         | Rejection::OtherImageSize { .. }
         | Rejection::Full { .. } => Some(rejection.to_string()),

@@ -35,6 +35,7 @@ pub mod solve_rgbd;
 pub mod solve_rig;
 pub mod stated_calibration;
 pub mod stereo_pair;
+pub mod target;
 pub(crate) mod verdict;
 pub mod view;
 

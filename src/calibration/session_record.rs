@@ -5,16 +5,16 @@ use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
 use crate::calibration::result::ProjectionUncertainty;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::target::CalibrationTarget;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::lens::Lens;
-use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// What a session is asked to do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SessionRequest {
-    /// The board that is shown.
-    pub target: Target,
+    /// The board that is shown, or the scene.
+    pub target: CalibrationTarget,
     /// Which lens model to fit.
     pub lens: LensChoice,
     /// When it is enough; `None` runs until it is stopped.

@@ -170,6 +170,7 @@ fn with_uncertainty(
         reason: view.fault.map(|fault| fault.to_string()),
         rms_px: view.rms_px.filter(|rms| rms.is_finite()),
         camera_from_board: view.camera_from_board,
+        camera_from_scene: None,
     };
     let compared = |trial: &crate::estimation::lens_choice::LensTrial| ComparedLens {
         model: trial.model,
@@ -191,6 +192,7 @@ fn with_uncertainty(
         board_warp_m: estimate.board_shape.as_ref().map(|shape| shape.bow_m),
         board_shape: estimate.board_shape.clone(),
         rolling_shutter: estimate.rolling_shutter,
+        scene: None,
     }
 }
 

@@ -7,6 +7,7 @@ use crate::calibration::result::{
     ProjectionUncertainty, Verdict,
 };
 use crate::calibration::sensor::SensorId;
+use crate::calibration::target::CalibrationTarget;
 use crate::geometry::depth_camera::DepthCamera;
 use crate::geometry::lens::Lens;
 use crate::imaging::depth_encoding::DepthEncoding;
@@ -45,7 +46,7 @@ pub fn stated_calibration(
         camera: Some(camera.to_owned()),
         created_at_ns,
         extrinsics: factory.sensors.iter().filter_map(extrinsics).collect(),
-        ..Calibration::unnamed(None, sensors, (Checks::default(), verdict))
+        ..Calibration::unnamed(None::<CalibrationTarget>, sensors, (Checks::default(), verdict))
     })
 }
 
@@ -85,6 +86,7 @@ fn image_sensor(stated: &FactorySensor, lens: Lens) -> ImageCalibration {
         board_warp_m: None,
         board_shape: None,
         rolling_shutter: None,
+        scene: None,
     }
 }
 

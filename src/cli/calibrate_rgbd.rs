@@ -244,8 +244,12 @@ impl<'a> RgbdGathering<'a> {
         let Some((image_size, seen)) = color else { return false };
         let target = self.target;
         let session = self.session.get_or_insert_with(|| {
-            let request =
-                SessionRequest { target, lens: LensChoice::Auto, finish: None, given: Vec::new() };
+            let request = SessionRequest {
+                target: target.into(),
+                lens: LensChoice::Auto,
+                finish: None,
+                given: Vec::new(),
+            };
             Session::begin(
                 SessionRecord::begin("", "", request, set.host_time.utc_ns),
                 &[],

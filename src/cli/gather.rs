@@ -152,7 +152,7 @@ impl ImageGathering {
         }
         let (_, session) = self.session.get_or_insert_with(|| {
             let request = SessionRequest {
-                target: self.target,
+                target: self.target.into(),
                 lens: LensChoice::Auto,
                 finish: None,
                 given: Vec::new(),
@@ -202,5 +202,6 @@ pub(super) fn unused(name: String, reason: String) -> CalibratedView {
         reason: Some(reason),
         rms_px: None,
         camera_from_board: None,
+        camera_from_scene: None,
     }
 }

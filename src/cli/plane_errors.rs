@@ -65,7 +65,8 @@ impl PlaneErrors {
         let [target, source] = [SensorKind::Color, SensorKind::Depth].map(SensorId::own);
         let stated = calibration.pose(&target, &source);
         let sensors = calibration.color().zip(calibration.depth()).zip(stated);
-        let parts = calibration.target.zip(sensors);
+        let board = calibration.target.and_then(|target| target.board());
+        let parts = board.zip(sensors);
         let (board, ((color, depth), color_from_depth)) = parts.ok_or_else(|| {
             Failure::failed(
                 "--errors needs a calibration by a board, of color and depth; calibrate with plumb calibrate",

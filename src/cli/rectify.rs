@@ -111,7 +111,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         return Err(Failure::usage(format!("--alpha {}: give a number from 0 to 1", args.alpha)));
     }
     let calibration = read_calibration(&args.rig)?;
-    let target = target(args, calibration.target)?;
+    let board = calibration.target.and_then(|target| target.board());
+    let target = target(args, board)?;
     let (pair, stereo) = stereo(args, &calibration)?;
     let folders = pair.names.each_ref().map(|name| args.out.join(name));
     for folder in &folders {

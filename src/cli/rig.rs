@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::result::Calibration;
 use crate::calibration::sensor::SensorId;
-use crate::calibration::session::{CameraFrame, Session};
+use crate::calibration::session::{CameraFrame, FrameContent, Session};
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::calibration::view::View;
 use crate::calibration::{
@@ -201,15 +201,19 @@ fn kept(
     let mut kept: Vec<Vec<(usize, usize)>> = vec![Vec::new(); cameras.len()];
     let names: Vec<String> = cameras.iter().map(|camera| camera.name.clone()).collect();
     let is_timed = searched.iter().flatten().any(|frame| frame.recording.is_some());
-    let request =
-        SessionRequest { target, lens: LensChoice::Auto, finish: None, given: Vec::new() };
+    let request = SessionRequest {
+        target: target.into(),
+        lens: LensChoice::Auto,
+        finish: None,
+        given: Vec::new(),
+    };
     let record = SessionRecord::begin("", "", request, 0);
     let mut session = Session::begin(record, &names, &AdmissionOptions::default());
     for (number, frames) in frame_sets.iter().enumerate() {
         let each = frames.iter().enumerate();
         let frame = |(camera, index): (usize, &Option<usize>)| {
             let image = &searched[camera][(*index)?];
-            let seen = image.answer.clone().map_err(Rejection::NoBoard);
+            let seen = image.answer.clone().map(FrameContent::from).map_err(Rejection::NoBoard);
             Some(CameraFrame { frame: image.frame.clone(), seen })
         };
         let given: Vec<Option<CameraFrame>> = each.map(frame).collect();

@@ -110,7 +110,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let sensor = calibration
         .guide()
         .ok_or_else(|| Failure::failed(format!("{file}: has no image sensor to verify")))?;
-    let square_m = match calibration.target {
+    let square_m = match calibration.target.and_then(|target| target.board()) {
         Some(Target::Chessboard(board)) => board.square_m,
         _ => ANY_SQUARE_M,
     };

@@ -1,10 +1,11 @@
 //! The calibration document.
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::result::{Calibration, Extrinsics};
 use crate::calibration::sensor::SensorId;
+use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::document::pose::{PoseDocument, RotationDocument};
 use crate::document::sensors::SensorsDocument;
@@ -12,7 +13,6 @@ use crate::document::target::TargetDocument;
 use crate::document::time;
 use crate::document::verdict::{ChecksDocument, VerdictDocument};
 use crate::geometry::pose::Pose;
-use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A finished calibration of one camera, or of a rig of cameras.
@@ -27,8 +27,17 @@ pub struct CalibrationDocument {
     /// When it was solved.
     #[schema(value_type = String, format = DateTime)]
     pub created_at: jiff::Timestamp,
-    /// The board; null where correspondences were given without one.
+    /// The board or the scene; null where correspondences were given without one.
     pub target: Option<TargetDocument>,
+    /// The unit of lengths, without a board only: null, since images do not determine it; the
+    /// greatest distance between two used cameras is 1.
+    #[schema(value_type = Option<String>)]
+    #[serde(
+        default,
+        deserialize_with = "null_is_a_value",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub scene_unit: Option<Option<String>>,
     /// Each calibrated sensor. A camera with one sensor has it under `color`, gray or not.
     pub sensors: SensorsDocument,
     /// The cameras of a rig, in its order; left out for one camera.
@@ -44,6 +53,13 @@ pub struct CalibrationDocument {
     /// What the solve and its uncertainty took, in milliseconds; only in the answer to a solve.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elapsed_ms: Option<f64>,
+}
+
+/// A field that is there, null or not; serde alone takes null for a field that is not.
+fn null_is_a_value<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<Option<String>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
 }
 
 /// Every calibration of a camera.
@@ -97,6 +113,7 @@ impl From<&Calibration> for CalibrationDocument {
             session: calibration.session.clone(),
             created_at: time::from_utc_ns(calibration.created_at_ns),
             target: calibration.target.map(TargetDocument::from),
+            scene_unit: calibration.target.filter(CalibrationTarget::is_scene).map(|_| None),
             sensors: SensorsDocument::of(&calibration.sensors, None),
             cameras: cameras.iter().map(camera).collect(),
             extrinsics: calibration.extrinsics.iter().map(extrinsics).collect(),
@@ -128,7 +145,7 @@ impl TryFrom<&CalibrationDocument> for Calibration {
             target: document
                 .target
                 .as_ref()
-                .map(Target::try_from)
+                .map(CalibrationTarget::try_from)
                 .transpose()
                 .map_err(|e| e.inside("target"))?,
             sensors,
@@ -214,7 +231,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::calibration::result::{
         CalibratedSensor, CalibratedView, Checks, ComparedLens, Grade, ImageCalibration,
-        ProjectionUncertainty, Verdict,
+        ProjectionUncertainty, SceneSupport, Verdict,
     };
     use crate::document::image_sensor::SensorDocument;
     use crate::document::reading::{from_json, to_json, to_json_pretty};
@@ -234,6 +251,7 @@ pub(crate) mod tests {
             reason: (!used).then(|| "mirrored".to_owned()),
             rms_px: used.then_some(third / 10.0),
             camera_from_board: used.then_some(target_from_source),
+            camera_from_scene: None,
         };
         let lens = Lens::from_parameters(
             LensModel::Brown,
@@ -253,13 +271,14 @@ pub(crate) mod tests {
             board_warp_m: Some([0.001, -0.0005]),
             board_shape: None,
             rolling_shutter: None,
+            scene: None,
         };
         Calibration {
             id: "01KAJ0000000000000000000000".into(),
             camera: Some("front".into()),
             session: None,
             created_at_ns: 1_770_000_000_123_456_789,
-            target: Some(chessboard(9, 6, 0.03).unwrap()),
+            target: Some(chessboard(9, 6, 0.03).unwrap().into()),
             sensors: vec![CalibratedSensor::image(SensorId::own(SensorKind::Color), sensor)],
             extrinsics: vec![Extrinsics {
                 target: SensorId::own(SensorKind::Color),
@@ -336,13 +355,26 @@ pub(crate) mod tests {
 
     #[test]
     fn a_calibration_survives_to_the_bit() {
-        let calibration = example();
-        let document = CalibrationDocument::from(&calibration);
-        for json in [to_json(&document).unwrap(), to_json_pretty(&document).unwrap()] {
-            let back: CalibrationDocument = from_json(json.as_bytes()).unwrap();
-            assert_eq!(back, document);
-            assert_eq!(Calibration::try_from(&back), Ok(calibration.clone()));
+        for calibration in [example(), of_scene()] {
+            let document = CalibrationDocument::from(&calibration);
+            for json in [to_json(&document).unwrap(), to_json_pretty(&document).unwrap()] {
+                let back: CalibrationDocument = from_json(json.as_bytes()).unwrap();
+                assert_eq!(back, document);
+                assert_eq!(Calibration::try_from(&back), Ok(calibration.clone()));
+            }
         }
+    }
+
+    /// One without a board.
+    fn of_scene() -> Calibration {
+        let mut calibration = example();
+        calibration.target = Some(CalibrationTarget::Scene);
+        let color = calibration.image_mut(SensorKind::Color).unwrap();
+        color.scene = Some(SceneSupport { points: 900, held_by_prior: vec!["cx".into()] });
+        for view in &mut color.views {
+            view.camera_from_scene = view.camera_from_board.take();
+        }
+        calibration
     }
 
     #[test]

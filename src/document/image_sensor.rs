@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use crate::calibration::result::{
-    CalibratedView, ComparedLens, ImageCalibration, ProjectionUncertainty,
+    CalibratedView, ComparedLens, ImageCalibration, ProjectionUncertainty, SceneSupport,
 };
 use crate::document::board_shape::{BoardShapeDocument, RollingShutterDocument};
 use crate::document::error::{DocumentError, physical};
@@ -47,6 +47,13 @@ pub struct SensorDocument {
     /// How the board moved while the rows of an image were read, where the views show it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rolling_shutter: Option<RollingShutterDocument>,
+    /// How many scene points there are, without a board.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub points: Option<usize>,
+    /// Parameters that a scene says no more of than the prior: center ± 2 % of the width, square
+    /// pixels ± 0.2 %, radial coefficients ± 0.2, tangential ones ± 0.0003.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held_by_prior: Vec<String>,
     /// Each image or frame that was offered, in order.
     pub views: Vec<ViewDocument>,
 }
@@ -85,6 +92,10 @@ pub struct ViewDocument {
     pub rms_px: Option<f64>,
     /// Where the board was; null for a view without a pose.
     pub camera_from_board: Option<PoseDocument>,
+    /// Where the scene was, without a board; left out for a view without a pose. The first used
+    /// view is the identity.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_from_scene: Option<PoseDocument>,
 }
 
 impl From<&ImageCalibration> for SensorDocument {
@@ -100,6 +111,8 @@ impl From<&ImageCalibration> for SensorDocument {
             board_warp_m: sensor.board_warp_m,
             board_shape: sensor.board_shape.as_ref().map(BoardShapeDocument::from),
             rolling_shutter: sensor.rolling_shutter.map(RollingShutterDocument::from),
+            points: sensor.scene.as_ref().map(|scene| scene.points),
+            held_by_prior: sensor.scene.as_ref().map_or_else(Vec::new, |s| s.held_by_prior.clone()),
             views: sensor.views.iter().map(ViewDocument::from).collect(),
         }
     }
@@ -127,6 +140,10 @@ impl TryFrom<&SensorDocument> for ImageCalibration {
             board_warp_m: document.board_warp_m,
             board_shape: document.board_shape.as_ref().map(TryInto::try_into).transpose()?,
             rolling_shutter: document.rolling_shutter.map(Into::into),
+            scene: document.points.map(|points| SceneSupport {
+                points,
+                held_by_prior: document.held_by_prior.clone(),
+            }),
         })
     }
 }
@@ -202,6 +219,7 @@ impl From<&CalibratedView> for ViewDocument {
             reason: view.reason.clone(),
             rms_px: view.rms_px,
             camera_from_board: view.camera_from_board.as_ref().map(PoseDocument::from),
+            camera_from_scene: view.camera_from_scene.as_ref().map(PoseDocument::from),
         }
     }
 }
@@ -210,12 +228,14 @@ impl TryFrom<&ViewDocument> for CalibratedView {
     type Error = DocumentError;
     fn try_from(document: &ViewDocument) -> Result<Self, DocumentError> {
         let camera_from_board = document.camera_from_board.as_ref().map(Pose::try_from).transpose();
+        let camera_from_scene = document.camera_from_scene.as_ref().map(Pose::try_from).transpose();
         Ok(Self {
             name: document.name.clone(),
             used: document.used,
             reason: document.reason.clone(),
             rms_px: document.rms_px,
             camera_from_board: camera_from_board.map_err(|e| e.inside("camera_from_board"))?,
+            camera_from_scene: camera_from_scene.map_err(|e| e.inside("camera_from_scene"))?,
         })
     }
 }

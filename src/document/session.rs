@@ -9,6 +9,7 @@ use crate::calibration::sensor::SensorId;
 use crate::calibration::session_record::{
     Finish, HeldLens, RunningEstimate, SessionMember, SessionRecord, SessionRequest, SessionState,
 };
+use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::document::lens::LensDocument;
 use crate::document::lens_model::LensRequest;
@@ -20,7 +21,6 @@ use crate::document::session_progress::{
 use crate::document::target::TargetDocument;
 use crate::document::time;
 use crate::geometry::lens::Lens;
-use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// What starts a session.
@@ -56,7 +56,8 @@ impl TryFrom<&StartDocument> for SessionRequest {
     type Error = DocumentError;
     fn try_from(document: &StartDocument) -> Result<Self, DocumentError> {
         Ok(Self {
-            target: Target::try_from(&document.target).map_err(|e| e.inside("target"))?,
+            target: CalibrationTarget::try_from(&document.target)
+                .map_err(|e| e.inside("target"))?,
             lens: document.lens.into(),
             finish: document
                 .finish
@@ -333,6 +334,9 @@ pub struct SessionViewDocument {
     pub residuals_px: Option<Vec<[f64; 2]>>,
     /// Where the board was, by the session's calibration.
     pub camera_from_board: Option<PoseDocument>,
+    /// Where the scene was, by the session's calibration; without a board only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_from_scene: Option<PoseDocument>,
     /// Where its image is.
     #[serde(rename = "picture")]
     pub image: String,

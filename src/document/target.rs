@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::geometry::board::{BoardError, Chessboard};
 use crate::geometry::dictionary::Dictionary;
@@ -18,6 +19,8 @@ pub enum TargetKind {
     Charuco,
     /// Kalibr's grid of tags.
     AprilGrid,
+    /// No target: a static scene that the camera moves through. It has no other field.
+    Scene,
 }
 
 /// A calibration target. There is no default: count its squares and measure one.
@@ -27,9 +30,11 @@ pub struct TargetDocument {
     /// Its kind.
     pub kind: TargetKind,
     /// Of a chessboard inner corners along a row, of a ChArUco board squares, of an AprilGrid tags.
-    pub cols: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cols: Option<u32>,
     /// Rows of them.
-    pub rows: u32,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rows: Option<u32>,
     /// The side of one square of a chessboard or a ChArUco board, in meters.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub square_m: Option<f64>,
@@ -62,10 +67,15 @@ pub struct TargetDocument {
 impl TargetDocument {
     /// One of this kind and size of which nothing else is known.
     pub(super) fn of_size(kind: TargetKind, cols: u32, rows: u32) -> Self {
+        Self { cols: Some(cols), rows: Some(rows), ..Self::of_kind(kind) }
+    }
+
+    /// One of this kind of which nothing else is known.
+    fn of_kind(kind: TargetKind) -> Self {
         Self {
             kind,
-            cols,
-            rows,
+            cols: None,
+            rows: None,
             square_m: None,
             marker_m: None,
             dictionary: None,
@@ -81,8 +91,11 @@ impl TargetDocument {
     /// The field that this kind of target does not have, if one is given.
     fn foreign_field(&self) -> Option<&'static str> {
         use TargetKind::{AprilGrid, Charuco, Chessboard};
+        let boards = &[Chessboard, Charuco, AprilGrid] as &[TargetKind];
         let fields = [
-            ("square_m", self.square_m.is_some(), &[Chessboard, Charuco] as &[TargetKind]),
+            ("cols", self.cols.is_some(), boards),
+            ("rows", self.rows.is_some(), boards),
+            ("square_m", self.square_m.is_some(), &[Chessboard, Charuco]),
             ("marker_m", self.marker_m.is_some(), &[Charuco]),
             ("dictionary", self.dictionary.is_some(), &[Charuco]),
             ("first_id", self.first_id.is_some(), &[Charuco, AprilGrid]),
@@ -138,16 +151,18 @@ impl TryFrom<&TargetDocument> for Target {
             let problem = "is not of this kind of target; leave it out";
             return Err(DocumentError::field(field, problem));
         }
-        let TargetDocument { kind, cols, rows, .. } = *document;
+        let size = || Ok((needed("cols", document.cols)?, needed("rows", document.rows)?));
         let first_id = document.first_id.unwrap_or(0);
         let dictionary =
             |name: &str| Dictionary::named(name).map_err(|error| in_field(&error.into()));
-        let checked = match kind {
+        let checked = match document.kind {
             TargetKind::Chessboard => {
+                let (cols, rows) = size()?;
                 return chessboard(cols, rows, needed("square_m", document.square_m)?)
                     .map_err(|error| in_field(&error));
             }
             TargetKind::Charuco => {
+                let (cols, rows) = size()?;
                 let board = CharucoBoard {
                     cols,
                     rows,
@@ -160,6 +175,7 @@ impl TryFrom<&TargetDocument> for Target {
                 board.check().map(|()| Self::Charuco(board))
             }
             TargetKind::AprilGrid => {
+                let (cols, rows) = size()?;
                 let grid = AprilGrid {
                     cols,
                     rows,
@@ -171,8 +187,28 @@ impl TryFrom<&TargetDocument> for Target {
                 };
                 grid.check().map(|()| Self::AprilGrid(grid))
             }
+            TargetKind::Scene => {
+                let problem = "is no board; a scene calibrates with `plumb autocalibrate`, or in a session of one camera";
+                return Err(DocumentError::field("kind", problem));
+            }
         };
         checked.map_err(|error| in_field(&error))
+    }
+}
+
+impl From<CalibrationTarget> for TargetDocument {
+    fn from(target: CalibrationTarget) -> Self {
+        target.board().map_or_else(|| Self::of_kind(TargetKind::Scene), Self::from)
+    }
+}
+
+impl TryFrom<&TargetDocument> for CalibrationTarget {
+    type Error = DocumentError;
+    fn try_from(document: &TargetDocument) -> Result<Self, DocumentError> {
+        match (document.kind, document.foreign_field()) {
+            (TargetKind::Scene, None) => Ok(Self::Scene),
+            _ => Target::try_from(document).map(Self::Board),
+        }
     }
 }
 

@@ -68,8 +68,8 @@ fn from_kalibr(text: &str) -> Result<TargetDocument, DocumentError> {
     let missing = |name: &str| DocumentError::field(name, "is missing");
     Ok(TargetDocument {
         kind: kind.ok_or_else(|| missing("target_type"))?,
-        cols: cols.ok_or_else(|| missing("tagCols"))?,
-        rows: rows.ok_or_else(|| missing("tagRows"))?,
+        cols: Some(cols.ok_or_else(|| missing("tagCols"))?),
+        rows: Some(rows.ok_or_else(|| missing("tagRows"))?),
         ..read
     })
 }

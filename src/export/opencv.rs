@@ -25,9 +25,10 @@ pub(super) fn file_storage(
         "image_width: {}\nimage_height: {}\n",
         sensor.image_size.width, sensor.image_size.height
     );
-    if let Some(Target::Chessboard(Chessboard { size, square_m })) = &calibration.target {
+    let board = calibration.target.and_then(|target| target.board());
+    if let Some(Target::Chessboard(Chessboard { size, square_m })) = board {
         text += &format!("board_width: {}\nboard_height: {}\n", size.cols, size.rows);
-        text += &format!("square_size: {}\n", decimal(*square_m));
+        text += &format!("square_size: {}\n", decimal(square_m));
     }
     text += &format!("fisheye_model: {}\n", i32::from(is_fisheye));
     text += &matrix("camera_matrix", 3, &[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);

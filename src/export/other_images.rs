@@ -148,6 +148,7 @@ fn sensor_for(
         board_warp_m: sensor.board_warp_m,
         board_shape: sensor.board_shape.clone(),
         rolling_shutter: sensor.rolling_shutter,
+        scene: sensor.scene.clone(),
         lens,
     })
 }

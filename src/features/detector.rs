@@ -10,7 +10,7 @@ use crate::imaging::gray::GrayView;
 
 /// Keypoints with what their surroundings show, strongest first: any first part of them is spread
 /// over the image too.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Features {
     /// Where.
     pub keypoints: Vec<Keypoint>,

@@ -59,6 +59,10 @@ pub(super) async fn start(
     let cameras = shared.fleet.rig(&rig)?.cameras;
     let start: StartDocument = document(request, SMALL_BODY).await?;
     let request = SessionRequest::try_from(&start)?;
+    if request.target.is_scene() {
+        let problem = "a scene is for one camera; start the session on a camera of the rig";
+        return Err(Problem::field("target.kind", problem));
+    }
     let is_foreign = |held: &&HeldLens| {
         held.sensor.camera.as_ref().is_none_or(|camera| !cameras.contains(camera))
     };

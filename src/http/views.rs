@@ -115,7 +115,7 @@ fn view_document(
     place: usize,
     calibration: Option<&Calibration>,
 ) -> Option<SessionViewDocument> {
-    let (n, detection) = (view.number?, view.detection.as_ref()?);
+    let (n, detection) = (view.number?, view.detection.as_ref());
     let sensor = calibration.and_then(|calibration| sensor_of(calibration, view));
     let name = view.frame.display_name();
     // The views before it may not all be readable any more: then it is the only one of its name.
@@ -124,25 +124,28 @@ fn view_document(
         let mut of_name = sensor.views.iter().filter(|calibrated| calibrated.name == name);
         at_place.or_else(|| of_name.next().filter(|_| of_name.next().is_none()))
     });
-    let target = calibration.and_then(|calibration| calibration.target);
-    let residuals = sensor.zip(calibrated).zip(target);
-    let corners = || detection.corners.iter();
+    let target = calibration.and_then(|calibration| calibration.target?.board());
+    let residuals = sensor.zip(calibrated).zip(target).zip(detection);
+    let corners = || detection.into_iter().flat_map(|detection| detection.corners.iter());
     Some(SessionViewDocument {
         n,
         camera: view.sensor.camera.clone(),
         moment: view.sensor.camera.is_some().then_some(view.frame_set),
         name,
         taken_at: time::from_utc_ns(view.frame.host_time_ns),
-        corners: detection.corners.len() as u32,
+        corners: corners().count() as u32,
         corners_px: corners().map(|corner| [corner.pixel.x, corner.pixel.y]).collect(),
         used: calibrated.map(|calibrated| calibrated.used),
         reason: calibrated.and_then(|calibrated| calibrated.reason.clone()),
         rms_px: calibrated.and_then(|calibrated| calibrated.rms_px),
-        residuals_px: residuals.and_then(|((sensor, calibrated), target)| {
+        residuals_px: residuals.and_then(|(((sensor, calibrated), target), detection)| {
             residuals_px(detection, sensor, calibrated, target)
         }),
         camera_from_board: calibrated
             .and_then(|calibrated| calibrated.camera_from_board.as_ref())
+            .map(PoseDocument::from),
+        camera_from_scene: calibrated
+            .and_then(|calibrated| calibrated.camera_from_scene.as_ref())
             .map(PoseDocument::from),
         image: format!("/v1/sessions/{session_id}/views/{n}.jpg"),
     })

@@ -9,6 +9,7 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::{MAX_PIXELS, file_size};
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
+use crate::imaging::gray::GrayView;
 use crate::imaging::plausible::{check_size, memory_limit};
 
 /// The endings of files that are taken for images, in any case of letters.
@@ -19,6 +20,17 @@ pub const EXTENSIONS: [&str; 10] =
 pub fn is_image(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension))
+}
+
+/// A gray PNG of `image`, without loss.
+pub fn png_from_luma(image: GrayView<'_>) -> Vec<u8> {
+    let pixels: Vec<u8> = (0..image.height()).flat_map(|y| image.row(y)).copied().collect();
+    let (mut file, size) = (Vec::new(), image.size());
+    let encoder = image::codecs::png::PngEncoder::new(&mut file);
+    let (width, height, color) = (size.width, size.height, image::ExtendedColorType::L8);
+    let written = image::ImageEncoder::write_image(encoder, &pixels, width, height, color);
+    debug_assert!(written.is_ok(), "a PNG is written to memory");
+    file
 }
 
 /// The frame that an image's file holds. JPEG and PNG are kept as they came; a binary PGM or PPM,

@@ -17,7 +17,7 @@ use tokio::sync::mpsc;
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session::CameraFrame;
 use crate::calibration::session::gate::{Gate, KeptSoFar};
-use crate::geometry::target::Target;
+use crate::calibration::target::CalibrationTarget;
 use crate::imaging::factory::FactoryCalibration;
 use crate::pipeline::board_search::BoardSearch;
 use crate::pipeline::message::{Message, SeenFrameSet};
@@ -41,7 +41,7 @@ pub(super) struct Assembly {
     /// The session that they are for.
     pub(super) session: String,
     /// What is searched for.
-    pub(super) board: Target,
+    pub(super) target: CalibrationTarget,
     instrument: String,
     messages: mpsc::Sender<Message>,
     metrics: Arc<Metrics>,
@@ -85,7 +85,7 @@ struct CameraQueue {
 #[derive(Debug)]
 pub(super) struct AssemblyPlan {
     pub(super) session: String,
-    pub(super) board: Target,
+    pub(super) target: CalibrationTarget,
     pub(super) instrument: String,
     /// What each camera's device states of its sensors, in the instrument's order.
     pub(super) factories: Vec<SharedFactory>,
@@ -98,14 +98,14 @@ impl Assembly {
         messages: mpsc::Sender<Message>,
         metrics: Arc<Metrics>,
     ) -> Self {
-        let AssemblyPlan { session, board, instrument, factories, admission } = plan;
+        let AssemblyPlan { session, target, instrument, factories, admission } = plan;
         let cameras = factories.len();
         let mut queues = Vec::new();
         queues.resize_with(cameras, CameraQueue::default);
         let gate = Gate::new(cameras, &admission);
         Self {
             session,
-            board,
+            target,
             instrument,
             messages,
             metrics,
@@ -226,7 +226,7 @@ impl Assembly {
                 self.metrics.frame_sets.with_label_values(&labels).inc();
             }
             let kept = Arc::clone(&lock(&self.kept));
-            let seen = finishing.finish(frames, &self.board, &kept);
+            let seen = finishing.finish(frames, &self.target, &kept);
             self.send(Message::Seen(Box::new(seen), self.session.clone()));
         }
         let end = self.lock().take_end();
@@ -251,14 +251,16 @@ impl Finishing {
     fn finish(
         &mut self,
         mut frames: Vec<Option<SeenFrame>>,
-        board: &Target,
+        target: &CalibrationTarget,
         kept: &KeptSoFar,
     ) -> SeenFrameSet {
         let mut observed = observed(&frames);
-        if self.gate.may_keep(&observed, kept) {
+        if let CalibrationTarget::Board(board) = target
+            && self.gate.may_keep(&observed, kept)
+        {
             for (seen, factory) in frames.iter_mut().zip(&self.factories) {
                 let encoding = lock(factory).depth_encoding;
-                if let Some(seen) = seen.as_mut().filter(|seen| seen.detection.outcome.is_ok()) {
+                if let Some(seen) = seen.as_mut().filter(|seen| seen.detection.board().is_some()) {
                     self.search.observe_all(seen, board, encoding);
                 }
             }

@@ -32,7 +32,7 @@ fn meeting(cameras: usize) -> Meeting {
     let (sender, messages) = mpsc::channel(1000);
     let plan = AssemblyPlan {
         session: "s".to_owned(),
-        board: chessboard(9, 6, 0.025).unwrap(),
+        target: chessboard(9, 6, 0.025).unwrap().into(),
         instrument: "head".to_owned(),
         factories: vec![Arc::default(); cameras],
         admission: AdmissionOptions::default(),

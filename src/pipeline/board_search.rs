@@ -57,7 +57,7 @@ impl BoardSearch {
         };
         let tracked = found.as_ref().is_ok_and(|found| found.followed);
         FrameDetection {
-            outcome: found.map(|found| Arc::new(found.detection)),
+            outcome: found.map(|found| found.detection.into()),
             elapsed_ms: started.elapsed().as_secs_f64() * 1e3,
             tracked,
         }

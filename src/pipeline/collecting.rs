@@ -5,14 +5,16 @@ use std::sync::Arc;
 use ulid::Ulid;
 
 use crate::calibration::guidance::Guidance;
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::session::gate::KeptSoFar;
 use crate::calibration::session::{Action, KeptView, Session, SessionOver};
 use crate::calibration::session_record::{SessionRecord, SessionRequest, SessionState};
-use crate::calibration::view::View;
+use crate::calibration::view::{FrameFacts, View};
 use crate::pipeline::assembly::{Assembly, AssemblyPlan};
 use crate::pipeline::auxiliary::AuxiliaryViews;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::live_camera::LiveCamera;
+use crate::pipeline::scene_search::stored_scene;
 use crate::pipeline::search::CameraSearch;
 use crate::pipeline::session_request::{EndError, StartError};
 use crate::pipeline::session_thread::SessionThread;
@@ -27,15 +29,9 @@ impl SessionThread {
             tracing::error!(instrument = name, "kept views are left out: {error}");
             Vec::new()
         });
-        let views = self.kept_views(&stored);
-        tracing::info!(
-            instrument = name,
-            session = record.id,
-            views = views.len(),
-            "session goes on"
-        );
-        let members = self.instrument.member_names();
-        let (session, actions) = Session::resume(record, &members, &views, &self.admission);
+        let (session, actions) = self.resumed(record, &stored);
+        let (id, views) = (&session.record().id, session.kept().len());
+        tracing::info!(instrument = name, session = id, views, "session goes on");
         self.auxiliary = AuxiliaryViews::of_stored(&stored);
         self.drift = self.drift_watch();
         let record = session.record().clone();
@@ -49,6 +45,38 @@ impl SessionThread {
         }
         self.perform(actions);
         self.show();
+    }
+
+    /// The session of `record` with its stored views, and what to do first.
+    fn resumed(&self, record: SessionRecord, stored: &[SensorView]) -> (Session, Vec<Action>) {
+        if record.request.target.is_scene() {
+            let key_frames = self.kept_key_frames(&record.id, stored);
+            return Session::resume_scene(record, &key_frames, &self.admission);
+        }
+        let (views, members) = (self.kept_views(stored), self.instrument.member_names());
+        Session::resume(record, &members, &views, &self.admission)
+    }
+
+    /// The stored key frames with the features of their images, in the order they were kept.
+    fn kept_key_frames(
+        &self,
+        session: &str,
+        stored: &[SensorView],
+    ) -> Vec<(KeptView, FrameFacts, SceneImage)> {
+        let key_frame = |view: &SensorView| {
+            let number = view.number?;
+            let image = self.store.picture(session, number).map_err(|error| error.to_string());
+            let image = image.and_then(|image| image.ok_or_else(|| "it has no image".to_owned()));
+            let name = view.frame.display_name();
+            let features = image
+                .and_then(|image| stored_scene(name, image).map_err(|error| error.to_string()));
+            let fault = |error| tracing::error!(session, number, "key frame left out: {error}");
+            let kept = KeptView { number, camera: 0, frame_set: view.frame_set, view: 0 };
+            Some((kept, view.frame.clone(), features.map_err(fault).ok()?))
+        };
+        let mut key_frames: Vec<_> = stored.iter().filter_map(key_frame).collect();
+        key_frames.sort_by_key(|(kept, ..)| kept.number);
+        key_frames
     }
 
     /// The stored views as the session goes on with them, in the order they were kept.
@@ -114,7 +142,7 @@ impl SessionThread {
         let instrument = &self.instrument;
         let plan = AssemblyPlan {
             session: record.id.clone(),
-            board: record.request.target,
+            target: record.request.target,
             instrument: instrument.name.clone(),
             factories: instrument.cameras.iter().map(|c| Arc::clone(&c.factory)).collect(),
             admission: self.admission,

@@ -5,11 +5,13 @@
 
 use std::sync::Arc;
 
+use crate::calibration::target::CalibrationTarget;
 use crate::pipeline::board_search::{BoardSearch, SearchManner};
 use crate::pipeline::captured::{Captured, CapturedFrame};
 use crate::pipeline::event::{EventKind, FrameEvent};
 use crate::pipeline::live_camera::LiveCamera;
 use crate::pipeline::live_frame::{FrameDetection, LiveFrame};
+use crate::pipeline::scene_search::search_scene;
 use crate::pipeline::search::CameraSearch;
 use crate::pipeline::seen::SeenFrame;
 
@@ -71,13 +73,17 @@ impl Detect {
     /// else.
     fn detect(&mut self, captured: &CapturedFrame, search: &CameraSearch) -> FrameDetection {
         let manner = if captured.waits { SearchManner::Whole } else { SearchManner::Tracked };
-        let board = &search.assembly.board;
-        let detection = self.board_search.search(&captured.frame_set, board, manner);
+        let detection = match &search.assembly.target {
+            CalibrationTarget::Board(board) => {
+                self.board_search.search(&captured.frame_set, board, manner)
+            }
+            CalibrationTarget::Scene => search_scene(&captured.frame_set),
+        };
         let (name, metrics) = (&self.camera.name, &self.camera.metrics);
         let elapsed_s = detection.elapsed_ms * 1e-3;
         metrics.detection_seconds.with_label_values(&[name]).observe(elapsed_s);
         metrics.searched.with_label_values(&[name]).inc();
-        if detection.outcome.is_ok() {
+        if detection.board().is_some() {
             metrics.boards.with_label_values(&[name]).inc();
         }
         detection

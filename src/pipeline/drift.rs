@@ -19,7 +19,8 @@ impl SessionThread {
     pub(super) fn check_drift(&mut self, kept: &KeptView) {
         let (Some(watch), Some(session)) = (&mut self.drift, &self.session) else { return };
         let Some(view) = session.view(kept) else { return };
-        let seen = view.to_board_view(&session.record().request.target);
+        let Some(board) = session.record().request.target.board() else { return };
+        let seen = view.to_board_view(&board);
         if let Some(drift) = watch.see(&seen, view.frame.image_size) {
             self.publish_drift(drift);
         }

@@ -82,7 +82,7 @@ pub struct DetectionEvent {
     pub sequence: u64,
     /// The session that searched.
     pub session: String,
-    /// Whether the board was found.
+    /// Whether the board was found, or features of a scene.
     pub found: bool,
     /// The corners in row-major order; empty if not found.
     pub corners_px: Vec<Pixel>,
@@ -101,7 +101,7 @@ impl DetectionEvent {
     /// What a session made of a frame that was searched.
     pub(super) fn of(seen: &SeenFrame, session: &str, admission: &Result<u32, Rejection>) -> Self {
         let found = &seen.detection.outcome;
-        let corners = found.iter().flat_map(|detection| detection.corners.iter());
+        let corners = seen.detection.board().into_iter().flat_map(|board| board.corners.iter());
         let rejection = admission.as_ref().err();
         Self {
             sequence: seen.frame_set.sequence,

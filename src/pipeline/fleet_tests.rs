@@ -509,13 +509,14 @@ fn calibrated(folder: &tempfile::TempDir) {
         board_warp_m: None,
         board_shape: None,
         rolling_shutter: None,
+        scene: None,
     };
     let calibration = Calibration {
         id: "c1".to_owned(),
         camera: Some("front".to_owned()),
         created_at_ns: 1,
         ..Calibration::unnamed(
-            None,
+            None::<crate::geometry::target::Target>,
             vec![CalibratedSensor::image(SensorId::own(SensorKind::Color), sensor)],
             (Checks::default(), Verdict { grade: Grade::Good, reasons: Vec::new() }),
         )

@@ -96,10 +96,12 @@ mod tests {
     use super::*;
     use crate::calibration::InstrumentObservations;
     use crate::estimation::problem::LensChoice;
+    use crate::pipeline::solve_job::SolveInput;
 
     fn job(session: &str) -> SolveJob {
         let observations = InstrumentObservations { board: None, cameras: Vec::new() };
         let interrupt = Interrupt::new();
+        let observations = SolveInput::Board(Box::new(observations));
         SolveJob { session: session.into(), lens: LensChoice::Auto, observations, interrupt }
     }
 

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::calibration::session::FrameContent;
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::imaging::frame::FrameSet;
 
@@ -18,13 +19,20 @@ pub struct LiveFrame {
 /// What was seen in a frame, and how long it took to see it.
 #[derive(Debug, Clone)]
 pub struct FrameDetection {
-    /// The board, or why there is none.
-    pub outcome: Result<Arc<Detection>, NoDetection>,
+    /// The board, or features of a scene; or why there is nothing.
+    pub outcome: Result<FrameContent, NoDetection>,
     /// The time that decoding and detection took, in milliseconds.
     pub elapsed_ms: f64,
     /// The board was found near where it was in the frame before: its corners are exact enough to
     /// decide on, not to keep.
     pub tracked: bool,
+}
+
+impl FrameDetection {
+    /// The board, if it was found.
+    pub fn board(&self) -> Option<&Detection> {
+        self.outcome.as_ref().ok().and_then(FrameContent::board)
+    }
 }
 
 /// Why a frame shows no board.

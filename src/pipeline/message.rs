@@ -3,11 +3,11 @@
 use tokio::sync::oneshot;
 
 use crate::calibration::result::Calibration;
-use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::session::CameraFrame;
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::pipeline::seen::SeenFrame;
 use crate::pipeline::session_request::{EndError, StartError};
+use crate::pipeline::solve_job::Estimate;
 
 /// What the cameras of an instrument gave at about the same time, in the instrument's order.
 #[derive(Debug)]
@@ -38,7 +38,7 @@ pub(super) enum Message {
     /// So many seconds went by without a frame.
     Waited(f64),
     /// A running estimate of a camera's lens, if it could be made.
-    Estimated { session: String, place: usize, estimate: Option<Box<EstimateSoFar>> },
+    Estimated { session: String, place: usize, estimate: Estimate },
     /// A session's solve.
     Solved { session: String, solved: Result<Box<Calibration>, String> },
     /// Begin a session.

@@ -2,7 +2,7 @@
 //!
 //! A frame's way is one, whatever the instrument: `capture-<camera>` owns the device and puts each
 //! frame set into a newest-wins slot (in a replay at full speed, a slot that waits instead);
-//! `detect-<camera>` takes it from there, searches for the board while a session collects, shows
+//! `detect-<camera>` takes it from there, searches for the board, or a scene's features, while a session collects, shows
 //! the frame with what was seen (`preview-<camera>` draws it, once for all who watch), and puts it
 //! into the session's `assembly`, where frames of several cameras meet and what may be kept is
 //! searched in full, with every other sensor; `session-<instrument>` owns the session, stores what
@@ -45,6 +45,7 @@ pub mod recorder;
 pub mod recording_notes;
 mod recording_status;
 mod running;
+mod scene_search;
 mod search;
 mod seen;
 pub mod session_request;

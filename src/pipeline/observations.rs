@@ -12,7 +12,7 @@ use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::factory::FactorySensor;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::auxiliary::{AuxiliaryView, AuxiliaryViews};
-use crate::pipeline::solve_job::SolveJob;
+use crate::pipeline::solve_job::{SolveInput, SolveJob};
 
 /// The problem of a session; `stated` is what each camera's device states of its depth sensor.
 pub(super) fn solve_job(
@@ -22,10 +22,21 @@ pub(super) fn solve_job(
     is_rig: bool,
 ) -> SolveJob {
     let record = session.record();
+    let Some(board) = record.request.target.board() else {
+        let images = session.camera(0).map_or(&[][..], |part| part.key_frames());
+        let images = images.iter().map(|key| key.image.clone()).collect();
+        let observations = SolveInput::Scene(images);
+        return SolveJob {
+            session: record.id.clone(),
+            lens: record.request.lens,
+            observations,
+            interrupt: Interrupt::new(),
+        };
+    };
     let places = (0..).take_while(|place| session.camera(*place).is_some());
     let camera = |place: usize| {
         let stated = stated.get(place).and_then(Option::as_ref);
-        let seen = CameraSeen::of(session, place, auxiliary)?;
+        let seen = CameraSeen::of((session, board), place, auxiliary)?;
         let name = session.camera(place)?.summary().camera.clone();
         let given = record.request.held(&name);
         let camera = CameraFrameSets { given, ..seen.frame_sets(stated) };
@@ -36,9 +47,10 @@ pub(super) fn solve_job(
     };
     let views = session.camera(0).filter(|_| !is_rig).map_or(&[][..], |part| part.views());
     let observations = InstrumentObservations {
-        board: Some(target_as_seen(&record.request.target, views)),
+        board: Some(target_as_seen(&board, views)),
         cameras: places.filter_map(camera).collect(),
     };
+    let observations = SolveInput::Board(Box::new(observations));
     SolveJob {
         session: record.id.clone(),
         lens: record.request.lens,
@@ -58,12 +70,16 @@ struct CameraSeen<'a> {
 }
 
 impl<'a> CameraSeen<'a> {
-    fn of(session: &'a Session, place: usize, auxiliary: &'a AuxiliaryViews) -> Option<Self> {
+    fn of(
+        (session, board): (&'a Session, Target),
+        place: usize,
+        auxiliary: &'a AuxiliaryViews,
+    ) -> Option<Self> {
         let kept = session.kept().iter().filter(|kept| kept.camera == place);
         let views = kept
             .filter_map(|kept| Some((kept.number, kept.frame_set as usize, session.view(kept)?)));
         Some(Self {
-            board: session.record().request.target,
+            board,
             views: views.collect(),
             color_size: session.camera(place)?.image_size().unwrap_or(ImageSize::new(0, 0)),
             auxiliary: auxiliary.views(),

@@ -16,6 +16,8 @@ use crate::imaging::frame::SensorKind;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind};
 use crate::pipeline::message::{Message, SeenFrameSet};
+use crate::pipeline::scene_search::key_frame_image;
+use crate::pipeline::seen::searched_frame;
 use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::unstored::{Unstored, UnstoredWork};
 use crate::store::{Picture, SensorView, StoreError};
@@ -52,6 +54,7 @@ impl SessionThread {
         let members = self.instrument.member_names();
         let mut rows = Vec::new();
         for place in kept {
+            rows.extend(key_frame_row(session, place, seen));
             let Some((view, frame)) =
                 session.view(place).zip(seen.frames.get(place.camera).and_then(Option::as_ref))
             else {
@@ -253,4 +256,23 @@ impl SessionThread {
             assembly.hold(false);
         }
     }
+}
+
+/// The row of a view without a board: its features are those of its image.
+fn key_frame_row(
+    session: &Session,
+    place: &KeptView,
+    seen: &SeenFrameSet,
+) -> Option<(SensorView, Picture)> {
+    let key_frame = session.key_frame(place)?;
+    let frame_set = &seen.frames.get(place.camera)?.as_ref()?.frame_set;
+    let view = SensorView {
+        frame_set: place.frame_set,
+        sensor: SensorId::own(SensorKind::Color),
+        number: Some(place.number),
+        frame: key_frame.frame.clone(),
+        depth_encoding: None,
+        detection: None,
+    };
+    Some((view, key_frame_image(searched_frame(frame_set)?)?))
 }

@@ -46,7 +46,7 @@ impl SeenFrame {
     /// What the session observes of it.
     pub(super) fn to_camera_frame(&self) -> CameraFrame {
         let seen = match &self.detection.outcome {
-            Ok(detection) => Ok(detection.as_ref().clone()),
+            Ok(content) => Ok(content.clone()),
             Err(NoDetection::NoBoard(reason)) => Err(Rejection::NoBoard(reason.clone())),
             Err(NoDetection::Unreadable { detail }) => {
                 Err(Rejection::Unreadable { detail: detail.clone() })
@@ -66,7 +66,7 @@ pub(super) fn searched_frame(frame_set: &FrameSet) -> Option<&Frame> {
     frame_set.frame(SensorKind::Color).or_else(|| frame_set.frame(SensorKind::Infrared))
 }
 
-fn frame_facts(frame_set: &FrameSet) -> FrameFacts {
+pub(super) fn frame_facts(frame_set: &FrameSet) -> FrameFacts {
     FrameFacts {
         sequence: frame_set.sequence,
         name: frame_set.name.clone(),

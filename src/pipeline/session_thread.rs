@@ -106,8 +106,7 @@ impl SessionThread {
             Message::Moved(what) => self.report_moved(what),
             Message::Waited(seconds) => self.let_happen(|session| session.waited(seconds)),
             Message::Estimated { session, place, estimate } if self.is_current(&session) => {
-                let estimate = estimate.map(|estimate| *estimate);
-                self.let_happen(|session| session.estimated(place, estimate));
+                self.let_happen(|session| estimate.take_to(session, place));
             }
             Message::Solved { session, solved } if self.is_current(&session) => {
                 self.finish(solved);
@@ -185,9 +184,9 @@ impl SessionThread {
     }
 
     fn estimate_in_line(&mut self, place: usize) {
-        if let Some(session) = &mut self.session {
-            let estimate = EstimateJob::of(session, place).and_then(|job| job.estimate());
-            let actions = session.estimated(place, estimate);
+        let Some(session) = &mut self.session else { return };
+        if let Some(job) = EstimateJob::of(session, place) {
+            let actions = job.estimate().take_to(session, place);
             self.perform(actions);
         }
     }

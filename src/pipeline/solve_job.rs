@@ -2,12 +2,18 @@
 
 use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
-use crate::calibration::session::Session;
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::so_far::{SceneSoFar, scene_so_far};
+use crate::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
+use crate::calibration::session::camera::CameraPart;
+use crate::calibration::session::{Action, Session};
+use crate::calibration::target::CalibrationTarget;
 use crate::calibration::{self, InstrumentObservations, SolveOptions, UnsolvedDepth};
 use crate::estimation::camera::CameraOptions;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::target::Target;
 use crate::pipeline::guarded::guarded;
 
 /// How far the views of one camera are.
@@ -16,10 +22,37 @@ pub(super) struct EstimateJob {
     pub(super) session: String,
     /// The camera, as its place in the instrument.
     pub(super) place: usize,
-    problem: CameraProblem,
     lens: LensChoice,
-    /// What the newest estimate left to this one.
-    going_on: Option<GoingOn>,
+    input: EstimateInput,
+}
+
+/// What an estimate is made of.
+#[derive(Debug)]
+enum EstimateInput {
+    /// The views of a board, and what the newest estimate left to this one.
+    Board(CameraProblem, Option<Box<GoingOn>>),
+    /// The key frames of a scene.
+    Scene(Vec<SceneImage>),
+}
+
+/// How far the views of one camera are, as it was computed; `None` while they do not determine the
+/// lens.
+#[derive(Debug)]
+pub(super) enum Estimate {
+    /// Of a board.
+    Board(Option<Box<EstimateSoFar>>),
+    /// Of a scene.
+    Scene(Option<Box<SceneSoFar>>),
+}
+
+impl Estimate {
+    /// Lets the session of the camera at `place` take it.
+    pub(super) fn take_to(self, session: &mut Session, place: usize) -> Vec<Action> {
+        match self {
+            Self::Board(estimate) => session.estimated(place, estimate.map(|e| *e)),
+            Self::Scene(so_far) => session.scene_estimated(place, so_far.map(|s| *s)),
+        }
+    }
 }
 
 impl EstimateJob {
@@ -29,15 +62,40 @@ impl EstimateJob {
         Some(Self {
             session: session.record().id.clone(),
             place,
-            problem: problem_of(session, place)?,
             lens: session.record().request.lens,
-            going_on: part.going_on().cloned(),
+            input: match session.record().request.target {
+                CalibrationTarget::Board(board) => EstimateInput::Board(
+                    problem_of(part, &board),
+                    part.going_on().cloned().map(Box::new),
+                ),
+                CalibrationTarget::Scene => {
+                    let images = part.key_frames().iter().map(|key| key.image.clone());
+                    EstimateInput::Scene(images.collect())
+                }
+            },
         })
     }
 
+    pub(super) fn estimate(&self) -> Estimate {
+        match &self.input {
+            EstimateInput::Board(problem, going_on) => {
+                Estimate::Board(self.of_board(problem, going_on.as_deref()).map(Box::new))
+            }
+            EstimateInput::Scene(images) => {
+                let so_far = guarded(|| scene_so_far(images, self.lens));
+                let fault = |fault| tracing::error!(session = self.session, "{fault}");
+                Estimate::Scene(so_far.map_err(fault).ok().map(Box::new))
+            }
+        }
+    }
+
     /// `None` while the views do not determine the lens.
-    pub(super) fn estimate(&self) -> Option<EstimateSoFar> {
-        match guarded(|| estimate_so_far(&self.problem, self.lens, self.going_on.as_ref())) {
+    fn of_board(
+        &self,
+        problem: &CameraProblem,
+        going_on: Option<&GoingOn>,
+    ) -> Option<EstimateSoFar> {
+        match guarded(|| estimate_so_far(problem, self.lens, going_on)) {
             Ok(Ok(estimate)) => {
                 let running = &estimate.running;
                 (running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite())
@@ -56,11 +114,10 @@ impl EstimateJob {
 }
 
 /// The views of one camera of a session.
-fn problem_of(session: &Session, place: usize) -> Option<CameraProblem> {
-    let (board, part) = (session.record().request.target, session.camera(place)?);
-    let views = part.views().iter().map(|view| view.to_board_view(&board)).collect();
+fn problem_of(part: &CameraPart, board: &Target) -> CameraProblem {
+    let views = part.views().iter().map(|view| view.to_board_view(board)).collect();
     let image_size = part.image_size().unwrap_or(ImageSize::new(0, 0));
-    Some(CameraProblem { image_size, views })
+    CameraProblem { image_size, views }
 }
 
 /// The result of a session.
@@ -68,9 +125,18 @@ fn problem_of(session: &Session, place: usize) -> Option<CameraProblem> {
 pub(super) struct SolveJob {
     pub(super) session: String,
     pub(super) lens: LensChoice,
-    pub(super) observations: InstrumentObservations,
+    pub(super) observations: SolveInput,
     /// Ends the solve when nobody waits for it any more.
     pub(super) interrupt: Interrupt,
+}
+
+/// What a session gathered.
+#[derive(Debug)]
+pub(super) enum SolveInput {
+    /// Of a board.
+    Board(Box<InstrumentObservations>),
+    /// Of a scene.
+    Scene(Vec<SceneImage>),
 }
 
 impl SolveJob {
@@ -87,8 +153,16 @@ impl SolveJob {
             unsolved_depth: UnsolvedDepth::LeftOut,
             ..SolveOptions::default()
         };
-        let solved = guarded(|| calibration::solve(&self.observations, &options))?;
-        let calibration = solved.map_err(|error| error.to_string())?;
+        let calibration = guarded(|| match &self.observations {
+            SolveInput::Board(observations) => {
+                calibration::solve(observations, &options).map_err(|error| error.to_string())
+            }
+            SolveInput::Scene(images) => {
+                let options = SceneOptions { lens: self.lens, ..SceneOptions::default() };
+                let solved = calibrate_scene(images, &options);
+                solved.map(SceneCalibration::into_calibration).map_err(|error| error.to_string())
+            }
+        })??;
         let session = Some(self.session.clone());
         Ok(Box::new(Calibration { session, ..calibration }))
     }

@@ -25,7 +25,7 @@ pub(super) fn run(instrument: &Arc<Instrument>) {
                 Message::Solved { session: job.session, solved }
             }
             Job::Estimate(job) => {
-                let estimate = job.estimate().map(Box::new);
+                let estimate = job.estimate();
                 Message::Estimated { session: job.session, place: job.place, estimate }
             }
         };

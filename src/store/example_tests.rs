@@ -34,7 +34,7 @@ pub(super) fn record(id: &str) -> SessionRecord {
         camera: "front".into(),
         members: Vec::new(),
         request: SessionRequest {
-            target: chessboard(9, 6, 0.1 * third).unwrap(),
+            target: chessboard(9, 6, 0.1 * third).unwrap().into(),
             lens: from_json::<LensRequest>(b"\"brown\"").unwrap().into(),
             finish: Some(Finish {
                 uncertainty_px: Some(third),

@@ -14,7 +14,6 @@ use plumb::capture::{CaptureError, FrameSource, SourceOpener};
 use plumb::estimation::problem::LensChoice;
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::LensModel;
-use plumb::geometry::target::Target;
 use plumb::imaging::frame::SensorKind;
 use plumb::pipeline::camera_status::CameraState;
 use plumb::pipeline::event::{EventKind, EventStream};
@@ -298,7 +297,7 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
     until_state(&mut events, CameraState::Streaming).await;
     let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.04).unwrap();
     let request = SessionRequest {
-        target: Target::Chessboard(target),
+        target: target.into(),
         lens: LensChoice::Model(LensModel::Brown),
         finish: None,
         given: Vec::new(),

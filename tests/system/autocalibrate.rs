@@ -4,80 +4,14 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use image::{GrayImage, Luma};
-use nalgebra::Vector3;
+use image::GrayImage;
 use plumb::geometry::pose::Pose;
 use serde_json::Value;
 
 use crate::program::{Finished, plumb};
+use crate::room::{RoomCamera, camera, rendered};
 
-const WIDTH: u32 = 400;
-const HEIGHT: u32 = 300;
 const FOCAL_PX: f64 = 380.0;
-const CENTER_PX: [f64; 2] = [203.0, 147.0];
-
-/// Values at the corners of a grid, the same for the same place.
-fn corner(x: i64, y: i64, salt: u64) -> f64 {
-    let mut bits = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
-        ^ salt.wrapping_mul(0x1656_67b1_9e37_79f9);
-    for _ in 0..2 {
-        bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    }
-    ((bits >> 40) as f64) / f64::from(1 << 24)
-}
-
-/// Smooth noise of several sizes.
-fn texture(u: f64, v: f64, salt: u64) -> f64 {
-    let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
-    [(2.3, 0.35), (5.1, 0.4), (11.7, 0.35), (23.0, 0.3)]
-        .iter()
-        .enumerate()
-        .map(|(k, (frequency, amplitude))| {
-            let (x, y) = (u * frequency, v * frequency);
-            let (fx, fy) = (smooth(x - x.floor()), smooth(y - y.floor()));
-            let at = |dx: i64, dy: i64| {
-                corner(x.floor() as i64 + dx, y.floor() as i64 + dy, salt + 16 * k as u64)
-            };
-            let upper = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
-            let lower = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;
-            amplitude * (upper * (1.0 - fy) + lower * fy)
-        })
-        .sum::<f64>()
-        / 1.4
-}
-
-/// The inside of a box from -1.6 to 1.6, -1.2 to 1.2 and -3 to 3, seen from `center` along `ray`.
-fn room(center: Vector3<f64>, ray: Vector3<f64>) -> f64 {
-    let reach = [1.6, 1.2, 3.0];
-    let hit = |k: usize| (reach[k] * ray[k].signum() - center[k]) / ray[k];
-    let wall = (0..3).min_by(|a, b| hit(*a).total_cmp(&hit(*b))).unwrap();
-    let at = center + ray * hit(wall);
-    let [u, v] = [[1, 2], [0, 2], [0, 1]][wall].map(|k| at[k]);
-    texture(u, v, wall as u64 * 2 + u64::from(ray[wall] > 0.0))
-}
-
-fn render(camera_from_room: &Pose) -> GrayImage {
-    let room_from_camera = camera_from_room.inverse();
-    let center = room_from_camera.translation();
-    GrayImage::from_fn(WIDTH, HEIGHT, |column, row| {
-        let sample = |k: u32| {
-            let [dx, dy] = [f64::from(k % 2) * 0.5 - 0.25, f64::from(k / 2) * 0.5 - 0.25];
-            let x = (f64::from(column) + dx - CENTER_PX[0]) / FOCAL_PX;
-            let y = (f64::from(row) + dy - CENTER_PX[1]) / FOCAL_PX;
-            room(center, room_from_camera.rotation() * Vector3::new(x, y, 1.0))
-        };
-        Luma([(255.0 * (0..4).map(sample).sum::<f64>() / 4.0) as u8])
-    })
-}
-
-/// A camera at `center` rotated by `angles` (about x and y), then about its own axis by `roll`.
-fn camera(center: [f64; 3], angles: [f64; 2], roll: f64) -> Pose {
-    let pan = Pose::from_axis_angle(Vector3::new(angles[0], angles[1], 0.0), Vector3::zeros());
-    let about_axis = Pose::from_axis_angle(Vector3::new(0.0, 0.0, roll), Vector3::zeros());
-    let rotation = (about_axis * pan).rotation();
-    Pose::new(rotation, -(rotation * Vector3::from(center)))
-}
 
 fn moving() -> Vec<Pose> {
     (0..7)
@@ -98,6 +32,11 @@ fn rotating() -> Vec<Pose> {
             camera([0.2, 0.1, -1.0], [0.16 * angle.sin(), 0.24 * angle.cos()], roll)
         })
         .collect()
+}
+
+fn render(camera_from_room: &Pose) -> GrayImage {
+    let camera = RoomCamera { size: [400, 300], focal_px: FOCAL_PX, center_px: [203.0, 147.0] };
+    rendered(camera_from_room, &camera)
 }
 
 fn written(folder: &Path, images: &[GrayImage]) -> Vec<PathBuf> {

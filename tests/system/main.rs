@@ -31,6 +31,8 @@ mod rgbd_wrong;
 #[cfg(unix)]
 mod rig_faults;
 mod rig_session;
+mod room;
+mod scene_session;
 mod served;
 #[cfg(target_os = "linux")]
 mod service;

@@ -9,11 +9,11 @@ pub use crate::calibration::result::verdict::{Checks, Grade, Verdict};
 
 use crate::calibration::depth_calibration::DepthCalibration;
 use crate::calibration::sensor::SensorId;
+use crate::calibration::target::CalibrationTarget;
 use crate::estimation::measured_board::{MeasuredBoard, RollingShutter};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
-use crate::geometry::target::Target;
 use crate::imaging::frame::SensorKind;
 
 /// A finished calibration of an instrument: one camera, or a rig of cameras. Never changed once
@@ -28,8 +28,8 @@ pub struct Calibration {
     pub session: Option<String>,
     /// UTC, nanoseconds since the Unix epoch.
     pub created_at_ns: i64,
-    /// The board; `None` where correspondences were given without one.
-    pub target: Option<Target>,
+    /// The board or the scene; `None` where correspondences were given without one.
+    pub target: Option<CalibrationTarget>,
     /// Its sensors, camera by camera in the rig's order, each camera's in the order of kinds.
     pub sensors: Vec<CalibratedSensor>,
     /// Where the sensors are relative to each other; empty for one sensor.
@@ -90,7 +90,7 @@ impl CalibratedSensor {
 impl Calibration {
     /// One with neither name nor time, and no extrinsics.
     pub fn unnamed(
-        target: Option<Target>,
+        target: Option<impl Into<CalibrationTarget>>,
         sensors: Vec<CalibratedSensor>,
         (checks, verdict): (Checks, Verdict),
     ) -> Self {
@@ -99,7 +99,7 @@ impl Calibration {
             camera: None,
             session: None,
             created_at_ns: 0,
-            target,
+            target: target.map(Into::into),
             sensors,
             extrinsics: Vec::new(),
             checks,
@@ -226,6 +226,17 @@ pub struct ImageCalibration {
     pub board_shape: Option<MeasuredBoard>,
     /// Motion while the rows of its images were read, where the views show it.
     pub rolling_shutter: Option<RollingShutter>,
+    /// What a scene showed, where there was no target.
+    pub scene: Option<SceneSupport>,
+}
+
+/// What a scene showed of a lens.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SceneSupport {
+    /// How many scene points were used.
+    pub points: usize,
+    /// Lens parameters of which the images say no more than what was known beforehand.
+    pub held_by_prior: Vec<String>,
 }
 
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.
@@ -252,6 +263,8 @@ pub struct CalibratedView {
     pub rms_px: Option<f64>,
     /// Where the board was; `None` for a view without a pose.
     pub camera_from_board: Option<Pose>,
+    /// Where the scene was, without a board; the first used view is the identity.
+    pub camera_from_scene: Option<Pose>,
 }
 
 /// Where one sensor is relative to another.

@@ -1,5 +1,7 @@
 //! From images to what estimation takes: pairs of images with their geometry, and tracks.
 
+use std::sync::Arc;
+
 use nalgebra::Point2;
 
 use crate::estimation::scene::problem::{SceneProblem, TrackPoint};
@@ -14,25 +16,48 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::gray::GrayView;
 
 /// One photograph: its name and what is needed of it.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SceneImage {
     /// Its path or sequence number.
     pub name: String,
     /// Its size.
     pub size: ImageSize,
-    features: Features,
+    /// Shared, so that a copy costs nothing.
+    features: Arc<Features>,
 }
 
 impl SceneImage {
     /// Finds the features of `image`.
     pub fn of(name: String, image: GrayView<'_>) -> Self {
-        let features = find_features(image, &FeatureOptions::default());
+        Self::with_options(name, image, &FeatureOptions::default())
+    }
+
+    /// Finds the features of `image` as `options` say.
+    pub fn with_options(name: String, image: GrayView<'_>, options: &FeatureOptions) -> Self {
+        let features = Arc::new(find_features(image, options));
         Self { name, size: image.size(), features }
+    }
+
+    /// One with these features.
+    #[cfg(test)]
+    pub(crate) fn of_features(name: &str, size: ImageSize, features: Features) -> Self {
+        Self { name: name.to_owned(), size, features: Arc::new(features) }
+    }
+
+    /// Where its features are, strongest first.
+    pub fn pixels(&self) -> impl Iterator<Item = Pixel> + '_ {
+        self.features.keypoints.iter().map(|keypoint| keypoint.pixel)
     }
 
     /// How many features it has.
     pub fn feature_count(&self) -> usize {
         self.features.keypoints.len()
+    }
+
+    /// The descriptors of its strongest features, `count` at most.
+    pub(super) fn table(&self, count: usize) -> DescriptorTable {
+        let descriptors = &self.features.descriptors;
+        DescriptorTable::new(&descriptors[..count.min(descriptors.len())])
     }
 }
 
@@ -58,14 +83,9 @@ const LEAST_PREVIEWED: usize = 6;
 
 /// Matches and verifies all pairs of `images`, with `threads` threads.
 pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize) -> ImagePairs {
-    let table = |image: &SceneImage, count: usize| {
-        let descriptors = &image.features.descriptors;
-        DescriptorTable::new(&descriptors[..count.min(descriptors.len())])
-    };
-    let tables: Vec<DescriptorTable> =
-        images.iter().map(|image| table(image, usize::MAX)).collect();
+    let tables: Vec<DescriptorTable> = images.iter().map(|image| image.table(usize::MAX)).collect();
     let previews: Vec<DescriptorTable> =
-        images.iter().map(|image| table(image, PREVIEWED)).collect();
+        images.iter().map(|image| image.table(PREVIEWED)).collect();
     let pairs: Vec<(usize, usize)> =
         (0..images.len()).flat_map(|i| (i + 1..images.len()).map(move |j| (i, j))).collect();
     let matched = in_parallel(&pairs, threads, |(i, j)| {
@@ -131,7 +151,7 @@ fn to_point(pixel: Pixel) -> Point2<f64> {
     Point2::new(pixel.x, pixel.y)
 }
 
-fn point_pair(first: &SceneImage, second: &SceneImage, pair: Match) -> PointPair {
+pub(super) fn point_pair(first: &SceneImage, second: &SceneImage, pair: Match) -> PointPair {
     PointPair {
         first: to_point(first.features.keypoints[pair.first].pixel),
         second: to_point(second.features.keypoints[pair.second].pixel),

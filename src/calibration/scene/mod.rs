@@ -9,11 +9,13 @@
 
 pub mod conditions;
 pub mod correspondence;
+pub mod key_frames;
 mod lens_fit;
 pub mod refusal;
 pub mod result;
 #[cfg(test)]
 mod scene_tests;
+pub mod so_far;
 mod solve;
 mod verdict;
 

@@ -2,10 +2,17 @@
 
 use nalgebra::Point3;
 
-use crate::calibration::result::{Checks, ProjectionUncertainty, Verdict};
+use crate::calibration::result::{
+    CalibratedSensor, CalibratedView, Calibration, Checks, ImageCalibration, ProjectionUncertainty,
+    SceneSupport, Verdict,
+};
+use crate::calibration::scene::conditions::SceneConditions;
+use crate::calibration::sensor::SensorId;
+use crate::calibration::target::CalibrationTarget;
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
+use crate::imaging::frame::SensorKind;
 
 /// A lens from images of a static scene.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +29,8 @@ pub struct SceneCalibration {
     pub verdict: Verdict,
     /// Parameters whose prior is at least as certain as the images' own estimate.
     pub held_by_prior: Vec<&'static str>,
+    /// How the camera stood and moved.
+    pub conditions: SceneConditions,
 }
 
 /// The lens and how well it is known.
@@ -65,4 +74,41 @@ pub struct ScenePoint {
     pub seen: Vec<(usize, Pixel)>,
     /// The root mean square length of its residuals, in pixels.
     pub rms_px: f64,
+}
+
+impl SceneCalibration {
+    /// The same as every other calibration is kept, without a name, and without the points.
+    pub fn into_calibration(self) -> Calibration {
+        let Self { sensor, views, points, checks, verdict, held_by_prior, .. } = self;
+        let held_by_prior = held_by_prior.into_iter().map(str::to_owned).collect();
+        let image = ImageCalibration {
+            image_size: sensor.image_size,
+            lens: sensor.lens,
+            lens_std: sensor.lens_std,
+            lens_covariance: sensor.lens_covariance,
+            rms_px: sensor.rms_px,
+            uncertainty_px: sensor.uncertainty_px,
+            views: views.into_iter().map(CalibratedView::from).collect(),
+            compared: Vec::new(),
+            board_warp_m: None,
+            board_shape: None,
+            rolling_shutter: None,
+            scene: Some(SceneSupport { points: points.len(), held_by_prior }),
+        };
+        let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), image);
+        Calibration::unnamed(Some(CalibrationTarget::Scene), vec![color], (checks, verdict))
+    }
+}
+
+impl From<SceneView> for CalibratedView {
+    fn from(view: SceneView) -> Self {
+        Self {
+            name: view.name,
+            used: view.camera_from_scene.is_some(),
+            reason: view.reason,
+            rms_px: view.rms_px,
+            camera_from_board: None,
+            camera_from_scene: view.camera_from_scene,
+        }
+    }
 }

@@ -215,7 +215,8 @@ fn finished(
         uncertainty_px: ProjectionUncertainty { center, median, worst },
     };
     let verdict = verdict::judge(&evidence);
-    SceneCalibration { sensor, views, points, checks, verdict, held_by_prior }
+    let conditions = *conditions;
+    SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions }
 }
 
 /// The frame of results: the first used image, the greatest distance between two cameras 1.

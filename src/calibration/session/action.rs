@@ -1,6 +1,9 @@
 //! What goes into a session and what comes out of it.
 
+use std::sync::Arc;
+
 use crate::calibration::admission::Rejection;
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 
@@ -9,8 +12,40 @@ use crate::detection::board_detection::Detection;
 pub struct CameraFrame {
     /// The frame that was searched.
     pub frame: FrameFacts,
-    /// The board in it, or why there is none.
-    pub seen: Result<Detection, Rejection>,
+    /// What of the session's target is in it, or why nothing is.
+    pub seen: Result<FrameContent, Rejection>,
+}
+
+/// What a frame shows of a session's target.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FrameContent {
+    /// The board.
+    Board(Arc<Detection>),
+    /// Features of a scene.
+    Scene(SceneImage),
+}
+
+impl FrameContent {
+    /// The board, where one was searched for.
+    pub fn board(&self) -> Option<&Detection> {
+        match self {
+            Self::Board(detection) => Some(detection),
+            Self::Scene(_) => None,
+        }
+    }
+}
+
+impl From<Detection> for FrameContent {
+    fn from(detection: Detection) -> Self {
+        Self::Board(Arc::new(detection))
+    }
+}
+
+impl CameraFrame {
+    /// The board in it, if it was found.
+    pub fn board(&self) -> Option<&Detection> {
+        self.seen.as_ref().ok().and_then(FrameContent::board)
+    }
 }
 
 /// A view that a session kept.

@@ -12,6 +12,10 @@ use crate::calibration::guidance::Guidance;
 use crate::calibration::session::action::Action;
 use crate::calibration::session_record::{Finish, SessionRecord, SessionState};
 
+/// Fewer views leave the lens undetermined (Zhang, "A flexible new technique for camera
+/// calibration", 2000, section 3.3); fewer images of a scene do too.
+pub const LEAST_VIEWS: usize = 3;
+
 /// A request that comes too late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the session is {} already", state.name())]

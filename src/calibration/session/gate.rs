@@ -9,6 +9,8 @@ use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;
 use crate::calibration::session::Session;
 use crate::calibration::session::action::CameraFrame;
+use crate::calibration::view::FrameFacts;
+use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
 
 /// What a session has kept, camera by camera, as far as admission depends on it.
@@ -37,6 +39,10 @@ impl KeptSoFar {
     }
 }
 
+fn with_board(seen: &CameraFrame) -> Option<(&FrameFacts, &Detection)> {
+    Some((&seen.frame, seen.board()?))
+}
+
 /// Decides, frame set by frame set in their order.
 #[derive(Debug, Clone)]
 pub struct Gate {
@@ -55,7 +61,9 @@ impl Gate {
     pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptSoFar) -> bool {
         let each = self.before.iter().zip(frame_set).enumerate();
         each.into_iter().any(|(place, (before, frame))| {
-            let Some(CameraFrame { frame, seen: Ok(detection) }) = frame else { return false };
+            let Some((frame, detection)) = frame.as_ref().and_then(with_board) else {
+                return false;
+            };
             let none = KeptOfCamera::default();
             let kept = kept.cameras.get(place).unwrap_or(&none);
             kept.image_size.is_none_or(|expected| expected == frame.image_size)
@@ -66,8 +74,9 @@ impl Gate {
     /// Takes what the session will observe next.
     pub fn take(&mut self, frame_set: &[Option<CameraFrame>]) {
         for (before, frame) in self.before.iter_mut().zip(frame_set) {
-            let Some(CameraFrame { frame, seen }) = frame else { continue };
-            *before = seen.as_ref().ok().map(|detection| SeenBefore {
+            let Some(seen) = frame else { continue };
+            let frame = &seen.frame;
+            *before = seen.board().map(|detection| SeenBefore {
                 time_ns: frame.time_ns(),
                 detection: detection.clone(),
             });

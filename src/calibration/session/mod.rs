@@ -13,18 +13,24 @@
 
 mod action;
 mod advice;
+mod board_part;
 pub mod camera;
 mod ending;
 pub mod gate;
+mod scene_part;
 mod together;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
 use crate::calibration::running_estimate::EstimateSoFar;
-pub use crate::calibration::session::action::{Action, CameraFrame, KeptView, Observed};
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::key_frames::KeyFrame;
+use crate::calibration::scene::so_far::SceneSoFar;
+pub use crate::calibration::session::action::{
+    Action, CameraFrame, FrameContent, KeptView, Observed,
+};
 use crate::calibration::session::camera::CameraPart;
-pub use crate::calibration::session::camera::LEAST_VIEWS;
-pub use crate::calibration::session::ending::SessionOver;
+pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
 use crate::calibration::session::together::Together;
 use crate::calibration::session_record::{
     RunningEstimate, SessionMember, SessionRecord, SessionState,
@@ -93,16 +99,41 @@ impl Session {
                 session.kept.push(KeptView { view: own, ..*place });
             }
         }
-        session.renew(session.is_rig());
-        let mut actions = vec![Action::Announce];
-        match session.record.state {
-            SessionState::Solving => actions.push(Action::Solve),
-            SessionState::Collecting => {
-                actions.extend(session.request_estimates(|_| true));
+        let actions = session.resumed();
+        (session, actions)
+    }
+
+    /// As [`Session::resume`], of a session without a board: its key frames in order, each with the
+    /// number of its view.
+    pub fn resume_scene(
+        record: SessionRecord,
+        key_frames: &[(KeptView, FrameFacts, SceneImage)],
+        options: &AdmissionOptions,
+    ) -> (Self, Vec<Action>) {
+        let mut session = Self::begin(record, &[], options);
+        session.record.reason = None;
+        for (place, frame, image) in key_frames {
+            session.next_number = session.next_number.max(place.number + 1);
+            session.frame_sets = session.frame_sets.max(place.frame_set + 1);
+            let camera = session.cameras.first_mut();
+            if let Some(view) = camera.and_then(|part| part.restore_key_frame(frame, image)) {
+                session.kept.push(KeptView { camera: 0, view, ..*place });
             }
+        }
+        let actions = session.resumed();
+        (session, actions)
+    }
+
+    /// What to do first with its views back.
+    fn resumed(&mut self) -> Vec<Action> {
+        self.renew(self.is_rig());
+        let mut actions = vec![Action::Announce];
+        match self.record.state {
+            SessionState::Solving => actions.push(Action::Solve),
+            SessionState::Collecting => actions.extend(self.request_estimates(|_| true)),
             _ => {}
         }
-        (session, actions)
+        actions
     }
 
     /// The session as seen from outside.
@@ -123,6 +154,11 @@ impl Session {
     /// The view that was kept as `kept`.
     pub fn view(&self, kept: &KeptView) -> Option<&View> {
         self.cameras.get(kept.camera)?.views().get(kept.view as usize)
+    }
+
+    /// The key frame that was kept as `kept`.
+    pub fn key_frame(&self, kept: &KeptView) -> Option<&KeyFrame> {
+        self.cameras.get(kept.camera)?.key_frames().get(kept.view as usize)
     }
 
     /// Takes one frame set: what each camera gave, in the instrument's order. `None` once the
@@ -152,8 +188,9 @@ impl Session {
     pub fn observe_frame(
         &mut self,
         frame: FrameFacts,
-        seen: Result<Detection, Rejection>,
+        seen: Result<impl Into<FrameContent>, Rejection>,
     ) -> Option<Observed> {
+        let seen = seen.map(Into::into);
         self.observe(&[Some(CameraFrame { frame, seen })])
     }
 
@@ -167,15 +204,30 @@ impl Session {
     /// Takes the estimate that [`Action::Estimate`] asked for; one that could not be made leaves
     /// the one before.
     pub fn estimated(&mut self, camera: usize, estimate: Option<EstimateSoFar>) -> Vec<Action> {
-        let is_over = self.record.state.is_over();
-        let mut actions = Vec::new();
+        let estimate = estimate.filter(|_| !self.record.state.is_over());
+        let is_new = estimate.is_some();
         if let Some(part) = self.cameras.get_mut(camera) {
-            if estimate.is_some() && !is_over {
-                actions.push(Action::Announce);
-            }
-            part.estimated(estimate.filter(|_| !is_over));
+            part.estimated(estimate);
         }
-        if is_over {
+        self.after_estimate(camera, is_new)
+    }
+
+    /// As [`Session::estimated`], of a session without a board.
+    pub fn scene_estimated(&mut self, camera: usize, so_far: Option<SceneSoFar>) -> Vec<Action> {
+        let so_far = so_far.filter(|_| !self.record.state.is_over());
+        let is_new = so_far.is_some();
+        if let Some(part) = self.cameras.get_mut(camera) {
+            part.scene_estimated(so_far);
+        }
+        self.after_estimate(camera, is_new)
+    }
+
+    fn after_estimate(&mut self, camera: usize, is_new: bool) -> Vec<Action> {
+        let mut actions = Vec::new();
+        if is_new {
+            actions.push(Action::Announce);
+        }
+        if self.record.state.is_over() {
             return actions;
         }
         self.renew(self.is_rig());
@@ -281,8 +333,9 @@ impl Session {
                 let is_known = Rejection::is_known_already;
                 if let Some(Err(rejection)) = &admissions[other]
                     && is_known(rejection)
-                    && let Some(CameraFrame { frame, seen: Ok(detection) }) = &frame_set[other]
-                    && let Some(view) = self.cameras[other].keep_shared(frame, detection)
+                    && let Some(seen) = &frame_set[other]
+                    && let Some(detection) = seen.board()
+                    && let Some(view) = self.cameras[other].keep_shared(&seen.frame, detection)
                 {
                     admissions[other] = Some(Ok(view));
                 }
@@ -310,23 +363,18 @@ impl Session {
     /// Whether the views can be solved, or what to do.
     fn enough(&self) -> Result<(), String> {
         if let ([only], false) = (self.cameras.as_slice(), self.is_rig()) {
-            let kept = only.views().len();
-            return only.has_enough().then_some(()).ok_or_else(|| {
-                format!(
-                    "{kept} views were kept and at least {LEAST_VIEWS} are needed; start again and show the board in more positions, tilted in different directions"
-                )
-            });
+            return only.enough();
         }
         // A lens that is held needs no views of its own: one says where the camera is.
         let is_enough = |camera: &&CameraPart| {
             let is_held = self.record.request.held(&camera.summary().camera).is_some();
-            camera.has_enough() || (is_held && !camera.views().is_empty())
+            camera.has_enough() || (is_held && camera.kept() > 0)
         };
         if self.cameras.iter().filter(is_enough).count() >= 2 {
             return Ok(());
         }
         let kept: Vec<String> = (self.cameras.iter())
-            .map(|camera| format!("{} {}", camera.summary().camera, camera.views().len()))
+            .map(|camera| format!("{} {}", camera.summary().camera, camera.kept()))
             .collect();
         Err(format!(
             "views kept: {}; two cameras need at least {LEAST_VIEWS} each: start again and show the board where two cameras see all of it",
@@ -410,5 +458,7 @@ fn next_step(members: &[SessionMember]) -> String {
 
 #[cfg(test)]
 mod rig_tests;
+#[cfg(test)]
+mod scene_tests;
 #[cfg(test)]
 mod tests;

@@ -38,7 +38,7 @@ fn board(across: f64, far: f64, tilt: f64) -> Detection {
 }
 
 fn sees(time_ms: i64, detection: Detection) -> Option<CameraFrame> {
-    Some(CameraFrame { frame: frame(time_ms), seen: Ok(detection) })
+    Some(CameraFrame { frame: frame(time_ms), seen: Ok(detection.into()) })
 }
 
 fn places(session: &Session) -> Vec<(usize, u32, u32)> {

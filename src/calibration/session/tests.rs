@@ -301,7 +301,7 @@ fn a_resumed_session_is_the_one_that_was() {
 #[test]
 fn the_operator_learns_what_lasts_and_not_what_flickers() {
     let mut session = session(None);
-    let no_board = || Err(Rejection::NoBoard(NoBoard::NoCorners));
+    let no_board = || Err::<Detection, _>(Rejection::NoBoard(NoBoard::NoCorners));
     let message = |session: &Session| session.record().guidance.message.clone();
     feed(&mut session, 0, &placements()[..1]);
     let suggestion = message(&session);

@@ -32,10 +32,11 @@ impl Together {
         let each = self.before.iter_mut().zip(&mut self.motion_px_per_s).zip(frame_set);
         for ((before, motion), frame) in each {
             *motion = None;
-            let Some(CameraFrame { frame, seen }) = frame else { continue };
-            let now = seen.as_ref().ok().map(|detection| (frame.time_ns(), detection.clone()));
+            let Some(camera_frame) = frame else { continue };
+            let (frame, seen) = (&camera_frame.frame, camera_frame.board());
+            let now = seen.map(|detection| (frame.time_ns(), detection.clone()));
             let before = std::mem::replace(before, now);
-            *motion = before.zip(seen.as_ref().ok()).and_then(|(before, detection)| {
+            *motion = before.zip(seen).and_then(|(before, detection)| {
                 speed_px_per_s(&before, frame.time_ns(), detection)
             });
         }

@@ -9,7 +9,7 @@ const OF_ONE_SENSOR = ["ros", "opencv", "mrcal"];
 const REASONS = {
   no_corners: "no board", no_grid: "corners without a grid", other_size: "another board", low_contrast: "too little contrast",
   image_too_small: "image too small", cut_off: "cut off", incomplete: "covered", partial: "partly out of view",
-  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", full: "session full",
+  blurred: "blurred", moving: "moving", too_similar: "nothing new", unreadable: "unreadable", other_image_size: "other size", no_texture: "too little texture", unknown_scene: "another scene", full: "session full",
 };
 const VERDICTS = { good: "Good: use it", usable: "Usable, with care", poor: "Poor: do not use it" };
 
@@ -339,7 +339,7 @@ async function refreshCamera() {
 
 // The outer corners of a whole board, whose corners come row by row, in the ghost's order.
 function outerCorners(corners) {
-  if (!session || !corners) return null;
+  if (!session || !corners || session.target.kind === "scene") return null;
   const [cols, rows] = spans(session.target).map((n) => n + 1);
   if (corners.length !== cols * rows) return null;
   return [0, cols - 1, cols * rows - 1, cols * (rows - 1)].map((k) => corners[k]);
@@ -453,11 +453,15 @@ function toGo() {
   return ` · ${views} more view${many === 1 ? "" : "s"}${time}`;
 }
 
+function targetInWords({ kind, cols, rows, square_m, tag_m }) {
+  return kind === "scene" ? "without a board" : `${cols}×${rows}, ${+((square_m ?? tag_m) * 1000).toFixed(3)} mm`;
+}
+
 function showClock() {
   if (!session) return;
   const end = session.finished_at ? new Date(session.finished_at) : new Date();
   const seconds = Math.max(0, Math.round((end - new Date(session.started_at)) / 1000));
-  $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} · ${session.target.cols}×${session.target.rows}, ${+((session.target.square_m ?? session.target.tag_m) * 1000).toFixed(3)} mm`;
+  $("clock").textContent = `${Math.floor(seconds / 60)}:${String(seconds % 60).padStart(2, "0")} · ${targetInWords(session.target)}`;
 }
 
 async function showViews() {
@@ -622,6 +626,7 @@ async function press(button, errorPlace, act) {
 const KINDS = {
   chessboard: ["Corners in a row", "Square, mm", "Count the inner corners, where four squares meet, and measure one square: the wider the span you measure, the better."],
   charuco: ["Squares in a row", "Square, mm", "Count the squares, black and white, and measure one square and one marker: the wider the span you measure, the better."],
+  scene: ["", "", "Nothing is counted or measured: move the camera around a scene that stands still and has texture, sideways above all, and turn it by 90 degrees about its axis now and then."],
   aprilgrid: ["Tags in a row", "Tag, mm", "Count the tags, and measure a tag with its black border, and the gap between two tags as a part of that."],
 };
 const KIND_FIELDS = ["marker", "dictionary", "spacing", "family", "first_id"];
@@ -638,6 +643,7 @@ function showKind() {
 $("kind").addEventListener("change", showKind);
 
 function targetOf(form) {
+  if (form.kind === "scene") return { kind: form.kind };
   const size = { kind: form.kind, cols: +form.cols, rows: +form.rows };
   const side = +form.square / 1000;
   if (form.kind === "charuco") {

@@ -7,7 +7,7 @@ use crate::imaging::decode;
 use crate::imaging::draw::{self, Pen};
 use crate::imaging::frame::{PixelFormat, SensorKind};
 use crate::imaging::remap::{Interpolation, PixelMap};
-use crate::pipeline::live_frame::LiveFrame;
+use crate::pipeline::live_frame::{FrameDetection, LiveFrame};
 use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::preview::registered::shaded_depth;
@@ -80,7 +80,7 @@ pub(super) fn encoded(
     if sensor == SensorKind::Depth {
         return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
     }
-    let seen = live.detection.as_ref().and_then(|found| found.outcome.as_ref().ok());
+    let seen = live.detection.as_ref().and_then(FrameDetection::board);
     let seen = seen.filter(|_| overlay && sensor == SensorKind::Color);
     let outline_px = if drawing.has_guidance() { scene.outline_px } else { &[] };
     let is_plain = seen.is_none() && outline_px.is_empty() && map.is_none();

@@ -1,0 +1,96 @@
+//! How far the key frames of a running session are: the estimate, and what to do next.
+
+use crate::calibration::result::Grade;
+use crate::calibration::scene::conditions::SceneConditions;
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::{SceneCalibration, SceneOptions, SceneRefusal, calibrate_scene};
+use crate::calibration::session_record::RunningEstimate;
+use crate::estimation::problem::LensChoice;
+use crate::estimation::scene::bundle::CameraMotion;
+
+/// What the key frames of a session amount to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SceneSoFar {
+    /// The estimate; `None` while they do not determine the lens.
+    pub running: Option<RunningEstimate>,
+    /// Whether the verdict on it is better than poor.
+    pub is_trusted: bool,
+    /// What to do next, in words.
+    pub next_step: String,
+}
+
+/// Less parallax in the median, in degrees, leaves depth weak.
+const PARALLAX_DEG: f64 = 5.0;
+/// A camera that never rotated by this about its axis leaves the principal point to the parallax,
+/// in degrees.
+const ROLLED_DEG: f64 = 45.0;
+/// Points within this part of their spread from a plane are one.
+const RELIEF: f64 = 0.02;
+/// The part of the image in which a lens should have been seen.
+const COVERED: f64 = 0.7;
+
+const SIDEWAYS: &str = "step sideways, keeping the same scene in view";
+const ROLL: &str = "turn the camera by 90 degrees about its axis";
+const TEXTURE: &str = "point the camera at something with texture";
+const DEPTH: &str = "point the camera at things at different depths";
+
+/// Estimates from the images of the key frames.
+pub fn scene_so_far(images: &[SceneImage], lens: LensChoice) -> SceneSoFar {
+    let options = SceneOptions { lens, ..SceneOptions::default() };
+    match calibrate_scene(images, &options) {
+        Ok(calibration) => {
+            let sensor = &calibration.sensor;
+            let running = RunningEstimate {
+                lens: sensor.lens,
+                rms_px: sensor.rms_px,
+                uncertainty_px: sensor.uncertainty_px,
+                views: images.len() as u32,
+            };
+            let is_known = running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite();
+            SceneSoFar {
+                running: is_known.then_some(running),
+                is_trusted: calibration.verdict.grade != Grade::Poor,
+                next_step: after(&calibration),
+            }
+        }
+        Err(refusal) => {
+            SceneSoFar { running: None, is_trusted: false, next_step: instead(&refusal) }
+        }
+    }
+}
+
+/// What an estimate lacks most.
+fn after(calibration: &SceneCalibration) -> String {
+    let SceneConditions { motion, parallax_deg, rolled_deg, relief, .. } = calibration.conditions;
+    if motion == CameraMotion::RotationOnly {
+        format!("{SIDEWAYS}: so far the camera only turned")
+    } else if parallax_deg < PARALLAX_DEG {
+        format!("{SIDEWAYS}: there is little parallax yet")
+    } else if rolled_deg < ROLLED_DEG {
+        ROLL.to_owned()
+    } else if relief < RELIEF {
+        format!("{DEPTH}: so far they are nearly in one plane")
+    } else if calibration.checks.coverage < COVERED {
+        format!("{TEXTURE} that fills the whole image")
+    } else {
+        "go on around the scene: each view from a new place makes the result surer".to_owned()
+    }
+}
+
+/// What to do where nothing can be estimated.
+fn instead(refusal: &SceneRefusal) -> String {
+    match refusal {
+        SceneRefusal::TooFewImages { .. } | SceneRefusal::Still => SIDEWAYS.to_owned(),
+        SceneRefusal::HardlyAnyParallax => format!("{SIDEWAYS}: there is hardly any parallax yet"),
+        SceneRefusal::ForwardMotion { .. } => {
+            format!("{SIDEWAYS}, not forward; then {ROLL}")
+        }
+        SceneRefusal::FocalUndetermined { .. } => format!("{SIDEWAYS}; then {ROLL}"),
+        SceneRefusal::OnePlane => format!("{DEPTH}, not at one plane"),
+        SceneRefusal::NoTexture { .. } => TEXTURE.to_owned(),
+        SceneRefusal::NothingAgrees { .. } | SceneRefusal::TooFewConnected { .. } => {
+            format!("take smaller steps, and {TEXTURE} that does not repeat")
+        }
+        other => other.to_string(),
+    }
+}

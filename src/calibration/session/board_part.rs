@@ -1,0 +1,418 @@
+//! What one camera of an instrument has gathered of a board in a session: its views, what it needs
+//! next, and how far its lens is known.
+
+use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
+use crate::calibration::coverage::Coverage;
+use crate::calibration::information::projection_goal::GoalFigure;
+use crate::calibration::information::teaching::{TaughtView, Teaching};
+use crate::calibration::placement::Placement;
+use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
+use crate::calibration::session::action::CameraFrame;
+use crate::calibration::session::advice::{Advice, Now};
+use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
+use crate::calibration::view::{FrameFacts, View, target_as_seen};
+use crate::detection::board_detection::{Detection, NoBoard};
+use crate::estimation::problem::LensChoice;
+use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::geometry::target::Target;
+
+/// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
+const LEAST_VIEWS_FOR_GOAL: u32 = 8;
+/// Consecutive frames with the same obstacle before the operator is informed.
+const OBSTACLE_FRAMES: u32 = 4;
+
+/// Placements that differ by so many steps teach a lens that nothing is known of yet.
+const FIRST_STEPS: f64 = 0.6;
+/// A board reaches the place that it is asked for in about this time, in seconds …
+const ON_ITS_WAY_S: f64 = 1.0;
+/// … and what teaches this part of what is asked for is taken on the way.
+const GOOD_PART: f64 = 0.5;
+
+/// One camera's part of a session with a board.
+#[derive(Debug, Clone)]
+pub struct BoardPart {
+    target: Target,
+    lens: LensChoice,
+    goal_px: Option<f64>,
+    summary: SessionMember,
+    views: Vec<View>,
+    placements: Vec<Placement>,
+    /// What the views teach; `None` before the first frame gives the image's size.
+    teaching: Option<Teaching>,
+    advice: Advice,
+    before: Option<SeenBefore>,
+    last_time_ns: Option<i64>,
+    collecting_s: f64,
+    obstacle: Option<(Rejection, u32)>,
+    going_on: Option<GoingOn>,
+    /// Whether the newest estimate's halves agree.
+    model_holds: bool,
+    /// A view was exchanged while an estimate was being made: it is not of the present views.
+    exchanged: bool,
+    estimating: bool,
+    /// A view was kept while an estimate was being made.
+    estimate_outdated: bool,
+    options: AdmissionOptions,
+}
+
+impl BoardPart {
+    /// A part without views; `summary` says what came before them.
+    pub(super) fn new(
+        (target, request): (Target, &SessionRequest),
+        summary: SessionMember,
+        options: &AdmissionOptions,
+    ) -> Self {
+        let summary = SessionMember {
+            views_kept: 0,
+            views_shared: 0,
+            coverage: Coverage::default(),
+            ..summary
+        };
+        Self {
+            target,
+            lens: request.lens,
+            goal_px: request.finish.and_then(|finish| finish.uncertainty_px),
+            summary,
+            views: Vec::new(),
+            placements: Vec::new(),
+            teaching: None,
+            advice: Advice::default(),
+            before: None,
+            last_time_ns: None,
+            collecting_s: 0.0,
+            obstacle: None,
+            going_on: None,
+            model_holds: true,
+            exchanged: false,
+            estimating: false,
+            estimate_outdated: false,
+            options: *options,
+        }
+    }
+
+    /// What it contributes, as seen from outside; how many views are shared is not its to know.
+    pub fn summary(&self) -> &SessionMember {
+        &self.summary
+    }
+
+    /// The kept views, in order.
+    pub fn views(&self) -> &[View] {
+        &self.views
+    }
+
+    /// The size of its images; `None` before the first view.
+    pub fn image_size(&self) -> Option<ImageSize> {
+        self.views.first().map(|view| view.frame.image_size)
+    }
+
+    /// How the board was held in each view.
+    pub(super) fn placements(&self) -> &[Placement] {
+        &self.placements
+    }
+
+    /// What the newest estimate left for the next one to go on from.
+    pub fn going_on(&self) -> Option<&GoingOn> {
+        self.going_on.as_ref()
+    }
+
+    /// Whether an estimate is being made.
+    pub fn is_estimating(&self) -> bool {
+        self.estimating
+    }
+
+    /// Whether it has the views that a lens needs.
+    pub(super) fn has_enough(&self) -> bool {
+        self.views.len() >= LEAST_VIEWS
+    }
+
+    /// Frame time spent collecting, in seconds.
+    pub(super) fn collecting_s(&self) -> f64 {
+        self.collecting_s
+    }
+
+    /// Takes one frame: which view it became, or why it became none.
+    pub(super) fn observe(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
+        self.summary.frames_seen += 1;
+        self.count_time(seen.frame.time_ns());
+        self.prepare(seen.frame.image_size);
+        let taught = seen.board().and_then(|found| self.taught(&seen.frame, found));
+        let camera_from_board = taught.as_ref().map(|taught| taught.camera_from_board);
+        let admission = self.admit(seen, taught);
+        match &admission {
+            Ok(_) => self.obstacle = None,
+            Err(rejection) => {
+                self.summary.rejected.count(rejection);
+                self.note_obstacle(rejection);
+            }
+        }
+        self.advise(seen.frame.time_ns(), camera_from_board.as_ref());
+        admission
+    }
+
+    /// Whether it would keep `frame` for what was detected in it, if it were observed now.
+    pub(super) fn would_keep(&self, frame: &FrameFacts, detection: &Detection) -> bool {
+        self.image_size().is_none_or(|expected| expected == frame.image_size)
+            && admit(detection, frame, self.before.as_ref(), &self.placements, &self.options)
+                .and_then(|placement| {
+                    let taught = self.taught(frame, detection);
+                    self.place_for(frame, &placement, taught.as_ref())
+                })
+                .is_ok()
+    }
+
+    /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
+    /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
+    /// view at all.
+    pub(super) fn keep_shared(&mut self, frame: &FrameFacts, detection: &Detection) -> Option<u32> {
+        let room = self.views.len() < self.options.view_limit as usize;
+        let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
+        let placement = Placement::of(detection, frame.image_size).filter(|_| room && fits)?;
+        let taught = self.taught(frame, detection);
+        Some(self.add((frame, detection), placement, taught))
+    }
+
+    /// Takes back a view as it was stored. What was admitted once has a placement; one without
+    /// would shift the numbers that rejections name.
+    pub(super) fn restore(&mut self, view: &View) -> Option<u32> {
+        let (frame, detection) = (&view.frame, &view.detection);
+        let placement = Placement::of(detection, frame.image_size)?;
+        self.prepare(frame.image_size);
+        let taught = self.taught(frame, detection);
+        if self.views.len() < self.options.view_limit as usize {
+            return Some(self.add((frame, detection), placement, taught));
+        }
+        // One that was exchanged is stored too.
+        let place = self.place_for(frame, &placement, taught.as_ref()).ok().flatten()?;
+        Some(self.exchange(place, (frame, detection), placement, taught))
+    }
+
+    /// Whether the views reach the goals of `finish` but for its time.
+    pub(super) fn reaches(&self, finish: &Finish) -> bool {
+        let kept = self.summary.views_kept;
+        match (finish.uncertainty_px, finish.min_views) {
+            (None, None) => false,
+            (None, Some(least)) => kept >= least.max(LEAST_VIEWS as u32),
+            (Some(goal_px), least) => self.summary.estimate.is_some_and(|estimate| {
+                estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL)
+                    && estimate.uncertainty_px.median <= goal_px
+                    && self.model_holds
+            }),
+        }
+    }
+
+    /// Asks for an estimate: whether one is to be made now. While one is being made the next one
+    /// waits for it.
+    pub(super) fn request_estimate(&mut self) -> bool {
+        if !self.has_enough() {
+            return false;
+        }
+        self.estimate_outdated = self.estimating;
+        !std::mem::replace(&mut self.estimating, true)
+    }
+
+    /// Takes the estimate that was asked for; one that could not be made leaves the one before.
+    /// Whether another one is to be made now, if frames still come.
+    pub(super) fn estimated(&mut self, estimate: Option<EstimateSoFar>) {
+        self.estimating = false;
+        let outdated = std::mem::take(&mut self.exchanged);
+        if let Some(EstimateSoFar { running, going_on, model_holds }) = estimate {
+            self.summary.estimate = Some(running);
+            self.going_on = going_on.filter(|_| !outdated);
+            self.model_holds = model_holds;
+        }
+    }
+
+    /// Whether views were kept since the newest estimate was begun.
+    pub(super) fn is_estimate_outdated(&self) -> bool {
+        self.estimate_outdated
+    }
+
+    /// The camera gives no frames: what comes next is not compared with what came before.
+    pub(super) fn lost(&mut self) {
+        self.before = None;
+        self.last_time_ns = None;
+    }
+
+    /// Images have a size from now on.
+    fn prepare(&mut self, size: ImageSize) {
+        if self.teaching.is_none() {
+            let figure =
+                if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
+            let teaching = Teaching::new(&self.target, size, (self.lens, figure));
+            self.advice.renew(teaching.suggest(self.goal_px));
+            self.teaching = Some(teaching);
+        }
+    }
+
+    /// What a detection would teach; `None` where no pose of the whole board explains it.
+    fn taught(&self, frame: &FrameFacts, detection: &Detection) -> Option<TaughtView> {
+        let fits = self.image_size().is_none_or(|expected| expected == frame.image_size);
+        let teaching = self.teaching.as_ref().filter(|_| fits && detection.position_known)?;
+        let number = self.views.len() as u32;
+        let view = View { number, frame: frame.clone(), detection: detection.clone() };
+        let target = target_as_seen(&self.target, [&view]);
+        teaching.view(number, view.to_board_view(&target), detection.blur_px)
+    }
+
+    /// Whether a view teaches enough to be kept: the place of the view that goes for it, `None`
+    /// while there is room. One of which nothing can be said beforehand is kept: the solve decides.
+    fn place_for(
+        &self,
+        frame: &FrameFacts,
+        placement: &Placement,
+        taught: Option<&TaughtView>,
+    ) -> Result<Option<u32>, Rejection> {
+        let full = Rejection::Full { limit: self.options.view_limit };
+        let is_full = self.views.len() >= self.options.view_limit as usize;
+        let (Some(teaching), Some(taught)) = (&self.teaching, taught) else {
+            return if is_full { Err(full) } else { Ok(None) };
+        };
+        let (gain, needed) = (teaching.gain(taught), self.needed(frame));
+        // Before the lens is estimated every other placement counts towards estimating it.
+        let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
+        let counts = !teaching.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
+        if !self.views.is_empty() && gain < needed && !counts {
+            return Err(Rejection::TeachesLittle { gain, needed });
+        }
+        if !is_full {
+            return Ok(None);
+        }
+        match teaching.least_informative() {
+            Some((least, loss)) if loss < gain => Ok(Some(least)),
+            _ => Err(full),
+        }
+    }
+
+    /// What a view must teach to be kept: its share of what the others taught, and soon after the
+    /// last one a good part of what the suggested view would, since the board is on its way there.
+    /// A named frame is an image of its own.
+    fn needed(&self, frame: &FrameFacts) -> f64 {
+        let share = 0.5 * self.options.worth / self.views.len().max(1) as f64;
+        let since_s = self.views.last().map_or(f64::INFINITY, |last| {
+            frame.time_ns().saturating_sub(last.frame.time_ns()) as f64 * 1e-9
+        });
+        let waits = (1.0 - since_s / ON_ITS_WAY_S).clamp(0.0, 1.0);
+        match &self.advice.suggested {
+            Some(suggested) if frame.name.is_none() => {
+                share.max(GOOD_PART * waits * suggested.gain)
+            }
+            _ => share,
+        }
+    }
+
+    fn admit(&mut self, seen: &CameraFrame, taught: Option<TaughtView>) -> Result<u32, Rejection> {
+        let CameraFrame { frame, seen } = seen;
+        let content = seen.as_ref().inspect_err(|_| self.before = None).map_err(Clone::clone)?;
+        // A session with a board has boards searched for, and nothing else.
+        let detection = content.board().ok_or(Rejection::NoBoard(NoBoard::NoCorners))?;
+        self.summary.boards_seen += 1;
+        let now = SeenBefore { time_ns: frame.time_ns(), detection: detection.clone() };
+        let before = self.before.replace(now);
+        match self.image_size() {
+            Some(expected) if expected != frame.image_size => {
+                return Err(Rejection::OtherImageSize { got: frame.image_size, expected });
+            }
+            _ => {}
+        }
+        let placement = admit(detection, frame, before.as_ref(), &self.placements, &self.options)?;
+        Ok(match self.place_for(frame, &placement, taught.as_ref())? {
+            None => self.add((frame, detection), placement, taught),
+            Some(place) => self.exchange(place, (frame, detection), placement, taught),
+        })
+    }
+
+    /// Puts a view in the place of one that teaches less.
+    fn exchange(
+        &mut self,
+        number: u32,
+        (frame, detection): (&FrameFacts, &Detection),
+        placement: Placement,
+        taught: Option<TaughtView>,
+    ) -> u32 {
+        let at = number as usize;
+        self.summary.coverage.add(detection, frame.image_size);
+        self.views[at] = View { number, frame: frame.clone(), detection: detection.clone() };
+        self.placements[at] = placement;
+        // Estimates go on from the views before; these are others.
+        (self.going_on, self.exchanged) = (None, self.estimating);
+        if let Some(teaching) = &mut self.teaching {
+            teaching.remove(number);
+        }
+        self.teach(taught.map(|taught| taught.numbered(number)));
+        number
+    }
+
+    /// Takes in what a view teaches, and asks for the next one.
+    fn teach(&mut self, taught: Option<TaughtView>) {
+        let Some(teaching) = &mut self.teaching else { return };
+        if let Some(taught) = taught {
+            teaching.add(taught);
+        }
+        // The solve may know of more that makes the goal harder: the board's shape, the shutter.
+        let harder = |estimate: &crate::calibration::session_record::RunningEstimate| {
+            Some(teaching.uncertainty_px()? / estimate.uncertainty_px.median)
+        };
+        let harder = self.summary.estimate.as_ref().and_then(harder).unwrap_or(1.0);
+        self.advice.renew(teaching.suggest(self.goal_px.map(|goal_px| goal_px * harder.min(1.0))));
+    }
+
+    fn add(
+        &mut self,
+        (frame, detection): (&FrameFacts, &Detection),
+        placement: Placement,
+        taught: Option<TaughtView>,
+    ) -> u32 {
+        let number = self.views.len() as u32;
+        if self.views.is_empty() {
+            self.summary.coverage = Coverage::empty(frame.image_size);
+        }
+        self.summary.coverage.add(detection, frame.image_size);
+        self.views.push(View { number, frame: frame.clone(), detection: detection.clone() });
+        self.placements.push(placement);
+        self.summary.views_kept = self.views.len() as u32;
+        self.teach(taught);
+        number
+    }
+
+    /// Frame time goes on counting as long as it rises in plausible steps.
+    fn count_time(&mut self, time_ns: i64) {
+        let last_ns = self.last_time_ns.replace(time_ns);
+        let elapsed_s =
+            last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
+        if (0.0..60.0).contains(&elapsed_s) {
+            self.collecting_s += elapsed_s;
+        }
+    }
+
+    fn note_obstacle(&mut self, rejection: &Rejection) {
+        let frames = match &self.obstacle {
+            Some((before, frames)) if before.kind() == rejection.kind() => frames + 1,
+            _ => 1,
+        };
+        self.obstacle = Some((rejection.clone(), frames));
+    }
+
+    fn advise(&mut self, time_ns: i64, camera_from_board: Option<&Pose>) {
+        let obstacle = self.obstacle.as_ref();
+        let lasting =
+            obstacle.filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what);
+        let estimate = self.summary.estimate.as_ref();
+        let reached = self
+            .goal_px
+            .zip(estimate)
+            .is_some_and(|(goal_px, estimate)| estimate.uncertainty_px.median <= goal_px);
+        let now = Now {
+            time_ns,
+            camera_from_board,
+            obstacle: lasting,
+            room: self.options.view_limit.saturating_sub(self.summary.views_kept),
+            goal_px: self.goal_px,
+            in_doubt: reached && !self.model_holds,
+        };
+        if let Some(teaching) = &self.teaching {
+            self.summary.guidance = self.advice.guidance(teaching, &now);
+        }
+    }
+}

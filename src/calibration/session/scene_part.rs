@@ -1,0 +1,223 @@
+//! What a camera has gathered of a scene in a session without a target: its key frames, what to do
+//! next, and how far its lens is known.
+
+use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::coverage::Coverage;
+use crate::calibration::guidance::{Guidance, obstacle};
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::key_frames::{KeyFrame, MOST_KEY_FRAMES, admit_key_frame};
+use crate::calibration::scene::so_far::SceneSoFar;
+use crate::calibration::session::action::{CameraFrame, FrameContent};
+use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session_record::{Finish, SessionMember};
+use crate::calibration::view::FrameFacts;
+use crate::geometry::pixel::ImageSize;
+
+/// An uncertainty estimated from fewer key frames is not worth stopping for, unless the request says
+/// so.
+const LEAST_KEY_FRAMES_FOR_GOAL: u32 = 6;
+/// Consecutive frames with the same obstacle before the operator is informed.
+const OBSTACLE_FRAMES: u32 = 4;
+/// What to do before the first estimate.
+const FIRST_STEP: &str =
+    "step sideways, keeping the scene in view, and turn the camera by 90 degrees now and then";
+
+/// One camera's part of a session without a target.
+#[derive(Debug, Clone)]
+pub struct ScenePart {
+    summary: SessionMember,
+    key_frames: Vec<KeyFrame>,
+    limit: usize,
+    last_time_ns: Option<i64>,
+    collecting_s: f64,
+    obstacle: Option<(Rejection, u32)>,
+    next_step: String,
+    is_trusted: bool,
+    estimating: bool,
+    /// A key frame was kept while an estimate was being made.
+    estimate_outdated: bool,
+}
+
+impl ScenePart {
+    /// A part without key frames; `summary` says what came before them.
+    pub(super) fn new(summary: SessionMember, options: &AdmissionOptions) -> Self {
+        let summary = SessionMember {
+            views_kept: 0,
+            views_shared: 0,
+            coverage: Coverage::default(),
+            ..summary
+        };
+        Self {
+            summary,
+            key_frames: Vec::new(),
+            limit: MOST_KEY_FRAMES.min(options.view_limit as usize),
+            last_time_ns: None,
+            collecting_s: 0.0,
+            obstacle: None,
+            next_step: FIRST_STEP.to_owned(),
+            is_trusted: false,
+            estimating: false,
+            estimate_outdated: false,
+        }
+    }
+
+    pub(super) fn summary(&self) -> &SessionMember {
+        &self.summary
+    }
+
+    pub(super) fn key_frames(&self) -> &[KeyFrame] {
+        &self.key_frames
+    }
+
+    pub(super) fn image_size(&self) -> Option<ImageSize> {
+        self.key_frames.first().map(|key| key.image.size)
+    }
+
+    pub(super) fn is_estimating(&self) -> bool {
+        self.estimating
+    }
+
+    pub(super) fn is_estimate_outdated(&self) -> bool {
+        self.estimate_outdated
+    }
+
+    pub(super) fn collecting_s(&self) -> f64 {
+        self.collecting_s
+    }
+
+    /// Takes one frame: which key frame it became, or why it became none.
+    pub(super) fn observe(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
+        self.summary.frames_seen += 1;
+        self.count_time(seen.frame.time_ns());
+        let admission = self.admit(seen);
+        match &admission {
+            Ok(_) => self.obstacle = None,
+            Err(rejection) => {
+                self.summary.rejected.count(rejection);
+                self.note_obstacle(rejection);
+            }
+        }
+        self.advise();
+        admission
+    }
+
+    fn admit(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
+        let image = match &seen.seen {
+            Ok(FrameContent::Scene(image)) => image,
+            // A session without a board has features searched for, and nothing else.
+            Ok(FrameContent::Board(_)) => return Err(Rejection::NoTexture { features: 0 }),
+            Err(rejection) => return Err(rejection.clone()),
+        };
+        let is_full = self.key_frames.len() >= self.limit;
+        admit_key_frame(image, &self.key_frames).inspect_err(|rejection| {
+            // What was kept before is in it.
+            self.summary.boards_seen += u64::from(rejection.is_known_already());
+        })?;
+        self.summary.boards_seen += 1;
+        if is_full {
+            return Err(Rejection::Full { limit: self.limit as u32 });
+        }
+        Ok(self.add(&seen.frame, image))
+    }
+
+    /// Takes back a key frame as it was stored.
+    pub(super) fn restore(&mut self, frame: &FrameFacts, image: &SceneImage) -> Option<u32> {
+        let fits = self.image_size().is_none_or(|size| size == image.size);
+        (fits && self.key_frames.len() < self.limit).then(|| self.add(frame, image))
+    }
+
+    fn add(&mut self, frame: &FrameFacts, image: &SceneImage) -> u32 {
+        let number = self.key_frames.len() as u32;
+        if self.key_frames.is_empty() {
+            self.summary.coverage = Coverage::empty(image.size);
+        }
+        self.summary.coverage.add_pixels(image.pixels(), image.size);
+        self.key_frames.push(KeyFrame { number, frame: frame.clone(), image: image.clone() });
+        self.summary.views_kept = self.key_frames.len() as u32;
+        number
+    }
+
+    /// Whether the key frames can be solved, or what to do.
+    pub(super) fn enough(&self) -> Result<(), String> {
+        let kept = self.key_frames.len();
+        if kept >= LEAST_VIEWS {
+            return Ok(());
+        }
+        let rejected = |kind: &&str| self.summary.rejected.of(kind);
+        let most = ["too_similar", "unknown_scene", "no_texture"].into_iter().max_by_key(rejected);
+        let why = match most.filter(|kind| rejected(kind) > 0) {
+            Some("too_similar") => {
+                "the camera stood still or hardly moved; start again and move it around the scene"
+            }
+            Some("unknown_scene") => {
+                "the steps were too large for images to share anything; start again with smaller ones"
+            }
+            Some(_) => {
+                "the images have too little texture or are blurred; start again in front of something with texture"
+            }
+            None => "start again and move the camera around the scene",
+        };
+        Err(format!("{kept} key frames were kept and at least {LEAST_VIEWS} are needed: {why}"))
+    }
+
+    /// Whether the key frames reach the goals of `finish` but for its time.
+    pub(super) fn reaches(&self, finish: &Finish) -> bool {
+        match (finish.uncertainty_px, finish.min_views) {
+            (None, None) => false,
+            (None, Some(least)) => self.summary.views_kept >= least.max(LEAST_VIEWS as u32),
+            (Some(goal_px), least) => self.summary.estimate.is_some_and(|estimate| {
+                estimate.views >= least.unwrap_or(LEAST_KEY_FRAMES_FOR_GOAL)
+                    && estimate.uncertainty_px.median <= goal_px
+                    && self.is_trusted
+            }),
+        }
+    }
+
+    /// Asks for an estimate: whether one is to be made now.
+    pub(super) fn request_estimate(&mut self) -> bool {
+        if self.key_frames.len() < LEAST_VIEWS {
+            return false;
+        }
+        self.estimate_outdated = self.estimating;
+        !std::mem::replace(&mut self.estimating, true)
+    }
+
+    /// Takes the estimate that was asked for, `None` where it was not made; one that could not be
+    /// made leaves the one before.
+    pub(super) fn estimated(&mut self, so_far: Option<SceneSoFar>) {
+        self.estimating = false;
+        let Some(SceneSoFar { running, is_trusted, next_step }) = so_far else { return };
+        self.summary.estimate = running.or(self.summary.estimate);
+        (self.is_trusted, self.next_step) = (is_trusted, next_step);
+        self.advise();
+    }
+
+    pub(super) fn lost(&mut self) {
+        self.last_time_ns = None;
+    }
+
+    /// Frame time goes on counting as long as it rises in plausible steps.
+    fn count_time(&mut self, time_ns: i64) {
+        let last_ns = self.last_time_ns.replace(time_ns);
+        let elapsed_s =
+            last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
+        if (0.0..60.0).contains(&elapsed_s) {
+            self.collecting_s += elapsed_s;
+        }
+    }
+
+    fn note_obstacle(&mut self, rejection: &Rejection) {
+        let frames = match &self.obstacle {
+            Some((before, frames)) if before.kind() == rejection.kind() => frames + 1,
+            _ => 1,
+        };
+        self.obstacle = Some((rejection.clone(), frames));
+    }
+
+    fn advise(&mut self) {
+        let lasting = self.obstacle.as_ref().filter(|(_, frames)| *frames >= OBSTACLE_FRAMES);
+        let message = lasting.and_then(|(rejection, _)| obstacle(rejection));
+        let message = message.unwrap_or_else(|| self.next_step.clone());
+        self.summary.guidance = Guidance { message, ..Guidance::default() };
+    }
+}

@@ -1,0 +1,189 @@
+//! Sessions without a board: seeded points with features of their own, seen from known places.
+
+use nalgebra::{Point3, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+use super::*;
+use crate::calibration::scene::key_frames::MOST_KEY_FRAMES;
+use crate::calibration::session_record::{Finish, SessionRequest};
+use crate::calibration::target::CalibrationTarget;
+use crate::estimation::problem::LensChoice;
+use crate::features::descriptor::{Descriptor, LENGTH};
+use crate::features::detector::Features;
+use crate::features::keypoint::Keypoint;
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::{ImageSize, Pixel};
+use crate::geometry::pose::Pose;
+
+const SIZE: ImageSize = ImageSize::new(640, 480);
+const NOISE_PX: f64 = 0.3;
+/// The distance to the middle of the scene.
+const DISTANCE: f64 = 5.0;
+
+struct SeededScene {
+    points: Vec<(Point3<f64>, Descriptor)>,
+    random: ChaCha8Rng,
+}
+
+impl SeededScene {
+    fn of(seed: u64, count: usize) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let points = (0..count).map(|_| {
+            let mut uniform = |reach: f64| random.random_range(-reach..reach);
+            let point = Point3::new(uniform(5.0), uniform(4.0), DISTANCE + uniform(2.0));
+            // Few numbers are not 0, so that two of them share next to nothing.
+            let mut numbers = [0; LENGTH];
+            (0..8).for_each(|_| numbers[random.random_range(0..LENGTH)] = 181);
+            (point, Descriptor(numbers))
+        });
+        let points = points.collect();
+        Self { points, random: ChaCha8Rng::seed_from_u64(seed + 1000) }
+    }
+
+    /// From `center`, rotated about its own axis by `roll`.
+    fn image(&mut self, center: [f64; 3], roll: f64) -> SceneImage {
+        let lens = Lens::from_parameters(LensModel::Pinhole, &[500.0, 500.0, 322.0, 236.0, 0.0]);
+        let lens = lens.unwrap();
+        let rotation = Pose::from_axis_angle(Vector3::new(0.0, 0.0, roll), Vector3::zeros());
+        let camera_from_scene =
+            Pose::new(rotation.rotation(), -(rotation.rotation() * Vector3::from(center)));
+        let mut features = Features::default();
+        for (point, descriptor) in &self.points {
+            let Some(pixel) = lens.pixel_from_point(&(camera_from_scene * *point)) else {
+                continue;
+            };
+            let mut noise = || NOISE_PX * self.random.random_range(-1.7..1.7);
+            let pixel = Pixel::new(pixel.x + noise(), pixel.y + noise());
+            if SIZE.contains(pixel) {
+                let keypoint = Keypoint { pixel, scale_px: 2.0, angle: 0.0, contrast: 0.1 };
+                features.keypoints.push(keypoint);
+                features.descriptors.push(*descriptor);
+            }
+        }
+        SceneImage::of_features("", SIZE, features)
+    }
+}
+
+struct Walk {
+    session: Session,
+    frames: u64,
+}
+
+impl Walk {
+    fn begin(finish: Option<Finish>) -> Self {
+        let (target, lens) = (CalibrationTarget::Scene, LensChoice::Model(LensModel::Pinhole));
+        let request = SessionRequest { target, lens, finish, given: Vec::new() };
+        let record = SessionRecord::begin("s", "front", request, 0);
+        Self { session: Session::begin(record, &[], &AdmissionOptions::default()), frames: 0 }
+    }
+
+    fn frame(&mut self) -> FrameFacts {
+        self.frames += 1;
+        FrameFacts {
+            sequence: self.frames,
+            name: None,
+            host_time_ns: self.frames as i64 * 100_000_000,
+            device_time_ns: None,
+            image_size: SIZE,
+        }
+    }
+
+    fn show(&mut self, image: SceneImage) -> Result<u32, &'static str> {
+        let frame = self.frame();
+        let seen = Ok(FrameContent::Scene(image));
+        let observed = self.session.observe(&[Some(CameraFrame { frame, seen })]).unwrap();
+        observed.admissions[0].clone().unwrap().map_err(|rejection| rejection.kind())
+    }
+
+    fn message(&self) -> &str {
+        &self.session.record().guidance.message
+    }
+}
+
+#[test]
+fn key_frames_are_kept_from_elsewhere_only() {
+    for seed in 0..4 {
+        let (mut scene, mut walk) = (SeededScene::of(seed, 700), Walk::begin(None));
+        assert_eq!(walk.show(scene.image([0.0; 3], 0.0)), Ok(0));
+        assert_eq!(walk.show(scene.image([0.0; 3], 0.0)), Err("too_similar"), "stood still");
+        let step = |part: f64| [part * DISTANCE, 0.0, 0.0];
+        assert_eq!(walk.show(scene.image(step(0.01), 0.0)), Err("too_similar"));
+        assert_eq!(walk.show(scene.image(step(0.12), 0.0)), Ok(1));
+        assert_eq!(walk.show(scene.image(step(0.24), 0.0)), Ok(2));
+        assert_eq!(walk.show(scene.image(step(0.005), 0.0)), Err("too_similar"), "back again");
+        assert_eq!(walk.show(scene.image(step(0.24), 0.8)), Ok(3), "rotated about its axis");
+        assert_eq!(
+            walk.show(SeededScene::of(seed + 50, 700).image([0.0; 3], 0.0)),
+            Err("unknown_scene")
+        );
+        assert_eq!(walk.show(SeededScene::of(seed, 40).image([0.0; 3], 0.0)), Err("no_texture"));
+        let record = walk.session.record();
+        assert_eq!((record.frames_seen, record.boards_seen, record.views_kept), (9, 7, 4));
+        assert_eq!(record.rejected.of("too_similar"), 3);
+        assert!(record.coverage.fraction() > 0.9, "{:?}", record.coverage);
+    }
+}
+
+#[test]
+fn what_is_in_the_way_is_said_and_then_what_to_do_next() {
+    let (mut scene, mut walk) = (SeededScene::of(7, 700), Walk::begin(None));
+    assert_eq!(walk.show(scene.image([0.0; 3], 0.0)), Ok(0));
+    assert!(walk.message().contains("step sideways"), "{}", walk.message());
+    for _ in 0..4 {
+        let _ = walk.show(SeededScene::of(7, 30).image([0.0; 3], 0.0));
+    }
+    assert!(walk.message().contains("texture"), "{}", walk.message());
+    for _ in 0..4 {
+        let _ = walk.show(SeededScene::of(8, 700).image([0.0; 3], 0.0));
+    }
+    assert!(walk.message().contains("smaller steps"), "{}", walk.message());
+    assert_eq!(walk.show(scene.image([0.6, 0.0, 0.0], 0.0)), Ok(1));
+    assert!(walk.message().contains("step sideways"), "{}", walk.message());
+}
+
+#[test]
+fn a_camera_that_stands_still_has_too_few_views_and_the_reason() {
+    let (mut scene, mut walk) = (SeededScene::of(3, 400), Walk::begin(None));
+    for _ in 0..20 {
+        let _ = walk.show(scene.image([0.0; 3], 0.0));
+    }
+    walk.session.stop(0).unwrap();
+    let record = walk.session.record();
+    assert_eq!(record.state, SessionState::Failed);
+    let reason = record.reason.as_deref().unwrap();
+    assert!(reason.starts_with("1 key frames were kept") && reason.contains("stood still"));
+}
+
+#[test]
+fn it_holds_so_many_key_frames_ends_by_itself_and_comes_back_over_a_restart() {
+    let mut scene = SeededScene::of(5, 900);
+    let places = |k: u32| {
+        let (row, column) = (f64::from(k / 7), f64::from(k % 7));
+        [0.6 * column - 1.8, 0.6 * row - 1.2, 0.0]
+    };
+    let images: Vec<SceneImage> =
+        (0..MOST_KEY_FRAMES as u32 + 5).map(|k| scene.image(places(k), 0.0)).collect();
+    let mut walk = Walk::begin(None);
+    for (k, image) in images.iter().enumerate() {
+        let expected = if k < MOST_KEY_FRAMES { Ok(k as u32) } else { Err("full") };
+        assert_eq!(walk.show(image.clone()), expected, "{k}");
+    }
+    let session = &walk.session;
+    let stored: Vec<_> = (session.kept().iter())
+        .map(|kept| (*kept, session.key_frame(kept).unwrap()))
+        .map(|(kept, key)| (kept, key.frame.clone(), key.image.clone()))
+        .collect();
+    let record = session.record().clone();
+    let (resumed, actions) = Session::resume_scene(record, &stored, &AdmissionOptions::default());
+    assert_eq!(actions, [Action::Announce, Action::Estimate(0)]);
+    assert_eq!((resumed.kept(), resumed.record().views_kept), (session.kept(), 30));
+    assert_eq!(resumed.record().coverage, session.record().coverage);
+
+    let finish = Finish { min_views: Some(5), ..Finish::default() };
+    let mut walk = Walk::begin(Some(finish));
+    for image in &images[..5] {
+        assert!(walk.show(image.clone()).is_ok());
+    }
+    assert_eq!(walk.session.record().state, SessionState::Solving);
+}
