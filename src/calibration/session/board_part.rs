@@ -162,6 +162,17 @@ impl BoardPart {
                 .is_ok()
     }
 
+    /// Whether it has room for a detection that is unlike each of `placements`.
+    pub(super) fn is_new_among(
+        &self,
+        placements: &[Placement],
+        frame: &FrameFacts,
+        detection: &Detection,
+    ) -> bool {
+        self.views.len() < self.options.view_limit as usize
+            && admit(detection, frame, self.before.as_ref(), placements, &self.options).is_ok()
+    }
+
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.

@@ -133,6 +133,16 @@ impl CameraPart {
         self.board().is_some_and(|board| board.would_keep(frame, detection))
     }
 
+    /// Whether it has room for a detection that is unlike each of `placements`.
+    pub(super) fn is_new_among(
+        &self,
+        placements: &[Placement],
+        frame: &FrameFacts,
+        detection: &Detection,
+    ) -> bool {
+        self.board().is_some_and(|board| board.is_new_among(placements, frame, detection))
+    }
+
     /// Keeps a detection that teaches this camera nothing new, for what it teaches of the
     /// instrument: another camera saw the board in the same frame set. `None` where it cannot be a
     /// view at all.

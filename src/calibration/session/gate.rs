@@ -7,8 +7,8 @@
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;
-use crate::calibration::session::Session;
 use crate::calibration::session::action::CameraFrame;
+use crate::calibration::session::{Session, wanted_shared};
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
@@ -23,6 +23,8 @@ pub struct KeptSoFar {
 struct KeptOfCamera {
     image_size: Option<ImageSize>,
     placements: Vec<Placement>,
+    /// Those of views that another camera shares; `None` if they are enough.
+    shared: Option<Vec<Placement>>,
 }
 
 impl KeptSoFar {
@@ -33,6 +35,7 @@ impl KeptSoFar {
             Some(KeptOfCamera {
                 image_size: part.image_size(),
                 placements: part.placements().to_vec(),
+                shared: wanted_shared(session, place),
             })
         };
         Self { cameras: (0..).map_while(of_camera).collect() }
@@ -59,15 +62,20 @@ impl Gate {
 
     /// Whether the session may keep something of this frame set, as far as `kept` says.
     pub fn may_keep(&self, frame_set: &[Option<CameraFrame>], kept: &KeptSoFar) -> bool {
-        let each = self.before.iter().zip(frame_set).enumerate();
-        each.into_iter().any(|(place, (before, frame))| {
-            let Some((frame, detection)) = frame.as_ref().and_then(with_board) else {
+        let none = KeptOfCamera::default();
+        let of = |place: usize| kept.cameras.get(place).unwrap_or(&none);
+        let is_new = |place: usize, placements: &[Placement]| {
+            let Some((frame, detection)) = frame_set[place].as_ref().and_then(with_board) else {
                 return false;
             };
-            let none = KeptOfCamera::default();
-            let kept = kept.cameras.get(place).unwrap_or(&none);
-            kept.image_size.is_none_or(|expected| expected == frame.image_size)
-                && admit(detection, frame, before.as_ref(), &kept.placements, &self.options).is_ok()
+            let before = self.before.get(place).and_then(Option::as_ref);
+            of(place).image_size.is_none_or(|expected| expected == frame.image_size)
+                && admit(detection, frame, before, placements, &self.options).is_ok()
+        };
+        let seen = frame_set.iter().flatten().filter(|frame| frame.seen.is_ok()).count();
+        (0..frame_set.len()).any(|place| {
+            is_new(place, &of(place).placements)
+                || of(place).shared.as_ref().is_some_and(|shared| seen > 1 && is_new(place, shared))
         })
     }
 

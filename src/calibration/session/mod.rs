@@ -22,6 +22,7 @@ mod together;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
 use crate::calibration::guidance::Guidance;
+use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::EstimateSoFar;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::key_frames::KeyFrame;
@@ -317,8 +318,12 @@ impl Session {
         admissions: &mut [Option<Result<u32, Rejection>>],
     ) -> Vec<KeptView> {
         let mut kept: Vec<KeptView> = Vec::new();
-        let is_new: Vec<bool> =
-            admissions.iter().map(|admission| matches!(admission, Some(Ok(_)))).collect();
+        let is_new: Vec<bool> = (0..admissions.len())
+            .map(|camera| {
+                matches!(admissions[camera], Some(Ok(_)))
+                    || self.is_new_together(frame_set, admissions, camera)
+            })
+            .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {
             if kept.iter().any(|kept| kept.camera == first) {
                 continue;
@@ -350,6 +355,31 @@ impl Session {
         }
         self.kept.extend(&kept);
         kept
+    }
+
+    /// Whether a camera, to which the frame set shows nothing new, sees with another camera what no
+    /// shared view of it shows. A board is often kept while it still moves, which shares nothing
+    /// where cameras are not synchronized, and held still only then.
+    fn is_new_together(
+        &self,
+        frame_set: &[Option<CameraFrame>],
+        admissions: &[Option<Result<u32, Rejection>>],
+        camera: usize,
+    ) -> bool {
+        let usable = |place: usize| match &admissions[place] {
+            Some(Ok(_)) => true,
+            Some(Err(rejection)) => rejection.is_known_already(),
+            None => false,
+        };
+        let Some(seen) = &frame_set[camera] else { return false };
+        let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
+        let shared = shared_placements(self, camera);
+        usable(camera)
+            && shared.len() < WANTED_SHARED as usize
+            && self.cameras[camera].is_new_among(&shared, frame, detection)
+            && (0..admissions.len()).any(|other| {
+                other != camera && usable(other) && self.together.are(frame_set, camera, other)
+            })
     }
 
     fn request_estimates(&mut self, wanted: impl Fn(usize) -> bool) -> Vec<Action> {
@@ -404,7 +434,7 @@ impl Session {
             return;
         }
         let member = |(place, part): (usize, &CameraPart)| SessionMember {
-            views_shared: shared_views(&self.kept, place),
+            views_shared: shared_views(&self.kept, place).count() as u32,
             ..part.summary().clone()
         };
         let members: Vec<SessionMember> = self.cameras.iter().enumerate().map(member).collect();
@@ -427,13 +457,25 @@ impl Session {
     }
 }
 
-/// How many views of a camera are of frame sets that another camera has a view of.
-fn shared_views(kept: &[KeptView], camera: usize) -> u32 {
-    let own = kept.iter().filter(|view| view.camera == camera);
-    let is_shared = |view: &&KeptView| {
+/// A camera's views of frame sets that another camera has a view of.
+fn shared_views(kept: &[KeptView], camera: usize) -> impl Iterator<Item = &KeptView> {
+    let own = kept.iter().filter(move |view| view.camera == camera);
+    own.filter(move |view| {
         kept.iter().any(|other| other.frame_set == view.frame_set && other.camera != camera)
-    };
-    own.filter(is_shared).count() as u32
+    })
+}
+
+/// How the board was held in a camera's shared views.
+fn shared_placements(session: &Session, camera: usize) -> Vec<Placement> {
+    let Some(part) = session.cameras.get(camera) else { return Vec::new() };
+    let placement = |view: &KeptView| part.placements().get(view.view as usize).copied();
+    shared_views(&session.kept, camera).filter_map(placement).collect()
+}
+
+/// The same, where a camera of a rig should share more views.
+fn wanted_shared(session: &Session, camera: usize) -> Option<Vec<Placement>> {
+    let shared = shared_placements(session, camera);
+    (session.is_rig() && shared.len() < WANTED_SHARED as usize).then_some(shared)
 }
 
 /// Frame sets that a camera should share with another before anything else is asked for.

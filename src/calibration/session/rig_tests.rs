@@ -83,13 +83,16 @@ fn a_board_that_moved_between_the_images_is_not_shared() {
     session.observe(&at(0, 0.0)).unwrap();
     assert_eq!(places(&session), [(0, 0, 0), (1, 1, 0)], "how fast it moves is not known yet");
     session.observe(&at(100, 0.0001)).unwrap();
+    let shared = [(0, 0, 0), (1, 1, 0), (0, 2, 1), (1, 2, 1)];
+    assert_eq!(places(&session), shared, "new to neither, and the first that both share");
     session.observe(&at(200, 0.02)).unwrap();
-    assert_eq!(places(&session).len(), 2, "nothing new");
+    session.observe(&at(300, 0.0201)).unwrap();
+    assert_eq!(places(&session).len(), 4, "nothing new to what they share");
     session.observe(&[sees(5000, board(0.1, 0.5, 0.5)), sees(5015, board(0.0, 0.5, 0.5))]).unwrap();
     session
         .observe(&[sees(5100, board(0.1, 0.5, -0.5)), sees(5115, board(0.0, 0.5, -0.5))])
         .unwrap();
-    assert_eq!(session.record().members[0].views_shared, 0);
+    assert_eq!(session.record().members[0].views_shared, 1);
 }
 
 #[test]
