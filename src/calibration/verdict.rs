@@ -4,6 +4,7 @@ use crate::calibration::coverage::Coverage;
 use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::{CameraEstimate, CameraOptions};
+use crate::estimation::known_together::known_only_together;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
 
@@ -45,6 +46,7 @@ pub(crate) fn judge(
     findings.extend(missing_area(coverage));
     findings.extend(flat_board(estimate));
     findings.extend(accounted_for(estimate));
+    findings.extend(known_together(estimate));
     let grade = findings.iter().map(|(grade, _)| *grade).min().unwrap_or(Grade::Good);
     findings.sort_by_key(|(grade, _)| *grade);
     Verdict { grade, reasons: findings.into_iter().map(|(_, reason)| reason).collect() }
@@ -215,6 +217,19 @@ fn accounted_for(estimate: &CameraEstimate) -> Vec<(Grade, String)> {
         )
     });
     board.into_iter().chain(shutter).map(|reason| (Grade::Good, reason)).collect()
+}
+
+/// That some coefficients are no figures of the lens by themselves, which takes nothing from the
+/// projections.
+fn known_together(estimate: &CameraEstimate) -> Option<(Grade, String)> {
+    let lens = &estimate.lens;
+    let names = known_only_together(lens, &estimate.lens_std(), estimate.image_size);
+    let reason = format!(
+        "{} of the {} lens are known only together, not one by one: use all of them, or none; projections are as certain as stated",
+        names.join(", "),
+        lens.model()
+    );
+    (!names.is_empty()).then_some((Grade::Good, reason))
 }
 
 fn rejected_views(estimate: &CameraEstimate) -> Option<(Grade, String)> {

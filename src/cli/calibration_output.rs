@@ -9,6 +9,7 @@ use crate::cli::files::write_file;
 use crate::cli::{Failure, output};
 use crate::document::calibration::CalibrationDocument;
 use crate::document::time;
+use crate::estimation::known_together::known_only_together;
 use crate::export::{ExportOptions, Format, export};
 use crate::geometry::lens::Lens;
 
@@ -166,9 +167,11 @@ fn sensor_lines(name: &str, sensor: &ImageCalibration) -> Vec<String> {
         ),
     ];
     let names = Lens::parameter_names(model);
+    let together = known_only_together(&sensor.lens, &sensor.lens_std, sensor.image_size);
     for ((name, value), std) in names.iter().zip(sensor.lens.parameters()).zip(&sensor.lens_std) {
         if *std > 0.0 || value != 0.0 {
-            lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}"));
+            let note = if together.contains(name) { ", known only with the others" } else { "" };
+            lines.push(format!("  {name:4} {value:>14.6} ± {std:.6}{note}"));
         }
     }
     if let Some(shape) = &sensor.board_shape {

@@ -31,6 +31,7 @@ pub mod error;
 pub mod interrupt;
 mod jackknife;
 mod joint;
+pub mod known_together;
 pub mod lens_choice;
 pub mod measured_board;
 mod misfit;
