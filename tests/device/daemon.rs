@@ -106,6 +106,21 @@ impl Daemon {
         (files.count(), names.filter(|name| name.trim() != "http").count())
     }
 
+    /// Its resident memory, in kilobytes.
+    pub fn resident_kb(&self) -> u64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+        resident.trim().trim_end_matches(" kB").parse().unwrap()
+    }
+
+    /// A metric by its name and labels; 0 if it was never counted.
+    pub fn metric(&self, name: &str) -> u64 {
+        let mut answer = ureq::get(&url("/metrics")).call().unwrap();
+        let text = answer.body_mut().read_to_string().unwrap();
+        let line = text.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+        line.map_or(0, |value| value.parse().unwrap())
+    }
+
     /// What it has computed so far.
     pub fn processor_time(&self) -> Duration {
         processor_time(&self.0.id().to_string())

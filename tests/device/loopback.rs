@@ -7,7 +7,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use plumb::capture::{FrameSource, Pace, Replay, ReplayOptions};
+use plumb::geometry::pixel::ImageSize;
 use plumb::imaging::decode;
+use plumb::imaging::frame::Frame;
 use plumb::imaging::gray::GrayImage;
 use v4l::format::field::FieldOrder;
 use v4l::video::Output;
@@ -37,34 +39,50 @@ impl Drop for Feeder {
     }
 }
 
+/// A loopback device that this process shows images to.
+pub struct Screen(Device);
+
+impl Screen {
+    /// Opens it for images of this size and format (a FourCC).
+    pub fn open(device: &str, size: ImageSize, format: &str) -> Self {
+        let device = Device::with_path(device).unwrap();
+        let code: [u8; 4] = format.as_bytes().try_into().unwrap();
+        let mut format = Format::new(size.width, size.height, FourCC::new(&code));
+        format.size = size.width * size.height * 2;
+        format.field_order = FieldOrder::Progressive;
+        Output::set_format(&device, &format).unwrap();
+        Self(device)
+    }
+
+    /// Shows an image, once what was shown before is taken.
+    pub fn show(&mut self, bytes: &[u8]) {
+        while let Err(error) = self.0.write_all(bytes) {
+            assert_eq!(error.kind(), ErrorKind::WouldBlock, "{error}");
+        }
+    }
+}
+
+/// A frame's luminance as YUYV.
+pub fn yuyv_of(frame: &Frame, luma: &mut GrayImage) -> Vec<u8> {
+    decode::luma(frame, luma).unwrap();
+    luma.pixels().iter().flat_map(|y| [*y, 128]).collect()
+}
+
 /// Shows the recording to the device over and over, until killed.
 pub fn feed(device: &str, format: &str, recording: &Path, fps: f64) {
     let options = ReplayOptions { pace: Pace::Fastest, repeat: true, ..ReplayOptions::default() };
     let mut replay = Replay::open(recording, &options).unwrap();
-    let mut output = Device::with_path(device).unwrap();
-    let code: [u8; 4] = format.as_bytes().try_into().unwrap();
+    let mut screen = None;
     let mut luma = GrayImage::default();
     let mut due: Option<Instant> = None;
     loop {
         let set = replay.next_frame(Duration::ZERO).unwrap();
         let frame = &set.frames[0];
-        if due.is_none() {
-            let mut format = Format::new(frame.size.width, frame.size.height, FourCC::new(&code));
-            format.size = frame.size.width * frame.size.height * 2;
-            format.field_order = FieldOrder::Progressive;
-            Output::set_format(&output, &format).unwrap();
-        }
-        let bytes = if format == "MJPG" {
-            frame.bytes.to_vec()
-        } else {
-            decode::luma(frame, &mut luma).unwrap();
-            luma.pixels().iter().flat_map(|y| [*y, 128]).collect()
-        };
+        let screen = screen.get_or_insert_with(|| Screen::open(device, frame.size, format));
+        let bytes = if format == "MJPG" { frame.bytes.to_vec() } else { yuyv_of(frame, &mut luma) };
         let time = due.unwrap_or_else(Instant::now);
         thread::sleep(time.saturating_duration_since(Instant::now()));
         due = Some(time + Duration::from_secs_f64(1.0 / fps));
-        while let Err(error) = output.write_all(&bytes) {
-            assert_eq!(error.kind(), ErrorKind::WouldBlock, "{error}");
-        }
+        screen.show(&bytes);
     }
 }

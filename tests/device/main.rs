@@ -17,6 +17,7 @@ mod formats;
 mod guest;
 mod loopback;
 mod replug;
+mod rig;
 mod small_machine;
 mod supervision;
 mod usb;
@@ -41,6 +42,7 @@ const SCENARIOS: &[(&str, Scenario)] = &[
     ("stall", faults::a_stalled_device_never_blocks),
     ("supervision", supervision::every_fault_is_a_state_with_a_reason_and_the_session_goes_on),
     ("usb", usb::a_usb_camera_streams_holds_still_and_comes_back),
+    ("rig", rig::a_rig_goes_on_without_the_camera_that_is_unplugged),
     ("walk", walk::a_walk_is_calibrated_over_http),
     ("replug", replug::two_hundred_rounds_leave_nothing_behind),
 ];

@@ -7,14 +7,14 @@ use plumb::capture::device_list::ListedDevice;
 use plumb::capture::mode::ModeRequest;
 use plumb::capture::v4l2::V4l2Options;
 use plumb::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, SourceOpener};
-use plumb::imaging::decode;
 use plumb::imaging::gray::GrayImage;
 
 use crate::guest::{PATIENCE, camera, frames_until_error, luma_of, press};
+use crate::loopback::yuyv_of;
 use crate::usb_camera::{CameraModel, UsbCamera, VideoFormat};
 use crate::walk::WALK;
 
-const SERIAL: &str = "A1B2C3D4";
+pub const SERIAL: &str = "A1B2C3D4";
 
 /// Plugs in a camera that shows the walk, over and over.
 fn plug_in() -> UsbCamera {
@@ -25,16 +25,13 @@ fn plug_in() -> UsbCamera {
         let frame = walk.next_frame(Duration::ZERO).unwrap().frames.remove(0);
         match image {
             VideoFormat::Mjpg => frame.bytes.to_vec(),
-            VideoFormat::Yuyv => {
-                decode::luma(&frame, &mut luma).unwrap();
-                luma.pixels().iter().flat_map(|y| [*y, 128]).collect()
-            }
+            VideoFormat::Yuyv => yuyv_of(&frame, &mut luma),
         }
     })
 }
 
 /// The camera as `plumb devices` lists it, once the kernel has made its node.
-fn listed() -> ListedDevice {
+pub fn listed() -> ListedDevice {
     let deadline = Instant::now() + PATIENCE;
     loop {
         let listing = plumb::capture::v4l2::list_devices();

@@ -1,0 +1,175 @@
+//! A rig of two real devices, one of which is unplugged in the middle of a session: a loopback
+//! camera and a USB camera, which show what two cameras saw of one board at the same times.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use plumb::geometry::pixel::ImageSize;
+use plumb::imaging::frame::Frame;
+use plumb::imaging::gray::GrayImage;
+use plumb::recording::{ReadOptions, Recording};
+use serde_json::{Value, json};
+
+use crate::daemon::Daemon;
+use crate::loopback::{Screen, yuyv_of};
+use crate::usb::{SERIAL, listed};
+use crate::usb_camera::{CameraModel, UsbCamera, VideoFormat};
+
+const LOOPBACK: &str = "/dev/video20";
+/// Two cameras that nothing synchronizes take images within half of 1/15 s of each other: the same
+/// frame set.
+const FPS: u32 = 15;
+/// How long each image is shown: nine frames, as a board that is held still.
+const SHOWN: Duration = Duration::from_millis(600);
+/// Views of both cameras that determine where they are.
+const ENOUGH_VIEWS: u64 = 3;
+/// Frames of the camera that is still there, while the other one is gone.
+const WITHOUT: u64 = 30;
+/// 30 frames of 640x480 that were kept with their pixels would be 9 MB.
+const FLAT_KB: u64 = 8_000;
+
+/// The images of a recording, of which every camera shows the same one at the same time.
+struct Slides {
+    frames: Vec<Frame>,
+    began: Instant,
+}
+
+impl Slides {
+    fn of(name: &str, began: Instant) -> Self {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings").join(name);
+        let mut recording = Recording::open(&path, &ReadOptions::default()).unwrap();
+        let next = || recording.next_frame_set().unwrap();
+        let frames = std::iter::from_fn(next).map(|mut set| set.frames.remove(0)).collect();
+        Self { frames, began }
+    }
+
+    /// What is shown now.
+    fn now(&self) -> &Frame {
+        let slide = self.began.elapsed().as_millis() / SHOWN.as_millis();
+        &self.frames[slide as usize % self.frames.len()]
+    }
+}
+
+/// The loopback camera; it ends with this value.
+struct LoopbackCamera(Arc<AtomicBool>, Option<JoinHandle<()>>);
+
+impl LoopbackCamera {
+    fn start(slides: Slides) -> Self {
+        let ended = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&ended);
+        let showing = thread::spawn(move || {
+            let mut screen = Screen::open(LOOPBACK, ImageSize::new(640, 480), "YUYV");
+            let mut luma = GrayImage::default();
+            while !seen.load(Ordering::Relaxed) {
+                screen.show(&yuyv_of(slides.now(), &mut luma));
+                thread::sleep(Duration::from_secs(1) / FPS);
+            }
+        });
+        Self(ended, Some(showing))
+    }
+}
+
+impl Drop for LoopbackCamera {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+        let _ = self.1.take().map(JoinHandle::join);
+    }
+}
+
+fn plug_in(slides: Slides) -> UsbCamera {
+    let mut luma = GrayImage::default();
+    let model = CameraModel { serial: SERIAL, size: [640, 480], fps: FPS };
+    let camera = UsbCamera::plug_in(model, move |format| match format {
+        VideoFormat::Mjpg => slides.now().bytes.to_vec(),
+        VideoFormat::Yuyv => yuyv_of(slides.now(), &mut luma),
+    });
+    listed();
+    camera
+}
+
+pub fn a_rig_goes_on_without_the_camera_that_is_unplugged() -> String {
+    let began = Instant::now();
+    let slides = |name: &str| Slides::of(name, began);
+    let _left = LoopbackCamera::start(slides("rig-left.mcap"));
+    let right = plug_in(slides("rig-right.mcap"));
+    let daemon = Daemon::start(&format!(
+        r#"
+[[camera]]
+name = "left"
+source = {{ kind = "v4l2", device = "{LOOPBACK}" }}
+[[camera]]
+name = "right"
+source = {{ kind = "v4l2", device = "{SERIAL}", format = "MJPG" }}
+[[rig]]
+name = "head"
+cameras = ["left", "right"]
+"#
+    ));
+    for camera in ["left", "right"] {
+        daemon.wait_for_state(camera, "streaming");
+    }
+    let target = json!({"kind": "chessboard", "cols": 8, "rows": 6, "square_m": 0.03});
+    let started =
+        daemon.post("/v1/rigs/head/sessions", &json!({"target": target, "lens": "brown"}));
+    let path = format!("/v1/sessions/{}", started["id"].as_str().unwrap());
+    let now = || daemon.get(&path);
+    let of = |camera: usize, field: &str| now()["cameras"][camera][field].as_u64().unwrap();
+    daemon.wait_for("views of both", || (of(1, "views_shared") >= ENOUGH_VIEWS).then_some(()));
+
+    drop(right);
+    let lost = daemon.wait_for_state("right", "lost");
+    let (before_kb, seen) = (daemon.resident_kb(), of(0, "frames_seen"));
+    let waiting = daemon.wait_for("frames of the other camera", || {
+        Some(now()).filter(|now| now["cameras"][0]["frames_seen"].as_u64() >= Some(seen + WITHOUT))
+    });
+    assert_eq!(waiting["state"], "collecting", "{waiting}");
+    let reason = waiting["reason"].as_str().unwrap();
+    assert!(reason.starts_with("waits for camera `right`"), "{reason}");
+    let grown_kb = daemon.resident_kb().saturating_sub(before_kb);
+    assert!(grown_kb < FLAT_KB, "{grown_kb} kB more while a camera is gone");
+
+    let again = of(1, "frames_seen");
+    let _right = plug_in(slides("rig-right.mcap"));
+    daemon.wait_for_state("right", "streaming");
+    daemon.wait_for("frames of both", || (of(1, "frames_seen") > again).then_some(()));
+    for (name, camera) in [("left", 0), ("right", 1)] {
+        let metric = |name: &str| daemon.metric(name);
+        let received = metric(&format!("plumb_frames_total{{camera={name:?}}}"));
+        let searched = metric(&format!("plumb_frames_searched_total{{camera={name:?}}}"));
+        let dropped =
+            metric(&format!("plumb_frames_dropped_total{{camera={name:?},why=\"overload\"}}"));
+        assert!(searched + dropped <= received, "{name}: {searched} + {dropped} of {received}");
+        assert!(of(camera, "frames_seen") <= received, "{name}");
+    }
+
+    let finished = daemon.post(&format!("{path}/stop"), &json!({}));
+    assert_eq!(finished["state"], "finished", "{finished}");
+    let calibration = finished["calibration"].as_str().unwrap();
+    let calibration = daemon.get(&format!("/v1/calibrations/{calibration}"));
+    let baseline = &calibration["extrinsics"][0];
+    assert_eq!(baseline["name"], "left_from_right", "{}", calibration["verdict"]);
+    let shift = |k: usize| baseline["translation"][k].as_f64().unwrap();
+    let length_m = (0..3).map(|k| shift(k).powi(2)).sum::<f64>().sqrt();
+    let true_m = baseline_m();
+    assert!((length_m - true_m).abs() < 0.002, "{length_m} m where {true_m} m is true");
+    format!(
+        "{}; {grown_kb} kB more meanwhile; cameras {length_m:.5} m ({true_m:.5})",
+        lost["reason"]
+    )
+}
+
+/// How far the two cameras truly are from each other, in meters.
+fn baseline_m() -> f64 {
+    let [left, right] = ["left", "right"].map(|camera| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join(format!("recordings/rig-{camera}.truth.json"));
+        let truth: Value = serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap();
+        let pose: plumb::document::pose::PoseDocument =
+            serde_json::from_value(truth["frames"][0]["camera_from_board"].clone()).unwrap();
+        plumb::geometry::pose::Pose::try_from(&pose).unwrap()
+    });
+    (left * right.inverse()).translation().norm()
+}
