@@ -7,8 +7,8 @@
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};
 use crate::calibration::placement::Placement;
+use crate::calibration::session::Session;
 use crate::calibration::session::action::CameraFrame;
-use crate::calibration::session::{Session, wanted_shared};
 use crate::calibration::view::FrameFacts;
 use crate::detection::board_detection::Detection;
 use crate::geometry::pixel::ImageSize;
@@ -35,7 +35,7 @@ impl KeptSoFar {
             Some(KeptOfCamera {
                 image_size: part.image_size(),
                 placements: part.placements().to_vec(),
-                shared: wanted_shared(session, place),
+                shared: session.wanted_shared(place),
             })
         };
         Self { cameras: (0..).map_while(of_camera).collect() }

@@ -18,6 +18,7 @@ pub mod camera;
 mod ending;
 pub mod gate;
 mod scene_part;
+mod sharing;
 mod together;
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
@@ -32,6 +33,7 @@ pub use crate::calibration::session::action::{
 };
 use crate::calibration::session::camera::CameraPart;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
+use crate::calibration::session::sharing::{Sharing, next_step};
 use crate::calibration::session::together::Together;
 use crate::calibration::session_record::{
     RunningEstimate, SessionMember, SessionRecord, SessionState,
@@ -307,6 +309,15 @@ impl Session {
         self.record.source_ended(reason, enough, now_ns)
     }
 
+    fn sharing(&self) -> Sharing<'_> {
+        Sharing { cameras: &self.cameras, kept: &self.kept }
+    }
+
+    /// How the board was held in a camera's shared views, where a rig needs more of them.
+    fn wanted_shared(&self, camera: usize) -> Option<Vec<Placement>> {
+        self.sharing().wanted(camera).filter(|_| self.is_rig())
+    }
+
     fn is_rig(&self) -> bool {
         self.cameras.len() > 1 || !self.record.members.is_empty()
     }
@@ -318,10 +329,17 @@ impl Session {
         admissions: &mut [Option<Result<u32, Rejection>>],
     ) -> Vec<KeptView> {
         let mut kept: Vec<KeptView> = Vec::new();
+        let is_usable = |admission: &Option<Result<u32, Rejection>>| match admission {
+            Some(Ok(_)) => true,
+            Some(Err(rejection)) => rejection.is_known_already(),
+            None => false,
+        };
+        let usable: Vec<bool> = admissions.iter().map(is_usable).collect();
+        let together = |one: usize, other: usize| self.together.are(frame_set, one, other);
         let is_new: Vec<bool> = (0..admissions.len())
             .map(|camera| {
                 matches!(admissions[camera], Some(Ok(_)))
-                    || self.is_new_together(frame_set, admissions, camera)
+                    || self.sharing().is_new((frame_set, &usable), camera, together)
             })
             .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {
@@ -355,31 +373,6 @@ impl Session {
         }
         self.kept.extend(&kept);
         kept
-    }
-
-    /// Whether a camera, to which the frame set shows nothing new, sees with another camera what no
-    /// shared view of it shows. A board is often kept while it still moves, which shares nothing
-    /// where cameras are not synchronized, and held still only then.
-    fn is_new_together(
-        &self,
-        frame_set: &[Option<CameraFrame>],
-        admissions: &[Option<Result<u32, Rejection>>],
-        camera: usize,
-    ) -> bool {
-        let usable = |place: usize| match &admissions[place] {
-            Some(Ok(_)) => true,
-            Some(Err(rejection)) => rejection.is_known_already(),
-            None => false,
-        };
-        let Some(seen) = &frame_set[camera] else { return false };
-        let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
-        let shared = shared_placements(self, camera);
-        usable(camera)
-            && shared.len() < WANTED_SHARED as usize
-            && self.cameras[camera].is_new_among(&shared, frame, detection)
-            && (0..admissions.len()).any(|other| {
-                other != camera && usable(other) && self.together.are(frame_set, camera, other)
-            })
     }
 
     fn request_estimates(&mut self, wanted: impl Fn(usize) -> bool) -> Vec<Action> {
@@ -433,8 +426,9 @@ impl Session {
             record.take_member(only.summary());
             return;
         }
+        let sharing = Sharing { cameras: &self.cameras, kept: &self.kept };
         let member = |(place, part): (usize, &CameraPart)| SessionMember {
-            views_shared: shared_views(&self.kept, place).count() as u32,
+            views_shared: sharing.views(place).count() as u32,
             ..part.summary().clone()
         };
         let members: Vec<SessionMember> = self.cameras.iter().enumerate().map(member).collect();
@@ -455,47 +449,6 @@ impl Session {
         }
         record.members = members;
     }
-}
-
-/// A camera's views of frame sets that another camera has a view of.
-fn shared_views(kept: &[KeptView], camera: usize) -> impl Iterator<Item = &KeptView> {
-    let own = kept.iter().filter(move |view| view.camera == camera);
-    own.filter(move |view| {
-        kept.iter().any(|other| other.frame_set == view.frame_set && other.camera != camera)
-    })
-}
-
-/// How the board was held in a camera's shared views.
-fn shared_placements(session: &Session, camera: usize) -> Vec<Placement> {
-    let Some(part) = session.cameras.get(camera) else { return Vec::new() };
-    let placement = |view: &KeptView| part.placements().get(view.view as usize).copied();
-    shared_views(&session.kept, camera).filter_map(placement).collect()
-}
-
-/// The same, where a camera of a rig should share more views.
-fn wanted_shared(session: &Session, camera: usize) -> Option<Vec<Placement>> {
-    let shared = shared_placements(session, camera);
-    (session.is_rig() && shared.len() < WANTED_SHARED as usize).then_some(shared)
-}
-
-/// Frame sets that a camera should share with another before anything else is asked for.
-const WANTED_SHARED: u32 = 6;
-
-/// What to do next for the camera that lacks most.
-fn next_step(members: &[SessionMember]) -> String {
-    let is_isolated =
-        |member: &&SessionMember| member.views_kept > 2 && member.views_shared < WANTED_SHARED;
-    if let Some(isolated) = members.iter().find(is_isolated) {
-        return format!(
-            "hold the board still where {} and another camera see all of it",
-            isolated.camera
-        );
-    }
-    let open = members.iter().filter(|member| !member.guidance.message.is_empty());
-    let least = open.min_by(|a, b| a.coverage.fraction().total_cmp(&b.coverage.fraction()));
-    least
-        .map(|member| format!("{}: {}", member.camera, member.guidance.message))
-        .unwrap_or_default()
 }
 
 #[cfg(test)]
