@@ -130,7 +130,7 @@ fn own_pair(calibration: &Calibration) -> Option<[SensorId; 2]> {
     match guides.as_slice() {
         [first, second] => Some([(*first).clone(), (*second).clone()]),
         [_] => {
-            let infrared = [SensorKind::Infrared, SensorKind::Infrared2].map(SensorId::own);
+            let infrared = SensorKind::STEREO_PAIR.map(SensorId::own);
             infrared.iter().all(|id| calibration.sensor(id).is_some()).then_some(infrared)
         }
         _ => None,

@@ -24,6 +24,9 @@ impl SensorKind {
     /// Every sensor, in the order of documents.
     pub const ALL: [Self; 4] = [Self::Color, Self::Infrared, Self::Infrared2, Self::Depth];
 
+    /// The left and the right image of a stereo depth camera.
+    pub const STEREO_PAIR: [Self; 2] = [Self::Infrared, Self::Infrared2];
+
     /// Its name in topics, documents and folders.
     pub fn name(self) -> &'static str {
         match self {
