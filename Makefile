@@ -40,12 +40,12 @@ examples:
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings, DDS.
 python-test: $(VENV)/installed
 	$(TESTED) --no-run
-	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q tests/python
+	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q -rs tests/python
 
 # The live page, driven in a real browser.
 page-test: $(VENV)/installed
 	$(TESTED) --no-run
-	PLUMB=target/debug/plumb timeout --kill-after=10 600 $(VENV)/bin/python -m pytest -q tests/page
+	PLUMB=target/debug/plumb timeout --kill-after=10 600 $(VENV)/bin/python -m pytest -q -rs tests/page
 
 # Real cameras: a small machine with a real V4L2 stack. Says so where none can be made.
 device-test: $(VENV)/installed
