@@ -37,6 +37,7 @@ const PLAIN: Drawing = Drawing {
     overlay: false,
     guidance: false,
     undistorted: false,
+    rectified: false,
     registered: false,
 };
 const SETTABLE: [(Rs2Option, f32); 3] = [
