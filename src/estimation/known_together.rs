@@ -10,9 +10,9 @@ use crate::geometry::pixel::{ImageSize, Pixel};
 const MATRIX: usize = 5;
 
 /// The names of the coefficients whose standard deviations, each by itself, move some corner of the
-/// image farther than all of the lens's distortion does: by itself such a coefficient says nothing
-/// of the lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners 90 degrees and more
-/// off the axis, where no lens without distortion sees, are left out.
+/// image farther than all coefficients together do: by itself such a coefficient says nothing of the
+/// lens. `lens_std` is in the order of [`Lens::parameter_names`]. Corners that the model does not see
+/// with all coefficients at 0 are left out.
 ///
 /// ```
 /// use plumb::estimation::known_together::known_only_together;
@@ -29,14 +29,18 @@ pub fn known_only_together(lens: &Lens, lens_std: &[f64], size: ImageSize) -> Ve
     let corners = [(0.0, 0.0), (right, 0.0), (0.0, bottom), (right, bottom)];
     let mut names = Lens::parameter_names(lens.model());
     let mut unknown = vec![false; names.len()];
+    let mut without = lens.parameters();
+    without.iter_mut().skip(MATRIX).for_each(|coefficient| *coefficient = 0.0);
+    let Some(without) = Lens::from_parameters(lens.model(), &without) else { return Vec::new() };
     for (x, y) in corners {
         let seen = lens.bearing_from_pixel(Pixel::new(x, y));
         let Some(point) = seen.map(|bearing| Point3::from(bearing.into_inner())) else { continue };
-        let undistorted = Lens::pinhole(lens.matrix).pixel_from_point(&point);
-        let (Some(undistorted), Some(projection)) = (undistorted, lens.project(&point)) else {
+        let (Some(before), Some(projection)) =
+            (without.pixel_from_point(&point), lens.project(&point))
+        else {
             continue;
         };
-        let distortion_px = projection.pixel.distance_px(undistorted);
+        let distortion_px = projection.pixel.distance_px(before);
         for (index, std) in lens_std.iter().enumerate().take(names.len()).skip(MATRIX) {
             let moved_px = projection.by_parameters.column(index).norm() * std;
             unknown[index] |= moved_px > distortion_px;
@@ -45,4 +49,34 @@ pub fn known_only_together(lens: &Lens, lens_std: &[f64], size: ImageSize) -> Ve
     let mut unknown = unknown.into_iter();
     names.retain(|_| unknown.next() == Some(true));
     names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::lens::LensModel;
+
+    /// A webcam's lens, nearly without distortion: that of `kannala_brandt` is measured from an
+    /// equidistant lens, which it is far from.
+    #[test]
+    fn a_coefficient_that_makes_a_lens_straight_is_known() {
+        let parameters = [660.0, 660.0, 320.0, 240.0, 0.0, 0.48, -0.39, -5.3, 20.6];
+        let lens = Lens::from_parameters(LensModel::KannalaBrandt, &parameters).unwrap();
+        let std = [1.0, 1.0, 1.0, 1.0, 0.0, 0.021, 0.22, 0.9, 4.5];
+        let size = ImageSize::new(640, 480);
+        assert!(known_only_together(&lens, &std, size).is_empty());
+        let wide = std.map(|std| 20.0 * std);
+        assert_eq!(known_only_together(&lens, &wide, size), ["k2", "k3", "k4"]);
+    }
+
+    #[test]
+    fn a_numerator_and_a_denominator_that_cancel_are_known_together() {
+        let coefficients = [182.04, 845.81, -0.003, 0.0006, 4.59, 181.64, 795.25, 54.55];
+        let parameters = [&[1047.0, 1044.0, 624.0, 512.0, 0.0], coefficients.as_slice()].concat();
+        let lens = Lens::from_parameters(LensModel::Rational, &parameters).unwrap();
+        let std =
+            [1.1, 2.3, 0.8, 0.9, 0.0, 256.0, 1250.0, 0.0003, 0.0004, 109.0, 256.0, 1175.0, 111.0];
+        let names = known_only_together(&lens, &std, ImageSize::new(1280, 1024));
+        assert_eq!(names, ["k1", "k2", "k3", "k4", "k5", "k6"]);
+    }
 }
