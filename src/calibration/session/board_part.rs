@@ -10,6 +10,7 @@ use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
 use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::detection::board_detection::{Detection, NoBoard};
@@ -20,8 +21,6 @@ use crate::geometry::target::Target;
 
 /// An uncertainty estimated from fewer views is not worth stopping for, unless the request says so.
 const LEAST_VIEWS_FOR_GOAL: u32 = 8;
-/// Consecutive frames with the same obstacle before the operator is informed.
-const OBSTACLE_FRAMES: u32 = 4;
 
 /// Placements that differ by so many steps teach a lens that nothing is known of yet.
 const FIRST_STEPS: f64 = 0.6;
@@ -43,9 +42,8 @@ pub struct BoardPart {
     teaching: Option<Teaching>,
     advice: Advice,
     before: Option<SeenBefore>,
-    last_time_ns: Option<i64>,
-    collecting_s: f64,
-    obstacle: Option<(Rejection, u32)>,
+    time: FrameTime,
+    obstacle: Obstacle,
     going_on: Option<GoingOn>,
     /// Whether the newest estimate's halves agree.
     model_holds: bool,
@@ -80,9 +78,8 @@ impl BoardPart {
             teaching: None,
             advice: Advice::default(),
             before: None,
-            last_time_ns: None,
-            collecting_s: 0.0,
-            obstacle: None,
+            time: FrameTime::default(),
+            obstacle: Obstacle::default(),
             going_on: None,
             model_holds: true,
             exchanged: false,
@@ -129,23 +126,20 @@ impl BoardPart {
 
     /// Frame time spent collecting, in seconds.
     pub(super) fn collecting_s(&self) -> f64 {
-        self.collecting_s
+        self.time.elapsed_s()
     }
 
     /// Takes one frame: which view it became, or why it became none.
     pub(super) fn observe(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
         self.summary.frames_seen += 1;
-        self.count_time(seen.frame.time_ns());
+        self.time.count(seen.frame.time_ns());
         self.prepare(seen.frame.image_size);
         let taught = seen.board().and_then(|found| self.taught(&seen.frame, found));
         let camera_from_board = taught.as_ref().map(|taught| taught.camera_from_board);
         let admission = self.admit(seen, taught);
-        match &admission {
-            Ok(_) => self.obstacle = None,
-            Err(rejection) => {
-                self.summary.rejected.count(rejection);
-                self.note_obstacle(rejection);
-            }
+        self.obstacle.note(&admission);
+        if let Err(rejection) = &admission {
+            self.summary.rejected.count(rejection);
         }
         self.advise(seen.frame.time_ns(), camera_from_board.as_ref());
         admission
@@ -243,7 +237,7 @@ impl BoardPart {
     /// The camera gives no frames: what comes next is not compared with what came before.
     pub(super) fn lost(&mut self) {
         self.before = None;
-        self.last_time_ns = None;
+        self.time.lost();
     }
 
     /// Images have a size from now on.
@@ -387,28 +381,7 @@ impl BoardPart {
         number
     }
 
-    /// Frame time goes on counting as long as it rises in plausible steps.
-    fn count_time(&mut self, time_ns: i64) {
-        let last_ns = self.last_time_ns.replace(time_ns);
-        let elapsed_s =
-            last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
-        if (0.0..60.0).contains(&elapsed_s) {
-            self.collecting_s += elapsed_s;
-        }
-    }
-
-    fn note_obstacle(&mut self, rejection: &Rejection) {
-        let frames = match &self.obstacle {
-            Some((before, frames)) if before.kind() == rejection.kind() => frames + 1,
-            _ => 1,
-        };
-        self.obstacle = Some((rejection.clone(), frames));
-    }
-
     fn advise(&mut self, time_ns: i64, camera_from_board: Option<&Pose>) {
-        let obstacle = self.obstacle.as_ref();
-        let lasting =
-            obstacle.filter(|(_, frames)| *frames >= OBSTACLE_FRAMES).map(|(what, _)| what);
         let estimate = self.summary.estimate.as_ref();
         let reached = self
             .goal_px
@@ -417,7 +390,7 @@ impl BoardPart {
         let now = Now {
             time_ns,
             camera_from_board,
-            obstacle: lasting,
+            obstacle: self.obstacle.lasting(),
             room: self.options.view_limit.saturating_sub(self.summary.views_kept),
             goal_px: self.goal_px,
             in_doubt: reached && !self.model_holds,

@@ -17,6 +17,7 @@ mod board_part;
 pub mod camera;
 mod ending;
 pub mod gate;
+mod progress;
 mod scene_part;
 mod sharing;
 mod together;

@@ -9,6 +9,7 @@ use crate::calibration::scene::key_frames::{KeyFrame, MOST_KEY_FRAMES, admit_key
 use crate::calibration::scene::so_far::SceneSoFar;
 use crate::calibration::session::action::{CameraFrame, FrameContent};
 use crate::calibration::session::ending::LEAST_VIEWS;
+use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember};
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pixel::ImageSize;
@@ -16,8 +17,6 @@ use crate::geometry::pixel::ImageSize;
 /// An uncertainty estimated from fewer key frames is not worth stopping for, unless the request says
 /// so.
 const LEAST_KEY_FRAMES_FOR_GOAL: u32 = 6;
-/// Consecutive frames with the same obstacle before the operator is informed.
-const OBSTACLE_FRAMES: u32 = 4;
 /// What to do before the first estimate.
 const FIRST_STEP: &str =
     "step sideways, keeping the scene in view, and turn the camera by 90 degrees now and then";
@@ -28,9 +27,8 @@ pub struct ScenePart {
     summary: SessionMember,
     key_frames: Vec<KeyFrame>,
     limit: usize,
-    last_time_ns: Option<i64>,
-    collecting_s: f64,
-    obstacle: Option<(Rejection, u32)>,
+    time: FrameTime,
+    obstacle: Obstacle,
     next_step: String,
     is_trusted: bool,
     estimating: bool,
@@ -51,9 +49,8 @@ impl ScenePart {
             summary,
             key_frames: Vec::new(),
             limit: MOST_KEY_FRAMES.min(options.view_limit as usize),
-            last_time_ns: None,
-            collecting_s: 0.0,
-            obstacle: None,
+            time: FrameTime::default(),
+            obstacle: Obstacle::default(),
             next_step: FIRST_STEP.to_owned(),
             is_trusted: false,
             estimating: false,
@@ -82,20 +79,17 @@ impl ScenePart {
     }
 
     pub(super) fn collecting_s(&self) -> f64 {
-        self.collecting_s
+        self.time.elapsed_s()
     }
 
     /// Takes one frame: which key frame it became, or why it became none.
     pub(super) fn observe(&mut self, seen: &CameraFrame) -> Result<u32, Rejection> {
         self.summary.frames_seen += 1;
-        self.count_time(seen.frame.time_ns());
+        self.time.count(seen.frame.time_ns());
         let admission = self.admit(seen);
-        match &admission {
-            Ok(_) => self.obstacle = None,
-            Err(rejection) => {
-                self.summary.rejected.count(rejection);
-                self.note_obstacle(rejection);
-            }
+        self.obstacle.note(&admission);
+        if let Err(rejection) = &admission {
+            self.summary.rejected.count(rejection);
         }
         self.advise();
         admission
@@ -193,30 +187,11 @@ impl ScenePart {
     }
 
     pub(super) fn lost(&mut self) {
-        self.last_time_ns = None;
-    }
-
-    /// Frame time goes on counting as long as it rises in plausible steps.
-    fn count_time(&mut self, time_ns: i64) {
-        let last_ns = self.last_time_ns.replace(time_ns);
-        let elapsed_s =
-            last_ns.map_or(0.0, |last_ns| time_ns.saturating_sub(last_ns) as f64 * 1e-9);
-        if (0.0..60.0).contains(&elapsed_s) {
-            self.collecting_s += elapsed_s;
-        }
-    }
-
-    fn note_obstacle(&mut self, rejection: &Rejection) {
-        let frames = match &self.obstacle {
-            Some((before, frames)) if before.kind() == rejection.kind() => frames + 1,
-            _ => 1,
-        };
-        self.obstacle = Some((rejection.clone(), frames));
+        self.time.lost();
     }
 
     fn advise(&mut self) {
-        let lasting = self.obstacle.as_ref().filter(|(_, frames)| *frames >= OBSTACLE_FRAMES);
-        let message = lasting.and_then(|(rejection, _)| obstacle(rejection));
+        let message = self.obstacle.lasting().and_then(obstacle);
         let message = message.unwrap_or_else(|| self.next_step.clone());
         self.summary.guidance = Guidance { message, ..Guidance::default() };
     }
