@@ -1,0 +1,162 @@
+//! Each kind of source as written, and what is refused at its key.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use crate::capture::mode::ModeRequest;
+use crate::capture::realsense::{Preset, Settings};
+use crate::config::source::{SourceConfig, UvcSelector};
+use crate::config::{Overrides, Written};
+use crate::geometry::pixel::ImageSize;
+use crate::simulation::OperatorKind;
+
+fn source(text: &str) -> Result<SourceConfig, String> {
+    let text = format!("[[camera]]\nname = \"front\"\nsource = {text}\n");
+    let config = Written::parse(&text, Path::new("plumb.toml"))
+        .and_then(|written| written.check(&Overrides::default()))
+        .map_err(|error| error.to_string())?;
+    Ok(config.cameras[0].source.clone())
+}
+
+#[test]
+fn each_kind_with_its_defaults() {
+    let simulator = SourceConfig::Simulator {
+        seed: 1,
+        size: ImageSize::new(640, 480),
+        fps: 30.0,
+        seat: None,
+        operator: None,
+        fastest: false,
+    };
+    let operated = SourceConfig::Simulator {
+        seed: 1,
+        size: ImageSize::new(640, 480),
+        fps: 30.0,
+        seat: None,
+        operator: Some(OperatorKind::Follows),
+        fastest: true,
+    };
+    let written = "{ kind = \"simulator\", operator = \"follows\", pace = \"fastest\" }";
+    assert_eq!(source(written), Ok(operated));
+    assert_eq!(source("{ kind = \"simulator\" }"), Ok(simulator));
+    let recording = |topics: &[&str]| SourceConfig::Recording {
+        path: "/".into(),
+        topics: topics.iter().map(|topic| (*topic).to_owned()).collect(),
+        fastest: false,
+        repeat: false,
+        fps: 10.0,
+    };
+    assert_eq!(source("{ kind = \"recording\", path = \"/\" }"), Ok(recording(&[])));
+    let of_bag = "{ kind = \"recording\", path = \"/\", topic = \"/a\", depth = \"/b\" }";
+    assert_eq!(source(of_bag), Ok(recording(&["/a", "/b"])));
+    let ros2 = SourceConfig::Ros2 {
+        topic: "/front/image_raw".to_owned(),
+        depth: Some("/front/depth/image_rect_raw".to_owned()),
+        domain_id: Some(7),
+    };
+    let of_driver = "{ kind = \"ros2\", topic = \"/front/image_raw\", depth = \"/front/depth/image_rect_raw\", domain_id = 7 }";
+    assert_eq!(source(of_driver), Ok(ros2));
+    let realsense = |mode, settings| Ok(SourceConfig::Realsense { serial: None, mode, settings });
+    assert_eq!(
+        source("{ kind = \"realsense\" }"),
+        realsense(ModeRequest::default(), Settings::default())
+    );
+    let set = "{ kind = \"realsense\", width = 848, height = 480, fps = 30, preset = \"high_accuracy\", emitter = false }";
+    let mode = ModeRequest { size: Some(ImageSize::new(848, 480)), format: None, fps: Some(30.0) };
+    let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(false) };
+    assert_eq!(source(set), realsense(mode, settings));
+    let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: ModeRequest::default() };
+    assert_eq!(source("{ kind = \"uvc\", index = 0 }"), Ok(uvc));
+}
+
+#[test]
+fn the_contracts_v4l2_camera_reads_as_written() {
+    let text = "{ kind = \"v4l2\", device = \"/dev/v4l/by-id/x\", width = 1280, height = 720, format = \"MJPG\", \
+                fps = 30, controls = { focus_auto = 0 } }";
+    let mode = ModeRequest {
+        size: Some(ImageSize::new(1280, 720)),
+        format: Some("MJPG".to_owned()),
+        fps: Some(30.0),
+    };
+    let controls = BTreeMap::from([("focus_auto".to_owned(), 0)]);
+    assert_eq!(
+        source(text),
+        Ok(SourceConfig::V4l2 { device: "/dev/v4l/by-id/x".into(), mode, controls, lock: false })
+    );
+}
+
+#[test]
+fn what_cannot_be_is_refused_at_its_key() {
+    let cases = [
+        ("{ kind = \"webcam\" }", "camera.source.kind: `webcam` is no kind"),
+        ("{ kind = \"recording\" }", "camera.source.path: missing"),
+        (
+            "{ kind = \"recording\", path = \"/not/there.mcap\" }",
+            "camera.source.path: `/not/there.mcap` cannot be",
+        ),
+        (
+            "{ kind = \"recording\", path = \"/\", pace = \"slow\" }",
+            "camera.source.pace: `slow` is no pace",
+        ),
+        (
+            "{ kind = \"recording\", path = \"/\", fps = 0 }",
+            "camera.source.fps: impossible; write 0.001 to 1000",
+        ),
+        (
+            "{ kind = \"recording\", path = \"/\", fps = nan }",
+            "camera.source.fps: impossible; write 0.001 to 1000",
+        ),
+        (
+            "{ kind = \"simulator\", fps = 1e-300 }",
+            "camera.source.fps: impossible; write 0.001 to 1000",
+        ),
+        (
+            "{ kind = \"recording\", path = \"/\", device = \"x\" }",
+            "camera.source.device: unknown for kind",
+        ),
+        (
+            "{ kind = \"simulator\", width = 0, height = 480 }",
+            "camera.source.width: 0 px is impossible",
+        ),
+        ("{ kind = \"simulator\", width = 640 }", "camera.source.height: missing"),
+        ("{ kind = \"simulator\", tint = 1 }", "tint: unknown field `tint`"),
+        (
+            "{ kind = \"simulator\", operator = \"sleeps\" }",
+            "camera.source.operator: `sleeps` is no operator; write follows",
+        ),
+        ("{ kind = \"ros2\" }", "camera.source.topic: missing"),
+        (
+            "{ kind = \"ros2\", topic = \"front\" }",
+            "camera.source.topic: `front` is no topic; write it as",
+        ),
+        (
+            "{ kind = \"ros2\", topic = \"/a\", domain_id = 233 }",
+            "camera.source.domain_id: 233 is no domain; write 0 to 232",
+        ),
+        ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
+        (
+            "{ kind = \"uvc\", index = 0, name = \"x\" }",
+            "camera.source.index: give the camera's index or its name",
+        ),
+        (
+            "{ kind = \"realsense\", serial = \"1\", path = \"/\" }",
+            "camera.source.serial: a serial number and a",
+        ),
+        (
+            "{ kind = \"realsense\", preset = \"best\" }",
+            "camera.source.preset: `best` is no preset; write one of",
+        ),
+        (
+            "{ kind = \"realsense\", path = \"/\", emitter = true }",
+            "camera.source.emitter: unknown for kind",
+        ),
+        ("\"simulator\"", "source: invalid type: string"),
+    ];
+    for (text, expected) in cases {
+        let message = source(text).unwrap_err();
+        assert!(
+            message.starts_with(&format!("plumb.toml:3: {expected}")),
+            "{message}\nis not\n{expected}"
+        );
+    }
+}
