@@ -376,7 +376,3 @@ impl Drop for Fleet {
         self.shutdown();
     }
 }
-
-#[cfg(test)]
-#[path = "fleet_tests.rs"]
-mod tests;

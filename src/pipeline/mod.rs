@@ -28,6 +28,8 @@ pub mod event;
 pub mod fleet;
 pub mod fleet_error;
 mod fleet_sessions;
+#[cfg(test)]
+mod fleet_tests;
 mod frame_rate;
 mod frame_slot;
 mod guarded;
@@ -35,6 +37,8 @@ mod instrument;
 mod jobs;
 mod live_camera;
 pub mod live_frame;
+#[cfg(test)]
+mod load_tests;
 mod message;
 mod metrics;
 mod observations;
@@ -46,6 +50,8 @@ pub mod recording_notes;
 mod recording_status;
 mod running;
 mod scene_search;
+#[cfg(test)]
+mod scripted;
 mod search;
 mod seen;
 pub mod session_request;

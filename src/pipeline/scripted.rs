@@ -1,0 +1,203 @@
+//! Sources that do what a test says: deliver, fall silent, vanish, break, panic, end.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+
+use crate::calibration::session_record::{SessionRecord, SessionRequest};
+use crate::capture::{CaptureError, FrameSource, SourceDescription};
+use crate::estimation::problem::LensChoice;
+use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::pixel::ImageSize;
+use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+use crate::imaging::timestamp::HostTime;
+use crate::pipeline::Supervision;
+use crate::pipeline::camera_status::{CameraState, CameraStatus};
+use crate::pipeline::event::{Event, EventKind, EventStream};
+use crate::pipeline::fleet::Fleet;
+use crate::pipeline::running::{CameraPlan, FleetOptions};
+use crate::store::Store;
+
+/// A test that hangs has failed.
+pub(super) const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What a scripted device does next.
+pub(super) enum ScriptStep {
+    Frame,
+    /// A frame that was taken so many milliseconds after the epoch.
+    At(i64),
+    Fail(CaptureError),
+    Panic,
+    /// Somebody moved its focus ring.
+    Move,
+}
+
+pub(super) fn lost(reason: &str) -> CaptureError {
+    CaptureError::Lost { device: "camera 7".to_owned(), reason: reason.to_owned() }
+}
+
+/// A device that does what it is sent, and is silent otherwise.
+pub(super) struct Scripted {
+    pub(super) steps: Receiver<ScriptStep>,
+    pub(super) sequence: u64,
+    pub(super) waits: bool,
+    pub(super) moved: bool,
+}
+
+pub(super) fn gray_frame(sequence: u64) -> FrameSet {
+    let size = ImageSize::new(64, 48);
+    let frame = Frame {
+        sensor: SensorKind::Color,
+        size,
+        format: PixelFormat::Mono8,
+        stride: 64,
+        bytes: vec![9; 64 * 48].into(),
+    };
+    let host_time = HostTime { utc_ns: sequence as i64 * 1_000_000 };
+    FrameSet { sequence, host_time, device_time: None, name: None, frames: vec![frame] }
+}
+
+impl FrameSource for Scripted {
+    fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
+        match self.steps.recv_timeout(timeout) {
+            Ok(ScriptStep::Frame) => {
+                self.sequence += 1;
+                Ok(gray_frame(self.sequence - 1))
+            }
+            Ok(ScriptStep::At(ms)) => {
+                self.sequence += 1;
+                let host_time = HostTime { utc_ns: ms * 1_000_000 };
+                Ok(FrameSet { host_time, ..gray_frame(self.sequence - 1) })
+            }
+            Ok(ScriptStep::Fail(error)) => Err(error),
+            Ok(ScriptStep::Panic) => panic!("the driver's binding broke"),
+            Ok(ScriptStep::Move) => {
+                self.moved = true;
+                Err(CaptureError::TimedOut { waited: Duration::ZERO })
+            }
+            Err(RecvTimeoutError::Timeout) => Err(CaptureError::TimedOut { waited: timeout }),
+            Err(RecvTimeoutError::Disconnected) => Err(CaptureError::Ended),
+        }
+    }
+
+    fn description(&self) -> SourceDescription {
+        SourceDescription {
+            identity: "camera 7".to_owned(),
+            waits: self.waits,
+            ..SourceDescription::default()
+        }
+    }
+
+    fn moved_since_calibrating(&self) -> Option<String> {
+        self.moved.then(|| "focus is 30, was 10".to_owned())
+    }
+}
+
+/// The test's end of a camera: what each opening gives.
+pub(super) struct Script {
+    pub(super) openings: Sender<Result<Receiver<ScriptStep>, CaptureError>>,
+}
+
+impl Script {
+    /// The next opening succeeds; the sender feeds it.
+    pub(super) fn plug_in(&self) -> Sender<ScriptStep> {
+        let (feed, steps) = channel();
+        self.openings.send(Ok(steps)).unwrap();
+        feed
+    }
+}
+
+pub(super) fn scripted(name: &str) -> (CameraPlan, Script) {
+    let (openings, next) = channel::<Result<Receiver<ScriptStep>, CaptureError>>();
+    let open = move || {
+        let steps = next.try_recv().unwrap_or_else(|_| Err(lost("not plugged in")))?;
+        Ok(Box::new(Scripted { steps, sequence: 0, waits: false, moved: false })
+            as Box<dyn FrameSource>)
+    };
+    let plan = CameraPlan {
+        name: name.to_owned(),
+        kind: "v4l2".to_owned(),
+        open: Box::new(open),
+        may_stall: true,
+    };
+    (plan, Script { openings })
+}
+
+/// A fleet that retries at once and has patience with silence, `stall` says how much.
+pub(super) fn fleet_of(
+    plans: Vec<CameraPlan>,
+    folder: &tempfile::TempDir,
+    stall: Duration,
+) -> Fleet {
+    let soon = Duration::from_millis(1);
+    let supervision = Supervision {
+        first_retry: soon,
+        longest_retry: soon,
+        moved_check: Duration::ZERO,
+        failed_retry: soon,
+        stall,
+        first_frame: stall,
+    };
+    let options = FleetOptions { supervision, ..FleetOptions::default() };
+    Fleet::start(plans, Arc::new(Store::open(folder.path()).unwrap()), &options).unwrap()
+}
+
+pub(super) fn request() -> SessionRequest {
+    let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    SessionRequest {
+        target: target.into(),
+        lens: LensChoice::Auto,
+        finish: None,
+        given: Vec::new(),
+    }
+}
+
+pub(super) async fn until<T>(
+    events: &mut EventStream,
+    mut wanted: impl FnMut(&Event) -> Option<T>,
+) -> T {
+    let found = async {
+        loop {
+            if let Some(found) = wanted(&*events.next().await) {
+                return found;
+            }
+        }
+    };
+    tokio::time::timeout(PATIENCE, found).await.unwrap()
+}
+
+pub(super) async fn until_state(
+    events: &mut EventStream,
+    camera: &str,
+    state: CameraState,
+) -> CameraStatus {
+    until(events, |event| match &event.kind {
+        EventKind::Camera(status) if event.camera == camera && status.state == state => {
+            Some((**status).clone())
+        }
+        _ => None,
+    })
+    .await
+}
+
+pub(super) async fn until_session(
+    events: &mut EventStream,
+    wanted: impl Fn(&SessionRecord) -> bool,
+) -> SessionRecord {
+    until(events, |event| match &event.kind {
+        EventKind::Session(record) if wanted(record) => Some((**record).clone()),
+        _ => None,
+    })
+    .await
+}
+
+pub(super) async fn until_frame(events: &mut EventStream, camera: &str) {
+    until(events, |event| (event.camera == camera && event.kind.name() == "frame").then_some(()))
+        .await;
+}
+
+pub(super) fn count(fleet: &Fleet, metric: &str) -> u64 {
+    let text = fleet.metrics_text();
+    let line = text.lines().find_map(|line| line.strip_prefix(metric));
+    line.map_or(0, |value| value.trim().parse().unwrap())
+}
