@@ -141,7 +141,7 @@ impl Rejection {
     }
 }
 
-/// How often each reason turned a frame away.
+/// How often each reason rejected a frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rejections {
     counts: BTreeMap<&'static str, u64>,
@@ -164,7 +164,7 @@ impl Rejections {
         Rejection::KINDS.into_iter().map(|kind| (kind, self.of(kind)))
     }
 
-    /// How often `kind` turned a frame away.
+    /// How often `kind` rejected a frame.
     pub fn of(&self, kind: &str) -> u64 {
         self.counts.get(kind).copied().unwrap_or(0)
     }
@@ -177,7 +177,7 @@ impl Rejections {
         }
     }
 
-    /// How many frames were turned away.
+    /// How many frames were rejected.
     pub fn total(&self) -> u64 {
         self.counts.values().sum()
     }

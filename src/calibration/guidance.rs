@@ -129,7 +129,7 @@ pub fn advise(
 fn next_suggestion(target: &Chessboard, size: ImageSize, kept: &[Placement]) -> Guidance {
     for suggested in &SUGGESTIONS {
         let Some((placement, outline_px)) = place(suggested, target, size) else { continue };
-        // How the board is turned in the image is left to the operator.
+        // How the board is rotated in the image is left to the operator.
         let fulfilled = |view: &Placement| {
             placement.steps_to(&Placement { roll: placement.roll, ..*view }) < FULFILLED_STEPS
         };

@@ -29,7 +29,7 @@ fn options() -> SolveOptions {
     SolveOptions { camera, ..SolveOptions::default() }
 }
 
-/// A board that is turned and carried about before color and, 75 mm beside it, another sensor.
+/// A board that is rotated and carried about before color and, 75 mm beside it, another sensor.
 fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<ObservedFrameSet> {
     let board = board();
     let mut noise = rand_chacha::ChaCha8Rng::seed_from_u64(5);
@@ -44,13 +44,13 @@ fn frame_sets(other: SensorKind, color_from_other: Pose) -> Vec<ObservedFrameSet
     };
     let frame_set = |number: usize| {
         let across = |factor: f64| (number as f64 * factor).sin();
-        let turn = Vector3::new(0.5 * across(1.3), 0.5 * across(2.1), 0.3 * across(0.7));
-        let shift = Vector3::new(
+        let rotation = Vector3::new(0.5 * across(1.3), 0.5 * across(2.1), 0.3 * across(0.7));
+        let translation = Vector3::new(
             -0.1 + 0.12 * across(3.1),
             -0.06 + 0.08 * across(1.9),
             0.7 + 0.1 * across(0.9),
         );
-        let color_from_board = Pose::from_axis_angle(turn, shift);
+        let color_from_board = Pose::from_axis_angle(rotation, translation);
         let color = seen(&lens(600.0), color_from_board);
         let beside = seen(&lens(575.0), color_from_other.inverse() * color_from_board);
         ObservedFrameSet {

@@ -2,7 +2,7 @@
 //! record a frame later. Two cameras that are fixed to each other see each board from the same
 //! relative pose; with a shifted list the pose scatters as the board moves, but for one shift.
 
-use crate::estimation::board_turns::SensorPoses;
+use crate::estimation::consistent_labels::SensorPoses;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
 
@@ -53,8 +53,8 @@ mod tests {
 
     fn first_from_board(k: usize) -> Pose {
         let k = k as f64;
-        let turn = Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), 0.1 * k) * 0.4;
-        Pose::from_axis_angle(turn, Vector3::new(0.1 * k.sin(), 0.1 * k.cos(), 0.6))
+        let rotation = Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), 0.1 * k) * 0.4;
+        Pose::from_axis_angle(rotation, Vector3::new(0.1 * k.sin(), 0.1 * k.cos(), 0.6))
     }
 
     #[test]

@@ -85,8 +85,8 @@ impl Placement {
     fn roll_to(&self, other: &Self) -> f64 {
         let period =
             if self.half_turn_alike { std::f64::consts::PI } else { std::f64::consts::TAU };
-        let turned = (self.roll - other.roll).rem_euclid(period);
-        turned.min(period - turned)
+        let rotated = (self.roll - other.roll).rem_euclid(period);
+        rotated.min(period - rotated)
     }
 }
 
@@ -143,7 +143,7 @@ pub(crate) mod tests {
     pub(crate) const SIZE: ImageSize = ImageSize::new(640, 480);
 
     /// What a perfect detector sees of a 9×6 board of 25 mm squares, its middle at `position`
-    /// (meters in the camera frame), turned by `axis_angle` about its middle.
+    /// (meters in the camera frame), rotated by `axis_angle` about its middle.
     pub(crate) fn detection_at(position: Vector3<f64>, axis_angle: Vector3<f64>) -> Detection {
         let board = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
         let matrix = CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 };
@@ -219,8 +219,8 @@ pub(crate) mod tests {
         let moved = at(Vector3::new(0.1, 0.0, 0.5), Vector3::zeros());
         let nearer = at(Vector3::new(0.0, 0.0, 0.38), Vector3::zeros());
         let tilted = at(Vector3::new(0.0, 0.0, 0.5), Vector3::new(0.25, 0.0, 0.0));
-        let turned = at(Vector3::new(0.0, 0.0, 0.5), Vector3::new(0.0, 0.0, 0.6));
-        for other in [moved, nearer, tilted, turned] {
+        let rotated = at(Vector3::new(0.0, 0.0, 0.5), Vector3::new(0.0, 0.0, 0.6));
+        for other in [moved, nearer, tilted, rotated] {
             assert!(here.steps_to(&other) > 1.0 && other.steps_to(&here) > 1.0, "{other:?}");
         }
         let nearly = at(Vector3::new(0.01, 0.0, 0.51), Vector3::new(0.03, 0.0, 0.05));
@@ -232,10 +232,10 @@ pub(crate) mod tests {
         let upright =
             Placement::of(&detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros()), SIZE)
                 .unwrap();
-        let turned = Placement { roll: std::f64::consts::PI, ..upright };
-        assert!(upright.steps_to(&turned) > 1.0);
+        let rotated = Placement { roll: std::f64::consts::PI, ..upright };
+        assert!(upright.steps_to(&rotated) > 1.0);
         let alike = Placement { half_turn_alike: true, ..upright };
-        assert!(alike.steps_to(&Placement { half_turn_alike: true, ..turned }) < 1e-9);
+        assert!(alike.steps_to(&Placement { half_turn_alike: true, ..rotated }) < 1e-9);
     }
 
     #[test]

@@ -245,11 +245,11 @@ impl JointViews<'_> {
         }
         let view = BoardView { name: capture.name.clone(), correspondences: corners.to_vec() };
         let poses = board_poses(lens, &view).ok()?;
-        let turned = |depth_from_board: &Pose| depth_from_board.angle_to(&expected);
+        let rotation = |depth_from_board: &Pose| depth_from_board.angle_to(&expected);
         poses
             .iter()
             .map(|found| found.camera_from_board)
-            .min_by(|a, b| turned(a).total_cmp(&turned(b)))
+            .min_by(|a, b| rotation(a).total_cmp(&rotation(b)))
     }
 }
 

@@ -50,7 +50,7 @@ pub enum RgbdError {
     SensorsTooDistant {
         /// How far, in meters.
         distance_m: f64,
-        /// How much they are turned against each other.
+        /// How much they are rotated against each other.
         degrees: f64,
     },
     /// No pose of the sensors, and no lens of the depth camera, lets planes and corners agree.

@@ -196,7 +196,7 @@ fn with_uncertainty(
     }
 }
 
-/// Where in the image the corners were seen that took part.
+/// Where in the image the corners in use were seen.
 fn corner_coverage(problem: &CameraProblem, estimate: &CameraEstimate) -> Coverage {
     let mut cells = Coverage::empty(problem.image_size).cells().to_vec();
     let grid = Coverage::empty(problem.image_size);

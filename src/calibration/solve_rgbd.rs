@@ -8,8 +8,8 @@ use crate::calibration::rgbd_guess::{Guess, Measured};
 use crate::calibration::rgbd_input::{RgbdInput, poses, problem, views};
 use crate::calibration::solve::{SolvedCamera, solve_views};
 use crate::detection::board_plane::NoPlane;
-use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::consistent_labels::{SensorPoses, consistent_labels};
 use crate::estimation::error::EstimationError;
 use crate::estimation::problem::BoardView;
 use crate::estimation::rgbd::{RgbdEstimate, RgbdProblem, RgbdView, calibrate_rgbd};
@@ -82,12 +82,12 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
                 .map_err(of_sensor("infrared"))
         })
         .transpose()?;
-    let turned =
-        infrared.as_ref().and_then(|infrared| labelled_as_in_color(input, &color, infrared));
-    let (input, infrared) = match &turned {
-        Some(turned) => {
-            let again = solve_views(&problem(turned, depth_size, |c| &c.infrared), options);
-            (turned, Some(again.map_err(of_sensor("infrared"))?))
+    let corrected =
+        infrared.as_ref().and_then(|infrared| labeled_as_in_color(input, &color, infrared));
+    let (input, infrared) = match &corrected {
+        Some(corrected) => {
+            let again = solve_views(&problem(corrected, depth_size, |c| &c.infrared), options);
+            (corrected, Some(again.map_err(of_sensor("infrared"))?))
         }
         None => (input, infrared),
     };
@@ -113,15 +113,15 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     Ok(SolvedRgbd { color, infrared, problem, joint, factory, captures, without_depth })
 }
 
-/// The same with infrared's corners labelled as color's are, for a board that is symmetric under a
+/// The same with infrared's corners labeled as color's are, for a board that is symmetric under a
 /// rotation; `None` where it is not.
-fn labelled_as_in_color(
+fn labeled_as_in_color(
     input: &RgbdInput,
     color: &SolvedCamera,
     infrared: &SolvedCamera,
 ) -> Option<RgbdInput> {
-    let turns = input.board.symmetries();
-    if turns.len() == 1 {
+    let symmetries = input.board.symmetries();
+    if symmetries.len() == 1 {
         return None;
     }
     let seen = |poses: Vec<Option<Pose>>| -> SensorPoses {
@@ -129,21 +129,21 @@ fn labelled_as_in_color(
     };
     let sensors =
         [seen(poses(input, color, |c| &c.color)), seen(poses(input, infrared, |c| &c.infrared))];
-    let chosen = consistent_turns(&sensors, &turns);
-    let mut labelled = input.clone();
+    let chosen = consistent_labels(&sensors, &symmetries);
+    let mut labeled = input.clone();
     // Between views the board's motion is followed by labels that nothing has made consistent.
-    labelled
+    labeled
         .captures
         .iter_mut()
         .filter(|capture| !capture.is_view)
         .for_each(|capture| capture.infrared.clear());
     // Color comes first, and keeps its labels.
-    for ((index, _), turn) in sensors[1].iter().zip(&chosen[1]) {
-        let board_from_labels = turns[*turn].inverse();
-        let corners = &mut labelled.captures[*index].infrared;
+    for ((index, _), symmetry) in sensors[1].iter().zip(&chosen[1]) {
+        let board_from_labels = symmetries[*symmetry].inverse();
+        let corners = &mut labeled.captures[*index].infrared;
         corners
             .iter_mut()
             .for_each(|corner| corner.point_in_board = board_from_labels * corner.point_in_board);
     }
-    Some(labelled)
+    Some(labeled)
 }

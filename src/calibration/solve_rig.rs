@@ -9,8 +9,8 @@ use crate::calibration::result::{
 };
 use crate::calibration::sensor::SensorId;
 use crate::calibration::solve::{SolvedCamera, sensor_calibration, solve_views};
-use crate::estimation::board_turns::{SensorPoses, consistent_turns};
 use crate::estimation::camera::CameraOptions;
+use crate::estimation::consistent_labels::{SensorPoses, consistent_labels};
 use crate::estimation::error::EstimationError;
 use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{BoardView, CameraProblem, LensChoice};
@@ -259,7 +259,7 @@ impl Alone<'_> {
         }
     }
 
-    /// The pose of every view that took part, with its frame set.
+    /// The pose of every view in use, with its frame set.
     fn poses(&self) -> SensorPoses {
         let views = self.input.views.iter().zip(&self.solved.estimate.views);
         let pose = |((frame_set, _), view): (
@@ -271,8 +271,12 @@ impl Alone<'_> {
         views.filter_map(pose).collect()
     }
 
-    /// What it saw, with the points of each view where `turns` say that they are.
-    fn turned(&self, board_from_labels: &[Pose], chosen: &[usize]) -> Vec<(usize, BoardView)> {
+    /// What it saw, with the points of each view where `symmetries` say that they are.
+    fn with_labels_corrected(
+        &self,
+        board_from_labels: &[Pose],
+        chosen: &[usize],
+    ) -> Vec<(usize, BoardView)> {
         let good = self
             .solved
             .estimate
@@ -281,15 +285,15 @@ impl Alone<'_> {
             .map(|view| view.fault.is_none() && view.camera_from_board.is_some());
         let mut chosen = chosen.iter();
         let views = self.input.views.iter().zip(good);
-        let turned = |((frame_set, view), good): (&(usize, BoardView), bool)| {
-            let turn = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
+        let with_labels_corrected = |((frame_set, view), good): (&(usize, BoardView), bool)| {
+            let symmetry = if good { chosen.next().copied().unwrap_or(0) } else { 0 };
             let mut view = view.clone();
             for corner in &mut view.correspondences {
-                corner.point_in_board = board_from_labels[turn] * corner.point_in_board;
+                corner.point_in_board = board_from_labels[symmetry] * corner.point_in_board;
             }
             (*frame_set, view)
         };
-        views.map(turned).collect()
+        views.map(with_labels_corrected).collect()
     }
 }
 
@@ -307,14 +311,16 @@ impl Joint {
         group: &[&Alone<'_>],
         interrupt: &Interrupt,
     ) -> Result<Self, RigError> {
-        let turns = input.board.symmetries();
-        let board_from_labels: Vec<Pose> = turns.iter().map(Pose::inverse).collect();
-        let chosen =
-            consistent_turns(&group.iter().map(|one| one.poses()).collect::<Vec<_>>(), &turns);
+        let symmetries = input.board.symmetries();
+        let board_from_labels: Vec<Pose> = symmetries.iter().map(Pose::inverse).collect();
+        let chosen = consistent_labels(
+            &group.iter().map(|one| one.poses()).collect::<Vec<_>>(),
+            &symmetries,
+        );
         let sensor = |(one, chosen): (&&Alone<'_>, &Vec<usize>)| RigSensor {
             name: one.input.name.clone(),
             image_size: one.input.image_size,
-            views: one.turned(&board_from_labels, chosen),
+            views: one.with_labels_corrected(&board_from_labels, chosen),
             options: match &one.input.given {
                 Some(lens) => holding(lens, interrupt),
                 None => CameraOptions {
@@ -365,17 +371,18 @@ impl Joint {
             )
         });
         let open = self.extrinsics.iter().enumerate().filter_map(|(place, known)| {
-            let (turn_deg, shift_m) =
+            let (rotation_deg, translation_m) =
                 (largest(known.rotation_std).to_degrees(), largest(known.translation_std_m));
-            let loose = turn_deg > LOOSE_DEG
-                || shift_m > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
+            let loose = rotation_deg > LOOSE_DEG
+                || translation_m
+                    > LOOSE_PART * known.target_from_source.translation().norm().max(0.1);
             let advice = "show the board to both in more places, near and tilted";
             loose.then(|| {
                 let reason = format!(
-                    "{}_from_{} is known to {turn_deg:.2}° and {:.1} mm only: {advice}",
+                    "{}_from_{} is known to {rotation_deg:.2}° and {:.1} mm only: {advice}",
                     name(0),
                     name(place + 1),
-                    1e3 * shift_m
+                    1e3 * translation_m
                 );
                 (Grade::Usable, reason)
             })
@@ -397,7 +404,7 @@ fn largest(values: [f64; 3]) -> f64 {
 }
 
 /// The pose the other way round, with its covariance carried along: with R, t of `sensor_from_rig`,
-/// a turn ω and a shift τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
+/// a rotation ω and a translation τ of it are −Rᵀω and −Rᵀτ − Rᵀ\[t\]ω of its inverse.
 fn reference_from(reference: &SensorId, sensor: &SensorId, place: &SensorPlace) -> Extrinsics {
     let rig_from_sensor = place.sensor_from_rig.inverse();
     let back = rig_from_sensor.rotation_matrix();

@@ -1,4 +1,4 @@
-//! Rigs against seeded truth: cameras placed through others, boards labelled from either end,
+//! Rigs against seeded truth: cameras placed through others, boards labeled from either end,
 //! cameras that share nothing.
 
 use rand::{RngExt, SeedableRng};
@@ -20,7 +20,9 @@ fn lens(fx: f64) -> Lens {
 }
 
 fn camera_from_first() -> [Pose; 3] {
-    let place = |turn: [f64; 3], shift: [f64; 3]| Pose::from_axis_angle(turn.into(), shift.into());
+    let place = |rotation: [f64; 3], translation: [f64; 3]| {
+        Pose::from_axis_angle(rotation.into(), translation.into())
+    };
     [
         Pose::identity(),
         place([0.01, 0.1, 0.0], [-0.12, 0.0, 0.01]),
@@ -28,7 +30,7 @@ fn camera_from_first() -> [Pose; 3] {
     ]
 }
 
-/// What three cameras see of a board that each may take for turned; `sees` is whether a camera sees
+/// What three cameras see of a board that each may take for rotated; `sees` is whether a camera sees
 /// the board in a frame set.
 fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut rng = ChaCha8Rng::seed_from_u64(11);
@@ -37,17 +39,18 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
     let mut random = |from: f64, to: f64| rng.random_range(from..to);
     let first_from_board: Vec<Pose> = (0..30)
         .map(|_| {
-            let turn = Vector3::new(random(-0.6, 0.6), random(-0.6, 0.6), random(-0.4, 0.4));
+            let rotation = Vector3::new(random(-0.6, 0.6), random(-0.6, 0.6), random(-0.4, 0.4));
             let place = Vector3::new(random(-0.12, 0.22), random(-0.1, 0.1), random(0.55, 0.9));
-            let turned = Pose::from_axis_angle(turn, Vector3::zeros());
-            Pose::new(turned.rotation(), place - turned.rotation() * middle)
+            let rotated = Pose::from_axis_angle(rotation, Vector3::zeros());
+            Pose::new(rotated.rotation(), place - rotated.rotation() * middle)
         })
         .collect();
-    let turns = board.symmetries();
+    let quarter_turns = board.symmetries();
     let camera = |(camera, from_first): (usize, Pose)| {
         let mut views = Vec::new();
         for (frame_set, first_from_board) in first_from_board.iter().enumerate() {
-            let labelled = turns[(random(0.0, 1.0) * turns.len() as f64) as usize % turns.len()];
+            let labeled = quarter_turns
+                [(random(0.0, 1.0) * quarter_turns.len() as f64) as usize % quarter_turns.len()];
             let pixels = board.corners_in_board().into_iter().map(|point| {
                 let pixel = lens(520.0 + 20.0 * camera as f64)
                     .pixel_from_point(&(from_first * *first_from_board * point))?;
@@ -55,7 +58,7 @@ fn input(board: Chessboard, sees: impl Fn(usize, usize) -> bool) -> RigInput {
                     pixel.x + NOISE_PX * random(-1.7, 1.7),
                     pixel.y + NOISE_PX * random(-1.7, 1.7),
                 );
-                SIZE.contains(noisy).then_some((labelled.inverse() * point, noisy))
+                SIZE.contains(noisy).then_some((labeled.inverse() * point, noisy))
             });
             let seen: Option<Vec<_>> = pixels.collect();
             if let Some(seen) = seen.filter(|_| sees(camera, frame_set)) {
@@ -91,20 +94,20 @@ fn options() -> CameraOptions {
 
 #[track_caller]
 fn within_prediction(known: &Extrinsics, target_from_source: &Pose) {
-    let turn = (known.target_from_source.rotation() * target_from_source.rotation().inverse())
+    let rotation = (known.target_from_source.rotation() * target_from_source.rotation().inverse())
         .scaled_axis();
-    let shift = known.target_from_source.translation() - target_from_source.translation();
+    let translation = known.target_from_source.translation() - target_from_source.translation();
     for axis in 0..3 {
         assert!(
-            turn[axis].abs() < 4.0 * known.rotation_std[axis],
-            "{:?}: {turn} ± {:?}",
+            rotation[axis].abs() < 4.0 * known.rotation_std[axis],
+            "{:?}: {rotation} ± {:?}",
             known.source,
             known.rotation_std
         );
         let std = known.translation_std_m[axis];
         assert!(
-            shift[axis].abs() < 4.0 * std && std < 2e-3,
-            "{:?}: {shift} ± {:?}",
+            translation[axis].abs() < 4.0 * std && std < 2e-3,
+            "{:?}: {translation} ± {:?}",
             known.source,
             known.translation_std_m
         );

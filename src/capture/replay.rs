@@ -49,7 +49,7 @@ pub struct Replay {
     /// From the frame before the last to the last.
     interval_ns: i64,
     /// Added to sequence numbers and times of the present round.
-    shift: Moment,
+    moved_by: Moment,
 }
 
 /// When the first frame was given, and its recorded time.
@@ -84,7 +84,7 @@ impl Replay {
             first: None,
             last: None,
             interval_ns: (1e9 / options.reading.fps) as i64,
-            shift: Moment::default(),
+            moved_by: Moment::default(),
         })
     }
 
@@ -109,10 +109,10 @@ impl Replay {
             read = self.recording.next_frame_set().map_err(|error| failed(&error))?;
         }
         let mut set = read.ok_or(CaptureError::Ended)?;
-        set.sequence += self.shift.sequence;
-        set.host_time.utc_ns += self.shift.utc_ns;
+        set.sequence += self.moved_by.sequence;
+        set.host_time.utc_ns += self.moved_by.utc_ns;
         if let Some(time) = &mut set.device_time {
-            time.monotonic_ns += self.shift.utc_ns;
+            time.monotonic_ns += self.moved_by.utc_ns;
         }
         let now = Moment { sequence: set.sequence, utc_ns: set.host_time.utc_ns };
         if let Some(last) = self.last {
@@ -127,7 +127,8 @@ impl Replay {
     fn start_another_round(&mut self) {
         if let (Some(first), Some(last)) = (self.first, self.last) {
             let sequence = last.sequence + 1 - first.sequence;
-            self.shift = Moment { sequence, utc_ns: last.utc_ns + self.interval_ns - first.utc_ns };
+            self.moved_by =
+                Moment { sequence, utc_ns: last.utc_ns + self.interval_ns - first.utc_ns };
         }
     }
 

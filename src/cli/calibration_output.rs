@@ -120,7 +120,7 @@ fn place_line(calibration: &Calibration, known: &Extrinsics) -> String {
         .map(|(value, std)| value_with_std(value.to_degrees(), std.to_degrees()))
         .collect();
     format!(
-        "{target} from {source}: shifted by {} mm, turned by {} degrees about x, y, z",
+        "{target} from {source}: translation {} mm, rotation {} degrees about x, y, z",
         translation.join(", "),
         rotation.join(", ")
     )

@@ -9,7 +9,7 @@ pub fn bar(what: &'static str, steps: usize) -> ProgressBar {
     ProgressBar::new(steps as u64).with_style(style).with_message(what)
 }
 
-/// A turning sign beside `what`, for work of unknown length.
+/// A spinner beside `what`, for work of unknown length.
 pub fn spinner(what: &'static str) -> ProgressBar {
     let spinner = ProgressBar::new_spinner().with_message(what);
     spinner.enable_steady_tick(std::time::Duration::from_millis(120));

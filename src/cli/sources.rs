@@ -51,8 +51,8 @@ impl SourcedFrames {
     }
 }
 
-/// The frame sets of everything that was asked for, one after the other. Opens a source when its
-/// turn comes, so that paths may arrive one by one. A source that cannot be read is one error, and
+/// The frame sets of everything that was asked for, one after the other. Opens a source when it
+/// is reached, so that paths may arrive one by one. A source that cannot be read is one error, and
 /// the next one follows.
 pub struct FrameSets<'a> {
     paths: Box<dyn Iterator<Item = String> + Send + 'a>,

@@ -201,14 +201,14 @@ mod tests {
             started_rigs.iter().map(|rig| rig.name.as_str()).collect::<Vec<_>>(),
             ["bc", "ac"]
         );
-        let turned = config(&[
+        let changed = config(&[
             cameras(1),
             rig("ab", &["b", "a"]),
             rig("bc", &["b", "c"]),
             rig("ca", &["c", "a"]),
         ]);
         let Changes { stopped, stopped_rigs, started_rigs, .. } =
-            Changes::between(&before, &turned);
+            Changes::between(&before, &changed);
         assert_eq!((stopped.len(), stopped_rigs), (0, vec!["ab".to_owned()]));
         assert_eq!(started_rigs[0].cameras, ["b", "a"]);
     }

@@ -55,19 +55,19 @@ pub struct CameraEstimate {
 pub struct ViewEstimate {
     /// The view's name.
     pub name: String,
-    /// Why it took no part; `None` if it did.
+    /// Why it is not in use; `None` if it is.
     pub fault: Option<ViewFault>,
-    /// Where the board was; for a view that took no part the best guess, if there is one.
+    /// Where the board was; for a view that is not in use the best guess, if there is one.
     pub camera_from_board: Option<Pose>,
     /// Covariance of that pose, as a rotation about the camera's axes (radians) and a translation of the
-    /// problem's mean point (meters); `None` for a view that took no part.
+    /// problem's mean point (meters); `None` for a view that is not in use.
     pub covariance: Option<Matrix6<f64>>,
-    /// Root mean square over the corners that took part (over all of them in a view that did not),
-    /// in pixels.
+    /// Root mean square over the corners in use (over all of them in a view that is not), in
+    /// pixels.
     pub rms_px: Option<f64>,
     /// Measured minus projected of each corner, in pixels; infinite where nothing is projected.
     pub residuals_px: Vec<[f64; 2]>,
-    /// Which corners took part.
+    /// Which corners are in use: the inliers, unless the whole view is left out.
     pub used: Vec<bool>,
 }
 
@@ -86,7 +86,7 @@ impl CameraEstimate {
         CameraStart { lens: self.lens, camera_from_board, noise_floor_px: self.noise_floor_px }
     }
 
-    /// The part of all corners that took no part.
+    /// The share of all corners that are not in use.
     pub fn outlier_fraction(&self) -> f64 {
         let corners = || self.views.iter().flat_map(|view| &view.used);
         corners().filter(|used| !**used).count() as f64 / corners().count().max(1) as f64
@@ -209,7 +209,7 @@ pub(crate) fn assemble(
     })
 }
 
-/// The rms over all corners that took part.
+/// The rms over all corners in use.
 fn rms_of_views(views: &[ViewEstimate]) -> f64 {
     let (mut squares, mut corners) = (0.0, 0.0);
     for view in views.iter().filter(|view| view.fault.is_none()) {

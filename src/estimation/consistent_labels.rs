@@ -1,6 +1,6 @@
-//! A symmetric board is labelled from either end by chance: what one camera calls its first corner,
+//! A symmetric board is labeled from either end by chance: what one camera calls its first corner,
 //! a second one may call its last. That the cameras are fixed to each other determines which views
-//! have to be relabelled.
+//! have to be relabeled.
 
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
@@ -9,12 +9,12 @@ use crate::geometry::pose::Pose;
 /// each.
 pub type SensorPoses = Vec<(usize, Pose)>;
 
-/// For each view of each sensor, which of `board_from_turned` to apply: `sensor_from_board ·
-/// board_from_turned` is where the board is when its corners are labelled as the sensor that was
-/// placed first labelled them. These are the rotations that map the board's pattern to itself, the
+/// For each view of each sensor, which of `board_from_labels` to apply: `sensor_from_board ·
+/// board_from_labels` is where the board is when its corners are labeled as the sensor that was
+/// placed first labeled them. These are the rotations that map the board's pattern to itself, the
 /// identity among them. Sensors are placed one after the other, those with the most frame sets
 /// in common first; a view that no other sensor shares keeps its labels.
-pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> Vec<Vec<usize>> {
+pub fn consistent_labels(sensors: &[SensorPoses], board_from_labels: &[Pose]) -> Vec<Vec<usize>> {
     let frame_sets =
         sensors.iter().flatten().map(|(frame_set, _)| frame_set + 1).max().unwrap_or(0);
     let mut chosen: Vec<Vec<usize>> = sensors.iter().map(|views| vec![0; views.len()]).collect();
@@ -36,17 +36,17 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
             .map_or(0, |(at, _)| at);
         let sensor = left.remove(next);
         let sensor_from_reference =
-            agreed(&sensors[sensor], &reference_from_board, board_from_turned);
+            agreed(&sensors[sensor], &reference_from_board, board_from_labels);
         for (view, (frame_set, sensor_from_board)) in sensors[sensor].iter().enumerate() {
             let Some(sensor_from_reference) = sensor_from_reference else {
                 reference_from_board[*frame_set].get_or_insert(*sensor_from_board);
                 continue;
             };
             if let Some(known) = reference_from_board[*frame_set] {
-                chosen[sensor][view] = nearest_turn(
+                chosen[sensor][view] = nearest_symmetry(
                     sensor_from_board,
                     &(sensor_from_reference * known),
-                    board_from_turned,
+                    board_from_labels,
                 )
                 .0;
             } else {
@@ -58,23 +58,23 @@ pub fn consistent_turns(sensors: &[SensorPoses], board_from_turned: &[Pose]) -> 
     chosen
 }
 
-/// The relative pose that most shared frame sets can be turned to; `None` for a sensor that shares
+/// The relative pose that most shared frame sets agree on; `None` for a sensor that shares
 /// none.
 fn agreed(
     views: &SensorPoses,
     reference_from_board: &[Option<Pose>],
-    board_from_turned: &[Pose],
+    board_from_labels: &[Pose],
 ) -> Option<Pose> {
     let shared: Vec<(Pose, Pose)> = views
         .iter()
         .filter_map(|(frame_set, pose)| Some((*pose, reference_from_board[*frame_set]?)))
         .collect();
     let candidates = shared.iter().flat_map(|(pose, reference)| {
-        board_from_turned.iter().map(move |turn| *pose * *turn * reference.inverse())
+        board_from_labels.iter().map(move |symmetry| *pose * *symmetry * reference.inverse())
     });
     let spread = |sensor_from_reference: &Pose| {
         let distances = shared.iter().map(|(pose, reference)| {
-            nearest_turn(pose, &(*sensor_from_reference * *reference), board_from_turned).1
+            nearest_symmetry(pose, &(*sensor_from_reference * *reference), board_from_labels).1
         });
         median(distances.collect()).unwrap_or(f64::INFINITY)
     };
@@ -84,19 +84,19 @@ fn agreed(
         .map(|(_, pose)| pose)
 }
 
-/// The turn that brings a pose nearest to the expected one, and how far from it (radians plus
+/// The symmetry that brings a pose nearest to the expected one, and how far from it (radians plus
 /// meters).
-fn nearest_turn(
+fn nearest_symmetry(
     sensor_from_board: &Pose,
     expected_from_board: &Pose,
-    board_from_turned: &[Pose],
+    board_from_labels: &[Pose],
 ) -> (usize, f64) {
-    let distance = |board_from_turned: &Pose| {
-        let turned = *sensor_from_board * *board_from_turned;
-        turned.angle_to(expected_from_board)
-            + (turned.translation() - expected_from_board.translation()).norm()
+    let distance = |board_from_labels: &Pose| {
+        let relabeled = *sensor_from_board * *board_from_labels;
+        relabeled.angle_to(expected_from_board)
+            + (relabeled.translation() - expected_from_board.translation()).norm()
     };
-    let all = board_from_turned.iter().map(distance).enumerate();
+    let all = board_from_labels.iter().map(distance).enumerate();
     all.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
 }
 
@@ -110,11 +110,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn views_turned_by_chance_are_turned_back() {
+    fn views_labeled_by_chance_agree() {
         let half = Pose::from_axis_angle(Vector3::z() * PI, Vector3::new(0.16, 0.16, 0.0));
         let quarter =
             Pose::from_axis_angle(Vector3::z() * (PI / 2.0), Vector3::new(0.16, 0.0, 0.0));
-        let turns = [Pose::identity(), quarter, half, half * quarter];
+        let symmetries = [Pose::identity(), quarter, half, half * quarter];
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
         let sensor_from_rig = [
             Pose::identity(),
@@ -130,20 +130,23 @@ mod tests {
         let mut applied = Vec::new();
         let mut seen = |sensor: usize, frame_sets: std::ops::Range<usize>| -> SensorPoses {
             let view = |frame_set: usize| {
-                let turn = rng.random_range(0..turns.len());
-                applied.push((sensor, frame_set, turn));
-                (frame_set, sensor_from_rig[sensor] * rig_from_board[frame_set] * turns[turn])
+                let symmetry = rng.random_range(0..symmetries.len());
+                applied.push((sensor, frame_set, symmetry));
+                (
+                    frame_set,
+                    sensor_from_rig[sensor] * rig_from_board[frame_set] * symmetries[symmetry],
+                )
             };
             frame_sets.map(view).collect()
         };
         // The last sees the board together with the second only.
         let sensors = [seen(0, 0..7), seen(1, 2..12), seen(2, 7..12)];
-        let chosen = consistent_turns(&sensors, &turns);
+        let chosen = consistent_labels(&sensors, &symmetries);
         for frame_set in 0..12 {
             let views = sensors.iter().zip(&chosen).zip(&sensor_from_rig).filter_map(
                 |((views, chosen), from_rig)| {
                     let at = views.iter().position(|(seen, _)| *seen == frame_set)?;
-                    Some(from_rig.inverse() * views[at].1 * turns[chosen[at]])
+                    Some(from_rig.inverse() * views[at].1 * symmetries[chosen[at]])
                 },
             );
             let first_from_board: Vec<Pose> = views.collect();
@@ -151,13 +154,13 @@ mod tests {
                 assert!(first_from_board[0].angle_to(other) < 1e-9, "frame set {frame_set}");
             }
         }
-        assert!(applied.iter().any(|(_, _, turn)| *turn > 0), "the test means to turn some");
+        assert!(applied.iter().any(|(_, _, symmetry)| *symmetry > 0), "the test relabels some");
     }
 
     #[test]
     fn a_board_without_a_twin_keeps_its_labels() {
         let pose = Pose::from_axis_angle(Vector3::x(), Vector3::z());
         let sensors = [vec![(0, pose)], vec![(0, pose), (4, pose)], vec![]];
-        assert_eq!(consistent_turns(&sensors, &[Pose::identity()]), [vec![0], vec![0, 0], vec![]]);
+        assert_eq!(consistent_labels(&sensors, &[Pose::identity()]), [vec![0], vec![0, 0], vec![]]);
     }
 }

@@ -58,7 +58,7 @@ pub enum EstimationError {
     },
     /// Not enough views to determine the lens.
     #[error(
-        "{usable} usable views are too few: {needed} are needed, with the board turned differently in each{rejected}"
+        "{usable} usable views are too few: {needed} are needed, with the board tilted differently in each{rejected}"
     )]
     TooFewViews {
         /// Views that could be used.
@@ -68,14 +68,14 @@ pub enum EstimationError {
         /// Which views could not be used and why, as `; view: reason`, or nothing.
         rejected: String,
     },
-    /// The board was never turned.
+    /// The board was never tilted.
     #[error(
         "the board is parallel to itself in all views, which leaves the focal length open: tilt it by 20 to 45 degrees in different directions"
     )]
     ParallelViews,
     /// B of Zhang's method is not positive definite.
     #[error(
-        "no camera matrix fits these homographies: the lens distorts the image too strongly for the closed form, or corners are mislabelled"
+        "no camera matrix fits these homographies: the lens distorts the image too strongly for the closed form, or corners are mislabeled"
     )]
     NoCameraMatrix,
     /// No start led to a plausible camera.

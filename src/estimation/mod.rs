@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | what is given | [`problem`] |
 //! | one camera, lens and poses, from views of a board | [`camera`] |
-//! | several sensors fixed to each other | [`rig`], [`board_turns`] |
+//! | several sensors fixed to each other | [`rig`], [`consistent_labels`] |
 //! | a camera from one view of points in space | [`dlt`] |
 //! | where a board is, the lens known | [`board_pose`] |
 //! | a start without any guess | [`zhang`] (closed form), `start` |
@@ -19,11 +19,11 @@
 //! | how an estimate that nobody waits for ends early | [`interrupt`] |
 
 pub mod board_pose;
-pub mod board_turns;
 pub mod camera;
 pub(crate) mod camera_estimate;
 pub(crate) mod camera_fit;
 mod clustered_covariance;
+pub mod consistent_labels;
 pub mod depth_error;
 pub mod dlt;
 mod effects;

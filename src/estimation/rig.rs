@@ -171,7 +171,7 @@ fn fit_jointly(
     Ok(CameraFit::new(layout, robust, observations, faults))
 }
 
-/// A board seen further round than this, in radians, against the other sensors was labelled from
+/// A board seen further round than this, in radians, against the other sensors was labeled from
 /// its other end.
 const HALF_TURN: f64 = 2.4;
 

@@ -10,7 +10,7 @@ pub(crate) enum Loss {
     /// r² up to `scale`², then 2 `scale` r − `scale`² (P. Huber, 1964): convex, so a start far away
     /// is no trap.
     Huber {
-        /// Where it turns linear.
+        /// Where it becomes linear.
         scale: f64,
     },
 }

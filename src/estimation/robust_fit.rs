@@ -10,7 +10,7 @@ use crate::estimation::view_fault::ViewFault;
 /// Residual limit of an inlier, in standard deviations: four of a million Gaussian ones are beyond.
 pub(crate) const LIMIT: f64 = 5.0;
 
-/// Where Huber's loss turns linear, in standard deviations.
+/// Where Huber's loss becomes linear, in standard deviations.
 const HUBER: f64 = 2.0;
 
 /// Fewer wrong corners than this do no harm that choosing the right ones would not undo.
@@ -74,7 +74,7 @@ pub(crate) fn robust_fit(
         if round > 0 && !changed {
             break;
         }
-        // Where Huber's loss turned linear beyond every residual, it was least squares already.
+        // Where Huber's loss became linear beyond every residual, it was least squares already.
         let was_squares = match loss {
             Loss::Squares => true,
             Loss::Huber { scale } => {

@@ -9,7 +9,7 @@ use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::measured_board::MeasuredBoard;
 use crate::estimation::planar_pose::{Shape, pose_from_bearings};
 use crate::estimation::problem::{CameraProblem, CameraStart};
-use crate::estimation::view_fault::{ViewFault, mislabelling};
+use crate::estimation::view_fault::{ViewFault, mislabeling};
 use crate::estimation::zhang::{self, Skew};
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::homography::Homography;
@@ -72,7 +72,7 @@ impl Prepared {
             })
             .collect();
         let mut views: Vec<_> = observations.iter().map(PreparedView::of).collect();
-        name_mislabelled(&observations, &mut views);
+        name_mislabeled(&observations, &mut views);
         let names = problem.views.iter().map(|view| view.name.clone()).collect();
         let interrupt = Interrupt::default();
         Self {
@@ -173,8 +173,8 @@ impl PreparedView {
 }
 
 /// Names the fault of views that no homography explains as well as the other views: which
-/// relabelling would.
-fn name_mislabelled(observations: &[BoardObservation], views: &mut [PreparedView]) {
+/// relabeling would.
+fn name_mislabeled(observations: &[BoardObservation], views: &mut [PreparedView]) {
     let good = views.iter().filter(|view| view.fault.is_none());
     let Some(typical_px) =
         median(good.filter_map(|view| view.homography.map(|(_, rms)| rms)).collect())
@@ -188,7 +188,7 @@ fn name_mislabelled(observations: &[BoardObservation], views: &mut [PreparedView
         let Shape::Flat { plane_from_board, .. } = shape else { continue };
         let on_plane: Vec<_> = observation.points.iter().map(|p| *plane_from_board * *p).collect();
         let limit_px = (4.0 * typical_px).max(0.01 * spread_px(&observation.pixels).0);
-        view.fault = mislabelling(&on_plane, &observation.pixels, limit_px).or(view.fault);
+        view.fault = mislabeling(&on_plane, &observation.pixels, limit_px).or(view.fault);
     }
 }
 

@@ -25,18 +25,20 @@ pub enum ViewFault {
     /// Seen from behind, which a printed board cannot be.
     #[error("mirrored: it fits only as the board's back side")]
     Mirrored,
-    /// Labelled one place off, the corners that fall off the end at the other.
+    /// Labeled one place off, the corners that fall off the end at the other.
     #[error("its labels are shifted by one {0}")]
     Shifted(GridLine),
-    /// Turned by half against what the rig's other sensors see.
-    #[error("turned by half: its first corner is not the one that the other sensors call first")]
+    /// Rotated by half a turn against what the rig's other sensors see.
+    #[error(
+        "rotated by half a turn: its first corner is not the one that the other sensors call first"
+    )]
     HalfTurn,
-    /// Labelled along the columns.
+    /// Labeled along the columns.
     #[error("its labels are transposed: the corners were listed along the columns")]
     Transposed,
     /// No pose explains it.
     #[error(
-        "no pose explains its corners (rms {rms_px:.1} px): they are mislabelled, or it is another board"
+        "no pose explains its corners (rms {rms_px:.1} px): they are mislabeled, or it is another board"
     )]
     NoPose {
         /// What is left at the best pose.
@@ -126,9 +128,9 @@ fn lines(values: impl Iterator<Item = f64>) -> Vec<f64> {
     sorted
 }
 
-/// What is wrong with the labels of a flat view that no pose explains: the relabelling under which
+/// What is wrong with the labels of a flat view that no pose explains: the relabeling under which
 /// a homography fits to within `limit_px`, if one does.
-pub(crate) fn mislabelling(
+pub(crate) fn mislabeling(
     points_on_plane: &[Point3<f64>],
     pixels: &[Pixel],
     limit_px: f64,
@@ -142,7 +144,7 @@ pub(crate) fn mislabelling(
     let listed_along_rows = |k: usize| (k % cols, k / cols);
     let along_columns = grid.permuted(|c, r| listed_along_columns(r * cols + c));
     let along_rows = grid.permuted(|c, r| listed_along_rows(c * rows + r));
-    let relabellings = [
+    let relabelings = [
         (ViewFault::Shifted(GridLine::Column), shifted(1, 0)),
         (ViewFault::Shifted(GridLine::Column), shifted(cols - 1, 0)),
         (ViewFault::Shifted(GridLine::Row), shifted(0, 1)),
@@ -150,11 +152,11 @@ pub(crate) fn mislabelling(
         (ViewFault::Transposed, along_columns),
         (ViewFault::Transposed, along_rows),
     ];
-    relabellings.into_iter().find_map(|(fault, relabelled)| {
+    relabelings.into_iter().find_map(|(fault, relabeled)| {
         let pair = |(label, pixel): (&usize, &Pixel)| {
             (points_on_plane[*label].xy(), Point2::new(pixel.x, pixel.y))
         };
-        let pairs: Vec<_> = relabelled.iter().zip(pixels).map(pair).collect();
+        let pairs: Vec<_> = relabeled.iter().zip(pixels).map(pair).collect();
         let homography = Homography::fit(&pairs).ok()?;
         (homography.rms(&pairs) <= limit_px).then_some(fault)
     })
@@ -165,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_mislabelling_is_named() {
+    fn each_mislabeling_is_named() {
         let (cols, rows) = (7, 5);
         let points: Vec<_> = (0..35)
             .map(|k| Point3::new(f64::from(k % cols) * 0.03, f64::from(k / cols) * 0.03, 0.0))
@@ -181,7 +183,7 @@ mod tests {
             .collect();
         let named = |order: &dyn Fn(i32) -> i32| {
             let seen: Vec<_> = (0..35).map(|k| pixels[order(k) as usize]).collect();
-            mislabelling(&points, &seen, 1.0)
+            mislabeling(&points, &seen, 1.0)
         };
         let shift = |k: i32| k / cols * cols + (k % cols + 1) % cols;
         assert_eq!(named(&shift), Some(ViewFault::Shifted(GridLine::Column)));

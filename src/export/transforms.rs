@@ -53,7 +53,8 @@ fn write_joint(
 pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
     let mut text = String::new();
     for (parent, child, parent_from_child) in pairs(camera, sensors) {
-        let (shift, turn) = (parent_from_child.translation(), parent_from_child.rotation());
+        let (translation, rotation) =
+            (parent_from_child.translation(), parent_from_child.rotation());
         let named = |names: &[&str], values: &[f64]| {
             let pairs = names
                 .iter()
@@ -66,8 +67,8 @@ pub(super) fn stamped(camera: &str, sensors: &[Sensor<'_>]) -> String {
              translation: {{{}}}\n    rotation: {{{}}}\n",
             serde_json::Value::from(parent),
             serde_json::Value::from(child),
-            named(&["x", "y", "z"], shift.as_slice()),
-            named(&["x", "y", "z", "w"], &[turn.i, turn.j, turn.k, turn.w]),
+            named(&["x", "y", "z"], translation.as_slice()),
+            named(&["x", "y", "z", "w"], &[rotation.i, rotation.j, rotation.k, rotation.w]),
         );
     }
     text

@@ -87,10 +87,10 @@ impl pulp::NullaryFnOnce for Accumulate<'_> {
                 }
                 let [length, direction] = row[x];
                 let weight = length * falloff((u * u + v * v) / (half * half));
-                let turned = direction - angle;
-                let turned = if turned < 0.0 { turned + TAU } else { turned };
-                let turned = turned * (DIRECTIONS as f32 / TAU);
-                spread(&mut histogram, [row_place, column, turned], weight);
+                let relative = direction - angle;
+                let relative = if relative < 0.0 { relative + TAU } else { relative };
+                let relative = relative * (DIRECTIONS as f32 / TAU);
+                spread(&mut histogram, [row_place, column, relative], weight);
             }
         }
         histogram

@@ -157,10 +157,10 @@ mod tests {
         // Olson, "AprilTag: A robust and flexible visual fiducial system" (ICRA 2011): 36h11 is
         // named for its least Hamming distance.
         let family = Dictionary::named("tag36h11").expect("a family");
-        let code = |id: usize, turns: usize| {
+        let code = |id: usize, quarters: usize| {
             (0..36).fold(0_u64, |code, k| {
                 let (r, c) = (k / 6, k % 6);
-                let (r, c) = match turns {
+                let (r, c) = match quarters {
                     0 => (r, c),
                     1 => (c, 5 - r),
                     2 => (5 - r, 5 - c),
@@ -170,7 +170,7 @@ mod tests {
             })
         };
         for a in 0..40 {
-            for b in (a..60).flat_map(|b| (0..4).map(move |turns| (b, turns))) {
+            for b in (a..60).flat_map(|b| (0..4).map(move |quarters| (b, quarters))) {
                 let distance = (code(a, 0) ^ code(b.0, b.1)).count_ones();
                 assert!(distance >= 11 || b == (a, 0), "{a} {b:?} {distance}");
             }

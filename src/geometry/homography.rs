@@ -252,8 +252,8 @@ fn dlt_normal_matrix(
 /// The eigenvector of the smallest eigenvalue of a positive semidefinite matrix, by inverse
 /// iteration; `None` where the smallest eigenvalue is not alone.
 pub(crate) fn smallest_eigenvector(matrix: &SMatrix<f64, 9, 9>) -> Option<SVector<f64, 9>> {
-    let shift = matrix.trace() * 1e-13;
-    let factor = (matrix + SMatrix::<f64, 9, 9>::identity() * shift).cholesky()?;
+    let ridge = matrix.trace() * 1e-13;
+    let factor = (matrix + SMatrix::<f64, 9, 9>::identity() * ridge).cholesky()?;
     let mut vector =
         SVector::<f64, 9>::from_column_slice(&[0.9, 0.3, 0.4, -0.2, 1.1, 0.5, 0.15, -0.35, 0.7])
             .normalize();

@@ -41,7 +41,7 @@ impl Drop for EndsWithRequest {
         (status = 200, description = "the calibration", body = CalibrationDocument),
         BodyRefusals,
         (status = 422, description = "a field that cannot be, more than 50000 points, or views that determine no camera", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "it took longer than `[server] solve_seconds` (60 unless set), or waited as long for its turn; other requests' bodies take all the memory there is for them; too many connections; or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "it took longer than `[server] solve_seconds` (60 unless set), or waited as long to begin; other requests' bodies take all the memory there is for them; too many connections; or the daemon is stopping", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn solve(
     State(shared): State<Arc<Shared>>,

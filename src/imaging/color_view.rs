@@ -55,7 +55,7 @@ impl ColorView {
         }
     }
 
-    /// Where the points that a row of depths stands for are, of rays turned to the color camera's
+    /// Where the points that a row of depths stands for are, of rays rotated to the color camera's
     /// axes; a reading reaches `half` pixels to each side where color is as far as depth.
     #[inline(always)]
     pub(super) fn project(

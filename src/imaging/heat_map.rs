@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn the_image_is_dark_where_the_value_is_small_with_labelled_contours_between() {
+    fn the_image_is_dark_where_the_value_is_small_with_labeled_contours_between() {
         let values = rising(0.012, 1.5);
         let image = draw_heat_map(&map(&values), "1 sigma px");
         assert_eq!(image.dimensions(), (800, 600));

@@ -31,7 +31,7 @@ pub struct CorrectedDepth {
 #[derive(Debug, Clone)]
 pub struct DepthRegistration {
     camera: DepthCamera,
-    /// The ray (x, y, 1) of each pixel, turned to the color camera's axes; NaN where the lens sees
+    /// The ray (x, y, 1) of each pixel, rotated to the color camera's axes; NaN where the lens sees
     /// nothing.
     rays_in_color: [Vec<f32>; 3],
     conversion: DepthConversion,

@@ -227,13 +227,13 @@ mod tests {
     fn between_pixels_it_is_the_wave() {
         let size = ImageSize::new(60, 40);
         let image = wavy(size, waves);
-        let shift = |p: Pixel| Some(Pixel::new(0.9 * p.x + 3.3, 0.8 * p.y + 2.6));
-        let map = PixelMap::new(size, ImageSize::new(50, 40), shift);
+        let moved = |p: Pixel| Some(Pixel::new(0.9 * p.x + 3.3, 0.8 * p.y + 2.6));
+        let map = PixelMap::new(size, ImageSize::new(50, 40), moved);
         for (interpolation, most) in [(Interpolation::Bilinear, 4), (Interpolation::Bicubic, 1)] {
             let result = map.gray(image.view(), interpolation).unwrap();
             for y in 2..38 {
                 for x in 2..48 {
-                    let place = shift(Pixel::new(x as f64, y as f64)).unwrap();
+                    let place = moved(Pixel::new(x as f64, y as f64)).unwrap();
                     let expected = waves(place.x, place.y).round() as u8;
                     let found = result.row(y)[x];
                     assert!(

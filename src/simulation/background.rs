@@ -14,7 +14,7 @@ pub struct Background {
     patches: Vec<WallPatch>,
 }
 
-/// A turned rectangle on the wall.
+/// A rotated rectangle on the wall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct WallPatch {
     center: [f64; 2],

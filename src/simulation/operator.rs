@@ -55,8 +55,8 @@ pub struct Skill {
     pub reaction_s: [f64; 2],
     /// How fast the board is carried, in its own distances a second.
     pub speed_per_s: f64,
-    /// How fast it is turned, in radians a second.
-    pub turn_rad_per_s: f64,
+    /// How fast it is rotated, in radians a second.
+    pub rotation_rad_per_s: f64,
     /// How far the end of a movement is off: relative to the distance, and in radians.
     pub aim: [f64; 2],
     /// How far a hand trembles, in meters and in radians.
@@ -72,7 +72,7 @@ impl Default for Skill {
         Self {
             reaction_s: [0.7, 0.2],
             speed_per_s: 0.5,
-            turn_rad_per_s: 1.0,
+            rotation_rad_per_s: 1.0,
             aim: [0.03, 0.06],
             tremor: [2e-4, 0.03_f64.to_radians()],
             misunderstood: 0.1,
@@ -104,7 +104,7 @@ pub struct Operator {
     places: u32,
 }
 
-/// Where the middle of the board is, and how it is turned.
+/// Where the middle of the board is, and how it is rotated.
 #[derive(Debug, Clone, Copy)]
 struct Middle {
     rotation: UnitQuaternion<f64>,
@@ -226,7 +226,7 @@ impl Operator {
         if self.rng.random_bool(0.5) {
             return Middle { rotation, place: Vector3::new(-place.x, place.y, place.z) };
         }
-        // The tilt the other way: the turn in the image stays.
+        // The tilt the other way: the rotation in the image stays.
         let normal = rotation * Vector3::z();
         let upright = UnitQuaternion::rotation_between(&normal, &Vector3::z())
             .unwrap_or_else(UnitQuaternion::identity);
@@ -246,22 +246,22 @@ impl Operator {
     fn next_bar(&mut self) -> Middle {
         let step = self.places % 16;
         let end = [-0.75, -0.25, 0.25, 0.75][(step % 4) as usize];
-        let (at, distance, turn) = match step / 4 {
+        let (at, distance, rotation) = match step / 4 {
             0 => ([end, 0.0], 1.5, [0.0; 3]),
             1 => ([0.0, end], 1.5, [0.0; 3]),
             2 => ([0.0, 0.0], 1.6 + 0.8 * end, [0.0; 3]),
             _ => {
-                let turns = [[0.55, 0.0], [-0.55, 0.0], [0.0, 0.55], [0.0, -0.55]];
-                let [x, y] = turns[(step % 4) as usize];
+                let tilts = [[0.55, 0.0], [-0.55, 0.0], [0.0, 0.55], [0.0, -0.55]];
+                let [x, y] = tilts[(step % 4) as usize];
                 ([0.0, 0.0], 1.3, [x, y, 0.0])
             }
         };
-        self.middle_at(at, self.distance_m * distance, turn)
+        self.middle_at(at, self.distance_m * distance, rotation)
     }
 
     /// `at` is the part of the way from the middle of the image to its edge that the board's middle
     /// may go without leaving it.
-    fn middle_at(&self, at: [f64; 2], distance: f64, turn: [f64; 3]) -> Middle {
+    fn middle_at(&self, at: [f64; 2], distance: f64, rotation: [f64; 3]) -> Middle {
         let room = [0, 1].map(|k| {
             let half_board = self.middle[k] / distance;
             (self.half_view[k] - half_board).max(0.0) * at[k]
@@ -270,18 +270,18 @@ impl Operator {
         let facing = UnitQuaternion::rotation_between(&Vector3::z(), &place)
             .unwrap_or_else(UnitQuaternion::identity);
         let rotation = facing
-            * UnitQuaternion::from_scaled_axis(Vector3::new(turn[0], turn[1], 0.0))
-            * UnitQuaternion::from_scaled_axis(Vector3::z() * turn[2]);
+            * UnitQuaternion::from_scaled_axis(Vector3::new(rotation[0], rotation[1], 0.0))
+            * UnitQuaternion::from_scaled_axis(Vector3::z() * rotation[2]);
         Middle { rotation, place }
     }
 
     /// A movement ends near where it was aimed at.
     fn aimed(&mut self, aim: Middle) -> Middle {
-        let [place, turn] = self.skill.aim;
+        let [place, rotation] = self.skill.aim;
         let off = Vector3::from_fn(|_, _| self.normal()) * (place * aim.place.norm());
-        let turned = Vector3::from_fn(|_, _| self.normal()) * turn;
+        let rotated = Vector3::from_fn(|_, _| self.normal()) * rotation;
         Middle {
-            rotation: UnitQuaternion::from_scaled_axis(turned) * aim.rotation,
+            rotation: UnitQuaternion::from_scaled_axis(rotated) * aim.rotation,
             place: aim.place + off,
         }
     }
@@ -290,7 +290,7 @@ impl Operator {
         let (rest, angle) =
             (self.aim.place - self.at.place, self.at.rotation.angle_to(&self.aim.rotation));
         let needed_s = (rest.norm() / (self.skill.speed_per_s * self.at.place.norm()))
-            .max(angle / self.skill.turn_rad_per_s);
+            .max(angle / self.skill.rotation_rad_per_s);
         if needed_s <= seconds {
             self.at = self.aim;
             self.arrived_s.get_or_insert(self.time_s);
@@ -304,9 +304,9 @@ impl Operator {
 
     fn trembling(&self) -> Pose {
         let wave = |hertz: f64, phase: f64| (TAU * hertz * self.time_s + phase).sin();
-        let [shift, turn] = self.skill.tremor;
-        let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * shift;
-        let wobble = Vector3::new(wave(1.3, 3.0), wave(1.9, 4.0), wave(2.9, 5.0)) * turn;
+        let [translation, rotation] = self.skill.tremor;
+        let shake = Vector3::new(wave(1.7, 0.0), wave(2.3, 1.0), wave(1.1, 2.0)) * translation;
+        let wobble = Vector3::new(wave(1.3, 3.0), wave(1.9, 4.0), wave(2.9, 5.0)) * rotation;
         let rotation = UnitQuaternion::from_scaled_axis(wobble) * self.at.rotation;
         Pose::new(rotation, self.at.place + shake - rotation * self.middle)
     }

@@ -312,14 +312,14 @@ mod tests {
     #[test]
     fn an_edge_has_the_light_of_its_exact_integral() {
         let mut renderer = renderer(Lens::pinhole(matrix()), 0.8);
-        for shift in [0.0, 0.003, 0.017] {
+        for translation in [0.0, 0.003, 0.017] {
             // Upright at 2 m: squares of 4 px. Along the middle of a dark square of row −1 … an
             // edge at board x = 0.
             let camera_from_board =
-                Pose::from_axis_angle(Vector3::zeros(), Vector3::new(shift, 0.0, 0.4));
+                Pose::from_axis_angle(Vector3::zeros(), Vector3::new(translation, 0.0, 0.4));
             let lit = renderer.illumination(&camera_from_board);
             let light = renderer.light(&[camera_from_board]);
-            let edge = 47.5 + 80.0 * shift / 0.4;
+            let edge = 47.5 + 80.0 * translation / 0.4;
             let row = (35.5 + 80.0 * 0.05 / 0.4_f64).round() as usize;
             for x in (edge - 4.0) as usize..(edge + 4.0) as usize {
                 // Right of the first corner, below it: dark.

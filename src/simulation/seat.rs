@@ -18,12 +18,12 @@ pub struct Seat {
     pub first_lens: Lens,
 }
 
-/// From one camera to the next, in meters, and by how much each is turned further in, in radians.
+/// From one camera to the next, in meters, and by how much each is rotated further in, in radians.
 const STEP_M: f64 = 0.12;
 const TOE_IN: f64 = 0.1;
 
 impl Seat {
-    /// The `number`-th camera of the rig of `seed`: 12 cm to the right of the one before and turned
+    /// The `number`-th camera of the rig of `seed`: 12 cm to the right of the one before and rotated
     /// inward by 6°, both only about.
     pub fn on_rig(seed: u64, number: u32, first_lens: Lens) -> Self {
         let mut rng = stream(seed, Purpose::Seat, u64::from(number));

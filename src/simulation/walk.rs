@@ -21,7 +21,7 @@ pub struct WalkOptions {
     pub travel_s: f64,
     /// The largest tilt against the image plane, in radians; 50° unless said.
     pub tilt: f64,
-    /// The largest turn about the optical axis, in radians; 25° unless said.
+    /// The largest rotation about the optical axis, in radians; 25° unless said.
     pub roll: f64,
     /// The card's width over the image's at the farthest and the nearest place; 0.38 and 0.8 unless
     /// said.

@@ -345,7 +345,7 @@ async fn a_live_walk_with_a_stop_in_it_is_calibrated() {
 }
 
 /// Holds a calibration against what the images were made of; the right infrared ones are the left
-/// ones turned by half a turn, so that their camera is the left one, turned.
+/// ones rotated by half a turn, so that their camera is the left one, rotated.
 fn is_true(calibration: &Calibration) {
     let truth = truth();
     let number =
@@ -375,10 +375,10 @@ fn is_true(calibration: &Calibration) {
     };
     let (left, right) = (pose(SensorKind::Infrared), pose(SensorKind::Infrared2));
     let distance_m = (left.translation() - right.translation()).norm();
-    let turn = left.angle_to(&right).to_degrees();
+    let rotation = left.angle_to(&right).to_degrees();
     assert!(
-        distance_m < 2e-3 && (turn - 180.0).abs() < 0.1,
-        "{distance_m} m and {turn}° between both infrared sensors"
+        distance_m < 2e-3 && (rotation - 180.0).abs() < 0.1,
+        "{distance_m} m and {rotation}° between both infrared sensors"
     );
     assert!(calibration.depth().is_some());
 }

@@ -133,8 +133,8 @@ fn the_daemon_gives_the_factory_calibration_as_the_file_states_it() {
         "{camera}"
     );
     assert_eq!(factory["sensors"]["depth"]["unit_m"], 0.001, "{camera}");
-    let shift = translation(named(&factory["extrinsics"], "color_from_depth"));
-    assert!((shift - Vector3::new(0.01431131, 0.00060231, 0.00061080)).norm() < 1e-6, "{camera}");
+    let moved = translation(named(&factory["extrinsics"], "color_from_depth"));
+    assert!((moved - Vector3::new(0.01431131, 0.00060231, 0.00061080)).norm() < 1e-6, "{camera}");
     // The same in every format.
     let calibration = served.get("/v1/cameras/front/factory").json();
     assert_eq!(

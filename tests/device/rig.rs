@@ -151,8 +151,8 @@ cameras = ["left", "right"]
     let calibration = daemon.get(&format!("/v1/calibrations/{calibration}"));
     let baseline = &calibration["extrinsics"][0];
     assert_eq!(baseline["name"], "left_from_right", "{}", calibration["verdict"]);
-    let shift = |k: usize| baseline["translation"][k].as_f64().unwrap();
-    let length_m = (0..3).map(|k| shift(k).powi(2)).sum::<f64>().sqrt();
+    let component = |k: usize| baseline["translation"][k].as_f64().unwrap();
+    let length_m = (0..3).map(|k| component(k).powi(2)).sum::<f64>().sqrt();
     let true_m = baseline_m();
     assert!((length_m - true_m).abs() < 0.002, "{length_m} m where {true_m} m is true");
     format!(

@@ -75,7 +75,7 @@ fn a_wrong_view_is_named_and_changes_nothing() {
             .collect()
     };
     let listed = |k: usize| k % ROWS * COLS + k / ROWS;
-    let relabelled: [(&str, Vec<usize>, Option<ViewFault>); 6] = [
+    let relabeled: [(&str, Vec<usize>, Option<ViewFault>); 6] = [
         ("mirrored", grid(&|c, r| (COLS - 1 - c, r)), Some(ViewFault::Mirrored)),
         (
             "shifted by a column",
@@ -88,10 +88,10 @@ fn a_wrong_view_is_named_and_changes_nothing() {
             Some(ViewFault::Shifted(GridLine::Row)),
         ),
         ("transposed", (0..COLS * ROWS).map(listed).collect(), Some(ViewFault::Transposed)),
-        ("turned by half", grid(&|c, r| (COLS - 1 - c, ROWS - 1 - r)), None),
+        ("rotated by half a turn", grid(&|c, r| (COLS - 1 - c, ROWS - 1 - r)), None),
         ("shuffled", (0..COLS * ROWS).map(|k| k * 31 % (COLS * ROWS)).collect(), None),
     ];
-    for (name, order, fault) in relabelled {
+    for (name, order, fault) in relabeled {
         let mut problem = clean.clone();
         let pixels: Vec<Pixel> = problem.views[7].correspondences.iter().map(|c| c.pixel).collect();
         for (corner, from) in problem.views[7].correspondences.iter_mut().zip(order) {

@@ -1,5 +1,5 @@
 //! Corners at the border of a small board err no more together than each by itself: an error that
-//! a whole row has in common turns or shears the board, and no corner's residual shows it.
+//! a whole row has in common rotates or shears the board, and no corner's residual shows it.
 
 use plumb::geometry::board::Chessboard;
 use plumb::geometry::pixel::ImageSize;

@@ -184,7 +184,7 @@ fn columns(image: &GrayImage, range: std::ops::Range<usize>) -> GrayImage {
 
 /// The two layouts of a board of even rows and odd columns have the same markers one square from each other.
 #[test]
-fn part_of_a_board_is_labelled_where_one_of_its_own_ends_is_seen() {
+fn part_of_a_board_is_labeled_where_one_of_its_own_ends_is_seen() {
     let (left, right) = (0..WIDTH * 11 / 20, WIDTH * 9 / 20..WIDTH);
     let middle = WIDTH * 5 / 16..WIDTH * 11 / 16;
     for seed in 300..312 {

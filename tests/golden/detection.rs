@@ -1,5 +1,5 @@
 //! Never a wrong label: more than four thousand small seeded images of boards, whole, occluded,
-//! cropped, both at once, turned and inverted, and of boards of another size, with noise and blur.
+//! cropped, both at once, rotated and inverted, and of boards of another size, with noise and blur.
 //! A board may be missed, within the rates below, which may only tighten; what is answered is
 //! right.
 
@@ -79,12 +79,12 @@ impl Scene {
     }
 
     /// How far the answer is from the truth at worst, if index (0, 0) of the answer is the truth's
-    /// `(col, row)` and the answer's axes are turned by `turns` quarter turns.
-    fn worst_px(&self, found: &Detection, first: (i32, i32), turns: u8) -> f64 {
+    /// `(col, row)` and the answer's axes are rotated by `quarters` quarter turns.
+    fn worst_px(&self, found: &Detection, first: (i32, i32), quarters: u8) -> f64 {
         let size = (self.board.cols as i32, self.board.rows as i32);
         found.corners.iter().fold(0.0, |worst: f64, corner| {
             let (c, r) = (corner.index.col, corner.index.row);
-            let (dc, dr) = [(c, r), (-r, c), (-c, -r), (r, -c)][usize::from(turns)];
+            let (dc, dr) = [(c, r), (-r, c), (-c, -r), (r, -c)][usize::from(quarters)];
             let (col, row) = (first.0 + dc, first.1 + dr);
             if !(0..size.0).contains(&col) || !(0..size.1).contains(&row) {
                 return f64::MAX;
@@ -96,24 +96,28 @@ impl Scene {
 
     /// Whether every corner of `found` is where it says and which it says.
     pub(crate) fn is_right(&self, found: &Detection) -> bool {
-        let near =
-            |first, turns| self.worst_px(found, first, turns) < TOLERANCE * self.shortest_step_px();
+        let near = |first, quarters| {
+            self.worst_px(found, first, quarters) < TOLERANCE * self.shortest_step_px()
+        };
         let (cols, rows) = (self.board.cols as i32, self.board.rows as i32);
         if !found.position_known {
             let everywhere = (-rows.max(cols)..2 * rows.max(cols))
                 .flat_map(|r| (-rows.max(cols)..2 * rows.max(cols)).map(move |c| (c, r)));
-            return everywhere.into_iter().any(|first| (0..4).any(|turns| near(first, turns)));
+            return everywhere
+                .into_iter()
+                .any(|first| (0..4).any(|quarters| near(first, quarters)));
         }
         let starts =
             [((0, 0), 0), ((cols - 1, 0), 1), ((cols - 1, rows - 1), 2), ((0, rows - 1), 3)];
-        let canonical = |turns: u8| match (self.board.orientation_ambiguous(), cols == rows) {
+        let canonical = |quarters: u8| match (self.board.orientation_ambiguous(), cols == rows) {
             (true, true) => true,
-            (true, false) => turns.is_multiple_of(2),
-            (false, _) => turns == if self.inverted { 2 } else { 0 },
+            (true, false) => quarters.is_multiple_of(2),
+            (false, _) => quarters == if self.inverted { 2 } else { 0 },
         };
-        let answered =
-            starts.into_iter().find(|&(first, turns)| canonical(turns) && near(first, turns));
-        let Some((first, turns)) = answered else { return false };
+        let answered = starts
+            .into_iter()
+            .find(|&(first, quarters)| canonical(quarters) && near(first, quarters));
+        let Some((first, quarters)) = answered else { return false };
         if !found.orientation_ambiguous || found.partial {
             return true;
         }
@@ -125,7 +129,7 @@ impl Scene {
             .into_iter()
             .filter(|s| canonical(s.1))
             .all(|s| from_top_left(first) <= from_top_left(s.0) + 1.0);
-        nearest && canonical(turns)
+        nearest && canonical(quarters)
     }
 }
 
@@ -193,7 +197,7 @@ pub(crate) fn pixel_from_board(
 ) -> Matrix3<f64> {
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     loop {
-        let turn = Rotation3::from_axis_angle(
+        let roll = Rotation3::from_axis_angle(
             &Vector3::z_axis(),
             rng.random_range(0.0..std::f64::consts::TAU),
         );
@@ -202,19 +206,19 @@ pub(crate) fn pixel_from_board(
             rng.random_range(0.0..std::f64::consts::TAU),
         ) * Vector3::x();
         let tilt = Rotation3::new(axis * rng.random_range(0.0..0.9));
-        let rotation = tilt * turn;
+        let rotation = tilt * roll;
         let focal = 220.0;
         let distance = focal * cols.max(rows) / rng.random_range(110.0..230.0);
         let middle = rotation * Vector3::new((cols - 1.0) / 2.0, (rows - 1.0) / 2.0, 0.0);
         let aside =
             [rng.random_range(-0.2..0.2) * distance, rng.random_range(-0.15..0.15) * distance];
-        let shift = Vector3::new(aside[0], aside[1], distance) - middle;
+        let translation = Vector3::new(aside[0], aside[1], distance) - middle;
         let camera = Matrix3::new(focal, 0.0, 119.5, 0.0, focal, 89.5, 0.0, 0.0, 1.0);
         let matrix = camera
             * Matrix3::from_columns(&[
                 rotation.matrix().column(0).into(),
                 rotation.matrix().column(1).into(),
-                shift,
+                translation,
             ]);
         let inside = |c: f64, r: f64| {
             let [x, y] = project(&matrix, c, r);
@@ -389,28 +393,28 @@ fn rates(count: usize, nuisance: Nuisance) -> Rates {
 }
 
 #[test]
-fn whole_boards_are_found_and_never_mislabelled() {
+fn whole_boards_are_found_and_never_mislabeled() {
     let Rates { answered, whole, wrong } = rates(150, Nuisance { occluded: false, cropped: false });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.95 && whole >= 0.9, "answered {answered:.3}, whole {whole:.3}");
 }
 
 #[test]
-fn cropped_boards_are_never_mislabelled() {
+fn cropped_boards_are_never_mislabeled() {
     let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: false, cropped: true });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.4, "answered {answered:.3}");
 }
 
 #[test]
-fn occluded_boards_are_never_mislabelled() {
+fn occluded_boards_are_never_mislabeled() {
     let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: true, cropped: false });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.5, "answered {answered:.3}");
 }
 
 #[test]
-fn occluded_and_cropped_boards_are_never_mislabelled() {
+fn occluded_and_cropped_boards_are_never_mislabeled() {
     let Rates { answered, wrong, .. } = rates(125, Nuisance { occluded: true, cropped: true });
     assert!(wrong.is_empty(), "{wrong:?}");
     assert!(answered >= 0.7, "answered {answered:.3}");

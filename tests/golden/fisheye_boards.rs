@@ -1,5 +1,5 @@
 //! Boards close before a full fisheye, whose steps shrink by a third from one to the next towards
-//! its rim: found, and never mislabelled.
+//! its rim: found, and never mislabeled.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use plumb::detection::board_detection::DetectOptions;
@@ -25,10 +25,10 @@ fn camera_from_board(rng: &mut ChaCha8Rng, board: BoardSize) -> Matrix3<f64> {
     let (cols, rows) = (f64::from(board.cols), f64::from(board.rows));
     loop {
         let mut angle = |most: f64| rng.random_range(-most..most);
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), angle(std::f64::consts::PI));
+        let roll = Rotation3::from_axis_angle(&Vector3::z_axis(), angle(std::f64::consts::PI));
         let tilt = Rotation3::new(Vector3::new(angle(0.6), angle(0.6), 0.0));
         let aside = Rotation3::new(Vector3::new(angle(0.8), angle(0.8), 0.0));
-        let rotation = aside * tilt * turn;
+        let rotation = aside * tilt * roll;
         let away = cols.max(rows) * rng.random_range(0.35..0.7);
         let first = rotation * Vector3::new(-(cols - 1.0) / 2.0, -(rows - 1.0) / 2.0, 0.0)
             + aside * Vector3::z() * away;
@@ -102,7 +102,7 @@ fn scene(seed: u64, board: BoardSize) -> Scene {
 }
 
 #[test]
-fn boards_in_a_full_fisheye_are_found_and_never_mislabelled() {
+fn boards_in_a_full_fisheye_are_found_and_never_mislabeled() {
     let (mut seen, mut answered, mut whole) = (0, 0, 0);
     for (kind, board) in ["9x6", "4x6", "7x5"].iter().enumerate() {
         let board: BoardSize = board.parse().unwrap();

@@ -22,23 +22,27 @@ fn says(solved: &SolvedCamera, word: &str) -> bool {
 }
 
 /// A camera that reads its rows one after another while the board moves at random, each view
-/// otherwise: per image's height by `shift_m` along each axis and `turn` about each.
-fn rolling(views: usize, seed: u64, (shift_m, turn): (f64, f64)) -> (SeededCamera, CameraProblem) {
+/// otherwise: per image's height by `translation_m` along each axis and `rotation` about each.
+fn rolling(
+    views: usize,
+    seed: u64,
+    (translation_m, rotation): (f64, f64),
+) -> (SeededCamera, CameraProblem) {
     let camera = SeededCamera::ordinary();
     let mut rng = SeededCamera::rng(seed);
     let poses = camera.poses(views, &mut rng);
     let mut problem = camera.problem(&poses, &mut rng);
     let normal = Normal::new(0.0, 1.0).unwrap();
     for (view, pose) in problem.views.iter_mut().zip(&poses) {
-        let [shift, turn] =
-            [shift_m, turn].map(|scale| Vector3::from_fn(|_, _| scale * normal.sample(&mut rng)));
+        let [translation, rotation] = [translation_m, rotation]
+            .map(|scale| Vector3::from_fn(|_, _| scale * normal.sample(&mut rng)));
         for corner in &mut view.correspondences {
             let still = camera.lens.pixel_from_point(&(*pose * corner.point_in_board)).unwrap();
             let mut seen = still;
             for _ in 0..20 {
                 let time = (seen.y + 0.5) / f64::from(camera.size.height) - 0.5;
-                let turned = UnitQuaternion::from_scaled_axis(turn * time) * pose.rotation();
-                let moved = Pose::new(turned, pose.translation() + shift * time);
+                let rotated = UnitQuaternion::from_scaled_axis(rotation * time) * pose.rotation();
+                let moved = Pose::new(rotated, pose.translation() + translation * time);
                 seen = camera.lens.pixel_from_point(&(moved * corner.point_in_board)).unwrap();
             }
             corner.pixel.x += seen.x - still.x;

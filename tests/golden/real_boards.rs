@@ -1,4 +1,4 @@
-//! Boards in real photographs: found, whole, and every corner labelled as its neighbors are.
+//! Boards in real photographs: found, whole, and every corner labeled as its neighbors are.
 
 use std::path::{Path, PathBuf};
 
@@ -100,7 +100,7 @@ fn every_board_in_a_full_fisheye_is_found_whole() {
     assert_all_whole("boofcv-fisheye-chess", 26, "4x6");
 }
 
-/// The spread of the estimates without each view in turn is what the stated deviations mean.
+/// The spread of the estimates without one view after the other is what the stated deviations mean.
 #[test]
 fn stated_deviations_are_those_of_leaving_views_out() {
     let Some(paths) = images("opencv-samples", 28) else { return };

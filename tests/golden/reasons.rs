@@ -46,7 +46,7 @@ impl Straight {
         bright + (dark - bright) * 0.5 * (within_x * within_y + across * down)
     }
 
-    /// 1 and −1 by turns from square to square, and 1 from the first to the last.
+    /// 1 and −1 alternating from square to square, and 1 from the first to the last.
     fn wave(&self, at: f64, corners: u32) -> (f64, f64) {
         let last = corners + 1;
         let rise = |k: u32| {

@@ -25,10 +25,11 @@ fn scatter(rig: &SeededRgbd, views: usize) -> Vec<Vector6<f64>> {
     let run = |run: u64| {
         let found =
             calibrate_rgbd(&rig.problem(&poses, &mut SeededCamera::rng(500 + run))).unwrap();
-        let turn = (found.color_from_depth.rotation() * truth.rotation().inverse()).scaled_axis();
-        let shift = found.color_from_depth.translation() - truth.translation();
+        let rotation =
+            (found.color_from_depth.rotation() * truth.rotation().inverse()).scaled_axis();
+        let translation = found.color_from_depth.translation() - truth.translation();
         let std = |k: usize| found.color_from_depth_covariance[(k, k)].sqrt();
-        Vector6::from_fn(|k, _| if k < 3 { turn[k] } else { shift[k - 3] } / std(k))
+        Vector6::from_fn(|k, _| if k < 3 { rotation[k] } else { translation[k - 3] } / std(k))
     };
     (0..RUNS).map(run).collect()
 }
@@ -95,7 +96,7 @@ fn the_factory_s_calibration_is_kept_where_it_is_as_good_and_replaced_where_ours
 
 /// Each sensor calls another corner of a square board its first one, view by view.
 #[test]
-fn a_square_board_is_labelled_alike_by_both_sensors() {
+fn a_square_board_is_labeled_alike_by_both_sensors() {
     let mut rig = SeededRgbd::new();
     let board = Chessboard::new(BoardSize::new(7, 7).unwrap(), 0.03).unwrap();
     (rig.color.board, rig.depth.board) = (board, board);
@@ -103,24 +104,24 @@ fn a_square_board_is_labelled_alike_by_both_sensors() {
     let mut input = rig.input(&poses, &mut SeededCamera::rng(9));
     let middle = Point3::new(0.09, 0.09, 0.0);
     for (index, capture) in input.captures.iter_mut().enumerate() {
-        let turn =
+        let rotation =
             Rotation3::from_axis_angle(&Vector3::z_axis(), FRAC_PI_2 * ((index * 7) % 4) as f64);
         for corner in &mut capture.infrared {
-            corner.point_in_board = middle + turn * (corner.point_in_board - middle);
+            corner.point_in_board = middle + rotation * (corner.point_in_board - middle);
         }
     }
     let joint = solve_rgbd(&input, &SeededRgbd::options()).unwrap().joint;
     let truth = rig.depth_from_color.inverse();
-    let shift = joint.color_from_depth.translation() - truth.translation();
-    let turn = joint.color_from_depth.angle_to(&truth);
-    println!("{shift:?} m, {turn} rad");
+    let translation = joint.color_from_depth.translation() - truth.translation();
+    let rotation = joint.color_from_depth.angle_to(&truth);
+    println!("{translation:?} m, {rotation} rad");
     for k in 0..3 {
         assert!(
-            shift[k].abs() < 4.0 * joint.color_from_depth_covariance[(k + 3, k + 3)].sqrt(),
-            "{shift:?}"
+            translation[k].abs() < 4.0 * joint.color_from_depth_covariance[(k + 3, k + 3)].sqrt(),
+            "{translation:?}"
         );
     }
-    assert!(turn < 1e-3 && shift.norm() < 5e-4, "{turn} rad, {shift:?} m");
+    assert!(rotation < 1e-3 && translation.norm() < 5e-4, "{rotation} rad, {translation:?} m");
 }
 
 /// Mean over the image of |bias| before and after correction and of a reading's σ at 1/z, in

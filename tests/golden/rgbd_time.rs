@@ -43,21 +43,24 @@ fn expect((calibration, truth): &(Value, Value)) {
             .clone()
     };
     let (found, exact) = (named(calibration), named(truth));
-    let turn = (rotation(&found) * rotation(&exact).inverse()).scaled_axis();
-    let shift = vector(&found["translation"]) - vector(&exact["translation"]);
+    let rotated = (rotation(&found) * rotation(&exact).inverse()).scaled_axis();
+    let moved = vector(&found["translation"]) - vector(&exact["translation"]);
     for (off, std) in
-        [(turn, vector(&found["rotation_std"])), (shift, vector(&found["translation_std"]))]
+        [(rotated, vector(&found["rotation_std"])), (moved, vector(&found["translation_std"]))]
     {
         assert!((0..3).all(|k| off[k].abs() < 3.0 * std[k]), "{off:?} ± {std:?}");
     }
-    assert!(shift.norm() < 3e-4 && turn.norm().to_degrees() < 0.02, "{shift:?} m, {turn:?} rad");
+    assert!(
+        moved.norm() < 3e-4 && rotated.norm().to_degrees() < 0.02,
+        "{moved:?} m, {rotated:?} rad"
+    );
     let depth = &calibration["sensors"]["depth"];
     let offset_ms = depth["time_offset_ms"].as_f64().unwrap();
     let std_ms = depth["time_offset_std_ms"].as_f64().unwrap();
     let exact_ms = truth["depth"]["time_offset_s"].as_f64().unwrap() * 1e3;
     let off_ms = (offset_ms - exact_ms).abs();
     assert!(off_ms < 2.0 && off_ms < 3.0 * std_ms, "{offset_ms} ± {std_ms} ms, truth {exact_ms}");
-    println!("{shift:?} m, {turn:?} rad, {offset_ms} ± {std_ms} ms, truth {exact_ms}");
+    println!("{moved:?} m, {rotated:?} rad, {offset_ms} ± {std_ms} ms, truth {exact_ms}");
 }
 
 #[test]

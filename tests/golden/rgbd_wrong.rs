@@ -29,11 +29,11 @@ fn with_depth(mut input: RgbdInput, change: impl Fn(usize, &DepthImage) -> Vec<u
 }
 
 fn mirrored(input: RgbdInput) -> RgbdInput {
-    let turned = |depth: &DepthImage| {
+    let mirrored = |depth: &DepthImage| {
         let rows = depth.readings().chunks(depth.size().width as usize);
         rows.flat_map(|row| row.iter().rev().copied()).collect()
     };
-    with_depth(input, |_, depth| turned(depth))
+    with_depth(input, |_, depth| mirrored(depth))
 }
 
 /// The error, or the reasons of the verdict.

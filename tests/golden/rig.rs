@@ -66,9 +66,10 @@ fn a_pair_is_found_to_within_its_prediction() {
         );
         let estimate = calibrate_rig(&problem).unwrap();
         let place = &estimate.places[1];
-        let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
-        let shift = place.sensor_from_rig.translation() - truth.translation();
-        for (axis, error) in turn.iter().chain(shift.iter()).enumerate() {
+        let rotation =
+            (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+        let translation = place.sensor_from_rig.translation() - truth.translation();
+        for (axis, error) in rotation.iter().chain(translation.iter()).enumerate() {
             let std = place.covariance[(axis, axis)].sqrt();
             assert!(error.abs() < 4.5 * std, "seed {seed}, axis {axis}: {error} ± {std}");
             inside += usize::from(error.abs() < std);
@@ -98,29 +99,29 @@ fn every_sensor_knows_how_well_it_knows_the_board_s_place() {
                 let (found, truth) =
                     (view.camera_from_board.unwrap(), from_left * left_from_board[*instant]);
                 let covariance = view.covariance.unwrap();
-                let turn = (found.rotation() * truth.rotation().inverse()).scaled_axis();
-                let shift = (found * center - truth * center).norm();
-                let turn_inside = turn
+                let rotation = (found.rotation() * truth.rotation().inverse()).scaled_axis();
+                let translation = (found * center - truth * center).norm();
+                let rotation_inside = rotation
                     .iter()
                     .enumerate()
                     .filter(|(k, e)| e.abs() < covariance[(*k, *k)].sqrt())
                     .count();
-                inside[0] += turn_inside;
+                inside[0] += rotation_inside;
                 let predicted = (0..3).map(|k| covariance[(3 + k, 3 + k)]).sum::<f64>().sqrt();
-                inside[1] += usize::from(shift < predicted);
+                inside[1] += usize::from(translation < predicted);
                 count += 1;
             }
         }
     }
-    let turns = inside[0] as f64 / (3 * count) as f64;
-    let shifts = inside[1] as f64 / count as f64;
+    let rotations = inside[0] as f64 / (3 * count) as f64;
+    let translations = inside[1] as f64 / count as f64;
     assert!(
-        (0.62..0.75).contains(&turns),
-        "{turns} of the turns are within one standard deviation"
+        (0.62..0.75).contains(&rotations),
+        "{rotations} of the rotations are within one standard deviation"
     );
     assert!(
-        (0.5..0.85).contains(&shifts),
-        "{shifts} of the shifts are within the predicted length"
+        (0.5..0.85).contains(&translations),
+        "{translations} of the translations are within the predicted length"
     );
 }
 
@@ -153,9 +154,10 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
             right > 2.0,
             "seed {seed}: the right one's variances are {right} times as large, the left one's {left}"
         );
-        let turn = (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
+        let rotation =
+            (place.sensor_from_rig.rotation() * truth.rotation().inverse()).scaled_axis();
         for axis in 0..3 {
-            let square = turn[axis].powi(2) / place.covariance[(axis, axis)];
+            let square = rotation[axis].powi(2) / place.covariance[(axis, axis)];
             (seen, alone, count) =
                 (seen + square, alone + square * place.variance_inflation, count + 1.0);
         }
@@ -186,17 +188,17 @@ fn a_right_rig_is_not_accused() {
 }
 
 #[test]
-fn a_board_labelled_from_its_other_end_is_found_and_named() {
+fn a_board_labeled_from_its_other_end_is_found_and_named() {
     let (mut problem, truth) = stereo(20, 3);
     let (_, view) = &mut problem.sensors[1].views[4];
-    let turned: Vec<_> = view.correspondences.iter().rev().map(|corner| corner.pixel).collect();
-    for (corner, pixel) in view.correspondences.iter_mut().zip(turned) {
+    let reversed: Vec<_> = view.correspondences.iter().rev().map(|corner| corner.pixel).collect();
+    for (corner, pixel) in view.correspondences.iter_mut().zip(reversed) {
         corner.pixel = pixel;
     }
     let estimate = calibrate_rig(&problem).unwrap();
     assert_eq!(estimate.cameras[1].views[4].fault, Some(ViewFault::HalfTurn));
-    let shift = estimate.places[1].sensor_from_rig.translation() - truth.translation();
-    assert!(shift.norm() < 0.002, "{shift}");
+    let translation = estimate.places[1].sensor_from_rig.translation() - truth.translation();
+    assert!(translation.norm() < 0.002, "{translation}");
 }
 
 #[test]

@@ -46,11 +46,11 @@ fn camera(name: &str, device: &SeededRgbd, input: RgbdInput) -> CameraFrameSets 
 /// How far each of the six numbers of a pose is off, in its own predicted standard deviations.
 fn off(found: &plumb::calibration::result::Extrinsics, truth: &Pose) -> [f64; 6] {
     let pose = &found.target_from_source;
-    let turn = (pose.rotation() * truth.rotation().inverse()).scaled_axis();
-    let shift = pose.translation() - truth.translation();
+    let rotation = (pose.rotation() * truth.rotation().inverse()).scaled_axis();
+    let translation = pose.translation() - truth.translation();
     std::array::from_fn(|k| match k {
-        0..3 => turn[k] / found.rotation_std[k],
-        _ => shift[k - 3] / found.translation_std_m[k - 3],
+        0..3 => rotation[k] / found.rotation_std[k],
+        _ => translation[k - 3] / found.translation_std_m[k - 3],
     })
 }
 

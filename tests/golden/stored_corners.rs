@@ -53,16 +53,16 @@ fn compare(image: &Path, reference: &Path) -> Compared {
     let found = find(image, &board.to_string(), true).unwrap();
     assert!(!found.partial, "{}: {} corners", image.display(), found.corners.len());
     let (cols, rows) = (board.cols as usize, board.rows as usize);
-    let slot = |turn: usize, k: usize| {
+    let slot = |symmetry: usize, k: usize| {
         let (col, row) = (k % cols, k / cols);
         let (col, row) = (
-            if turn & 1 == 0 { col } else { cols - 1 - col },
-            if turn & 2 == 0 { row } else { rows - 1 - row },
+            if symmetry & 1 == 0 { col } else { cols - 1 - col },
+            if symmetry & 2 == 0 { row } else { rows - 1 - row },
         );
         row * cols + col
     };
     let ordered =
-        |turn: usize| (0..stored.len()).map(|k| stored[slot(turn, k)]).collect::<Vec<_>>();
+        |symmetry: usize| (0..stored.len()).map(|k| stored[slot(symmetry, k)]).collect::<Vec<_>>();
     let squares = |stored: &[Pixel]| -> f64 {
         stored
             .iter()

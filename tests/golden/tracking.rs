@@ -44,16 +44,16 @@ impl Stream {
         )
     }
 
-    /// Moves on, with a little more or less speed; turns back where the board would leave the
+    /// Moves on, with a little more or less speed; goes back where the board would leave the
     /// image.
     fn walk(&mut self, speed_px: f64) {
         let mut change = |most: f64| self.rng.random_range(-most..most);
-        let turn = Rotation2::new(change(0.01));
+        let rotation = Rotation2::new(change(0.01));
         let (x, y, scale) = (change(speed_px), change(speed_px), 1.0 + change(0.01));
         let about = Matrix3::new_translation(&nalgebra::Vector2::new(119.5, 89.5));
         let step = about
             * Matrix3::new_scaling(scale)
-            * turn.to_homogeneous()
+            * rotation.to_homogeneous()
             * about.try_inverse().unwrap();
         self.motion = Matrix3::new_translation(&nalgebra::Vector2::new(x, y)) * step;
         let next = self.motion * self.pixel_from_board;
@@ -125,7 +125,7 @@ fn a_board_that_moves_is_followed() {
 }
 
 #[test]
-fn a_board_that_jumps_is_searched_again_and_never_mislabelled() {
+fn a_board_that_jumps_is_searched_again_and_never_mislabeled() {
     let (mut found, mut seen) = (0, 0);
     for (kind, board) in BOARDS.iter().enumerate() {
         for stream in 0..3 {

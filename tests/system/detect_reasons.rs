@@ -100,7 +100,7 @@ fn detect_says_why_there_is_no_board() {
     }
 }
 
-/// What turned a frame away reaches all remote clients: the events, the session's document and
+/// What rejected a frame reaches all remote clients: the events, the session's document and
 /// the metrics.
 #[test]
 fn a_session_counts_and_reports_each_reason_by_its_own_name() {

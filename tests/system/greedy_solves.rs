@@ -22,14 +22,14 @@ fn problem(views: u32, cols: u32, rows: u32) -> Value {
         for i in 0..cols * rows {
             let (col, row) = (f64::from(i % cols), f64::from(i / cols));
             let [x, y] = [col / f64::from(cols) - 0.5, row / f64::from(rows) - 0.5];
-            // Turned about y by a, then about x by b, a meter and a half away.
-            let (turned_x, z) = (x * a.cos(), -x * a.sin());
-            let (turned_y, z) = (y * b.cos() - z * b.sin(), y * b.sin() + z * b.cos() + 1.5);
+            // Rotated about y by a, then about x by b, a meter and a half away.
+            let (rotated_x, z) = (x * a.cos(), -x * a.sin());
+            let (rotated_y, z) = (y * b.cos() - z * b.sin(), y * b.sin() + z * b.cos() + 1.5);
             let noise = f64::from(k * cols * rows + i);
             points.0.push([x, y, 0.0]);
             points.1.push([
-                600.0 * turned_x / z + 320.0 + off(noise),
-                600.0 * turned_y / z + 240.0 + off(noise + 0.5),
+                600.0 * rotated_x / z + 320.0 + off(noise),
+                600.0 * rotated_y / z + 240.0 + off(noise + 0.5),
             ]);
         }
         json!({"object": points.0, "image": points.1})

@@ -532,12 +532,12 @@ fn a_stateless_solve_answers_with_a_calibration() {
 
 /// Views of a flat grid, projected exactly.
 fn pinhole_problem() -> Value {
-    let turns =
+    let tilts =
         [(0.5_f64, 0.0_f64), (-0.4, 0.3), (0.1, -0.6), (0.3, 0.5), (-0.5, -0.3), (0.0, 0.45)];
     let view = |(a, b): (f64, f64)| {
         let points = (0..54).map(|i| (f64::from(i % 9) * 0.03, f64::from(i / 9) * 0.03));
         let project = |(x, y): (f64, f64)| {
-            // Turned about x by a, then about y by b, and moved away.
+            // Rotated about x by a, then about y by b, and moved away.
             let (u, v, w) = (x - 0.12, (y - 0.075) * a.cos(), (y - 0.075) * a.sin());
             let (u, w) = (u * b.cos() + w * b.sin(), w * b.cos() - u * b.sin());
             [600.0 * u / (w + 0.6) + 320.0, 610.0 * v / (w + 0.6) + 240.0]
@@ -546,7 +546,7 @@ fn pinhole_problem() -> Value {
         let object: Vec<[f64; 3]> = points.map(|(x, y)| [x, y, 0.0]).collect();
         json!({"name": format!("{a} {b}"), "object": object, "image": image})
     };
-    json!({"image_size": [640, 480], "lens": "pinhole", "views": turns.map(view)})
+    json!({"image_size": [640, 480], "lens": "pinhole", "views": tilts.map(view)})
 }
 
 #[test]

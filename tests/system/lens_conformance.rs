@@ -23,8 +23,8 @@ fn pixels_of_the_image() -> impl Iterator<Item = Pixel> {
 
 /// Directions all around, denser than any lens needs: every 2° off the axis, every 15° around it.
 fn directions() -> impl Iterator<Item = (f64, Vec<Vector3<f64>>)> {
-    (0..24).map(|turn| {
-        let around = f64::from(turn) * 15f64.to_radians() + 0.1;
+    (0..24).map(|rotation| {
+        let around = f64::from(rotation) * 15f64.to_radians() + 0.1;
         let along = (0..90)
             .map(|k| f64::from(k) * 2f64.to_radians())
             .map(|off| Vector3::new(off.sin() * around.cos(), off.sin() * around.sin(), off.cos()))
@@ -163,14 +163,14 @@ fn derivatives_are_true(lens: &Lens) {
             moved[axis] += t;
             lens.pixel_from_point(&moved)
         });
-        // A small turn and shift of the camera frame after the pose: δ · camera_from_board.
+        // A small rotation and translation of the camera frame after the pose: δ · camera_from_board.
         let point_in_board = camera_from_board.inverse() * point;
         let by_pose = numeric([1e-4; 6], |axis, t| {
             let mut change = [0.0; 6];
             change[axis] = t;
-            let turn = Vector3::new(change[0], change[1], change[2]);
+            let rotation = Vector3::new(change[0], change[1], change[2]);
             let moved_from_camera =
-                Pose::from_axis_angle(turn, Vector3::new(change[3], change[4], change[5]));
+                Pose::from_axis_angle(rotation, Vector3::new(change[3], change[4], change[5]));
             lens.pixel_from_point(&((moved_from_camera * camera_from_board) * point_in_board))
         });
         let steps: [f64; MAX_PARAMETERS] = std::array::from_fn(|k| if k < 5 { 1e-2 } else { 1e-5 });
@@ -198,8 +198,8 @@ fn derivatives_are_true(lens: &Lens) {
     assert!(checked > 400, "only {checked} pixels could be checked");
 }
 
-/// d(pixel)/d(turn, shift) for a turn and shift applied after the pose: the point moves by turn ×
-/// point + shift.
+/// d(pixel)/d(rotation, translation) for a rotation and translation applied after the pose: the point moves by rotation ×
+/// point + translation.
 fn pose_derivative(by_point: &Matrix2x3<f64>, point: &Point3<f64>) -> SMatrix<f64, 2, 6> {
     let cross =
         Matrix3::new(0.0, point.z, -point.y, -point.z, 0.0, point.x, point.y, -point.x, 0.0);

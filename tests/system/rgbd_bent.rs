@@ -120,8 +120,8 @@ fn render(folder: &Path, bulge_m: f64) {
     }
     for view in 0..12_u32 {
         let (around, view_m) = (f64::from(view) * 2.4, 0.04 * f64::from(view % 3));
-        let turn = Vector3::new(0.45 * around.sin(), 0.45 * around.cos(), 0.05 * around);
-        let rotation = Pose::from_axis_angle(turn, Vector3::zeros());
+        let axis_angle = Vector3::new(0.45 * around.sin(), 0.45 * around.cos(), 0.05 * around);
+        let rotation = Pose::from_axis_angle(axis_angle, Vector3::zeros());
         let middle = Vector3::new(0.5 * REACH_M[0], 0.5 * REACH_M[1], 0.0);
         let at =
             Vector3::new(0.05 * (1.7 * around).cos(), 0.04 * (1.3 * around).sin(), 0.4 + view_m);

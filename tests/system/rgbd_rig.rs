@@ -82,11 +82,14 @@ fn calibrate(served: &Served, request: &Value) -> Value {
 /// The figures of a pose over their standard deviations.
 fn errors_in_std(found: &Value, truth: &Pose) -> Vec<f64> {
     let found_pose = pose(found);
-    let turn = (found_pose.rotation() * truth.rotation().inverse()).scaled_axis();
-    let shift = found_pose.translation() - truth.translation();
+    let rotation = (found_pose.rotation() * truth.rotation().inverse()).scaled_axis();
+    let translation = found_pose.translation() - truth.translation();
     let std = |key: &str, axis: usize| found[key][axis].as_f64().unwrap();
     let figures = (0..3).flat_map(|axis| {
-        [turn[axis] / std("rotation_std", axis), shift[axis] / std("translation_std", axis)]
+        [
+            rotation[axis] / std("rotation_std", axis),
+            translation[axis] / std("translation_std", axis),
+        ]
     });
     figures.collect()
 }

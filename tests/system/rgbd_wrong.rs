@@ -210,7 +210,7 @@ fn what_is_right_is_calibrated_and_color_in_half_the_views_reported() {
 }
 
 /// Moved by a fiftieth of the image.
-fn shifted(depth: &DepthImage) -> DepthImage {
+fn moved(depth: &DepthImage) -> DepthImage {
     let width = depth.size().width as usize;
     of(depth, |x, y| depth.row(y)[(x + width / 50) % width])
 }
@@ -248,7 +248,7 @@ fn verify_compares_depth_with_the_board_and_says_what_it_saw() {
     assert!(holds && answer["depth"]["visible_m"].as_f64().unwrap() < 0.02, "{answer}");
     let wrong = [
         (Change::Depth(mirrored), "same device"),
-        (Change::Depth(shifted), "same device"),
+        (Change::Depth(moved), "same device"),
         (Change::Depth(scaled), "% off the board in all views"),
     ];
     for (change, word) in wrong {

@@ -130,14 +130,20 @@ fn extrinsics_are_true(calibration: &Value) {
     for (found, camera) in extrinsics.iter().zip(&CAMERAS[1..]) {
         assert_eq!(found["name"], format!("left_from_{camera}"));
         let (found_pose, truly) = (pose(found), left_from(camera));
-        let turn = (found_pose.rotation() * truly.rotation().inverse()).scaled_axis();
-        let shift = found_pose.translation() - truly.translation();
+        let rotation = (found_pose.rotation() * truly.rotation().inverse()).scaled_axis();
+        let translation = found_pose.translation() - truly.translation();
         for axis in 0..3 {
             let std = |key: &str| found[key][axis].as_f64().unwrap();
-            let (turn_std, shift_std) = (std("rotation_std"), std("translation_std"));
-            assert!(turn[axis].abs() < 3.5 * turn_std, "{camera}: {turn} ± {turn_std}");
-            assert!(shift[axis].abs() < 3.5 * shift_std, "{camera}: {shift} ± {shift_std}");
-            assert!(turn_std < 1e-3 && shift_std < 1e-3, "{found}");
+            let (rotation_std, translation_std) = (std("rotation_std"), std("translation_std"));
+            assert!(
+                rotation[axis].abs() < 3.5 * rotation_std,
+                "{camera}: {rotation} ± {rotation_std}"
+            );
+            assert!(
+                translation[axis].abs() < 3.5 * translation_std,
+                "{camera}: {translation} ± {translation_std}"
+            );
+            assert!(rotation_std < 1e-3 && translation_std < 1e-3, "{found}");
         }
     }
 }

@@ -23,13 +23,13 @@ fn problem(bow_m: f64) -> Value {
         .collect();
     let view = |k: u32| {
         let k = f64::from(k);
-        let turn =
+        let rotation =
             Vector3::new(0.5 * (1.7 * k).sin(), 0.5 * (2.3 * k).cos(), 0.2 * (0.9 * k).sin());
         let middle =
             Vector3::new(0.06 * (3.1 * k).cos(), 0.04 * (1.3 * k).sin(), 0.5 + 0.03 * (k % 4.0));
-        let turned = Pose::from_axis_angle(turn, Vector3::zeros());
+        let rotated = Pose::from_axis_angle(rotation, Vector3::zeros());
         let camera_from_board =
-            Pose::new(turned.rotation(), middle - turned * Vector3::new(0.12, 0.075, 0.0));
+            Pose::new(rotated.rotation(), middle - rotated * Vector3::new(0.12, 0.075, 0.0));
         let seen = grid.iter().map(|point| {
             let bowed =
                 Point3::new(point.x, point.y, bow_m * (1.0 - (point.x / 0.12 - 1.0).powi(2)));

@@ -1,4 +1,4 @@
-//! Views that a detector could see: a board anywhere in the image, near and far, tilted and turned,
+//! Views that a detector could see: a board anywhere in the image, near and far, tilted and rolled,
 //! all of it inside the frame, its squares large enough and sharp enough.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -93,15 +93,15 @@ pub struct Holding {
     pub tilt: f64,
     /// About which axis it is tilted, in radians from the image's x.
     pub azimuth: f64,
-    /// Its turn in the image, in radians.
+    /// Its roll in the image, in radians.
     pub roll: f64,
 }
 
-/// The shares of the image, tilts and turns that are asked for.
+/// The shares of the image, tilts and rolls that are asked for.
 const SHARE: [f64; 2] = [0.25, 0.85];
 /// Rendered boards are found up to 50°; beyond, detectors begin to miss them.
 const GREATEST_TILT: f64 = 0.85;
-const GREATEST_TURN: f64 = 0.6;
+const GREATEST_ROLL: f64 = 0.6;
 /// Squares smaller than this are not asked for: detectors need 6 px.
 const LEAST_SIDE_PX: f64 = 8.0;
 /// What is seen of a board's card beyond its outer corners: the squares that make them corners.
@@ -128,7 +128,7 @@ impl Holding {
             share: SHARE[0] + (SHARE[1] - SHARE[0]) * part(2),
             tilt: GREATEST_TILT * part(3).sqrt(),
             azimuth: TAU * part(4),
-            roll: GREATEST_TURN * (2.0 * part(5) - 1.0),
+            roll: GREATEST_ROLL * (2.0 * part(5) - 1.0),
         }
     }
 
@@ -142,7 +142,7 @@ impl Holding {
             share: (self.share + (SHARE[1] - SHARE[0]) * part(2)).clamp(SHARE[0], SHARE[1]),
             tilt: (self.tilt + GREATEST_TILT * part(3)).clamp(0.0, GREATEST_TILT),
             azimuth: self.azimuth + PI * part(4),
-            roll: (self.roll + GREATEST_TURN * part(5)).clamp(-GREATEST_TURN, GREATEST_TURN),
+            roll: (self.roll + GREATEST_ROLL * part(5)).clamp(-GREATEST_ROLL, GREATEST_ROLL),
         }
     }
 }
@@ -169,21 +169,21 @@ pub struct CandidateSpace<'a> {
     pub board: &'a BoardPoints,
     /// How exact its corners are.
     pub noise: &'a CornerNoise,
-    /// How the board is turned before a camera that it faces, as [`base_turn`] has it.
+    /// How the board is rotated before a camera that it faces, as [`base_rotation`] has it.
     pub base: UnitQuaternion<f64>,
 }
 
-/// How a board is turned before the camera, tilt and lesser turns left out: by a multiple of a
+/// How a board is rotated before the camera, tilt and lesser rotations left out: by a multiple of a
 /// quarter turn, and about if its z axis points at the camera, as that of Kalibr's grids does.
-pub fn base_turn(camera_from_board: &Pose) -> UnitQuaternion<f64> {
+pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
     let row = *camera_from_board * Vector3::x();
     let quarters = (row.y.atan2(row.x) / FRAC_PI_2).round();
-    let turned = UnitQuaternion::from_scaled_axis(Vector3::z() * (quarters * FRAC_PI_2));
+    let rolled = UnitQuaternion::from_scaled_axis(Vector3::z() * (quarters * FRAC_PI_2));
     let towards_camera = (*camera_from_board * Vector3::z()).z < 0.0;
     if towards_camera {
-        turned * UnitQuaternion::from_scaled_axis(Vector3::x() * PI)
+        rolled * UnitQuaternion::from_scaled_axis(Vector3::x() * PI)
     } else {
-        turned
+        rolled
     }
 }
 

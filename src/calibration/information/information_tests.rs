@@ -98,10 +98,11 @@ fn numeric_information(
         } else {
             let mut motion = [0.0; 6];
             motion[column - free.len()] = step;
-            let turn =
+            let rotation =
                 UnitQuaternion::from_scaled_axis(Vector3::new(motion[0], motion[1], motion[2]));
             let translation = Vector3::new(motion[3], motion[4], motion[5]);
-            pose = Pose::new(turn * pose.rotation(), turn * pose.translation() + translation);
+            pose =
+                Pose::new(rotation * pose.rotation(), rotation * pose.translation() + translation);
         }
         let lens = Lens::from_parameters(lens.model(), &parameters).unwrap();
         let pixel = |c: &WeightedCorner| lens.pixel_from_point(&(pose * c.point_in_board)).unwrap();
@@ -277,13 +278,13 @@ fn movements_are_named_by_what_is_seen_in_the_image() {
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
     let space = space(&lens, &board, &noise);
     let middle = board.middle().coords;
-    let at = |turn: [f64; 3], place: [f64; 3]| {
-        let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(turn));
+    let at = |rotation: [f64; 3], place: [f64; 3]| {
+        let rotation = UnitQuaternion::from_scaled_axis(Vector3::from(rotation));
         Pose::new(rotation, Vector3::from(place) - rotation * middle)
     };
     let here = at([0.0; 3], [0.0, 0.0, 0.6]);
-    for (turn, place, words) in [
-        // Turned about the image's x by a positive angle, the lower side goes away (y × z = x).
+    for (rotation, place, words) in [
+        // Rotated about the image's x by a positive angle, the lower side goes away (y × z = x).
         ([0.5, 0.0, 0.0], [0.0, 0.0, 0.6], "tilt its top towards the camera"),
         ([-0.5, 0.0, 0.0], [0.0, 0.0, 0.6], "tilt its bottom towards the camera"),
         ([0.0, 0.5, 0.0], [0.0, 0.0, 0.6], "tilt its right side towards the camera"),
@@ -292,7 +293,7 @@ fn movements_are_named_by_what_is_seen_in_the_image() {
         ([0.0; 3], [0.0, -0.15, 0.6], "move it up"),
         ([0.0; 3], [0.0, 0.0, 0.3], "bring it nearer to the camera"),
     ] {
-        assert_eq!(next_movement(&space, &here, &at(turn, place)).unwrap(), words);
+        assert_eq!(next_movement(&space, &here, &at(rotation, place)).unwrap(), words);
     }
     // The upper side's points are nearer when it is tilted towards the camera.
     let tilted = at([0.5, 0.0, 0.0], [0.0, 0.0, 0.6]);

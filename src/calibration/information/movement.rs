@@ -1,5 +1,5 @@
 //! How to get the board from where it is to where it should be, in words: one movement at a time,
-//! the greatest first. Left and right, up and down are the image's; a turn is as seen in it.
+//! the greatest first. Left and right, up and down are the image's; a rotation is as seen in it.
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 
@@ -38,7 +38,7 @@ impl Held {
         let camera_from_facing = UnitQuaternion::rotation_between(&Vector3::z(), &line_of_sight)?;
         let facing_from_board = camera_from_facing.inverse() * camera_from_board.rotation();
         let (row, normal) = (facing_from_board * Vector3::x(), facing_from_board * Vector3::z());
-        // A frame whose z points at the camera, as Kalibr's, has its normal turned round.
+        // A frame whose z points at the camera, as Kalibr's, has its normal reversed.
         let away = normal * normal.z.signum();
         Some(Self {
             middle: space.lens.pixel_from_point(&middle_in_camera)?,
@@ -57,12 +57,13 @@ pub fn next_movement(
     there_from_board: &Pose,
 ) -> Option<String> {
     let (here, there) = (Held::of(space, here_from_board)?, Held::of(space, there_from_board)?);
-    let shift = (there.middle.to_vector() - here.middle.to_vector()) / space.size.diagonal_px();
+    let displacement =
+        (there.middle.to_vector() - here.middle.to_vector()) / space.size.diagonal_px();
     let nearer = (here.distance_m / there.distance_m).ln();
     let tilt = there.tilt - here.tilt;
-    let turn = wrapped(there.roll - here.roll);
+    let roll = wrapped(there.roll - here.roll);
     let movements = [
-        (shift.norm() / MIDDLE_STEP, format!("move it {}", direction(shift))),
+        (displacement.norm() / MIDDLE_STEP, format!("move it {}", direction(displacement))),
         (
             nearer.abs() / DISTANCE_STEP,
             if nearer > 0.0 { "bring it nearer to the camera" } else { "move it farther away" }
@@ -70,8 +71,8 @@ pub fn next_movement(
         ),
         (tilt.norm() / TILT_STEP, format!("tilt its {} towards the camera", side(tilt))),
         (
-            turn.abs() / ROLL_STEP,
-            if turn > 0.0 { "turn it clockwise" } else { "turn it counterclockwise" }.to_owned(),
+            roll.abs() / ROLL_STEP,
+            if roll > 0.0 { "turn it clockwise" } else { "turn it counterclockwise" }.to_owned(),
         ),
     ];
     let greatest = movements.into_iter().max_by(|a, b| a.0.total_cmp(&b.0))?;
@@ -110,12 +111,15 @@ pub fn side(tilt: Vector2<f64>) -> &'static str {
     }
 }
 
-fn direction(shift: Vector2<f64>) -> String {
+fn direction(displacement: Vector2<f64>) -> String {
     // Eight directions: the lesser component counts from tan 22.5° on.
     const LESSER: f64 = 0.414;
-    let across = if shift.x > 0.0 { "to the right" } else { "to the left" };
-    let down = if shift.y > 0.0 { "down" } else { "up" };
-    match (shift.x.abs() > LESSER * shift.y.abs(), shift.y.abs() > LESSER * shift.x.abs()) {
+    let across = if displacement.x > 0.0 { "to the right" } else { "to the left" };
+    let down = if displacement.y > 0.0 { "down" } else { "up" };
+    match (
+        displacement.x.abs() > LESSER * displacement.y.abs(),
+        displacement.y.abs() > LESSER * displacement.x.abs(),
+    ) {
         (true, true) => format!("{down} and {across}"),
         (true, false) => across.to_owned(),
         _ => down.to_owned(),
@@ -123,6 +127,6 @@ fn direction(shift: Vector2<f64>) -> String {
 }
 
 fn wrapped(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(std::f64::consts::TAU);
-    if turned > std::f64::consts::PI { turned - std::f64::consts::TAU } else { turned }
+    let positive = angle.rem_euclid(std::f64::consts::TAU);
+    if positive > std::f64::consts::PI { positive - std::f64::consts::TAU } else { positive }
 }

@@ -34,7 +34,7 @@ const CANDIDATES: usize = 112;
 const REFINED: [(usize, f64); 2] = [(12, 0.12), (12, 0.05)];
 /// Candidates whose drop of the goal is at least this part of the best one's are as good.
 const AS_GOOD: f64 = 0.9;
-/// A hand carries a board by half its distance, or turns it by a radian, in the same time.
+/// A hand carries a board by half its distance, or rotates it by a radian, in the same time.
 const EFFORT_PER_DISTANCE: f64 = 2.0;
 /// Of so many candidates the coming views are taken in counting them.
 const SHORTLIST: usize = 12;
@@ -100,16 +100,17 @@ fn by_uncertainty(a: &&ScoredView, b: &&ScoredView) -> std::cmp::Ordering {
     a.uncertainty_px.total_cmp(&b.uncertainty_px)
 }
 
-/// How far it is from one pose to another, in turns by a radian.
+/// How far it is from one pose to another, in rotations by a radian.
 pub fn effort(here_from_board: &Pose, there_from_board: &Pose, space: &CandidateSpace<'_>) -> f64 {
     let poses = [here_from_board, there_from_board];
     let [here, there] = poses.map(|pose| (*pose * space.board.middle()).coords);
-    let shift = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
-    EFFORT_PER_DISTANCE * shift + here_from_board.rotation().angle_to(&there_from_board.rotation())
+    let translation = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
+    EFFORT_PER_DISTANCE * translation
+        + here_from_board.rotation().angle_to(&there_from_board.rotation())
 }
 
 /// How many views out of `shortlist`, each with this part of its information and each the best at
-/// its turn, reach the goal.
+/// its next step, reach the goal.
 fn views_to_go(
     known: &LensInformation,
     goal: &ProjectionGoal,

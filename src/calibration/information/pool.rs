@@ -3,7 +3,9 @@
 
 use nalgebra::DMatrix;
 
-use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, base_turn};
+use crate::calibration::information::candidate_views::{
+    BoardPoints, CandidateSpace, base_rotation,
+};
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::movement::description;
@@ -162,7 +164,7 @@ impl SuggestedNext {
         let goal = ProjectionGoal::new(&estimate.lens, estimate.image_size, GoalFigure::Worst);
         let (lens, size) = (&estimate.lens, estimate.image_size);
         let seen_from_board = estimate.views.iter().find_map(|view| view.camera_from_board)?;
-        let base = base_turn(&seen_from_board);
+        let base = base_rotation(&seen_from_board);
         let space = CandidateSpace { lens, size, board: &board, noise: &noise, base };
         let view = suggest_view(&known, &goal, &space, (None, None))?;
         let message = description(&space, &view.camera_from_board)?;

@@ -9,7 +9,9 @@ use std::f64::consts::PI;
 
 use nalgebra::{DMatrix, UnitQuaternion, Vector3};
 
-use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, base_turn};
+use crate::calibration::information::candidate_views::{
+    BoardPoints, CandidateSpace, base_rotation,
+};
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::next_view::{SuggestedView, suggest_view};
@@ -191,7 +193,7 @@ impl Teaching {
         let unseen = if self.towards_camera { Vector3::x() * PI } else { Vector3::zeros() };
         let base = self.views.last().map_or_else(
             || UnitQuaternion::from_scaled_axis(unseen),
-            |view| base_turn(&view.camera_from_board),
+            |view| base_rotation(&view.camera_from_board),
         );
         CandidateSpace { lens: self.lens(), size: self.size, board: &self.board, noise, base }
     }

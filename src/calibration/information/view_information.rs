@@ -30,7 +30,7 @@ pub fn view_information(
     let mean =
         corners.iter().map(|corner| corner.point_in_board.coords).sum::<nalgebra::Vector3<f64>>()
             / corners.len().max(1) as f64;
-    // Turned about the board's middle: rotation and translation then hardly depend on each other.
+    // Rotated about the board's middle: rotation and translation then hardly depend on each other.
     let middle_in_camera = (*camera_from_board * Point3::from(mean)).coords;
     for corner in corners {
         let point_in_camera = *camera_from_board * corner.point_in_board;

@@ -16,7 +16,7 @@ pub struct SceneConditions {
     /// the same points, in degrees: 0 for forward, 90 for sideways.
     pub sideways_deg: f64,
     /// The widest angle between the axes of two cameras, in degrees.
-    pub turned_deg: f64,
+    pub rotated_deg: f64,
     /// The widest rotation about the optical axis between two cameras that see a point both, in
     /// degrees.
     pub rolled_deg: f64,
@@ -32,12 +32,12 @@ impl SceneConditions {
             .collect();
         angles.sort_by(f64::total_cmp);
         let shared = shared_points(bundle, state.cameras_from_scene.len());
-        let (turned, rolled) = widest_turns(state, &shared);
+        let (rotated, rolled) = widest_rotations(state, &shared);
         Self {
             motion: bundle.motion,
             parallax_deg: angles.get(angles.len() / 2).copied().unwrap_or(0.0),
             sideways_deg: sideways(state, &shared).to_degrees(),
-            turned_deg: turned.to_degrees(),
+            rotated_deg: rotated.to_degrees(),
             rolled_deg: rolled.to_degrees(),
             relief: relief(&state.points),
         }
@@ -87,12 +87,12 @@ fn sideways(state: &SceneState, shared: &[Vec<usize>]) -> f64 {
 
 /// The widest angle between axes, and the widest rotation about the axis of cameras that share
 /// points.
-fn widest_turns(state: &SceneState, shared: &[Vec<usize>]) -> (f64, f64) {
-    let (mut turned, mut rolled) = (0.0_f64, 0.0_f64);
+fn widest_rotations(state: &SceneState, shared: &[Vec<usize>]) -> (f64, f64) {
+    let (mut rotated, mut rolled) = (0.0_f64, 0.0_f64);
     for (k, a) in state.cameras_from_scene.iter().enumerate() {
         for (j, b) in state.cameras_from_scene[..k].iter().enumerate() {
             let between = (*a * b.inverse()).rotation_matrix();
-            turned = turned.max((between * Vector3::z()).angle(&Vector3::z()));
+            rotated = rotated.max((between * Vector3::z()).angle(&Vector3::z()));
             let about_axis =
                 (between[(1, 0)] - between[(0, 1)]).atan2(between[(0, 0)] + between[(1, 1)]).abs();
             if shared[k][j] > 0 {
@@ -100,7 +100,7 @@ fn widest_turns(state: &SceneState, shared: &[Vec<usize>]) -> (f64, f64) {
             }
         }
     }
-    (turned, rolled)
+    (rotated, rolled)
 }
 
 fn relief(points: &[Point3<f64>]) -> f64 {

@@ -75,7 +75,7 @@ pub(super) struct ImagePairs {
     pub between_neighbors: Vec<usize>,
 }
 
-/// The strongest features of each image, by which pairs that share nothing are recognised.
+/// The strongest features of each image, by which pairs that share nothing are recognized.
 const PREVIEWED: usize = 600;
 
 /// Pairs with fewer preliminary matches share nothing: as many agree by chance.

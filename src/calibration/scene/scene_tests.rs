@@ -50,7 +50,7 @@ fn truth() -> Lens {
 fn cameras(motion: Motion, seeded: &mut Seeded) -> Vec<Pose> {
     let camera = |k: i32, seeded: &mut Seeded| {
         let part = f64::from(k) / 7.0 - 0.5;
-        let (turn, center) = match motion {
+        let (rotation, center) = match motion {
             Motion::Orbit => (
                 Vector3::new(seeded.uniform(0.15), 0.9 * part, if k % 3 == 0 { 1.3 } else { 0.0 }),
                 Point3::new(
@@ -65,8 +65,9 @@ fn cameras(motion: Motion, seeded: &mut Seeded) -> Vec<Pose> {
             ),
         };
         // The roll comes last: the camera keeps pointing at the scene.
-        let pan = Pose::from_axis_angle(Vector3::new(turn.x, turn.y, 0.0), Vector3::zeros());
-        let roll = Pose::from_axis_angle(Vector3::new(0.0, 0.0, turn.z), Vector3::zeros());
+        let pan =
+            Pose::from_axis_angle(Vector3::new(rotation.x, rotation.y, 0.0), Vector3::zeros());
+        let roll = Pose::from_axis_angle(Vector3::new(0.0, 0.0, rotation.z), Vector3::zeros());
         let rotation = roll * pan;
         Pose::new(rotation.rotation(), -(rotation * center.coords))
     };

@@ -63,7 +63,7 @@ pub fn scene_so_far(images: &[SceneImage], lens: LensChoice) -> SceneSoFar {
 fn after(calibration: &SceneCalibration) -> String {
     let SceneConditions { motion, parallax_deg, rolled_deg, relief, .. } = calibration.conditions;
     if motion == CameraMotion::RotationOnly {
-        format!("{SIDEWAYS}: so far the camera only turned")
+        format!("{SIDEWAYS}: so far the camera only rotated")
     } else if parallax_deg < PARALLAX_DEG {
         format!("{SIDEWAYS}: there is little parallax yet")
     } else if rolled_deg < ROLLED_DEG {

@@ -126,7 +126,7 @@ fn reconstruction(
 /// Refuses a camera that neither moved nor rotated enough.
 fn check_rotation(start: &Reconstruction) -> Result<(), SceneRefusal> {
     let conditions = SceneConditions::of(&start.bundle, &start.state);
-    let rotated_deg = conditions.turned_deg.max(conditions.rolled_deg);
+    let rotated_deg = conditions.rotated_deg.max(conditions.rolled_deg);
     if conditions.motion == CameraMotion::RotationOnly && rotated_deg < ROTATED_DEG {
         return Err(SceneRefusal::HardlyAnyParallax);
     }

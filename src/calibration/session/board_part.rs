@@ -179,7 +179,7 @@ impl BoardPart {
     }
 
     /// Takes back a view as it was stored. What was admitted once has a placement; one without
-    /// would shift the numbers that rejections name.
+    /// would change the numbers that rejections name.
     pub(super) fn restore(&mut self, view: &View) -> Option<u32> {
         let (frame, detection) = (&view.frame, &view.detection);
         let placement = Placement::of(detection, frame.image_size)?;

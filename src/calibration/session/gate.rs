@@ -2,7 +2,7 @@
 //! costly (the full search of a tracked board, the other sensors' images) is done for these alone.
 //!
 //! A gate knows the views that the session had kept a while ago. Views are only ever added, and
-//! each view that is kept turns more frames away, so that a gate lets through all that the session
+//! each view that is kept rejects more frames, so that a gate lets through all that the session
 //! will keep, and little else.
 
 use crate::calibration::admission::{AdmissionOptions, SeenBefore, admit};

@@ -1,4 +1,4 @@
-//! The session against seeded frames: what it keeps, what it turns away, when it ends.
+//! The session against seeded frames: what it keeps, what it rejects, when it ends.
 
 use nalgebra::Vector3;
 
@@ -101,7 +101,7 @@ fn new_placements_are_kept_and_known_ones_named() {
 fn each_reason_is_counted_and_reported() {
     let mut session = session(None);
     let still = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
-    let shifted = detection_at(Vector3::new(0.02, 0.0, 0.5), Vector3::zeros());
+    let moved = detection_at(Vector3::new(0.02, 0.0, 0.5), Vector3::zeros());
     let blurred = Detection { blur_px: 3.0, ..still.clone() };
     let soon = FrameFacts { host_time_ns: frame(1).host_time_ns + 20_000_000, ..frame(2) };
     let other_size = FrameFacts { image_size: ImageSize::new(1280, 960), ..frame(9) };
@@ -110,8 +110,8 @@ fn each_reason_is_counted_and_reported() {
     let steps: [(&FrameFacts, Result<&Detection, Rejection>, Option<&str>); 7] = [
         (&frame(0), no_board(), Some("no_corners")),
         (&frame(1), Ok(&still), None),
-        (&soon, Ok(&shifted), Some("moving")),
-        (&frame(4), Ok(&shifted), Some("too_similar")),
+        (&soon, Ok(&moved), Some("moving")),
+        (&frame(4), Ok(&moved), Some("too_similar")),
         (&frame(5), Ok(&blurred), Some("blurred")),
         (&frame(6), unreadable(), Some("unreadable")),
         (&other_size, Ok(&still), Some("other_image_size")),

@@ -24,12 +24,12 @@ pub(super) struct PixelLayout {
     pub code: [u8; 4],
     /// How the frame is passed on.
     pub format: PixelFormat,
-    /// How far samples are shifted up to fill 16 bits.
-    pub shift: u32,
+    /// How far samples are moved up to fill 16 bits.
+    pub up_bits: u32,
 }
 
-const fn layout(code: &[u8; 4], format: PixelFormat, shift: u32) -> PixelLayout {
-    PixelLayout { code: *code, format, shift }
+const fn layout(code: &[u8; 4], format: PixelFormat, up_bits: u32) -> PixelLayout {
+    PixelLayout { code: *code, format, up_bits }
 }
 
 /// Every format that is read, the one that is cheapest to decode first.

@@ -211,13 +211,13 @@ fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
     if metadata.flags.contains(Flags::ERROR) || used.is_empty() {
         return None;
     }
-    let PixelLayout { format, shift, .. } = mode.layout;
+    let PixelLayout { format, up_bits, .. } = mode.layout;
     let whole = match format {
         PixelFormat::Jpeg => used.starts_with(&[0xff, 0xd8]),
         PixelFormat::Nv12 => used.len() >= mode.stride * mode.size.height as usize * 3 / 2,
         _ => used.len() >= mode.stride * mode.size.height as usize,
     };
-    let bytes = if shift == 0 { Arc::from(used) } else { shifted_up(used, shift) };
+    let bytes = if up_bits == 0 { Arc::from(used) } else { moved_up(used, up_bits) };
     whole.then_some(Frame {
         sensor: SensorKind::Color,
         size: mode.size,
@@ -228,10 +228,10 @@ fn frame_of(buffer: &[u8], metadata: &Metadata, mode: &Mode) -> Option<Frame> {
 }
 
 /// 16-bit samples that fill only the lower bits, moved up to fill them all.
-fn shifted_up(samples: &[u8], shift: u32) -> Arc<[u8]> {
+fn moved_up(samples: &[u8], up_bits: u32) -> Arc<[u8]> {
     samples
         .chunks_exact(2)
-        .flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << shift).to_le_bytes())
+        .flat_map(|pair| (u16::from_le_bytes([pair[0], pair[1]]) << up_bits).to_le_bytes())
         .collect()
 }
 
@@ -247,6 +247,6 @@ mod tests {
 
     #[test]
     fn samples_of_ten_bits_fill_sixteen() {
-        assert_eq!(&*shifted_up(&[0xff, 0x03, 0x01, 0x00], 6), [0xc0, 0xff, 0x40, 0x00]);
+        assert_eq!(&*moved_up(&[0xff, 0x03, 0x01, 0x00], 6), [0xc0, 0xff, 0x40, 0x00]);
     }
 }

@@ -46,7 +46,7 @@ pub struct OperatedArgs {
     /// The goal is the worst uncertainty in the image
     #[arg(long, requires = "operator")]
     worst: bool,
-    /// How many seeds; lenses (ordinary, wide, fisheye) and boards take turns
+    /// How many seeds; lenses (ordinary, wide, fisheye) and boards alternate
     #[arg(long, value_name = "N", requires = "operator", default_value_t = 9)]
     seeds: u64,
 }
@@ -124,7 +124,7 @@ const NOISE_PX: f64 = 0.5;
 const BLUR_PX: f64 = 0.8;
 
 impl OperatedSession {
-    /// The session of `seed`: three lenses (57°, 100° and 170° across) and three boards take turns,
+    /// The session of `seed`: three lenses (57°, 100° and 170° across) and three boards alternate,
     /// and each lens varies with the seed.
     pub fn of_seed(seed: u64, operator: OperatorName, goal: (f64, bool)) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);

@@ -6,7 +6,7 @@ use crate::geometry::pixel::Pixel;
 
 /// A corner of a target that was seen.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LabelledCorner {
+pub struct LabeledCorner {
     /// Its number, as [`Target::corner_in_board`](crate::geometry::target::Target::corner_in_board)
     /// counts.
     pub id: u32,
@@ -22,7 +22,7 @@ pub struct LabelledCorner {
 #[derive(Debug, Clone, PartialEq)]
 pub struct TargetDetection {
     /// The corners, by rising id.
-    pub corners: Vec<LabelledCorner>,
+    pub corners: Vec<LabeledCorner>,
     /// Some of its corners were not seen.
     pub partial: bool,
     /// What its markers say besides.

@@ -48,7 +48,7 @@ pub struct TargetDetector {
 
 /// What was seen that is no answer.
 #[derive(Default)]
-struct Unlabelled {
+struct Unlabeled {
     candidates: usize,
     lattice: (usize, u32, u32),
     elsewhere: usize,
@@ -110,7 +110,7 @@ impl TargetDetector {
         }
         let coarsest = coarsest_level(image.size(), 1);
         self.pyramid.build(image, coarsest);
-        let mut seen = Unlabelled::default();
+        let mut seen = Unlabeled::default();
         let half =
             usize::from(width.max(height) > self.thresholds.lattice.large_side_px).min(coarsest);
         let order = (0..=coarsest).map(|level| if level <= half { half - level } else { level });
@@ -132,7 +132,7 @@ impl TargetDetector {
         &mut self,
         image: GrayView<'_>,
         level: usize,
-        seen: &mut Unlabelled,
+        seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
         let pyramid = std::mem::take(&mut self.pyramid);
         let label = self.search(pyramid.level(image, level), seen);
@@ -140,8 +140,8 @@ impl TargetDetector {
         label
     }
 
-    /// Grows lattices from the candidates of `view`, until one is labelled; it is left in `grid`.
-    fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabelled) -> Option<BoardLabel> {
+    /// Grows lattices from the candidates of `view`, until one is labeled; it is left in `grid`.
+    fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabeled) -> Option<BoardLabel> {
         self.response.compute(view, 1);
         let probe = Probe { image: view, thresholds: &self.thresholds };
         self.candidates.search(probe, &self.response, usize::from(u16::MAX));
@@ -256,7 +256,7 @@ impl TargetDetector {
             .map_or(labels, |seen| BoardLabels::One(both[seen]))
     }
 
-    /// Searches for those corners of the labelled board that growing did not reach, and forgets
+    /// Searches for those corners of the labeled board that growing did not reach, and forgets
     /// what lies beyond it.
     pub(super) fn complete(&mut self, view: GrayView<'_>, label: BoardLabel) {
         let [across, down] = self.sheets.ways[label.way].lines;
@@ -290,7 +290,7 @@ impl TargetDetector {
         self.neighborhood.fill(&[], view.width(), view.height());
     }
 
-    fn reason(&self, seen: &Unlabelled) -> NoTarget {
+    fn reason(&self, seen: &Unlabeled) -> NoTarget {
         let target = self.target.to_string();
         let (count, cols, rows) = seen.lattice;
         if seen.undecided > 0 {

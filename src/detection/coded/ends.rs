@@ -14,7 +14,7 @@ use crate::detection::thresholds::markers::LabelThresholds;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::imaging::gray::GrayView;
 
-/// A line of outer corners of a labelled board, and what is seen beyond it.
+/// A line of outer corners of a labeled board, and what is seen beyond it.
 #[derive(Debug, Clone, Copy)]
 struct SheetSide {
     /// The way outward, in the grid.

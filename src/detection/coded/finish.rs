@@ -1,12 +1,12 @@
-//! From a labelled lattice on some level to what is answered: on the image itself, refined, with
+//! From a labeled lattice on some level to what is answered: on the image itself, refined, with
 //! what is in doubt left out.
 
 use crate::detection::board_detection::{BoardMarkers, GridIndex};
-use crate::detection::coded::answer::{LabelledCorner, TargetDetection};
+use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
 use crate::detection::coded::lattice::{LatticeScene, expect_curved, settle};
-use crate::detection::coded::print::LabelledPrint;
+use crate::detection::coded::print::LabeledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
 use crate::detection::measure::cross::Vec2;
@@ -135,7 +135,7 @@ impl TargetDetector {
             });
         }
         let corners = self.guesses.iter().map(|it| (it.index.col, it.index.row)).collect();
-        let mut print = LabelledPrint::new(&self.sheets, label, &mut self.grid, corners);
+        let mut print = LabeledPrint::new(&self.sheets, label, &mut self.grid, corners);
         self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
         let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
         stds.sort_unstable_by(f64::total_cmp);
@@ -163,7 +163,7 @@ impl TargetDetector {
     fn detection(&self, label: BoardLabel) -> TargetDetection {
         let sheet = &self.sheets.ways[label.way];
         let mut blurs = Vec::new();
-        let mut corners: Vec<LabelledCorner> = Vec::with_capacity(self.guesses.len());
+        let mut corners: Vec<LabeledCorner> = Vec::with_capacity(self.guesses.len());
         for (guess, refined) in self.guesses.iter().zip(&self.refined) {
             let GridIndex { col: i, row: j } = guess.index;
             if self.grid.get(i, j).is_none() {
@@ -172,7 +172,7 @@ impl TargetDetector {
             let (col, row) = label.placement.in_board(i, j);
             let id = self.target.corner_id(col as u32, row as u32);
             blurs.extend(refined.map(|refined| refined.blur_px));
-            corners.push(LabelledCorner {
+            corners.push(LabeledCorner {
                 id,
                 index: GridIndex { col, row },
                 pixel: refined.map_or(guess.pixel, |refined| refined.pixel),

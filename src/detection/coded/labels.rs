@@ -68,9 +68,9 @@ impl BestLabel {
             );
         }
         self.largest = self.largest.max(std::mem::take(&mut self.contradictions));
-        for turns in 0..4 {
-            for first in firsts(sheet, bounds, turns, beyond) {
-                let placement = BoardPlacement { first, turns, known: true };
+        for quarter_turns in 0..4 {
+            for first in firsts(sheet, bounds, quarter_turns, beyond) {
+                let placement = BoardPlacement { first, quarter_turns, known: true };
                 if !aligned(sheets, placement) || !covers(sheet, grid, placement, limits) {
                     continue;
                 }
@@ -137,15 +137,16 @@ impl BestLabel {
 fn firsts(
     sheet: &Sheet,
     bounds: Bounds,
-    turns: u8,
+    quarter_turns: u8,
     beyond: i32,
 ) -> impl Iterator<Item = (i32, i32)> {
     let [across, down] = sheet.lines;
-    let (width, height) = if turns.is_multiple_of(2) { (across, down) } else { (down, across) };
-    // The grid's index of the least corner of the turned sheet.
+    let (width, height) =
+        if quarter_turns.is_multiple_of(2) { (across, down) } else { (down, across) };
+    // The grid's index of the least corner of the rotated sheet.
     let range =
         move |(least, most): (i32, i32), length: i32| most - length + 1 - beyond..=least + beyond;
-    let (dx, dy) = match turns {
+    let (dx, dy) = match quarter_turns {
         0 => (0, 0),
         1 => (width - 1, 0),
         2 => (width - 1, height - 1),
@@ -191,7 +192,7 @@ fn own_agreement(
     placement: BoardPlacement,
 ) -> Option<f32> {
     let (col, row) = cell_in_sheet(placement, reading.cells[index].at);
-    Some(reading.agreement(index, sheet.marker(col, row)?, placement.turns))
+    Some(reading.agreement(index, sheet.marker(col, row)?, placement.quarter_turns))
 }
 
 fn weigh_one(

@@ -123,7 +123,7 @@ impl LatticeGrowth {
         scene: LatticeScene<'_>,
         grid: &Grid,
         at: (i32, i32),
-        labelled: bool,
+        labeled: bool,
     ) -> Option<Node> {
         let (expected, steps) = self.expect(scene.sheets, grid, at)?;
         let place = Expected {
@@ -131,7 +131,7 @@ impl LatticeGrowth {
             steps,
             polarity: grid.polarity(at.0, at.1),
             contrast: contrast_near(grid, at.0, at.1),
-            labelled,
+            labeled,
         };
         place.detect(scene).or_else(|| {
             let curved = expect_curved(scene.sheets, grid, at)?;
@@ -149,8 +149,8 @@ struct Expected {
     polarity: f32,
     /// Of the crossings next to it.
     contrast: f32,
-    /// It is a place of a board that is labelled.
-    labelled: bool,
+    /// It is a place of a board that is labeled.
+    labeled: bool,
 }
 
 impl Expected {
@@ -159,7 +159,7 @@ impl Expected {
         let narrow = scene.sheets.widths[0].min(scene.sheets.widths[1]);
         let cell = self.steps.map(|step| step * narrow);
         let limits = scene.thresholds;
-        let (least_score, least_contrast) = if self.labelled {
+        let (least_score, least_contrast) = if self.labeled {
             (limits.least_known_score, limits.least_known_contrast)
         } else {
             (limits.least_score, limits.least_contrast)
@@ -174,7 +174,7 @@ impl Expected {
         let nearest = self.candidate(scene, cell);
         let places = [nearest.map(|index| scene.candidates[index].pixel), Some(self.pixel)];
         let reaches = [limits.most_reach_px, limits.close_reach_px];
-        let reaches = &reaches[..if self.labelled { 2 } else { 1 }];
+        let reaches = &reaches[..if self.labeled { 2 } else { 1 }];
         reaches.iter().find_map(|&most_px| {
             places.iter().flatten().find_map(|&place| {
                 settle(scene, place, self.steps, (least_score, most_px)).filter(is_it)
@@ -187,9 +187,9 @@ impl Expected {
     fn candidate(&self, scene: LatticeScene<'_>, cell: [Vec2; 2]) -> Option<usize> {
         let way = self.steps.map(|step| step / step.norm().max(1e-3));
         let edges = if self.polarity > 0.0 { way } else { [way[1], way[0]] };
-        let turn = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+        let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
         let alike = |candidate: &Candidate| {
-            (0..2).all(|k| turn(candidate.edges[k], edges[k]) < scene.thresholds.most_rotation)
+            (0..2).all(|k| sine(candidate.edges[k], edges[k]) < scene.thresholds.most_rotation)
         };
         let reach = (scene.thresholds.most_off * cell[0].norm().max(cell[1].norm())).max(1.5);
         scene.neighborhood.nearest(scene.candidates, self.pixel, reach, alike)

@@ -13,7 +13,7 @@
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | print | `print` | what the markers add to the image near each crossing, for the refinement |
-//! | detector | `detector`, `finish` | levels, completion by the labelled board, refinement |
+//! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
 //!
 //! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
 //! the target and no other, and none that is clearly read says otherwise.

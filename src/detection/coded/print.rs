@@ -1,4 +1,4 @@
-//! The print of a labelled board, as the refinement of its corners wants it.
+//! The print of a labeled board, as the refinement of its corners wants it.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -11,7 +11,7 @@ use crate::detection::refine::print::BoardPrint;
 use crate::geometry::pixel::Pixel;
 
 /// A board whose label is known.
-pub(super) struct LabelledPrint<'a> {
+pub(super) struct LabeledPrint<'a> {
     sheets: &'a Sheets,
     sheet: &'a Sheet,
     label: BoardLabel,
@@ -23,7 +23,7 @@ pub(super) struct LabelledPrint<'a> {
     charts: Vec<Option<Matrix3<f64>>>,
 }
 
-impl<'a> LabelledPrint<'a> {
+impl<'a> LabeledPrint<'a> {
     /// The print of the board that lies in `grid` as `label` says; `corners`: the grid's indices.
     pub(super) fn new(
         sheets: &'a Sheets,
@@ -53,8 +53,8 @@ impl<'a> LabelledPrint<'a> {
             let n = self.sheets.bits;
             let bit =
                 |part: f64| (((part - inset) / (1.0 - 2.0 * inset) * n as f64) as usize).min(n - 1);
-            let turn = usize::from(self.label.placement.turns);
-            let code = (marker as usize * 4 + turn) * n * n;
+            let quarter = usize::from(self.label.placement.quarter_turns);
+            let code = (marker as usize * 4 + quarter) * n * n;
             let white = self.sheets.codes[code + bit(down) * n + bit(across)] > 0.0;
             white != self.label.inverted
         } else if inside(across, margin) && inside(down, margin) {
@@ -75,7 +75,7 @@ impl<'a> LabelledPrint<'a> {
     }
 }
 
-impl BoardPrint for LabelledPrint<'_> {
+impl BoardPrint for LabeledPrint<'_> {
     fn place(&mut self, corners: &[Option<Pixel>]) {
         for (&(i, j), corner) in self.corners.iter().zip(corners) {
             if let (Some(node), Some(corner)) = (self.grid.get(i, j), corner) {

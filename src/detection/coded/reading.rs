@@ -112,13 +112,13 @@ impl MarkerReading {
         );
     }
 
-    /// How well the `cell`-th cell agrees with `marker` turned by so many quarters, −1 to 1.
-    pub(super) fn agreement(&self, cell: usize, marker: u32, turns: u8) -> f32 {
-        let slot = (cell * self.markers + marker as usize) * 4 + usize::from(turns);
+    /// How well the `cell`-th cell agrees with `marker` rotated by so many quarter turns, −1 to 1.
+    pub(super) fn agreement(&self, cell: usize, marker: u32, quarter_turns: u8) -> f32 {
+        let slot = (cell * self.markers + marker as usize) * 4 + usize::from(quarter_turns);
         self.agreement.get(slot).copied().unwrap_or(0.0)
     }
 
-    /// The best agreement of the `cell`-th cell with any marker in any turn.
+    /// The best agreement of the `cell`-th cell with any marker in any rotation.
     pub(super) fn best(&self, cell: usize) -> f32 {
         let all = cell * self.markers * 4..(cell + 1) * self.markers * 4;
         self.agreement.get(all).unwrap_or_default().iter().copied().fold(-1.0, f32::max)

@@ -144,16 +144,16 @@ impl Sheets {
 }
 
 /// The vectors of `count` markers from `first` on, each as it appears in the grid's axes if the
-/// sheet is turned by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
+/// sheet is rotated by 0 to 3 quarters from +x to +y; `printed`: quarters by which they are printed.
 fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) -> Vec<f32> {
     let n = dictionary.bits();
     let mut codes = Vec::with_capacity(count * 4 * n * n);
     for marker in 0..count {
-        for turn in 0..4 {
+        for quarter in 0..4 {
             let start = codes.len();
             for row in 0..n {
                 for col in 0..n {
-                    let (r, c) = match (turn + printed) % 4 {
+                    let (r, c) = match (quarter + printed) % 4 {
                         0 => (row, col),
                         1 => (n - 1 - col, row),
                         2 => (n - 1 - row, n - 1 - col),

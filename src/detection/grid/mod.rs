@@ -1,6 +1,6 @@
 //! Corners by their index in a regular grid, and the prediction of the next one.
 //!
-//! The grid's axes i and j turn from +x to +y like the image's. Square (i, j) lies between the
+//! The grid's axes i and j run from +x to +y like the image's. Square (i, j) lies between the
 //! corners (i, j) and (i + 1, j + 1); squares with i + j even are all bright or all dark.
 
 pub(in crate::detection) mod curved_board;

@@ -101,7 +101,7 @@ impl Prediction {
         })
     }
 
-    /// Whether the four squares about the measured corner `node` are bright and dark by turns.
+    /// Whether the four squares about the measured corner `node` are bright and dark alternately.
     fn alternates(&self, probe: Probe<'_>, node: &Node, reach: f32, contrast: f32) -> bool {
         let thresholds = &probe.thresholds.measure;
         let window = window(node.pixel, self.steps, [0.8 * reach, f32::MAX], thresholds);
@@ -178,7 +178,7 @@ pub(in crate::detection) fn sharpen_all(
     }
 }
 
-/// The corner of `node` where the image shows it, in windows of `reaches` in turn. `None` if the
+/// The corner of `node` where the image shows it, in windows of `reaches`, one after the other. `None` if the
 /// first shows none.
 fn sharpen(probe: Probe<'_>, node: &Node, steps: [Vec2; 2], reaches: &[f32]) -> Option<Node> {
     let thresholds = &probe.thresholds.measure;

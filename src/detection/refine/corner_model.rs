@@ -12,7 +12,7 @@
 pub(super) const UNKNOWNS: usize = 9;
 /// The first of the two unknowns that move the corner. They are the last ones, so that the block
 /// that remains after eliminating all others is the corner's own.
-pub(super) const SHIFT: usize = UNKNOWNS - 2;
+pub(super) const OFFSETS: usize = UNKNOWNS - 2;
 
 /// 1/σ of an edge that only a pixel's own width blurs, with a margin for sharpening cameras. An
 /// edge midway between two rows of pixels shows no width at all: without a limit it would be taken
@@ -42,7 +42,7 @@ pub(super) struct CornerModel {
 }
 
 impl CornerModel {
-    /// The normals of the edges: `along` turned by +90° (x towards y).
+    /// The normals of the edges: `along` rotated by +90° (x towards y).
     pub fn normals(&self) -> [[f64; 2]; 2] {
         self.along.map(|[x, y]| [-y, x])
     }
@@ -61,11 +61,14 @@ impl CornerModel {
         })
     }
 
-    /// The displacement of `center` that shifts the two edges by `shift` along their normals.
-    pub fn center_move(&self, shift: [f64; 2]) -> [f64; 2] {
+    /// The displacement of `center` that moves the two edges by `offsets` along their normals.
+    pub fn center_move(&self, offsets: [f64; 2]) -> [f64; 2] {
         let [a, b] = self.normals();
         let det = a[0] * b[1] - a[1] * b[0];
-        [(shift[0] * b[1] - shift[1] * a[1]) / det, (a[0] * shift[1] - b[0] * shift[0]) / det]
+        [
+            (offsets[0] * b[1] - offsets[1] * a[1]) / det,
+            (a[0] * offsets[1] - b[0] * offsets[0]) / det,
+        ]
     }
 
     /// The model after a step in the unknowns: rotation of each edge (radians), sharpness of each
@@ -74,11 +77,11 @@ impl CornerModel {
     pub fn moved_by(&self, step: &[f64; UNKNOWNS]) -> Self {
         let mut moved = *self;
         for edge in 0..2 {
-            let turn = step[edge].clamp(-0.25, 0.25);
+            let angle = step[edge].clamp(-0.25, 0.25);
             let [x, y] = self.along[edge];
-            let turned = [x - turn * y, y + turn * x];
-            let unit = 1.0 / length(turned);
-            moved.along[edge] = turned.map(|v| v * unit);
+            let rotated = [x - angle * y, y + angle * x];
+            let unit = 1.0 / length(rotated);
+            moved.along[edge] = rotated.map(|v| v * unit);
             let sharpness = self.sharpness[edge];
             let kept = (sharpness + step[2 + edge]).clamp(0.6 * sharpness, 1.7 * sharpness);
             moved.sharpness[edge] = kept.min(SHARPEST);
@@ -87,7 +90,7 @@ impl CornerModel {
         moved.amplitude += step[5];
         moved.gamma_term += step[6];
         let reach = 0.5 + 1.0 / self.sharpness[0].min(self.sharpness[1]);
-        let [dx, dy] = self.center_move([step[SHIFT], step[SHIFT + 1]]);
+        let [dx, dy] = self.center_move([step[OFFSETS], step[OFFSETS + 1]]);
         let short = (reach / length([dx, dy]).max(1e-12)).min(1.0);
         moved.center = [self.center[0] + short * dx, self.center[1] + short * dy];
         moved

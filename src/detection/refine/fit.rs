@@ -98,7 +98,7 @@ pub(super) fn fit(
     None
 }
 
-/// The covariance of the shifts of the edges (xx, xy, yy), as moves of the corner.
+/// The covariance of the offsets of the edges (xx, xy, yy), as moves of the corner.
 fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
     let moves =

@@ -4,7 +4,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use crate::detection::refine::corner_model::{CornerModel, SHIFT};
+use crate::detection::refine::corner_model::{CornerModel, OFFSETS};
 use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
 use crate::detection::refine::samples::Samples;
 
@@ -56,8 +56,10 @@ impl Halves<'_> {
     fn sums<S: Simd>(&self, simd: S, edge: usize) -> [f64; 4] {
         let Self { samples, model, reach, columns } = self;
         let [xs, ys, ..] = samples.vectors::<S>();
-        let (residuals, shifts) =
-            (columns.column::<S>(RESIDUAL, xs.len()), columns.column::<S>(SHIFT + edge, xs.len()));
+        let (residuals, offsets) = (
+            columns.column::<S>(RESIDUAL, xs.len()),
+            columns.column::<S>(OFFSETS + edge, xs.len()),
+        );
         let [ax, ay] = model.along[edge];
         let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
         let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
@@ -66,12 +68,12 @@ impl Halves<'_> {
             simd.splat_f32s(((reach[edge] + 0.7 / model.sharpness[1 - edge]) / 2.0) as f32);
         let zero = simd.splat_f32s(0.0);
         let mut sums = [zero; 4];
-        for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
+        for i in 0..xs.len().min(offsets.len()).min(residuals.len()) {
             let s = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
             let near =
-                simd.select_f32s(simd.less_than_f32s(simd.abs_f32s(s), middle), shifts[i], zero);
-            sums[0] = simd.mul_add_f32s(shifts[i], shifts[i], sums[0]);
-            sums[1] = simd.mul_add_f32s(shifts[i], residuals[i], sums[1]);
+                simd.select_f32s(simd.less_than_f32s(simd.abs_f32s(s), middle), offsets[i], zero);
+            sums[0] = simd.mul_add_f32s(offsets[i], offsets[i], sums[0]);
+            sums[1] = simd.mul_add_f32s(offsets[i], residuals[i], sums[1]);
             sums[2] = simd.mul_add_f32s(near, near, sums[2]);
             sums[3] = simd.mul_add_f32s(near, residuals[i], sums[3]);
         }

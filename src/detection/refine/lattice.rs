@@ -21,7 +21,7 @@ pub(super) struct Known {
 /// The board's prior for one corner.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Surroundings {
-    /// Curvature of each edge, towards its normal (the edge's direction turned by +90°), in 1/px.
+    /// Curvature of each edge, towards its normal (the edge's direction rotated by +90°), in 1/px.
     pub curvature: [f64; 2],
     /// Relative change of light per pixel.
     pub light_gradient: [f64; 2],

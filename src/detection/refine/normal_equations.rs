@@ -222,10 +222,10 @@ fn derivatives<S: Simd, const WITH_FLAT: bool>(
             mul(simd.negate_mul_add_f32s(simd.add_f32s(gamma_term, gamma_term), t, amplitude), lit);
         for k in 0..2 {
             let by_u = mul(by_t, slope[k]);
-            let by_shift = mul(by_u, less_sharpness[k]);
-            out[k][i] = mul(by_shift, s[k]);
+            let by_offset = mul(by_u, less_sharpness[k]);
+            out[k][i] = mul(by_offset, s[k]);
             out[2 + k][i] = mul(by_u, d[k]);
-            out[7 + k][i] = by_shift;
+            out[7 + k][i] = by_offset;
         }
         out[4][i] = lit;
         out[5][i] = mul(lit, t);

@@ -3,7 +3,7 @@
 use pulp::Scalar;
 
 use super::*;
-use crate::detection::refine::corner_model::SHIFT;
+use crate::detection::refine::corner_model::OFFSETS;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayImage;
 
@@ -83,7 +83,7 @@ fn each_column_is_the_derivative_of_the_model() {
         let model = model(angle, crossing);
         let columns = columns_at(&samples, &model);
         for unknown in 0..UNKNOWNS {
-            let step = if (4..SHIFT).contains(&unknown) { 1.0 } else { 0.02 };
+            let step = if (4..OFFSETS).contains(&unknown) { 1.0 } else { 0.02 };
             let residual = |size: f64| {
                 let mut change = [0.0; UNKNOWNS];
                 change[unknown] = size;

@@ -9,7 +9,7 @@
 
 use pulp::{Simd, WithSimd};
 
-use crate::detection::refine::corner_model::{CornerModel, SHIFT};
+use crate::detection::refine::corner_model::{CornerModel, OFFSETS};
 use crate::detection::refine::fit::CornerFit;
 use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
 use crate::detection::refine::samples::Samples;
@@ -38,18 +38,18 @@ pub(super) fn own_curvatures(
     [0, 1].map(|edge| {
         let [s0, s1, s2, s3, s4] = sums[edge].information;
         let [r0, r1, r2] = sums[edge].scores;
-        // What a shift and a turn explain of t².
+        // What a translation and a rotation of the edge explain of t².
         let det = s0 * s2 - s1 * s1;
-        let (shift, turn) = ((s2 * s2 - s1 * s3) / det, (s0 * s3 - s1 * s2) / det);
-        let information = s4 - shift * s2 - turn * s3;
-        let score = r2 - shift * r0 - turn * r1;
+        let (offset, slope) = ((s2 * s2 - s1 * s3) / det, (s0 * s3 - s1 * s2) / det);
+        let information = s4 - offset * s2 - slope * s3;
+        let score = r2 - offset * r0 - slope * r1;
         let excess = 2.0 * score / information / bin;
         let variance = 4.0 * fit.mean_square / information / (bin * bin);
         // Blur moves a curved edge, too: CornerModel::pull_of_blur.
         let blur = 1.0 / (model.sharpness[1 - edge] * model.sharpness[1 - edge]);
-        let mut shifts = [0.0; 2];
-        shifts[edge] = -0.5 * (shift + blur);
-        let move_px2 = model.center_move(shifts).map(|v| v * bin * bin);
+        let mut offsets = [0.0; 2];
+        offsets[edge] = -0.5 * (offset + blur);
+        let move_px2 = model.center_move(offsets).map(|v| v * bin * bin);
         let known = variance > 0.0 && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
         known.then_some(OwnCurvature { excess, variance, move_px2 })
     })
@@ -87,19 +87,19 @@ impl AlongEdges<'_> {
         let [xs, ys, ..] = samples.vectors::<S>();
         let residuals = columns.column::<S>(RESIDUAL, xs.len());
         let zero = simd.splat_f32s(0.0);
-        let shifts = columns.column::<S>(SHIFT + edge, xs.len());
+        let offsets = columns.column::<S>(OFFSETS + edge, xs.len());
         let [ax, ay] = model.along[edge];
         let offset = simd.splat_f32s((-ax * model.center[0] - ay * model.center[1]) as f32);
         let (ax, ay) = (simd.splat_f32s(ax as f32), simd.splat_f32s(ay as f32));
         let (mut information, mut scores) = ([zero; 5], [zero; 3]);
-        for i in 0..xs.len().min(shifts.len()).min(residuals.len()) {
+        for i in 0..xs.len().min(offsets.len()).min(residuals.len()) {
             let t = simd.mul_add_f32s(ax, xs[i], simd.mul_add_f32s(ay, ys[i], offset));
-            let mut square = simd.mul_f32s(shifts[i], shifts[i]);
+            let mut square = simd.mul_f32s(offsets[i], offsets[i]);
             for sum in &mut information {
                 *sum = simd.add_f32s(*sum, square);
                 square = simd.mul_f32s(square, t);
             }
-            let mut score = simd.mul_f32s(shifts[i], residuals[i]);
+            let mut score = simd.mul_f32s(offsets[i], residuals[i]);
             for sum in &mut scores {
                 *sum = simd.add_f32s(*sum, score);
                 score = simd.mul_f32s(score, t);

@@ -31,7 +31,7 @@ pub trait BoardPrint {
 const DISTURBS: f64 = 5.0;
 /// Standard deviations of the blur beyond which nothing of an edge is rendered.
 const KERNEL_REACH: f64 = 3.0;
-/// Points per sample and axis at which the print is read: fewer where blur covers the difference.
+/// Points per sample and axis at which the print is read: fewer where blur hides the difference.
 const POINTS: [usize; 2] = [2, 3];
 const COVERED: f64 = 1.2;
 /// Largest half width of a rendered patch, in samples: twice that of the window of a second fit.

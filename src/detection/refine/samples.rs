@@ -389,12 +389,12 @@ mod tests {
         let image = image();
         let mut samples = Samples::default();
         for (case, bin) in (0..240).zip([1, 2, 4].into_iter().cycle()) {
-            let turn = 0.0371 * f64::from(case);
-            let across = turn + 1.2 + 0.003 * f64::from(case);
+            let angle = 0.0371 * f64::from(case);
+            let across = angle + 1.2 + 0.003 * f64::from(case);
             let window = Window {
                 origin: [2.3 + 0.36 * f64::from(case), 67.8 - 0.27 * f64::from(case)],
                 axes: [
-                    [21.0 * turn.cos(), 21.0 * turn.sin()],
+                    [21.0 * angle.cos(), 21.0 * angle.sin()],
                     [17.0 * across.cos(), 17.0 * across.sin()],
                 ],
                 extent: [0.713, 0.629],

@@ -1,7 +1,7 @@
 //! Light that changes over one corner's window: a highlight, the edge of a shadow.
 //!
-//! A highlight adds light to black and white alike, and its slope is taken for a shift of the
-//! edges: of the products of distances to the two edges, a shift of one edge is even in its own
+//! A highlight adds light to black and white alike, and its slope is taken for an offset of the
+//! edges: of the products of distances to the two edges, an offset of one edge is even in its own
 //! distance and odd in the other's, and so is a slope. The board's polynomial over all corners
 //! cannot follow it. Where a corner fits worse than the others, a polynomial of third order over
 //! its own window is fitted to what the model leaves and taken off, and the model is fitted again,

@@ -21,7 +21,7 @@ pub(in crate::detection) struct Candidate {
     /// Where, in pixels of the level.
     pub pixel: Vec2,
     /// Unit vectors along the two edges, in an order such that the bright wedges are those from the
-    /// first to the second and opposite, turning from +x to +y.
+    /// first to the second and opposite, from +x to +y.
     pub edges: [Vec2; 2],
     /// Bright wedges less dark wedges, in gray levels.
     pub contrast: f32,

@@ -117,7 +117,7 @@ macro_rules! of_eight {
 #[expect(clippy::neg_multiply, reason = "one macro for both halves of the ring")]
 fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
     let n = out.len();
-    macro_rules! shifted {
+    macro_rules! sample {
         ($dx:expr, $dy:expr) => {{
             let start = (REACH as i32 + $dx) as usize;
             &rows[(REACH as i32 + $dy) as usize][start..start + n]
@@ -127,20 +127,20 @@ fn respond_row(rows: &[&[u8]; 2 * REACH + 1], out: &mut [u8]) {
         ($sign:expr) => {{
             let at: [(i32, i32); 8] = HALF_RING;
             [
-                shifted!($sign * at[0].0, $sign * at[0].1),
-                shifted!($sign * at[1].0, $sign * at[1].1),
-                shifted!($sign * at[2].0, $sign * at[2].1),
-                shifted!($sign * at[3].0, $sign * at[3].1),
-                shifted!($sign * at[4].0, $sign * at[4].1),
-                shifted!($sign * at[5].0, $sign * at[5].1),
-                shifted!($sign * at[6].0, $sign * at[6].1),
-                shifted!($sign * at[7].0, $sign * at[7].1),
+                sample!($sign * at[0].0, $sign * at[0].1),
+                sample!($sign * at[1].0, $sign * at[1].1),
+                sample!($sign * at[2].0, $sign * at[2].1),
+                sample!($sign * at[3].0, $sign * at[3].1),
+                sample!($sign * at[4].0, $sign * at[4].1),
+                sample!($sign * at[5].0, $sign * at[5].1),
+                sample!($sign * at[6].0, $sign * at[6].1),
+                sample!($sign * at[7].0, $sign * at[7].1),
             ]
         }};
     }
     let near: [&[u8]; 8] = half_ring!(1);
     let far: [&[u8]; 8] = half_ring!(-1);
-    let middle = [shifted!(1, 0), shifted!(-1, 0), shifted!(0, 1), shifted!(0, -1)];
+    let middle = [sample!(1, 0), sample!(-1, 0), sample!(0, 1), sample!(0, -1)];
     for i in 0..n {
         macro_rules! pairs {
             ($f:path) => {

@@ -229,7 +229,7 @@ fn direction(candidate: &Candidate, quarter: usize) -> Vec2 {
 }
 
 /// The way along the edge that two neighbors share: the mean of what each sees of it. Motion blur
-/// turns the edges of a corner by some degrees, and those of its neighbors, whose colors are
+/// rotates the edges of a corner by some degrees, and those of its neighbors, whose colors are
 /// exchanged, by as much the other way.
 fn common_direction(origin: &Candidate, other: &Candidate, quarter: usize) -> Vec2 {
     let own = direction(origin, quarter);
@@ -278,7 +278,7 @@ mod tests {
             let [p, i, j, both] = seed.corners.map(|k| candidates[k].pixel);
             assert!((i + j - p - both).norm() < 1e-4);
             let (u, v) = (i - p, j - p);
-            assert!(u.x * v.y - u.y * v.x > 0.0, "axes turn from +x to +y");
+            assert!(u.x * v.y - u.y * v.x > 0.0, "axes run from +x to +y");
             assert!(u.norm() < 22.0 && v.norm() < 22.0);
         }
     }

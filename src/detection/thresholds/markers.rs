@@ -23,13 +23,13 @@ thresholds! {
         least_side_px: usize = 24, "px", ThresholdOrigin::Derived("six crossings of 3.5 px each way");
         /// Least correlation with a crossing.
         least_score: f32 = 0.55, "correlation", ThresholdOrigin::Swept;
-        /// The same at a place of a labelled board.
+        /// The same at a place of a labeled board.
         least_known_score: f32 = 0.5, "correlation", ThresholdOrigin::Swept;
         /// Least correlation at a predicted position, before it is moved.
         least_first_score: f32 = 0.3, "correlation", ThresholdOrigin::Swept;
         /// Least contrast.
         least_contrast: f32 = 0.35, "share of the neighbors'", ThresholdOrigin::Swept;
-        /// The same at a place of a labelled board, which may lie in a highlight.
+        /// The same at a place of a labeled board, which may lie in a highlight.
         least_known_contrast: f32 = 0.2, "share of the neighbors'", ThresholdOrigin::Swept;
         /// Least alternation of the four squares.
         least_alternation: f32 = 0.25, "share of the contrast", ThresholdOrigin::Swept;
@@ -55,7 +55,7 @@ thresholds! {
     LabelThresholds {
         /// Difference between a payload's black and white from which on it counts in full.
         least_payload_contrast: f32 = 0.12, "share of the crossings' contrast", ThresholdOrigin::Swept;
-        /// Least sum of agreements of a labelling.
+        /// Least sum of agreements of a labeling.
         least_significance: f32 = 6.7, "standard deviations of chance", ThresholdOrigin::Derived("10⁻¹¹ of a normal distribution lies beyond");
         /// The same of cells that all agree by `clear_agreement` or more.
         least_clear_significance: f32 = 4.6, "standard deviations of chance", ThresholdOrigin::Swept;

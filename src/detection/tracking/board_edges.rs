@@ -1,5 +1,5 @@
-//! The edges between the corners of a whole board: bright on one side and dark on the other, by
-//! turns.
+//! The edges between the corners of a whole board: bright on one side and dark on the other,
+//! alternately.
 
 use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;

@@ -163,7 +163,7 @@ impl Tracker {
     }
 }
 
-/// Whether the four squares about `place` may be bright and dark by turns.
+/// Whether the four squares about `place` may be bright and dark alternately.
 fn may_be_corner(probe: Probe<'_>, place: &Prediction) -> bool {
     let ([u, v], thresholds) = (place.steps, &probe.thresholds.tracking);
     let (a, b) = (u * thresholds.beyond, v * thresholds.beyond);

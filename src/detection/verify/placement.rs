@@ -1,6 +1,6 @@
 //! Where in the board a grid lies, and which way round: the canonical order of corners.
 //!
-//! Columns and rows of the board turn from +x to +y like the grid's i and j, because a camera sees
+//! Columns and rows of the board run from +x to +y like the grid's i and j, because a camera sees
 //! the board's front; so the grid lies in the board by one of four quarter turns and an offset. The
 //! polarity of squares, the visible ends and the number of corners leave one of these, or show that
 //! it is not determined.
@@ -18,7 +18,7 @@ pub(in crate::detection) struct BoardPlacement {
     /// The grid's (i, j) of the board's first corner.
     pub first: (i32, i32),
     /// Quarter turns from i to the direction of columns, in the sense from i to j.
-    pub turns: u8,
+    pub quarter_turns: u8,
     /// Whether no other position in the board is possible.
     pub known: bool,
 }
@@ -27,7 +27,7 @@ impl BoardPlacement {
     /// The grid's index of the board's corner (`col`, `row`).
     pub(in crate::detection) fn in_grid(&self, col: i32, row: i32) -> (i32, i32) {
         let (i, j) = self.first;
-        match self.turns {
+        match self.quarter_turns {
             0 => (i + col, j + row),
             1 => (i - row, j + col),
             2 => (i - col, j - row),
@@ -38,7 +38,7 @@ impl BoardPlacement {
     /// The board's (col, row) of the grid's corner (i, j).
     pub(in crate::detection) fn in_board(&self, i: i32, j: i32) -> (i32, i32) {
         let (di, dj) = (i - self.first.0, j - self.first.1);
-        match self.turns {
+        match self.quarter_turns {
             0 => (di, dj),
             1 => (dj, -di),
             2 => (-di, -dj),
@@ -77,8 +77,8 @@ pub(in crate::detection) fn place(
         }
     }
     let frame = chosen?;
-    let (first, turns) = first_corner(grid, frame, board)?;
-    Some(BoardPlacement { first, turns, known: frames == 1 })
+    let (first, quarter_turns) = first_corner(grid, frame, board)?;
+    Some(BoardPlacement { first, quarter_turns, known: frames == 1 })
 }
 
 /// Range of starts of a board of `length` corners that covers `least` to `most` and ends where it
@@ -105,20 +105,26 @@ fn first_corner(grid: &Grid, frame: Rectangle, board: BoardSize) -> Option<((i32
         (i + width - 1, j + height - 1),
         (i - 1, j + height - 1),
     ];
-    // At corner 0 columns run along +i without a turn, at corner 1 with one quarter turn, and so
+    // At corner 0 columns run along +i without a rotation, at corner 1 with one quarter turn, and so
     // on.
     let upright = (board.cols as i32, board.rows as i32) == (width, height);
-    let fits = |turns: usize| board.cols == board.rows || turns.is_multiple_of(2) == upright;
-    let choices = (0..4).filter(|&turns| fits(turns));
+    let fits = |quarter_turns: usize| {
+        board.cols == board.rows || quarter_turns.is_multiple_of(2) == upright
+    };
+    let choices = (0..4).filter(|&quarter_turns| fits(quarter_turns));
     if !board.orientation_ambiguous() {
-        let dark =
-            |&turns: &usize| grid.polarity(outer_squares[turns].0, outer_squares[turns].1) < 0.0;
-        return choices.filter(dark).map(|turns| (corners[turns], turns as u8)).next();
+        let dark = |&quarter_turns: &usize| {
+            grid.polarity(outer_squares[quarter_turns].0, outer_squares[quarter_turns].1) < 0.0
+        };
+        return choices
+            .filter(dark)
+            .map(|quarter_turns| (corners[quarter_turns], quarter_turns as u8))
+            .next();
     }
-    let distance = |turns: usize| {
-        let p = estimate(grid, corners[turns].0, corners[turns].1)
+    let distance = |quarter_turns: usize| {
+        let p = estimate(grid, corners[quarter_turns].0, corners[quarter_turns].1)
             .map_or(f32::MAX, |p| p.norm_squared());
-        (p, turns)
+        (p, quarter_turns)
     };
     let best = choices.map(distance).min_by(|a, b| a.0.total_cmp(&b.0))?;
     Some((corners[best.1], best.1 as u8))
@@ -140,12 +146,12 @@ mod tests {
     use super::*;
     use crate::detection::grid::Node;
 
-    /// A grid of `width` × `height` corners turned by `turns` quarter turns in the image, square
+    /// A grid of `width` × `height` corners rotated by `quarter_turns` quarter turns in the image, square
     /// (0, 0) bright or not.
-    fn grid(width: i32, height: i32, turns: i32, bright: bool) -> Grid {
+    fn grid(width: i32, height: i32, quarter_turns: i32, bright: bool) -> Grid {
         let mut grid = Grid::default();
         grid.clear(20, bright);
-        let (c, s) = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)][turns as usize];
+        let (c, s) = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)][quarter_turns as usize];
         for (i, j) in (0..height).flat_map(|j| (0..width).map(move |i| (i, j))) {
             let (x, y) = (20.0 * i as f32, 20.0 * j as f32);
             let pixel = Vec2::new(300.0 + c * x - s * y, 300.0 + s * x + c * y);
@@ -184,8 +190,8 @@ mod tests {
     #[test]
     fn an_ambiguous_board_starts_nearest_the_top_left() {
         for (board, width, height) in [("7x5", 7, 5), ("7x5", 5, 7), ("4x4", 4, 4)] {
-            for turns in 0..4 {
-                let grid = grid(width, height, turns, true);
+            for quarter_turns in 0..4 {
+                let grid = grid(width, height, quarter_turns, true);
                 let placement = placed(&grid, [false; 4], board).expect("it fits");
                 let first = grid.pixel(placement.first.0, placement.first.1).expect("a corner");
                 let size: BoardSize = board.parse().expect("a size");

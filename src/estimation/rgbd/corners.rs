@@ -8,7 +8,7 @@ use crate::estimation::joint::normal::{NormalEquations, Step, chain};
 use crate::estimation::joint::{BoardObservation, Layout, State, moved};
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
 use crate::estimation::rgbd::pose_jitter::{PoseDifference, PoseJitter, eliminate, pose_part};
-use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, shifted};
+use crate::estimation::rgbd::problem::{DepthLens, RgbdProblem, free, with_origin_at};
 use crate::estimation::robust::Loss;
 use crate::geometry::median::median;
 use crate::geometry::pose::Pose;
@@ -98,7 +98,7 @@ impl CornerBlocks {
             rig_from_board: problem
                 .views
                 .iter()
-                .map(|view| shifted(&view.color_from_board, &center))
+                .map(|view| with_origin_at(&view.color_from_board, &center))
                 .collect(),
             warp: [0.0; 2],
         };
@@ -145,7 +145,7 @@ impl CornerBlocks {
 
     /// Where each board had moved to, in its own frame, when depth was taken.
     pub(super) fn board_from_later(&self) -> Vec<Pose> {
-        let uncentered = |rig_from_board: &Pose| shifted(rig_from_board, &-self.center);
+        let uncentered = |rig_from_board: &Pose| with_origin_at(rig_from_board, &-self.center);
         let each = self.state.rig_from_board.iter().zip(&self.depth_state.rig_from_board);
         each.map(|(board, later)| uncentered(board).inverse() * uncentered(later)).collect()
     }

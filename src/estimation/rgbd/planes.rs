@@ -13,7 +13,9 @@ use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
 use crate::estimation::joint::{Layout, SensorLayout, State};
 use crate::estimation::rgbd::corners::CornerBlocks;
-use crate::estimation::rgbd::problem::{DepthLens, RgbdEstimate, RgbdProblem, free, shifted};
+use crate::estimation::rgbd::problem::{
+    DepthLens, RgbdEstimate, RgbdProblem, free, with_origin_at,
+};
 use crate::geometry::depth_camera::{DepthCamera, DepthTile};
 use crate::geometry::depth_correction::DepthCorrection;
 use crate::geometry::lens::Lens;
@@ -357,7 +359,8 @@ impl<'a> Planes<'a> {
         let depth_from_color = fit.state.sensor_from_rig[1];
         let by_step = inverse_step(&depth_from_color);
         let correction = (fit.correction.terms > 0).then(|| fit.correction.clone());
-        let uncentered = |color_from_board: &Pose| shifted(color_from_board, &-corners.center);
+        let uncentered =
+            |color_from_board: &Pose| with_origin_at(color_from_board, &-corners.center);
         Ok(RgbdEstimate {
             color: fit.state.lenses[0],
             color_covariance: corners.lens_covariance(0),

@@ -137,7 +137,7 @@ pub(super) fn free(lens: &Lens, end: usize) -> FreeLens {
 }
 
 /// The pose of a board whose points are counted from `center`.
-pub(super) fn shifted(camera_from_board: &Pose, center: &Vector3<f64>) -> Pose {
+pub(super) fn with_origin_at(camera_from_board: &Pose, center: &Vector3<f64>) -> Pose {
     Pose::new(
         camera_from_board.rotation(),
         camera_from_board.translation() + *camera_from_board * *center,

@@ -25,7 +25,7 @@ struct OnSpheres {
     /// d₁, d₂.
     distances: [f64; 2],
     /// Z₁.
-    shifted: f64,
+    second_z: f64,
     denominator: f64,
 }
 
@@ -36,12 +36,12 @@ impl DoubleSphere {
         if !(first.is_finite() && first > 0.0 && point.z > -self.behind * first) {
             return None;
         }
-        let shifted = self.xi * first + point.z;
-        let second = (across2 + shifted * shifted).sqrt();
-        let denominator = self.alpha * second + (1.0 - self.alpha) * shifted;
+        let second_z = self.xi * first + point.z;
+        let second = (across2 + second_z * second_z).sqrt();
+        let denominator = self.alpha * second + (1.0 - self.alpha) * second_z;
         (denominator > 0.0).then_some(OnSpheres {
             distances: [first, second],
-            shifted,
+            second_z,
             denominator,
         })
     }
@@ -92,13 +92,13 @@ impl DistortionModel<2> for DoubleSphere {
         let axis = Point3::new(0.0, 0.0, 1.0);
         let Point3 { coords } = if inside { point_in_camera } else { &axis };
         let (across, z) = (coords.xy(), coords.z);
-        let OnSpheres { distances: [first, second], shifted, denominator } =
-            seen.unwrap_or(OnSpheres { distances: [1.0, 1.0], shifted: 1.0, denominator: 1.0 });
+        let OnSpheres { distances: [first, second], second_z, denominator } =
+            seen.unwrap_or(OnSpheres { distances: [1.0, 1.0], second_z: 1.0, denominator: 1.0 });
         let Self { xi, alpha, .. } = *self;
         // The denominator by Z₁, with d₂'s part of it; and by (X, Y) at fixed Z₁.
-        let by_shifted = alpha * shifted / second + 1.0 - alpha;
-        let by_xy = across * (by_shifted * xi / first + alpha / second);
-        let by_z = by_shifted * (xi * z / first + 1.0);
+        let by_second_z = alpha * second_z / second + 1.0 - alpha;
+        let by_xy = across * (by_second_z * xi / first + alpha / second);
+        let by_z = by_second_z * (xi * z / first + 1.0);
         let normalized = across / denominator;
         let by_denominator = -normalized / denominator;
         let mut by_point = Matrix2x3::zeros();
@@ -107,8 +107,8 @@ impl DistortionModel<2> for DoubleSphere {
         by_point[(1, 1)] += 1.0 / denominator;
         by_point.set_column(2, &(by_denominator * by_z));
         let by_coefficients = SMatrix::<f64, 2, 2>::from_columns(&[
-            by_denominator * (by_shifted * first),
-            by_denominator * (second - shifted),
+            by_denominator * (by_second_z * first),
+            by_denominator * (second - second_z),
         ]);
         (Distorted { normalized, by_point, by_coefficients }, inside)
     }

@@ -113,7 +113,7 @@ impl DistortionModel<4> for KannalaBrandt {
         let distorted = self.distorted_angle(angle);
         let direction = Vector2::new(x, y) / radius;
         let distance2 = radius * radius + z * z;
-        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction turns by
+        // dθ/d(x, y) = z/(distance²) · direction, dθ/dz = −radius/distance²; the direction rotates by
         // 1/radius.
         let radial = self.slope(angle) / distance2;
         let across = distorted / radius;

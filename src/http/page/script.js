@@ -563,7 +563,7 @@ function showPlaces(extrinsics) {
   $("places").querySelector("dl").replaceChildren(...extrinsics.flatMap((one) => [
     element("dt", {}, one.name),
     element("dd", {}, `${mm(one.translation, 2)} mm (± ${mm(one.translation_std, 3)})`),
-    element("dd", {}, `turned by ${degrees(2 * Math.acos(Math.min(1, one.rotation.w)), 3)}° (± ${degrees(Math.max(...one.rotation_std), 4)}°)`),
+    element("dd", {}, `rotated by ${degrees(2 * Math.acos(Math.min(1, one.rotation.w)), 3)}° (± ${degrees(Math.max(...one.rotation_std), 4)}°)`),
   ]));
 }
 
