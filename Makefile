@@ -88,7 +88,7 @@ lint:
 	cargo clippy $(FEATURES) --all-targets -- -D warnings
 	RUSTDOCFLAGS=-Dwarnings cargo doc $(FEATURES) --no-deps
 
-# Licences, advisories, bans and sources of all dependencies; installs cargo-deny, which takes minutes.
+# Licenses, advisories, bans and sources of all dependencies; installs cargo-deny, which takes minutes.
 audit:
 	cargo deny --version >/dev/null 2>&1 || cargo install --locked cargo-deny
 	cargo deny check

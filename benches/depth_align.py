@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""What colour and depth together cost on one core: the whole solve, and depth corrected and registered to colour, beside
-librealsense's own align on the same depth pictures.
+"""What color and depth together cost on one core: the whole solve, and depth corrected and registered to color, beside
+librealsense's own align on the same depth images.
 
     cargo build --release
     pip install numpy opencv-python-headless pyrealsense2 mcap mcap-protobuf-support && python benches/depth_align.py [--views 60]
 
 librealsense's align knows no correction of depth and is given lenses without distortion, which is its fastest case. Prints a
-line of JSON for each: milliseconds, the fastest of some runs for each picture, in the median over all pictures.
+line of JSON for each: milliseconds, the fastest of some runs for each image, in the median over all images.
 """
 
 import argparse
@@ -115,9 +115,9 @@ def main():
         alone = run(options.plumb, "correct", "--json", "--calibration", written, "--repeat", options.repeat,
                     "--out", folder / "depth", recording)
         corrected_ms = [one["elapsed_ms"] for one in alone["written"]]
-        pictures = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / "depth").glob("*.png"))]
+        images = [cv2.imread(str(path), cv2.IMREAD_UNCHANGED) for path in sorted((folder / "depth").glob("*.png"))]
         aligner, align, peer_ms = Aligner(calibration), rs.align(rs.stream.color), []
-        for depth in pictures:
+        for depth in images:
             frames, least = aligner.frames(depth), float("inf")
             for _ in range(options.repeat):
                 began = time.perf_counter()
@@ -125,7 +125,7 @@ def main():
                 least = min(least, (time.perf_counter() - began) * 1e3)
             assert np.count_nonzero(np.asanyarray(aligned.get_depth_frame().get_data())) > 0.5 * np.count_nonzero(depth)
             peer_ms.append(least)
-        print(json.dumps({"what": "corrected and registered to colour", "pictures": len(plumb_ms),
+        print(json.dumps({"what": "corrected and registered to color", "images": len(plumb_ms),
                           "plumb_ms": round(statistics.median(plumb_ms), 2),
                           "plumb_corrected_only_ms": round(statistics.median(corrected_ms), 2),
                           "librealsense_align_ms": round(statistics.median(peer_ms), 2)}))

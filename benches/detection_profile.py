@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Where the time of one detection goes, stage by stage: samples of `perf` (Debian's linux-perf) while a picture is searched over and over.
+"""Where the time of one detection goes, stage by stage: samples of `perf` (Debian's linux-perf) while a image is searched over and over.
 
-    cargo build --release && cargo bench --bench hard_pictures -- target/hard_pictures
-    python3 benches/detection_profile.py "target/hard_pictures/9x6 at 640x480.png" 9x6
+    cargo build --release && cargo bench --bench hard_images -- target/hard_images
+    python3 benches/detection_profile.py "target/hard_images/9x6 at 640x480.png" 9x6
 
 Each sample counts for the innermost function of the detector that it was taken in; what the compiler inlined counts for
-the function it is in. Reading the picture is left out.
+the function it is in. Reading the image is left out.
 """
 
 import os
@@ -20,25 +20,25 @@ REPEATS = 3000
 
 # A module of the detector, and what it does.
 STAGES = {
-    "refine::normal_equations": "refinement: linearising and solving",
+    "refine::normal_equations": "refinement: linearizing and solving",
     "refine::samples": "refinement: gathering pixels",
-    "refine::fit": "refinement: linearising and solving",
-    "refine::cholesky": "refinement: linearising and solving",
-    "refine::corner_model": "refinement: linearising and solving",
-    "refine::field": "refinement: what the board tells",
-    "refine::lattice": "refinement: what the board tells",
-    "refine::noise": "refinement: what the board tells",
+    "refine::fit": "refinement: linearizing and solving",
+    "refine::cholesky": "refinement: linearizing and solving",
+    "refine::corner_model": "refinement: linearizing and solving",
+    "refine::field": "refinement: what the board determines",
+    "refine::lattice": "refinement: what the board determines",
+    "refine::noise": "refinement: what the board determines",
     "refine::halves": "refinement: standard deviations",
     "refine::scatter": "refinement: standard deviations",
     "refine::misfit": "refinement: standard deviations",
     "refine::straightness": "refinement: standard deviations",
     "refine": "refinement: the rest",
-    "cross": "looking at windows",
+    "cross": "sampling windows",
     "growth": "growth",
     "plane_growth": "growth",
     "board_plane": "growth",
     "perspective": "growth",
-    "bend": "growth",
+    "curved_board": "growth",
     "grid": "growth",
     "seeds": "seeds",
     "candidates": "levels, response and candidates",
@@ -63,10 +63,10 @@ def stage_of(stack):
 
 
 def main():
-    picture, board = sys.argv[1:3]
+    image, board = sys.argv[1:3]
     with tempfile.TemporaryDirectory() as folder:
         recorded = os.path.join(folder, "perf.data")
-        search = [PLUMB, "detect", "--json", "--allow-partial", "--threads", "1", "--repeat", str(REPEATS), "--board", board, picture]
+        search = [PLUMB, "detect", "--json", "--allow-partial", "--threads", "1", "--repeat", str(REPEATS), "--board", board, image]
         record = ["perf", "record", "-q", "-F", "2500", "--call-graph", "dwarf,8192", "-o", recorded]
         subprocess.run(record + search, check=True, stdout=subprocess.DEVNULL)
         script = ["perf", "script", "-i", recorded, "--no-inline", "-F", "ip,sym"]

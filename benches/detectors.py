@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Plumb's detector beside OpenCV's, chess-corners and calib-targets, on the same rendered pictures with exact truth, one thread each.
+"""Plumb's detector beside OpenCV's, chess-corners and calib-targets, on the same rendered images with exact truth, one thread each.
 
-    cargo build --release && cargo bench --bench hard_pictures -- target/hard_pictures
+    cargo build --release && cargo bench --bench hard_images -- target/hard_images
     cargo build --release --manifest-path benches/peers/Cargo.toml --target-dir target/peers
-    pip install opencv-python-headless && python benches/detectors.py target/hard_pictures
+    pip install opencv-python-headless && python benches/detectors.py target/hard_images
 
-Of each picture: how many of the corners to be seen were found, their 2-D rms error in pixels, and the fastest of several
+Of each image: how many of the corners to be seen were found, their 2-D rms error in pixels, and the fastest of several
 times in milliseconds, decoding not counted, of others as a multiple of Plumb's. A corner counts if it is within 2 px
 of a true one, no two for one. OpenCV's classic detector runs without its fast check and is refined by cornerSubPix, 5x5
 (the fastest way to a board) and 11x11; chess-corners and calib-targets refine by their saddle point. chess-corners
@@ -36,84 +36,84 @@ def plumb(path, cols, rows):
 
 
 def of_rust(method):
-    def look(path, _cols, _rows):
+    def find(path, _cols, _rows):
         run = subprocess.run([PEERS, method, str(REPEATS), str(path)], capture_output=True, text=True, check=True)
         answer = json.loads(run.stdout)
         return np.array(answer["corners"]).reshape(-1, 2), answer["elapsed_ms"]
 
-    return look
+    return find
 
 
-def timed(look):
+def timed(find):
     times, corners = [], None
     for _ in range(REPEATS):
         start = time.perf_counter()
-        corners = look()
+        corners = find()
         times.append(time.perf_counter() - start)
     return corners, 1e3 * min(times)
 
 
 def classic(half_window):
-    def of_picture(path, cols, rows):
-        grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    def of_image(path, cols, rows):
+        gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
 
-        def look():
-            found, corners = cv2.findChessboardCorners(grey, (cols, rows), flags=DEFAULT)
+        def find():
+            found, corners = cv2.findChessboardCorners(gray, (cols, rows), flags=DEFAULT)
             if not found:
                 return np.empty((0, 2))
             stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 1e-3)
-            return cv2.cornerSubPix(grey, corners, (half_window, half_window), (-1, -1), stop).reshape(-1, 2)
+            return cv2.cornerSubPix(gray, corners, (half_window, half_window), (-1, -1), stop).reshape(-1, 2)
 
-        return timed(look)
+        return timed(find)
 
-    return of_picture
+    return of_image
 
 
 def sectors(path, cols, rows):
-    grey = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 
-    def look():
-        found, corners = cv2.findChessboardCornersSB(grey, (cols, rows), flags=flags)
+    def find():
+        found, corners = cv2.findChessboardCornersSB(gray, (cols, rows), flags=flags)
         return corners.reshape(-1, 2) if found else np.empty((0, 2))
 
-    return timed(look)
+    return timed(find)
 
 
 def score(corners, truth):
     """Corners that are right, and their squared errors."""
     if not len(corners):
         return []
-    apart = np.linalg.norm(corners[:, None] - truth[None], axis=2)
-    nearest = apart.argmin(1)
+    distances = np.linalg.norm(corners[:, None] - truth[None], axis=2)
+    nearest = distances.argmin(1)
     squares = {}
     for corner, place in enumerate(nearest):
-        if apart[corner, place] < 2.0:
-            squares[place] = min(squares.get(place, np.inf), apart[corner, place] ** 2)
+        if distances[corner, place] < 2.0:
+            squares[place] = min(squares.get(place, np.inf), distances[corner, place] ** 2)
     return list(squares.values())
 
 
 def main():
     cv2.setNumThreads(1)
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "target/hard_pictures")
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "target/hard_images")
     document = json.loads((folder / "truth.json").read_text())
     peers = {"Plumb": plumb, "classic 5×5": classic(2), "classic 11×11": classic(5), "SB exhaustive": sectors}
     if Path(PEERS).exists():
         peers |= {name: of_rust(name) for name in ("chess-corners", "calib-targets")}
     else:
         print(f"LEFT OUT: chess-corners and calib-targets, for there is no {PEERS}; build it as above", file=sys.stderr)
-    print("| picture | corners seen | " + " | ".join(peers) + " |\n| --- | --- |" + " --- |" * len(peers))
-    for picture in document["images"]:
-        truth = np.array([[np.nan if v is None else v for v in corner] for corner in picture["corners"]])
+    print("| image | corners seen | " + " | ".join(peers) + " |\n| --- | --- |" + " --- |" * len(peers))
+    for image in document["images"]:
+        truth = np.array([[np.nan if v is None else v for v in corner] for corner in image["corners"]])
         cells, own = [], None
         for peer in peers.values():
-            corners, ms = peer(folder / picture["file"], picture["cols"], picture["rows"])
+            corners, ms = peer(folder / image["file"], image["cols"], image["rows"])
             squares = score(corners, truth)
             rms = f"{np.sqrt(np.mean(squares)):.4f} px" if squares else "–"
             cells.append(f"{len(squares)}, {rms}, " + (f"×{ms / own:.1f}" if own else f"{ms:.2f} ms"))
             own = own or ms
-        name = picture["file"].removesuffix(".png")
-        print(f"| {name} | {sum(picture['seen'])} | " + " | ".join(cells) + " |")
+        name = image["file"].removesuffix(".png")
+        print(f"| {name} | {sum(image['seen'])} | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":

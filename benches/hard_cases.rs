@@ -1,5 +1,5 @@
 //! Images of a chessboard under stated conditions, rendered with exact truth: what
-//! `hard_pictures` and `thresholds` search.
+//! `hard_images` and `thresholds` search.
 
 use std::error::Error;
 

@@ -7,10 +7,10 @@ people write with OpenCV, on the same frames.
     target/venv/bin/python benches/live_rate.py --memory 10000
 
 The second has so many watch the preview, drawn over with what was found, beside the session.
-The third looks at so many frames as fast as it can, in one session, and prints resident memory on the way.
+The third searches so many frames as fast as it can, in one session, and prints resident memory on the way.
 
 Prints a line of JSON for each: processor time per second of stream (1 = one core), the 99th percentile from a frame's
-arrival to what was seen in it, resident memory at the middle and the end, frames looked at and lost.
+arrival to what was seen in it, resident memory at the middle and the end, frames searched and lost.
 """
 
 import argparse
@@ -54,7 +54,7 @@ def metric(text, name):
 
 
 def percentile_99(before, after):
-    """The smallest bucket that holds 99 % of what came between two looks, in milliseconds."""
+    """The smallest bucket that holds 99 % of what came between two readings, in milliseconds."""
     def buckets(text):
         return {float(le): float(n) for le, n in re.findall(r'plumb_frame_latency_seconds_bucket{.*le="([^"]+)"} (\S+)', text)}
     first, last = buckets(before), buckets(after)
@@ -90,16 +90,16 @@ def session(plumb, recording, pace):
 def measure_memory(plumb, recording, frames):
     """Resident memory at every tenth of the way, from the first tenth on."""
     with session(plumb, recording, "fastest") as daemon:
-        began, resident, looked = time.monotonic(), [], 0
-        while looked < frames:
+        began, resident, searched = time.monotonic(), [], 0
+        while searched < frames:
             time.sleep(0.2)
-            looked = metric(request("/metrics"), "plumb_frames_searched_total")
-            if looked * 10 >= frames * (len(resident) + 1):
+            searched = metric(request("/metrics"), "plumb_frames_searched_total")
+            if searched * 10 >= frames * (len(resident) + 1):
                 resident.append(round(resident_mb(daemon.pid), 1))
         return {
             "what": "plumb, as fast as it can",
-            "frames": int(looked),
-            "frames_per_s": round(looked / (time.monotonic() - began), 1),
+            "frames": int(searched),
+            "frames_per_s": round(searched / (time.monotonic() - began), 1),
             "resident_mb": resident,
             "highest_mb": round(resident_mb(daemon.pid, "VmHWM"), 1),
         }
@@ -138,13 +138,13 @@ def measure_plumb(plumb, recording, seconds, viewers=0):
             "cores": round((processor_seconds(daemon.pid) - used) / elapsed, 3),
             "p99_ms": percentile_99(before, after),
             "resident_mb": [round(middle, 1), round(resident_mb(daemon.pid), 1)],
-            "looked_at_per_s": round(difference("plumb_frames_searched_total") / elapsed, 1),
+            "searched_at_per_s": round(difference("plumb_frames_searched_total") / elapsed, 1),
             "lost": difference("plumb_frames_dropped_total"),
         }
 
 
 def measure_opencv(recording, seconds):
-    """imdecode to grey, findChessboardCorners with its fast check, cornerSubPix: the loop of the tutorials."""
+    """imdecode to gray, findChessboardCorners with its fast check, cornerSubPix: the loop of the tutorials."""
     import cv2
     import numpy
     from mcap_protobuf.decoder import DecoderFactory
@@ -155,18 +155,18 @@ def measure_opencv(recording, seconds):
         frames = [numpy.frombuffer(message.data, numpy.uint8) for *_, message in messages]
     flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
-    pid, latencies, looked, began, due = os.getpid(), [], 0, time.monotonic(), 0
+    pid, latencies, searched, began, due = os.getpid(), [], 0, time.monotonic(), 0
     used, found = processor_seconds(pid), 0
     while (now := time.monotonic() - began) < seconds:
         # The newest frame that is due; those before it are lost.
         due = max(due + 1, int(now * FPS))
         time.sleep(max(0.0, due / FPS - (time.monotonic() - began)))
-        grey = cv2.imdecode(frames[due % len(frames)], cv2.IMREAD_GRAYSCALE)
-        seen, corners = cv2.findChessboardCorners(grey, (9, 6), flags=flags)
+        gray = cv2.imdecode(frames[due % len(frames)], cv2.IMREAD_GRAYSCALE)
+        seen, corners = cv2.findChessboardCorners(gray, (9, 6), flags=flags)
         if seen:
-            cv2.cornerSubPix(grey, corners, (11, 11), (-1, -1), criteria)
+            cv2.cornerSubPix(gray, corners, (11, 11), (-1, -1), criteria)
         found += seen
-        looked += 1
+        searched += 1
         latencies.append(time.monotonic() - began - due / FPS)
     elapsed = time.monotonic() - began
     return {
@@ -174,8 +174,8 @@ def measure_opencv(recording, seconds):
         "cores": round((processor_seconds(pid) - used) / elapsed, 3),
         "p99_ms": round(sorted(latencies)[int(0.99 * len(latencies))] * 1000, 1),
         "resident_mb": [round(resident_mb(pid), 1)],
-        "looked_at_per_s": round(looked / elapsed, 1),
-        "lost": due - looked,
+        "searched_at_per_s": round(searched / elapsed, 1),
+        "lost": due - searched,
         "boards": found,
     }
 

@@ -62,8 +62,8 @@ class Pose:
         return cls(tuple(document["rotation"][k] for k in "wxyz"), tuple(document["translation"]))
 
     def __mul__(self, other):
-        shift = rotated(self.rotation, other.translation)
-        translation = tuple(a + b for a, b in zip(shift, self.translation))
+        translation = rotated(self.rotation, other.translation)
+        translation = tuple(a + b for a, b in zip(translation, self.translation))
         return Pose(product(self.rotation, other.rotation), translation)
 
     def inverse(self):
@@ -75,10 +75,10 @@ def errors_in_std(found, truth):
     """The rotation's and the translation's three errors over their predicted deviations."""
     pose = Pose.of(found)
     w, *axis = product(pose.rotation, conjugate(truth.rotation))
-    turn = [2.0 * math.copysign(1.0, w) * x for x in axis]
-    shift = [a - b for a, b in zip(pose.translation, truth.translation)]
+    rotation = [2.0 * math.copysign(1.0, w) * x for x in axis]
+    translation = [a - b for a, b in zip(pose.translation, truth.translation)]
     predicted = found["rotation_std"] + found["translation_std"]
-    return [error / std for error, std in zip(turn + shift, predicted)]
+    return [error / std for error, std in zip(rotation + translation, predicted)]
 
 
 def simulate(plumb, folder, seed):

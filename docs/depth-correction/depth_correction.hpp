@@ -1,4 +1,4 @@
-// Reads a depth correction exported by Plumb (format `depth`) and turns raw depth readings into meters.
+// Reads a depth correction exported by Plumb (format `depth`) and converts raw depth readings to meters.
 #pragma once
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-"""Reads a depth correction exported by Plumb (format `depth`) and turns raw depth pictures into meters. Needs numpy."""
+"""Reads a depth correction exported by Plumb (format `depth`) and converts raw depth images to meters. Needs numpy."""
 import numpy as np
 
 
@@ -24,7 +24,7 @@ def weights(length, cells):
 
 
 def meters(correction, raw):
-    """Depth in meters of a raw picture (rows x columns); 0 where nothing was measured."""
+    """Depth in meters of a raw image (rows x columns); 0 where nothing was measured."""
     (keys, nodes), raw = correction, np.asarray(raw, float)
     (kind, *numbers), (width, height) = keys["reading"], map(int, keys["size"])
     assert raw.shape == (height, width), f"the correction is for {width} x {height}"

@@ -125,7 +125,7 @@ def test_an_operator_calibrates_and_reloads_in_the_middle(daemon, browser):
     assert shown(browser, "verdict").text == verdict
 
 
-def test_the_keyboard_is_enough_and_errors_are_told(daemon, browser):
+def test_the_keyboard_is_enough_and_errors_are_shown(daemon, browser):
     browser.get(daemon)
     shown(browser, "cols").send_keys("7", Keys.TAB, "4", Keys.TAB, "25", Keys.ENTER)
     stop = shown(browser, "stop")

@@ -1,4 +1,4 @@
-"""The lenses of the checks, the points they look at, and where OpenCV itself sees them.
+"""The lenses of the checks, the points they see, and where OpenCV itself sees them.
 
 `python tests/python/reference.py > tests/golden/opencv_projections.json` writes the numbers that the Rust tests hold
 Plumb's lenses to; `test_opencv.py` computes them again and compares.
@@ -35,7 +35,7 @@ def lens(model):
 
 
 def points(model):
-    """Points of the camera frame, in metres, that fill the image of `model`."""
+    """Points of the camera frame, in meters, that fill the image of `model`."""
     reach = 2.0 if model == "kannala_brandt" else 0.6
     steps = np.linspace(-reach, reach, 13)
     return np.array([[x * z, 0.75 * y * z, z] for y in steps for x in steps for z in [0.4 + abs(x) + 2 * abs(y)]])

@@ -19,7 +19,7 @@ from cyclonedds.sub import DataReader  # noqa: E402
 from cyclonedds.topic import Topic  # noqa: E402
 from cyclonedds.util import duration  # noqa: E402
 
-# Apart from those of other runs on this machine, and from ROS's own default of 0.
+# Other than those of other runs on this machine, and from ROS's own default of 0.
 DOMAIN = 1 + os.getpid() % 200
 PATIENCE_S = 30
 """How long anything is waited for that must happen."""

@@ -1,4 +1,4 @@
-"""Bags as ROS writes them, by `rosbags`: from pictures, in every storage, compression and encoding."""
+"""Bags as ROS writes them, by `rosbags`: from images, in every storage, compression and encoding."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ START_NS = 1_700_000_000_000_000_000
 
 
 def raw(encoding, pixels, big_endian=False):
-    """What `sensor_msgs/Image` holds of grey `pixels` (or depths), with rows padded by eight bytes."""
+    """What `sensor_msgs/Image` holds of gray `pixels` (or depths), with rows padded by eight bytes."""
     if encoding in ("bgr8", "rgb8"):
         pixels = np.repeat(pixels[:, :, None], 3, 2)
     elif encoding in ("bgra8", "rgba8"):
@@ -95,10 +95,10 @@ class Bag:
         self.write("/tf_static", "tf2_msgs/msg/TFMessage", START_NS, transforms=[stamped])
 
 
-def write_pictures(path, kind, pictures, encoding, topic="/front/image_raw"):
-    """A bag of the grey `pictures`, encoded as `encoding`; png and jpeg on the topic's /compressed."""
+def write_images(path, kind, images, encoding, topic="/front/image_raw"):
+    """A bag of the gray `images`, encoded as `encoding`; png and jpeg on the topic's /compressed."""
     with Bag(path, kind) as bag:
-        for index, pixels in enumerate(pictures):
+        for index, pixels in enumerate(images):
             time_ns = START_NS + index * INTERVAL_NS
             if encoding in ("png", "jpeg"):
                 data = pixels if isinstance(pixels, bytes) else cv2.imencode(f".{encoding}", pixels)[1].tobytes()

@@ -20,5 +20,5 @@ def test_colmap(exported, model):
     assert (name == "OPENCV_FISHEYE") == (model == "kannala_brandt")
     camera_matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     pixels = reference.project(model, camera_matrix, np.array(coefficients or [0.0] * 4), reference.points(model))
-    # COLMAP counts from the corner of the first pixel, everyone else here from its centre.
+    # COLMAP counts from the corner of the first pixel, everyone else here from its center.
     np.testing.assert_allclose(pixels - 0.5, reference.opencv_pixels(model), atol=1e-6)

@@ -32,7 +32,7 @@ def test_file_storage_opens_the_export(exported, model):
 
 
 @pytest.mark.parametrize("model", reference.LENSES)
-def test_pictures_of_half_the_size_are_seen_at_half_the_place(plumb, exported, tmp_path, model):
+def test_images_of_half_the_size_are_seen_at_half_the_place(plumb, exported, tmp_path, model):
     exported(model, "json")
     out = tmp_path / "half.yaml"
     plumb("export", "--calibration", tmp_path / f"{model}.json", "--format", "opencv", "--width", 320, "--height", 240, "--out", out)
@@ -40,11 +40,11 @@ def test_pictures_of_half_the_size_are_seen_at_half_the_place(plumb, exported, t
     assert [int(storage.getNode(side).real()) for side in ("image_width", "image_height")] == [320, 240]
     camera_matrix, coefficients = (storage.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients"))
     pixels = reference.project(model, camera_matrix, coefficients, reference.points(model))
-    # Areas are halved, not centres: the whole picture spans -0.5 to 639.5, the half one -0.5 to 319.5.
+    # Areas are halved, not centers: the whole image spans -0.5 to 639.5, the half one -0.5 to 319.5.
     np.testing.assert_allclose(pixels, (reference.opencv_pixels(model) + 0.5) / 2 - 0.5, atol=1e-6)
 
 
-def test_pictures_of_another_shape_are_refused(plumb, exported, tmp_path):
+def test_images_of_another_shape_are_refused(plumb, exported, tmp_path):
     exported("pinhole", "json")
     asked = ["--calibration", tmp_path / "pinhole.json", "--format", "opencv", "--width", 640, "--height", 360]
     assert "stretch" in plumb("export", *asked, succeeds=False).stderr

@@ -21,7 +21,7 @@ def frames(path):
 
 
 @pytest.mark.parametrize("name, count", [("walk", 150), ("hard", 90)])
-def test_pictures_times_and_truth(name, count):
+def test_images_times_and_truth(name, count):
     messages, metadata = frames(RECORDINGS / f"{name}.mcap")
     assert {(topic, schema) for topic, schema, *_ in messages} == {("/front/color", "foxglove.CompressedImage")}
     assert len(messages) == count
@@ -50,13 +50,13 @@ def test_the_truth_is_where_opencv_sees_the_corners():
         rotation = pose["rotation"]
         axis = np.array([rotation[key] for key in "xyz"])
         angle = 2 * np.arctan2(np.linalg.norm(axis), rotation["w"])
-        turn = axis / max(np.linalg.norm(axis), 1e-300) * angle
-        expected = cv2.projectPoints(board, turn, np.array(pose["translation"]), camera_matrix, distortion)[0][:, 0]
-        picture = cv2.imdecode(np.frombuffer(messages[index][2].data, np.uint8), cv2.IMREAD_GRAYSCALE)
-        found, corners = cv2.findChessboardCornersSB(picture, (9, 6))
+        rotation_vector = axis / max(np.linalg.norm(axis), 1e-300) * angle
+        expected = cv2.projectPoints(board, rotation_vector, np.array(pose["translation"]), camera_matrix, distortion)[0][:, 0]
+        image = cv2.imdecode(np.frombuffer(messages[index][2].data, np.uint8), cv2.IMREAD_GRAYSCALE)
+        found, corners = cv2.findChessboardCornersSB(image, (9, 6))
         if found:
             stop = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-3)
-            corners = cv2.cornerSubPix(picture, corners, (4, 4), (-1, -1), stop)
+            corners = cv2.cornerSubPix(image, corners, (4, 4), (-1, -1), stop)
             # OpenCV may count from the other end.
             corners = min((corners[:, 0], corners[::-1, 0]), key=lambda seen: np.abs(seen - expected).max())
             assert np.sqrt(np.mean((corners - expected) ** 2)) < 0.1
@@ -64,7 +64,7 @@ def test_the_truth_is_where_opencv_sees_the_corners():
     assert compared >= 4
 
 
-def test_colour_infrared_and_depth_come_together():
+def test_color_infrared_and_depth_come_together():
     messages, metadata = frames(RECORDINGS / "rgbd.mcap")
     by_topic = {}
     for topic, _, message, time in messages:

@@ -151,8 +151,8 @@ def truth(name):
 def matrix(pose):
     rotation = pose["rotation"]
     axis, w = np.array([rotation[name] for name in "xyz"]), rotation["w"]
-    turned = cv2.Rodrigues(axis / np.linalg.norm(axis) * 2 * np.arctan2(np.linalg.norm(axis), w))[0]
-    return np.vstack([np.c_[turned, pose["translation"]], [0, 0, 0, 1]])
+    rotation = cv2.Rodrigues(axis / np.linalg.norm(axis) * 2 * np.arctan2(np.linalg.norm(axis), w))[0]
+    return np.vstack([np.c_[rotation, pose["translation"]], [0, 0, 0, 1]])
 
 
 def opencv_rows(left, right):
@@ -161,7 +161,7 @@ def opencv_rows(left, right):
     if not all(is_found for is_found, _ in found):
         return []
     left, right = (corners[:, 0, 1] for _, corners in found)
-    # The board looks the same after half a turn.
+    # The board is the same after half a turn.
     return min(right - left, right[::-1] - left, key=lambda differences: np.abs(differences).max())
 
 

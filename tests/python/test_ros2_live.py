@@ -20,7 +20,7 @@ START_NS = 1_700_000_000_000_000_000
 
 @pytest.fixture(scope="module")
 def walk():
-    """The gray pictures of the bundled walk."""
+    """The gray images of the bundled walk."""
     messages, _ = frames(RECORDINGS / "walk.mcap")
     return [cv2.imdecode(np.frombuffer(m.data, np.uint8), cv2.IMREAD_GRAYSCALE) for _, _, m, _ in messages]
 

@@ -127,9 +127,9 @@ def test_sensors_of_a_camera_are_placed_by_tf_static(participant, plumb_binary, 
                 continue
             transform = placed[f"arm_{source}_optical_frame"]
             assert transform.header.frame_id == "arm_optical_frame"
-            moved, turned = transform.transform.translation, transform.transform.rotation
-            assert [moved.x, moved.y, moved.z] == extrinsics["translation"]
-            assert [turned.w, turned.x, turned.y, turned.z] == [extrinsics["rotation"][name] for name in "wxyz"]
+            translation, rotation = transform.transform.translation, transform.transform.rotation
+            assert [translation.x, translation.y, translation.z] == extrinsics["translation"]
+            assert [rotation.w, rotation.x, rotation.y, rotation.z] == [extrinsics["rotation"][name] for name in "wxyz"]
         color = ros.Subscriber(participant, "/plumb/arm/camera_info", ros.CameraInfo, latched=True).take()
         assert_states(color, document["sensors"]["color"], "arm_optical_frame")
         infrared = ros.Subscriber(participant, "/plumb/arm/infra1/camera_info", ros.CameraInfo, latched=True).take()

@@ -1,4 +1,4 @@
-"""Bags that ROS's tools write are read as the pictures they were made of, and Plumb's own open in them."""
+"""Bags that ROS's tools write are read as the images they were made of, and Plumb's own open in them."""
 
 import json
 from pathlib import Path
@@ -20,8 +20,8 @@ SHARED = next((up / "shared/data" for up in Path(__file__).resolve().parents if 
 
 
 @pytest.fixture(scope="module")
-def pictures():
-    """Twelve grey pictures of the bundled walk."""
+def images():
+    """Twelve gray images of the bundled walk."""
     messages, _ = frames(RECORDINGS / "walk.mcap")
     decoded = [cv2.imdecode(np.frombuffer(m.data, np.uint8), cv2.IMREAD_GRAYSCALE) for _, _, m, _ in messages[::12]]
     return decoded[:12]
@@ -36,9 +36,9 @@ def lens(plumb, *sources):
 
 
 @pytest.fixture(scope="module")
-def expected(plumb, pictures, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pictures")
-    for index, pixels in enumerate(pictures):
+def expected(plumb, images, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("images")
+    for index, pixels in enumerate(images):
         cv2.imwrite(str(folder / f"{index:03}.png"), pixels)
     answer = lens(plumb, folder)
     assert "fx" in answer
@@ -46,22 +46,22 @@ def expected(plumb, pictures, tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_storage_gives_the_calibration_of_its_pictures(kind, plumb, pictures, expected, tmp_path):
+def test_every_storage_gives_the_calibration_of_its_images(kind, plumb, images, expected, tmp_path):
     path = tmp_path / ("front.bag" if kind.startswith("bag") else "front")
-    assert lens(plumb, ros_bags.write_pictures(path, kind, pictures, "mono8")) == expected
+    assert lens(plumb, ros_bags.write_images(path, kind, images, "mono8")) == expected
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_every_lossless_encoding_gives_the_calibration_of_its_pictures(encoding, plumb, pictures, expected, tmp_path):
-    assert lens(plumb, ros_bags.write_pictures(tmp_path / "front", "mcap", pictures, encoding)) == expected
+def test_every_lossless_encoding_gives_the_calibration_of_its_images(encoding, plumb, images, expected, tmp_path):
+    assert lens(plumb, ros_bags.write_images(tmp_path / "front", "mcap", images, encoding)) == expected
 
 
-def test_real_pictures(plumb, tmp_path):
+def test_real_images(plumb, tmp_path):
     if SHARED is None:
-        pytest.skip("no shared/data beside the project: nothing was tested on real pictures")
+        pytest.skip("no shared/data beside the project: nothing was tested on real images")
     files = sorted((SHARED / "opencv-samples").glob("left[0-9]*.jpg"))
     assert files
-    bag = ros_bags.write_pictures(tmp_path / "left", "db3", [file.read_bytes() for file in files], "jpeg")
+    bag = ros_bags.write_images(tmp_path / "left", "db3", [file.read_bytes() for file in files], "jpeg")
     assert lens(plumb, bag) == lens(plumb, *files)
 
 
@@ -70,9 +70,9 @@ def detect(plumb, *arguments, succeeds=True):
     return [json.loads(line) for line in done.stdout.splitlines()] if succeeds else done.stderr
 
 
-def test_several_cameras_are_several_cameras(plumb, pictures, tmp_path):
+def test_several_cameras_are_several_cameras(plumb, images, tmp_path):
     with ros_bags.Bag(tmp_path / "two", "mcap") as bag:
-        for index, pixels in enumerate(pictures[:3]):
+        for index, pixels in enumerate(images[:3]):
             time_ns = ros_bags.START_NS + index * ros_bags.INTERVAL_NS
             bag.image("/left/image_raw", time_ns, pixels, "mono8")
             bag.image("/right/image_raw", time_ns, pixels[:, ::-1].copy(), "rgb8")
@@ -94,7 +94,7 @@ def image_bag(path, encoding="mono8", **changed):
     return path
 
 
-def test_bad_bags_are_one_line(plumb, pictures, tmp_path):
+def test_bad_bags_are_one_line(plumb, images, tmp_path):
     def refused(path, *words):
         line = detect(plumb, path, succeeds=False)
         assert line.count("\n") == 1 and all(word in line for word in words), line
@@ -105,11 +105,11 @@ def test_bad_bags_are_one_line(plumb, pictures, tmp_path):
     with ros_bags.Bag(tmp_path / "none", "db3") as bag:
         bag.transform("base", "front", (0.0, 0.0, 0.0))
     refused(tmp_path / "none", "no frames", "sensor_msgs")
-    whole = ros_bags.write_pictures(tmp_path / "cut.bag", "bag.lz4", pictures[:4], "mono8")
+    whole = ros_bags.write_images(tmp_path / "cut.bag", "bag.lz4", images[:4], "mono8")
     whole.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     refused(whole, "cut.bag")
     for kind in ("mcap", "db3"):
-        folder = ros_bags.write_pictures(tmp_path / f"cut_{kind}", kind, pictures[:4], "mono8")
+        folder = ros_bags.write_images(tmp_path / f"cut_{kind}", kind, images[:4], "mono8")
         file = next(folder.glob(f"*.{kind}"))
         content = file.read_bytes()
         file.write_bytes(content[: len(content) // 2])
@@ -118,7 +118,7 @@ def test_bad_bags_are_one_line(plumb, pictures, tmp_path):
         file.unlink()
         refused(folder, file.name, "no such file")
     # Without its metadata a database still says all that is needed.
-    folder = ros_bags.write_pictures(tmp_path / "bare", "db3", pictures[:2], "mono8")
+    folder = ros_bags.write_images(tmp_path / "bare", "db3", images[:2], "mono8")
     (folder / "metadata.yaml").unlink()
     assert len(detect(plumb, folder)) == len(detect(plumb, next(folder.glob("*.db3")))) == 2
 

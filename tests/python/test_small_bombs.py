@@ -183,7 +183,7 @@ BOMBS = {
     "raw_image.mcap": lambda path: mcap(SCHEMA, CHANNEL, message(b"\x18\x80\xb5\x18\x20\x80\xb5\x18")),
     "icc.png": lambda path: png(64, 64, 8, 0, deflated(65 * 64), png_chunk(b"iCCP", b"x\0\0" + deflated(3_100_000_000))),
     "text.png": lambda path: png(64, 64, 8, 0, deflated(65 * 64), png_chunk(b"zTXt", b"x\0\0" + deflated(1_000_000_000))),
-    "grey_120_mp.png": lambda path: png(12_000, 10_000, 8, 0, deflated(12_001 * 10_000)),
+    "gray_120_mp.png": lambda path: png(12_000, 10_000, 8, 0, deflated(12_001 * 10_000)),
     "rgba_16_bits.png": lambda path: png(5_000, 4_000, 16, 6, deflated(40_001 * 4_000)),
     "interlaced.png": lambda path: png(10_900, 10_900, 8, 2, deflated(1_000_000), interlaced=1),
     "one_bit.png": lambda path: png(60_000, 2_000, 1, 0, deflated(7_501 * 2_000)),

@@ -14,8 +14,8 @@ NUMBERS = [1, 4, 9, 13, 14, 15, 16, 17, 23]
 
 def corners(folder, number):
     """Row by row, 9 a row."""
-    picture = cv2.imread(str(Path(folder) / f"board-{number:02d}.png"), cv2.IMREAD_GRAYSCALE)
-    found, pixels = cv2.findChessboardCorners(picture, (9, 7))
+    image = cv2.imread(str(Path(folder) / f"board-{number:02d}.png"), cv2.IMREAD_GRAYSCALE)
+    found, pixels = cv2.findChessboardCorners(image, (9, 7))
     assert found, number
     return pixels.reshape(-1, 2).astype(float).tolist()
 

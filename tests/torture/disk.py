@@ -1,4 +1,4 @@
-"""A disk that fails: each write and sync of a session in turn, with each errno; then it heals."""
+"""A disk that fails: each write and sync of a session, one after the other, with each errno; then it heals."""
 
 import errno
 import mmap
@@ -12,7 +12,7 @@ FAULTS = {"full": errno.ENOSPC, "read-only": errno.EROFS, "EIO": errno.EIO}
 
 
 class Control:
-    """The file that tells the disk when to fail."""
+    """The file that says to the disk when to fail."""
 
     def __init__(self, folder):
         self.path = Path(folder) / "control"

@@ -1,7 +1,7 @@
 //! The hardest conditions a board is found under, and ordinary ones at every size, rendered with
 //! exact truth, and what is found in them.
 //!
-//!     cargo bench --bench hard_pictures -- FOLDER
+//!     cargo bench --bench hard_images -- FOLDER
 //!
 //! Writes FOLDER/NAME.png (the image), FOLDER/NAME.jpg (what was found drawn over it), and
 //! FOLDER/truth.json, which `benches/detectors.py FOLDER` shows to other detectors. Prints how many
@@ -105,7 +105,7 @@ fn search(case: &Case, folder: &Path) -> Result<serde_json::Value, Box<dyn Error
 
 fn main() -> Result<(), Box<dyn Error>> {
     let folder = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
-    let folder = PathBuf::from(folder.unwrap_or_else(|| "target/hard_pictures".into()));
+    let folder = PathBuf::from(folder.unwrap_or_else(|| "target/hard_images".into()));
     std::fs::create_dir_all(&folder)?;
     let mut images = Vec::new();
     for case in hard_cases().into_iter().chain(ordinary_cases()) {
