@@ -17,6 +17,9 @@
 //! keep_days = 90                 # default: all; sessions that began longer ago are deleted
 //! keep_sessions = 500            # default: all; the newest so many are kept
 //! keep_mb = 20000                # default: all; the oldest are deleted when the store holds more
+//! keep_recording_days = 30       # default: all; recordings that began longer ago are deleted
+//! keep_recordings = 20           # default: all; the newest so many are kept
+//! keep_recordings_mb = 50000     # default: all; the oldest are deleted when all hold more
 //!
 //! [calibration]
 //! auto_approve = true            # default; a `good` calibration becomes current by itself
@@ -77,6 +80,7 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
+    use crate::pipeline::recording_retention::RecordingRetention;
     use crate::store::Retention;
 
     fn refusal(text: &str) -> String {
@@ -100,6 +104,7 @@ mod tests {
             store_path: "plumb-data".into(),
             least_free_bytes: 100_000_000,
             retention: Retention::default(),
+            recording_retention: RecordingRetention::default(),
             auto_approve: true,
             ros2: Ros2Config::default(),
             cameras: Vec::new(),

@@ -29,6 +29,7 @@ use crate::http::tls::{Certificate, Tls};
 use crate::http::{self, Access, Service};
 use crate::pipeline::FleetOptions;
 use crate::pipeline::fleet::Fleet;
+use crate::pipeline::recording_retention::RecordingRetention;
 use crate::store::{Retention, Store};
 
 /// Threads that answer requests; frames and solves have their own.
@@ -93,7 +94,11 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
         running,
     };
     runtime.block_on(async { reload.with_each_hangup() })?;
-    runtime.spawn(prune_by_the_hour(Arc::clone(&store), config.retention));
+    runtime.spawn(prune_by_the_hour(
+        Arc::clone(&store),
+        Arc::clone(&fleet),
+        (config.retention, config.recording_retention),
+    ));
     tracing::info!(
         file = file.map(|file| file.display().to_string()),
         "listening on {scheme}://{listening}"
@@ -110,26 +115,38 @@ fn run_on(runtime: &Runtime, config: &Config, file: Option<PathBuf>) -> Result<(
     served.map_err(|source| DaemonError::System { what: "HTTP ended", source })
 }
 
-/// Deletes the sessions that the configuration does not keep: at the start, and each hour.
-async fn prune_by_the_hour(store: Arc<Store>, retention: Retention) {
+/// Deletes the sessions and recordings that the configuration does not keep: at the start, and each
+/// hour.
+async fn prune_by_the_hour(
+    store: Arc<Store>,
+    fleet: Arc<Fleet>,
+    (of_sessions, of_recordings): (Retention, RecordingRetention),
+) {
     const HOUR: Duration = Duration::from_secs(3600);
-    if retention == Retention::default() {
+    if of_sessions == Retention::default() && of_recordings == RecordingRetention::default() {
         return;
     }
     let mut hours = tokio::time::interval(HOUR);
     loop {
         hours.tick().await;
-        let store = Arc::clone(&store);
+        let (store, fleet) = (Arc::clone(&store), Arc::clone(&fleet));
         let now_ns = time::utc_ns(jiff::Timestamp::now());
-        let pruned =
-            tokio::task::spawn_blocking(move || store.prune(&retention, now_ns, false)).await;
-        match pruned {
-            Ok(Ok(pruned)) if pruned.sessions.is_empty() => {}
-            Ok(Ok(pruned)) => {
-                tracing::info!(sessions = ?pruned.sessions, "deleted as [store] says");
+        let prune = move || {
+            match store.prune(&of_sessions, now_ns, false) {
+                Ok(pruned) if pruned.sessions.is_empty() => {}
+                Ok(pruned) => {
+                    tracing::info!(sessions = ?pruned.sessions, "deleted as [store] says");
+                }
+                Err(error) => tracing::warn!("old sessions could not be deleted: {error}"),
             }
-            Ok(Err(error)) => tracing::warn!("old sessions could not be deleted: {error}"),
-            Err(_) => return,
+            match fleet.prune_recordings(&of_recordings, now_ns) {
+                Ok(recordings) if recordings.is_empty() => {}
+                Ok(recordings) => tracing::info!(?recordings, "deleted as [store] says"),
+                Err(error) => tracing::warn!("old recordings could not be deleted: {error}"),
+            }
+        };
+        if tokio::task::spawn_blocking(prune).await.is_err() {
+            return;
         }
     }
 }

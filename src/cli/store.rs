@@ -7,6 +7,7 @@ use serde::Serialize;
 use crate::cli::{Failure, output};
 use crate::config::{Config, Overrides};
 use crate::document::time;
+use crate::pipeline::recording_retention::{RecordingRetention, prune_folder, recordings_folder};
 use crate::store::{Retention, Store, StoreReader};
 
 /// Checks, copies, repairs or prunes the store of sessions and calibrations.
@@ -24,7 +25,7 @@ enum Task {
     Backup(Backup),
     /// Moves a damaged database aside and puts what can be read of it in its place.
     Repair(Repair),
-    /// Deletes old sessions with their images; calibrations stay.
+    /// Deletes old sessions with their images, and old recordings; calibrations stay.
     Prune(Prune),
 }
 
@@ -76,6 +77,15 @@ struct Prune {
     /// Deletes the oldest until the database holds no more, in millions of bytes.
     #[arg(long, value_name = "N")]
     keep_mb: Option<u32>,
+    /// Deletes recordings that began longer ago, in days.
+    #[arg(long, value_name = "N")]
+    keep_recording_days: Option<u32>,
+    /// Keeps the newest so many recordings.
+    #[arg(long, value_name = "N")]
+    keep_recordings: Option<u32>,
+    /// Deletes the oldest recordings until all together hold no more, in millions of bytes.
+    #[arg(long, value_name = "N")]
+    keep_recordings_mb: Option<u32>,
     /// Only says what would be deleted.
     #[arg(long)]
     dry_run: bool,
@@ -143,9 +153,14 @@ fn repair(args: &Repair) -> Result<(), Failure> {
 fn prune(args: &Prune) -> Result<(), Failure> {
     let Prune { keep_days: days, keep_sessions: sessions, keep_mb: megabytes, dry_run, .. } = *args;
     let retention = Retention { days, sessions, megabytes };
-    if retention == Retention::default() {
+    let of_recordings = RecordingRetention {
+        days: args.keep_recording_days,
+        recordings: args.keep_recordings,
+        megabytes: args.keep_recordings_mb,
+    };
+    if retention == Retention::default() && of_recordings == RecordingRetention::default() {
         return Err(Failure::usage(
-            "nothing says what to keep; give --keep-days, --keep-sessions or --keep-mb",
+            "nothing says what to keep; give --keep-days, --keep-sessions or --keep-mb, or for recordings --keep-recording-days, --keep-recordings or --keep-recordings-mb",
         ));
     }
     let folder = folder_of(&args.place)?;
@@ -156,10 +171,18 @@ fn prune(args: &Prune) -> Result<(), Failure> {
     if !dry_run {
         store.compact().map_err(Failure::failed)?;
     }
-    pruned.sessions.iter().try_for_each(|id| output::print_line(id))?;
-    let (count, kilobytes) = (pruned.sessions.len(), pruned.bytes / 1000);
+    let recordings = prune_folder(&recordings_folder(&folder), &of_recordings, now_ns, dry_run);
+    let recordings = recordings.map_err(Failure::failed)?;
+    let recorded_bytes: u64 = recordings.iter().map(|recording| recording.bytes).sum();
+    let recordings: Vec<String> = recordings.into_iter().map(|recording| recording.id).collect();
     let what = if dry_run { "would be deleted" } else { "deleted" };
-    output::print_line(&format!("{count} sessions of {kilobytes} kB {what}"))
+    for (noun, ids, bytes) in
+        [("sessions", pruned.sessions, pruned.bytes), ("recordings", recordings, recorded_bytes)]
+    {
+        ids.iter().try_for_each(|id| output::print_line(id))?;
+        output::print_line(&format!("{} {noun} of {} kB {what}", ids.len(), bytes / 1000))?;
+    }
+    Ok(())
 }
 
 fn folder_of(place: &StorePlace) -> Result<PathBuf, Failure> {

@@ -9,6 +9,7 @@ use serde::Deserialize;
 use crate::calibration::session_record::SessionRequest;
 use crate::config::source::SourceConfig;
 use crate::http::tokens::AccessTokens;
+use crate::pipeline::recording_retention::RecordingRetention;
 use crate::store::Retention;
 
 /// A configuration that holds: what it names was there when it was checked.
@@ -30,6 +31,8 @@ pub struct Config {
     /// Which sessions are kept. Default: all of them. Approved calibrations and their sessions are
     /// kept in any case.
     pub retention: Retention,
+    /// Which recordings are kept. Default: all of them.
+    pub recording_retention: RecordingRetention,
     /// Whether a `good` calibration becomes the camera's current one by itself. Default: true.
     pub auto_approve: bool,
     /// What ROS 2 sees of it. Default: nothing.

@@ -16,6 +16,7 @@ use crate::config::written_source::{WrittenSource, check_domain};
 use crate::document::session::StartDocument;
 use crate::http::tls::{Certificate, TlsError};
 use crate::http::tokens::AccessTokens;
+use crate::pipeline::recording_retention::RecordingRetention;
 use crate::store::Retention;
 
 /// Where the daemon listens by default.
@@ -68,6 +69,9 @@ struct StoreTable {
     keep_days: Option<u32>,
     keep_sessions: Option<u32>,
     keep_mb: Option<u32>,
+    keep_recording_days: Option<u32>,
+    keep_recordings: Option<u32>,
+    keep_recordings_mb: Option<u32>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -156,6 +160,11 @@ impl Written {
             sessions: tables.store.keep_sessions,
             megabytes: tables.store.keep_mb,
         };
+        let recording_retention = RecordingRetention {
+            days: tables.store.keep_recording_days,
+            recordings: tables.store.keep_recordings,
+            megabytes: tables.store.keep_recordings_mb,
+        };
         Ok(Config {
             listen,
             tokens,
@@ -164,6 +173,7 @@ impl Written {
             store_path,
             least_free_bytes,
             retention,
+            recording_retention,
             auto_approve,
             ros2,
             cameras,

@@ -21,6 +21,7 @@ use crate::pipeline::preview::error::PreviewError;
 use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::recorder::{RecordError, RecordingLimits, RecordingState, RecordingStatus};
 use crate::pipeline::recording_notes;
+use crate::pipeline::recording_retention::{RecordingRetention, recordings_folder};
 use crate::pipeline::running::{
     CameraPlan, FleetOptions, RunningCamera, RunningInstrument, SharedParts, start_camera,
     start_rig, stop, stop_and_wait,
@@ -229,8 +230,24 @@ impl Fleet {
         recording_notes::delete(&status).map_err(refused)
     }
 
+    /// Deletes the recordings that have ended and that `retention` does not keep: their names,
+    /// oldest first.
+    ///
+    /// # Errors
+    /// [`RecordError::File`].
+    pub fn prune_recordings(
+        &self,
+        retention: &RecordingRetention,
+        now_ns: i64,
+    ) -> Result<Vec<String>, RecordError> {
+        let not_kept = retention.not_kept(&self.recordings(), now_ns);
+        let refused = |e: std::io::Error| RecordError::File { detail: e.to_string() };
+        not_kept.iter().try_for_each(recording_notes::delete).map_err(refused)?;
+        Ok(not_kept.into_iter().map(|status| status.id).collect())
+    }
+
     fn recordings_folder(&self) -> PathBuf {
-        self.shared.store.folder().join("recordings")
+        recordings_folder(self.shared.store.folder())
     }
 
     /// The counters in Prometheus's text format, version 0.0.4.

@@ -47,6 +47,7 @@ pub mod preview;
 mod preview_thread;
 pub mod recorder;
 pub mod recording_notes;
+pub mod recording_retention;
 mod recording_status;
 mod running;
 mod scene_search;

@@ -131,3 +131,35 @@ fn without_a_store_or_a_limit_that_is_reported() {
     assert_eq!(unlimited.code, Some(2));
     assert!(unlimited.stderr.contains("give --keep-days"), "{}", unlimited.stderr);
 }
+
+#[test]
+fn old_recordings_are_pruned_with_their_notes() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &replaying("front", "walk.mcap"));
+    let record = || {
+        let recording = served.post_nothing("/v1/cameras/front/recordings").json();
+        let id = recording["id"].as_str().unwrap().to_owned();
+        let mut events = served.events("?camera=front", None);
+        (0..3).for_each(|_| drop(events.until(|event| event.name == "frame")));
+        assert_eq!(served.post_nothing(&format!("/v1/recordings/{id}/stop")).status, 200);
+        id
+    };
+    let ids = [record(), record()];
+    drop(served);
+    let lying = || {
+        let mut files: Vec<String> = std::fs::read_dir(folder.path().join("store/recordings"))
+            .unwrap()
+            .map(|file| file.unwrap().file_name().into_string().unwrap())
+            .collect();
+        files.sort();
+        files
+    };
+    let kept = [format!("{}.json", ids[1]), format!("{}.mcap", ids[1])];
+    assert_eq!(lying().len(), 4);
+    let listed = store_command(folder.path(), "prune", &["--keep-recordings", "1", "--dry-run"]);
+    assert!(listed.stdout.contains("1 recordings of ") && listed.stdout.contains(&ids[0]));
+    assert_eq!(lying().len(), 4);
+    let pruned = store_command(folder.path(), "prune", &["--keep-recordings", "1"]);
+    assert_eq!(pruned.code, Some(0), "{}", pruned.stderr);
+    assert_eq!(lying(), kept);
+}
