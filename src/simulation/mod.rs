@@ -23,6 +23,8 @@ mod rays;
 mod renderer;
 mod rgbd_world;
 mod seat;
+mod textured_solids;
+mod textured_world;
 mod walk;
 mod world;
 
@@ -34,5 +36,6 @@ pub use operator::{Operator, OperatorKind, Skill};
 pub use renderer::Renderer;
 pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
 pub use seat::Seat;
+pub use textured_world::{CameraPath, Scenery, TexturedWorld, TexturedWorldOptions};
 pub use walk::{Walk, WalkOptions};
 pub use world::{FrameTruth, SimulatedFrame, World, WorldOptions};

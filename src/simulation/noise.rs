@@ -16,6 +16,7 @@ pub(super) enum Purpose {
     Depth = 6,
     Seat = 7,
     Operator = 8,
+    Mover = 9,
 }
 
 /// The stream of `seed` for `purpose`, the `index`-th of its kind.

@@ -1,0 +1,118 @@
+//! Textured boxes, and what a ray sees of them.
+
+use nalgebra::{Point3, Vector3};
+
+/// A box along the axes whose faces carry a texture of their own.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct TexturedBox {
+    pub center: Point3<f64>,
+    /// Half its lengths.
+    pub half: Vector3<f64>,
+    /// Which texture.
+    pub salt: u64,
+    /// Whether it is seen from inside, as a room is.
+    pub is_room: bool,
+}
+
+/// Where a ray meets a face.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FaceHit {
+    /// How many times the ray's direction.
+    pub along: f64,
+    /// Coordinates on the face.
+    at: [f64; 2],
+    salt: u64,
+    /// How much longer a pixel is on the face than across the ray.
+    slant: f64,
+}
+
+impl TexturedBox {
+    /// How far along the ray from `origin` it meets it first, in lengths of the ray's direction,
+    /// whose coordinates' inverses these are; with the axis across the face.
+    fn met(&self, origin: &Point3<f64>, inverse: &Vector3<f64>) -> Option<(f64, usize)> {
+        let (mut enter, mut leave) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
+        for k in 0..3 {
+            let middle = (self.center[k] - origin[k]) * inverse[k];
+            let reach = (self.half[k] * inverse[k]).abs();
+            if middle - reach > enter.0 {
+                enter = (middle - reach, k);
+            }
+            if middle + reach < leave.0 {
+                leave = (middle + reach, k);
+            }
+        }
+        let met = if self.is_room { leave } else { enter };
+        (enter.0 <= leave.0 && met.0 > 0.0).then_some(met)
+    }
+}
+
+/// The face that the ray from `origin` along `direction` meets first.
+pub(super) fn nearest_face(
+    solids: &[TexturedBox],
+    origin: &Point3<f64>,
+    direction: &Vector3<f64>,
+) -> Option<FaceHit> {
+    let inverse = direction.map(|coordinate| 1.0 / coordinate);
+    let mut nearest: Option<(f64, usize, u64)> = None;
+    for solid in solids {
+        let Some((along, axis)) = solid.met(origin, &inverse) else { continue };
+        if nearest.is_none_or(|(nearest, ..)| along < nearest) {
+            nearest = Some((along, axis, solid.salt));
+        }
+    }
+    let (along, axis, salt) = nearest?;
+    let point = origin + direction * along;
+    let [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
+    let side = u64::from(direction[axis] > 0.0) + 2 * axis as u64;
+    let slant = direction.norm() * inverse[axis].abs();
+    Some(FaceHit { along, at: [point[u], point[v]], salt: salt * 8 + side, slant })
+}
+
+impl FaceHit {
+    /// The light from there, 0 to 1, as a pixel that is `footprint` wide there sees it: without
+    /// what is finer than the pixel, which would alias.
+    pub fn light(&self, footprint: f64) -> f64 {
+        texture(self.at, self.salt, footprint * self.slant)
+    }
+}
+
+/// Waves per length of the coarsest noise of a texture, and how many times finer each next is.
+const COARSEST: f64 = 1.3;
+const FINER: f64 = 2.1;
+const OCTAVES: u64 = 8;
+
+/// Noise of several sizes. What is finer than a pixel is left out, as a pixel's area averages it.
+fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
+    let (mut light, mut frequency) = (0.5, COARSEST);
+    for octave in 0..OCTAVES {
+        let seen = (1.0 - 2.0 * frequency * footprint).clamp(0.0, 1.0);
+        if seen <= 0.0 {
+            break;
+        }
+        light += 0.42 * seen * (noise(u * frequency, v * frequency, salt * 16 + octave) - 0.5);
+        frequency *= FINER;
+    }
+    light.clamp(0.02, 0.98)
+}
+
+/// Values at the corners of a grid, smooth between them.
+fn noise(x: f64, y: f64, salt: u64) -> f64 {
+    let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
+    let (column, row) = (x.floor(), y.floor());
+    let (fx, fy) = (smooth(x - column), smooth(y - row));
+    let at = |dx: i64, dy: i64| corner(column as i64 + dx, row as i64 + dy, salt);
+    let upper = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
+    let lower = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;
+    upper * (1.0 - fy) + lower * fy
+}
+
+/// A value from 0 to 1, always the same for the same place.
+fn corner(x: i64, y: i64, salt: u64) -> f64 {
+    let mut bits = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+        ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
+        ^ salt.wrapping_mul(0x1656_67b1_9e37_79f9);
+    for _ in 0..2 {
+        bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    }
+    (bits >> 40) as f64 / f64::from(1 << 24)
+}
