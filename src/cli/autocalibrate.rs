@@ -59,7 +59,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let threads = args.threads.map_or_else(all_cores, usize::from);
     let started = Instant::now();
     let images = images(args, threads)?;
-    let options = SceneOptions { lens: args.lens.into(), given: args.given.clone(), threads };
+    let options = SceneOptions {
+        lens: args.lens.into(),
+        given: args.given.clone(),
+        threads,
+        ..SceneOptions::default()
+    };
     let spinner = progress::spinner("solving");
     let solved = calibrate_scene(&images, &options);
     spinner.finish_and_clear();

@@ -158,7 +158,11 @@ impl SolveJob {
                 calibration::solve(observations, &options).map_err(|error| error.to_string())
             }
             SolveInput::Scene(images) => {
-                let options = SceneOptions { lens: self.lens, ..SceneOptions::default() };
+                let options = SceneOptions {
+                    lens: self.lens,
+                    interrupt: self.interrupt.clone(),
+                    ..SceneOptions::default()
+                };
                 let solved = calibrate_scene(images, &options);
                 solved.map(SceneCalibration::into_calibration).map_err(|error| error.to_string())
             }

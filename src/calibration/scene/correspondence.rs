@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::Point2;
 
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::scene::problem::{SceneProblem, TrackPoint};
 use crate::estimation::scene::reconstruction::ImagePair;
 use crate::estimation::scene::rotation_only::RotatedPair;
@@ -49,6 +50,14 @@ impl SceneImage {
         self.features.keypoints.iter().map(|keypoint| keypoint.pixel)
     }
 
+    /// The first of the features that are where `feature` is: one keypoint has a feature for each
+    /// direction that dominates around it, but is measured once.
+    fn place(&self, feature: usize) -> usize {
+        let keypoints = &self.features.keypoints;
+        let at = keypoints[feature].pixel;
+        (0..feature).rev().take_while(|k| keypoints[*k].pixel == at).last().unwrap_or(feature)
+    }
+
     /// How many features it has.
     pub fn feature_count(&self) -> usize {
         self.features.keypoints.len()
@@ -69,6 +78,9 @@ pub(super) struct ImagePairs {
     pub general: Vec<ImagePair>,
     /// Pairs that a homography explains.
     pub rotated: Vec<RotatedPair>,
+    /// The homography that explains most of each pair's matches, whatever it leaves: distortion
+    /// changes that of a camera that only rotated.
+    pub homographies: Vec<RotatedPair>,
     /// Pairs between which nothing moved.
     pub still: usize,
     /// The number of inlier matches between each image and the next.
@@ -81,14 +93,22 @@ const PREVIEWED: usize = 600;
 /// Pairs with fewer preliminary matches share nothing: as many agree by chance.
 const LEAST_PREVIEWED: usize = 6;
 
-/// Matches and verifies all pairs of `images`, with `threads` threads.
-pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize) -> ImagePairs {
+/// Matches and verifies all pairs of `images`, with `threads` threads; none any more once
+/// `interrupt` is requested.
+pub(super) fn correspond(
+    images: &[SceneImage],
+    size: ImageSize,
+    (threads, interrupt): (usize, &Interrupt),
+) -> ImagePairs {
     let tables: Vec<DescriptorTable> = images.iter().map(|image| image.table(usize::MAX)).collect();
     let previews: Vec<DescriptorTable> =
         images.iter().map(|image| image.table(PREVIEWED)).collect();
     let pairs: Vec<(usize, usize)> =
         (0..images.len()).flat_map(|i| (i + 1..images.len()).map(move |j| (i, j))).collect();
     let matched = in_parallel(&pairs, threads, |(i, j)| {
+        if interrupt.is_requested() {
+            return None;
+        }
         let is_neighbor = *j == i + 1;
         let preview = match_descriptors(&previews[*i], &previews[*j]);
         if preview.len() < LEAST_PREVIEWED && !is_neighbor {
@@ -101,9 +121,15 @@ pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize)
         Some((matches, points, geometry))
     });
     let mut found = ImagePairs {
-        problem: SceneProblem { image_size: size, images: images.len(), tracks: Vec::new() },
+        problem: SceneProblem {
+            image_size: size,
+            images: images.len(),
+            tracks: Vec::new(),
+            interrupt: interrupt.clone(),
+        },
         general: Vec::new(),
         rotated: Vec::new(),
+        homographies: Vec::new(),
         still: 0,
         between_neighbors: vec![0; images.len().saturating_sub(1)],
     };
@@ -113,7 +139,11 @@ pub(super) fn correspond(images: &[SceneImage], size: ImageSize, threads: usize)
         if second == first + 1 {
             found.between_neighbors[first] = geometry.inliers.len();
         }
-        verified.push((first, second, geometry.inliers.iter().map(|k| matches[*k]).collect()));
+        let placed = |k: &usize| Match {
+            first: images[first].place(matches[*k].first),
+            second: images[second].place(matches[*k].second),
+        };
+        verified.push((first, second, geometry.inliers.iter().map(placed).collect()));
         found.add_pair((first, second), &points, &geometry);
     }
     let tracks = join_tracks(&verified);
@@ -135,12 +165,15 @@ impl ImagePairs {
         if geometry.kind == TwoViewKind::Still {
             self.still += 1;
         }
-        if let Some(homography) =
-            geometry.homography.filter(|_| geometry.kind != TwoViewKind::General)
-        {
+        if let Some(homography) = geometry.homography {
             let matches = geometry.on_homography;
-            self.rotated.push(RotatedPair { first, second, homography, matches });
-        } else if geometry.kind == TwoViewKind::General {
+            let pair = RotatedPair { first, second, homography, matches };
+            if geometry.kind != TwoViewKind::General {
+                self.rotated.push(pair.clone());
+            }
+            self.homographies.push(pair);
+        }
+        if geometry.kind == TwoViewKind::General {
             let fundamental = geometry.fundamental;
             self.general.push(ImagePair { first, second, fundamental, matches });
         }

@@ -90,6 +90,9 @@ pub enum SceneRefusal {
         /// The lens asked for.
         model: crate::geometry::lens::LensModel,
     },
+    /// Nobody waits for it any more.
+    #[error("the calibration was ended before it was done")]
+    Interrupted,
     /// The solution is not finite.
     #[error(
         "no lens fits the images: give sharp images of one static scene by one camera with fixed zoom and focus"

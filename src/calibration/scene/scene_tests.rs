@@ -8,6 +8,7 @@ use super::conditions::SceneConditions;
 use super::correspondence::SceneImage;
 use super::lens_fit::{LensFit, fit_lens};
 use super::{SceneOptions, SceneRefusal, calibrate_scene};
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::hypotheses::reconstruct_best;
 use crate::estimation::scene::problem::{SceneProblem, TrackPoint};
@@ -93,7 +94,8 @@ fn scene(seed: u64, motion: Motion) -> (SceneProblem, Vec<ImagePair>) {
             tracks.push(track);
         }
     }
-    let problem = SceneProblem { image_size: SIZE, images: 8, tracks };
+    let interrupt = Interrupt::default();
+    let problem = SceneProblem { image_size: SIZE, images: 8, tracks, interrupt };
     let pairs = (0..8).flat_map(|i| (i + 1..8).map(move |j| (i, j)));
     let pairs = pairs.filter_map(|(i, j)| pair(&problem, i, j)).collect();
     (problem, pairs)
@@ -175,6 +177,10 @@ fn what_cannot_be_calibrated_is_refused_by_name() {
         GrayImage::from_pixels(width, height, (0..width * height).map(at).collect()).unwrap()
     };
     let (texture, other) = (textured(320, 240), textured(240, 320));
+    let ended = SceneOptions { interrupt: Interrupt::new(), ..SceneOptions::default() };
+    ended.interrupt.request();
+    let three = [image("a", &texture), image("b", &texture), image("c", &texture)];
+    assert_eq!(calibrate_scene(&three, &ended), Err(SceneRefusal::Interrupted));
     let two = [image("a", &texture), image("b", &texture)];
     assert_eq!(calibrate_scene(&two, &options), Err(SceneRefusal::TooFewImages { images: 2 }));
     let same = [image("a", &texture), image("b", &texture), image("c", &texture)];

@@ -9,9 +9,11 @@ use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 use crate::calibration::scene::verdict::{self, Evidence};
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::LensChoice;
-use crate::estimation::scene::bundle::CameraMotion;
+use crate::estimation::scene::bundle::{Bundle, BundleStop, CameraMotion};
 use crate::estimation::scene::hypotheses::reconstruct_best;
+use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY};
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::estimation::scene::rotation_only::reconstruct_rotations;
 use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projection_uncertainty};
@@ -28,11 +30,14 @@ pub struct SceneOptions {
     pub given: Vec<(String, f64)>,
     /// Threads; the result does not depend on it.
     pub threads: usize,
+    /// Ends the calibration early.
+    pub interrupt: Interrupt,
 }
 
 impl Default for SceneOptions {
     fn default() -> Self {
-        Self { lens: LensChoice::Auto, given: Vec::new(), threads: 1 }
+        let interrupt = Interrupt::default();
+        Self { lens: LensChoice::Auto, given: Vec::new(), threads: 1, interrupt }
     }
 }
 
@@ -52,7 +57,19 @@ const ROTATED_DEG: f64 = 15.0;
 
 /// Of a camera that only rotated no more than this part of the observations may disagree; more is
 /// parallax.
-const ROTATED_OUTLIERS: f64 = 0.12;
+const ROTATED_OUTLIERS: f64 = 0.2;
+
+/// Pairs of images with an epipolar geometry that a reconstruction begins with at least.
+const LEAST_GENERAL: usize = 2;
+
+/// A rotation whose noise is less than this times that of a motion is what happened: distortion
+/// beyond its first coefficient raises it a little, parallax by tens of times.
+const AS_WELL: f64 = 2.0;
+
+/// Cauchy's limit where both are compared, in standard deviations.
+const ROBUST: f64 = 2.4;
+
+const COMPARING: BundleStop = BundleStop { max_steps: 10, least_decrease: 1e-3 };
 
 /// Less parallax, in degrees, than this leaves focal length and depth to the noise.
 const LEAST_PARALLAX_DEG: f64 = 2.0;
@@ -63,16 +80,23 @@ const WORTHLESS: f64 = 0.2;
 /// Calibrates from `images` of a static scene by one camera.
 ///
 /// # Errors
-/// [`SceneRefusal`] where they do not determine the lens, and why.
+/// [`SceneRefusal`] where they do not determine the lens, and why;
+/// [`SceneRefusal::Interrupted`] once that was requested.
 pub fn calibrate_scene(
     images: &[SceneImage],
     options: &SceneOptions,
 ) -> Result<SceneCalibration, SceneRefusal> {
     let size = checked_size(images)?;
-    let found = correspond(images, size, options.threads);
-    let start = reconstruction(&found, options)?;
+    let goes_on = || options.interrupt.check().map_err(|_| SceneRefusal::Interrupted);
+    let found = correspond(images, size, (options.threads, &options.interrupt));
+    goes_on()?;
+    let start = reconstruction(&found, options);
+    goes_on()?;
+    let start = start?;
     check_rotation(&start)?;
-    let fit = fit_lens(&start, options.lens, &options.given)?;
+    let fit = fit_lens(&start, options.lens, &options.given);
+    goes_on()?;
+    let fit = fit?;
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, &found, &start)?;
     Ok(finished(images, &start, &fit, (&conditions, &found)))
@@ -117,10 +141,35 @@ fn reconstruction(
     }
     let given = options.given.iter().find(|(name, _)| name == "fx" || name == "fy");
     let focal = given.map(|(_, value)| *value);
-    if found.general.len() < 2 || found.general.len() * 4 < found.rotated.len() {
-        return reconstruct_rotations(&found.problem, &found.rotated).ok_or(SceneRefusal::OnePlane);
+    let rotating = reconstruct_rotations(&found.problem, &found.homographies);
+    let moving = (found.general.len() >= LEAST_GENERAL)
+        .then(|| reconstruct_best(&found.problem, &found.general, focal))
+        .flatten();
+    match (rotating, moving) {
+        (Some(rotating), Some(moving)) if explains_as_well(&rotating, &moving) => Ok(rotating),
+        (_, Some(moving)) => Ok(moving),
+        (Some(rotating), None) => Ok(rotating),
+        (None, None) if is_one_plane(found) => Err(SceneRefusal::OnePlane),
+        (None, None) => Err(SceneRefusal::HardlyAnyParallax),
     }
-    reconstruct_best(&found.problem, &found.general, focal).ok_or(SceneRefusal::HardlyAnyParallax)
+}
+
+/// Whether most pairs of images show what one plane, or a rotation, would.
+fn is_one_plane(found: &ImagePairs) -> bool {
+    found.general.len() < LEAST_GENERAL || found.general.len() * 4 < found.rotated.len()
+}
+
+/// Whether a camera that only rotated explains the images: translations and depths, which it does
+/// without, explain even noise a little better.
+fn explains_as_well(rotating: &Reconstruction, moving: &Reconstruction) -> bool {
+    let noise = |of: &Reconstruction| {
+        let mut bundle = Bundle { free: vec![FX, FY, CX, CY, COEFFICIENTS], ..of.bundle.clone() };
+        bundle.robust_limit = ROBUST * bundle.median_noise(&of.state);
+        let state = bundle.minimize(of.state.clone(), COMPARING);
+        bundle.median_noise(&state)
+    };
+    let is_complete = rotating.images.len() >= moving.images.len();
+    is_complete && noise(rotating) < AS_WELL * noise(moving)
 }
 
 /// Refuses a camera that neither moved nor rotated enough.
@@ -145,6 +194,9 @@ fn check_determined(
         return Err(SceneRefusal::TooFewConnected { used, images, between_neighbors });
     }
     let moving = conditions.motion == CameraMotion::Moving;
+    if moving && is_one_plane(found) && conditions.relief < verdict::RELIEF {
+        return Err(SceneRefusal::OnePlane);
+    }
     let forward = conditions.sideways_deg < FORWARD_DEG && conditions.rolled_deg < ROLLED_DEG;
     if moving && forward {
         return Err(SceneRefusal::ForwardMotion { angle_deg: conditions.sideways_deg });

@@ -19,7 +19,7 @@ const OUTLIERS: [f64; 2] = [0.15, 0.4];
 /// The median parallax, in degrees, below which depth is weak.
 const PARALLAX_DEG: f64 = 5.0;
 /// Points within this part of their spread from a plane are one.
-const RELIEF: f64 = 0.02;
+pub(super) const RELIEF: f64 = 0.02;
 /// Images that all stand upright leave the principal point to the parallax.
 const ROLLED_DEG: f64 = 30.0;
 

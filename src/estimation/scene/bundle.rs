@@ -7,6 +7,7 @@ use nalgebra::{
     DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Point3, SMatrix, Vector2, Vector3,
 };
 
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::scene::lens_prior::LensPrior;
 use crate::geometry::lens::{Lens, MAX_PARAMETERS};
 use crate::geometry::pixel::Pixel;
@@ -48,6 +49,8 @@ pub struct Bundle {
     /// Residuals much above this, in standard deviations, count little (Cauchy's loss); infinite
     /// for least squares.
     pub robust_limit: f64,
+    /// Ends descents early.
+    pub interrupt: Interrupt,
 }
 
 /// What the camera did between the images.
@@ -247,6 +250,9 @@ impl Bundle {
         let mut cost = self.cost(&state);
         let mut damping = START_DAMPING;
         for _ in 0..stop.max_steps {
+            if self.interrupt.is_requested() {
+                break;
+            }
             let reduced = self.reduced(&state, damping);
             let next = self.step(&state, &reduced);
             let next = next.map(|next| (self.cost(&next), next));

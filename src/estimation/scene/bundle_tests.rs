@@ -2,6 +2,7 @@
 
 use nalgebra::{DVector, Point3, Vector3};
 
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::scene::bundle::{
     Bundle, BundleStop, CameraMotion, SceneObservation, SceneState,
 };
@@ -38,6 +39,7 @@ fn exact() -> (Bundle, SceneState) {
         prior: LensPrior { image_size: ImageSize::new(640, 480) },
         motion: CameraMotion::Moving,
         robust_limit: f64::INFINITY,
+        interrupt: Interrupt::default(),
     };
     (bundle, SceneState { lens, cameras_from_scene, points })
 }
@@ -125,4 +127,16 @@ fn the_reduced_gradient_is_that_of_the_cost_at_the_best_points() {
     // The cost is the sum of squares: its gradient is twice the normal equations' right side.
     let expected = 2.0 * gradient[0];
     assert!((expected - numeric).abs() < 1e-4 * numeric.abs().max(1.0), "{expected}, {numeric}");
+}
+
+#[test]
+fn a_descent_that_nobody_waits_for_ends_where_it_is() {
+    let (mut bundle, truth) = exact();
+    bundle.free = vec![0, 1];
+    let start = changed(&truth, &Changed::Lens(0), 3.0);
+    let stop = BundleStop { max_steps: 20, least_decrease: 1e-9 };
+    bundle.interrupt = Interrupt::new();
+    assert_ne!(bundle.minimize(start.clone(), stop), start);
+    bundle.interrupt.request();
+    assert_eq!(bundle.minimize(start.clone(), stop), start);
 }

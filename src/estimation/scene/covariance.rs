@@ -1,8 +1,8 @@
 //! How well the images determine the lens: the covariance of the lens from that of everything, and
-//! whether observations of one image, of one scene point, or of one region of all images, err
+//! whether observations of one image, of one part of the scene, or of one region of all images, err
 //! together.
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, SymmetricEigen};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix2xX, Matrix3, Matrix3xX, Point3, SymmetricEigen};
 
 use crate::estimation::scene::bundle::{Bundle, CameraMotion, PixelRow, SceneState};
 use crate::geometry::pixel::{ImageSize, Pixel};
@@ -22,8 +22,9 @@ pub struct LensCovariance {
 /// The covariance of the lens at the minimum `state` of `bundle`, whose observations have their
 /// true standard deviations; `None` where something is not determined at all.
 ///
-/// Observations err together by image (motion blur, rolling shutter), by scene point (a wrong
-/// match) and by region of the image (what the lens model does not follow): the clustered
+/// Observations err together by image (motion blur, rolling shutter), by part of the scene (what
+/// moves, surfaces seen at a slant, edges before a background, wrong matches) and by region of the
+/// image (what the lens model does not follow): the clustered
 /// covariance of K.-Y. Liang and S. L. Zeger, 1986, each way, the excesses added (A. C. Cameron, J.
 /// Gelbach and D. Miller, *Robust inference with multiway clustering*, 2011).
 pub fn lens_covariance(bundle: &Bundle, state: &SceneState) -> Option<LensCovariance> {
@@ -83,12 +84,44 @@ struct Cluster {
 /// Three ways to cluster the same observations.
 struct Clusters {
     by_image: Vec<Cluster>,
-    by_point: Vec<Cluster>,
+    by_part: Vec<Cluster>,
     by_region: Vec<Cluster>,
 }
 
-/// Points are dealt into this many clusters: many enough to estimate what they differ by.
-const POINT_CLUSTERS: usize = 24;
+/// How often the scene is halved into parts whose points are one cluster each: 32 parts are many
+/// enough to estimate what they differ by, and large enough to hold a thing or a surface.
+const HALVINGS: u32 = 5;
+
+/// The part of the scene that each point lies in: the scene is halved at the median of its longest
+/// extent, the halves likewise, and so on.
+fn scene_parts(points: &[Point3<f64>]) -> Vec<usize> {
+    let mut parts = vec![0; points.len()];
+    let mut split: Vec<Vec<usize>> = vec![(0..points.len()).collect()];
+    for _ in 0..HALVINGS {
+        split = split.into_iter().flat_map(|part| halved(points, part)).collect();
+    }
+    for (number, part) in split.iter().enumerate() {
+        part.iter().for_each(|point| parts[*point] = number);
+    }
+    parts
+}
+
+/// Both halves of a part of the scene.
+fn halved(points: &[Point3<f64>], mut part: Vec<usize>) -> [Vec<usize>; 2] {
+    let extent = |axis: &usize| {
+        let (low, high) = part
+            .iter()
+            .map(|k| points[*k][*axis])
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
+                (low.min(at), high.max(at))
+            });
+        high - low
+    };
+    let longest = (0..3).max_by(|a, b| extent(a).total_cmp(&extent(b))).unwrap_or(0);
+    part.sort_by(|a, b| points[*a][longest].total_cmp(&points[*b][longest]).then(a.cmp(b)));
+    let upper = part.split_off(part.len() / 2);
+    [part, upper]
+}
 
 /// Regions along each side of the image: a lens model's misfit changes over lengths like these.
 const REGIONS: usize = 4;
@@ -100,10 +133,11 @@ impl Clusters {
         let empty = Cluster { pull: DVector::zeros(lens), expected: DMatrix::zeros(lens, lens) };
         let mut clusters = Self {
             by_image: vec![empty.clone(); state.cameras_from_scene.len()],
-            by_point: vec![empty.clone(); POINT_CLUSTERS],
+            by_part: vec![empty.clone(); 1 << HALVINGS],
             by_region: vec![empty; REGIONS * REGIONS],
         };
-        for point in 0..state.points.len() {
+        let parts = scene_parts(&state.points);
+        for (point, part) in parts.into_iter().enumerate() {
             let rows = bundle.rows(state, point);
             let Some(influences) = influences(bundle, state, (point, &rows), steps) else {
                 continue;
@@ -116,7 +150,7 @@ impl Clusters {
                 clusters.by_region[region].add(&pull, &expected);
                 // All rows of a point together: their residuals' covariance is a projection.
                 let whole = by_residual.tr_mul(by_residual);
-                clusters.by_point[point % POINT_CLUSTERS].add(&pull, &whole);
+                clusters.by_part[part].add(&pull, &whole);
             }
         }
         clusters
@@ -125,10 +159,10 @@ impl Clusters {
     /// The covariance of the whitened lens parameters: the identity where all observations err by
     /// themselves.
     fn inflation(&self) -> DMatrix<f64> {
-        let lens = self.by_point[0].pull.len();
+        let lens = self.by_part[0].pull.len();
         let identity = DMatrix::<f64>::identity(lens, lens);
         let mut total = identity.clone();
-        for clusters in [&self.by_image, &self.by_point, &self.by_region] {
+        for clusters in [&self.by_image, &self.by_part, &self.by_region] {
             total += clustered(clusters) - &identity;
         }
         let mut eigen = SymmetricEigen::new(total);
@@ -142,7 +176,20 @@ impl Cluster {
         self.pull += pull;
         self.expected += expected;
     }
+
+    /// How far the lens moves, in standard deviations, if this cluster is left out: its pull, but
+    /// for what the fit has already given way to it (M. McCaffrey and R. Bell, *Bias reduction in
+    /// standard errors for linear regression with multi-stage samples*, 2002: the jackknife).
+    fn left_out(&self) -> DVector<f64> {
+        let mut eigen = SymmetricEigen::new(self.expected.clone());
+        eigen.eigenvalues.iter_mut().for_each(|own| *own = 1.0 / (1.0 - *own).max(LEAST_OTHERS));
+        eigen.recompose() * &self.pull
+    }
 }
+
+/// Where the other clusters say less than this part of what all say, nothing can be learned from
+/// leaving one out.
+const LEAST_OTHERS: f64 = 0.1;
 
 /// The clustered covariance over the expected one, in the frame of whitened parameters. Few
 /// clusters say little of single directions: the matrix is drawn towards its mean by the part that
@@ -156,11 +203,11 @@ fn clustered(clusters: &[Cluster]) -> DMatrix<f64> {
     }
     let (mut seen, mut expected) = (DMatrix::<f64>::zeros(lens, lens), 0.0);
     for cluster in clusters {
-        seen += &cluster.pull * cluster.pull.transpose();
+        let pull = cluster.left_out();
+        seen += &pull * pull.transpose();
         expected += cluster.expected.trace();
     }
-    // The fit itself has taken one sum up: pulls add up to 0.
-    let expected = expected * (1.0 - 1.0 / used);
+    let seen = seen * (1.0 - 1.0 / used);
     let ratio = seen * (lens as f64 / expected.max(f64::MIN_POSITIVE));
     let mean = (ratio.trace() / lens as f64).max(1.0);
     let own = (used - 1.0) / (used - 1.0 + lens as f64);

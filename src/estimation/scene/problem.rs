@@ -1,5 +1,6 @@
 //! Scene points seen in images.
 
+use crate::estimation::interrupt::Interrupt;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// A scene point in one image.
@@ -25,4 +26,6 @@ pub struct SceneProblem {
     pub images: usize,
     /// The scene points.
     pub tracks: Vec<Track>,
+    /// Ends what is computed of it early, when nobody waits for it any more.
+    pub interrupt: Interrupt,
 }

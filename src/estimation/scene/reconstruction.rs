@@ -127,6 +127,9 @@ impl<'a> Growing<'a> {
     fn grow(&mut self) {
         let mut refused: Vec<usize> = Vec::new();
         while let Some(image) = self.next_image(&refused) {
+            if self.problem.interrupt.is_requested() {
+                break;
+            }
             let seen: Vec<PointInImage> = self.tracks_of[image]
                 .iter()
                 .filter_map(|(track, at)| {
@@ -221,6 +224,7 @@ impl<'a> Growing<'a> {
             prior,
             motion: CameraMotion::Moving,
             robust_limit: f64::INFINITY,
+            interrupt: self.problem.interrupt.clone(),
         };
         let cameras_from_scene =
             self.order.iter().filter_map(|image| self.camera_from_scene[*image]).collect();

@@ -66,7 +66,8 @@ impl Bundle {
         (median(squares).unwrap_or(1.0) / MEDIAN_SQUARE / free).sqrt().max(1e-6)
     }
 
-    fn rescaled(&mut self, factor: f64) {
+    /// Takes the noise as `factor` times larger than it was taken.
+    pub fn rescaled(&mut self, factor: f64) {
         self.observations.iter_mut().flatten().for_each(|seen| seen.inverse_std /= factor);
     }
 }

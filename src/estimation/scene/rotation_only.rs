@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3};
 use crate::estimation::scene::bundle::{
     Bundle, BundleStop, CameraMotion, SceneObservation, SceneState,
 };
-use crate::estimation::scene::lens_prior::{FX, FY, LensPrior};
+use crate::estimation::scene::lens_prior::{COEFFICIENTS, CX, CY, FX, FY, LensPrior};
 use crate::estimation::scene::problem::SceneProblem;
 use crate::estimation::scene::reconstruction::Reconstruction;
 use crate::geometry::camera_matrix::CameraMatrix;
@@ -35,6 +35,14 @@ const TRIED: usize = 120;
 
 /// K⁻¹ H K of a rotation is orthonormal to this, mean square of its entries' deviation.
 const ORTHONORMAL: f64 = 0.02;
+
+/// Cauchy's limit, in standard deviations (95 % efficient where no observation is wrong).
+const ROBUST: f64 = 2.4;
+
+const DESCENDING: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-4 };
+
+/// Descents with the limit that the last one's noise gives.
+const REFITS: usize = 2;
 
 /// How far K⁻¹ H K is from a rotation.
 fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64>) {
@@ -104,10 +112,17 @@ pub fn reconstruct_rotations(
         prior,
         motion: CameraMotion::RotationOnly,
         robust_limit: f64::INFINITY,
+        interrupt: problem.interrupt.clone(),
     };
     let state = SceneState { lens, cameras_from_scene, points };
-    bundle.robust_limit = 2.4 * bundle.median_noise(&state);
-    let state = bundle.minimize(state, BundleStop { max_steps: 20, least_decrease: 1e-4 });
+    bundle.robust_limit = ROBUST * bundle.median_noise(&state);
+    let mut state = bundle.minimize(state, DESCENDING);
+    // The homographies were taken for those of a lens without distortion and in the middle.
+    bundle.free = vec![FX, FY, CX, CY, COEFFICIENTS];
+    for _ in 0..REFITS {
+        bundle.robust_limit = ROBUST * bundle.median_noise(&state);
+        state = bundle.minimize(state, DESCENDING);
+    }
     (images.len() >= 2).then_some(Reconstruction { images, bundle, state })
 }
 
