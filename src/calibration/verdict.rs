@@ -26,6 +26,8 @@ const OUTLIERS: [f64; 2] = [0.02, 0.25];
 const COVERAGE: [f64; 2] = [0.6, 0.15];
 /// The angle between the board's normals, in degrees, up to which it counts as flat in all views.
 const FLAT_DEG: f64 = 15.0;
+/// Tilts that differ less than this in one of two directions leave that direction out.
+const ONE_WAY_DEG: f64 = 7.5;
 
 /// Grades a calibration and says why.
 pub(crate) fn judge(
@@ -294,6 +296,9 @@ fn region_with_most([cols, rows]: [usize; 2], count: impl Fn(usize, usize) -> f6
     }
 }
 
+/// That the board's tilt hardly differs between views, or does so in one direction only: each
+/// direction of tilt determines the focal length by itself, and what a lens's model leaves over
+/// resembles another tilt where one is missing.
 fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let used = estimate.views.iter().filter(|view| view.fault.is_none());
     let normals: Vec<_> =
@@ -301,8 +306,66 @@ fn flat_board(estimate: &CameraEstimate) -> Option<(Grade, String)> {
     let mean: nalgebra::Vector3<f64> = normals.iter().sum();
     let widest =
         normals.iter().map(|normal| 2.0 * normal.angle(&mean)).fold(0.0, f64::max).to_degrees();
+    if normals.len() < 2 {
+        return None;
+    }
+    if widest < FLAT_DEG {
+        let reason = format!(
+            "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
+        );
+        return Some((Grade::Usable, reason));
+    }
+    let [wide, narrow] = tilt_ranges(&normals, &mean)?;
+    let (range_deg, across) = narrow;
+    let named = if across.x.abs() > across.y.abs() {
+        "its right and its left side"
+    } else {
+        "its top and its bottom"
+    };
     let reason = format!(
-        "the board's tilt differs by at most {widest:.0} degrees between views, which leaves the focal length weak: tilt it by 20 to 45 degrees in different directions"
+        "the board's tilt differs by {:.0} degrees in one direction and by {range_deg:.0} in the other, which leaves the focal length weak: tilt {named} towards the camera too, by 20 to 45 degrees",
+        wide.0
     );
-    (normals.len() > 1 && widest < FLAT_DEG).then_some((Grade::Usable, reason))
+    (range_deg < ONE_WAY_DEG).then_some((Grade::Usable, reason))
+}
+
+/// The ranges of directions about their mean in degrees, along the axis of the greatest scatter and
+/// across it, each with its axis.
+fn tilt_ranges(
+    directions: &[nalgebra::Vector3<f64>],
+    mean: &nalgebra::Vector3<f64>,
+) -> Option<[(f64, nalgebra::Vector3<f64>); 2]> {
+    let mean = mean.try_normalize(1e-12)?;
+    let off = || directions.iter().map(|direction| direction - mean * direction.dot(&mean));
+    let scatter: nalgebra::Matrix3<f64> = off().map(|off| off * off.transpose()).sum();
+    let along = scatter.symmetric_eigen();
+    let greatest = along.eigenvectors.column(along.eigenvalues.imax()).into_owned();
+    let range = |axis: nalgebra::Vector3<f64>| {
+        let at = || off().map(|off| off.dot(&axis).clamp(-1.0, 1.0).asin());
+        let [least, most] =
+            [at().fold(f64::INFINITY, f64::min), at().fold(f64::NEG_INFINITY, f64::max)];
+        ((most - least).to_degrees(), axis)
+    };
+    Some([range(greatest), range(mean.cross(&greatest))])
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+
+    #[test]
+    fn the_direction_in_which_the_tilt_hardly_differs_is_found() {
+        // Right and left sides nearer by rotations about y, top and bottom by those about x.
+        let normal = |about_x: f64, about_y: f64| {
+            let rotation = Vector3::new(about_x.to_radians(), about_y.to_radians(), 0.0);
+            UnitQuaternion::from_scaled_axis(rotation) * Vector3::z()
+        };
+        let normals: Vec<_> =
+            (0..9).map(|k| normal(f64::from(k % 3) - 1.0, 5.0 * f64::from(k) - 20.0)).collect();
+        let [wide, narrow] = tilt_ranges(&normals, &normals.iter().sum()).unwrap();
+        assert!((wide.0 - 40.0).abs() < 1.0 && wide.1.x.abs() > 0.99, "{wide:?}");
+        assert!((narrow.0 - 2.0).abs() < 0.2 && narrow.1.y.abs() > 0.99, "{narrow:?}");
+    }
 }

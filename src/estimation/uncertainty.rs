@@ -62,6 +62,8 @@ pub struct UncertaintyMap {
     /// Mean squared length of the error (both axes) at each pixel of the grid, in px²: what a
     /// difference is compared with.
     pub square_px2: Vec<Option<f64>>,
+    /// The covariance of the error at each pixel of the grid, in px².
+    pub covariance_px2: Vec<Option<Matrix2<f64>>>,
     /// How much each pixel of the grid had to say in the compensating motion: 1 for all that are
     /// known about equally well, less for those that are known much worse than most, 0 where the
     /// lens sees nothing.
@@ -187,6 +189,7 @@ impl ProjectionSamples {
             grid: *grid,
             std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
             square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
+            covariance_px2: spreads,
             weights,
         })
     }

@@ -1,5 +1,6 @@
 //! Views that a detector could see: a board anywhere in the image, near and far, tilted and rolled,
-//! all of it inside the frame, its squares large enough and sharp enough.
+//! all of it inside the frame (or, with markers, cut off at its rim), its squares large enough and
+//! sharp enough.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -21,12 +22,14 @@ pub struct BoardPoints {
     pub points: Vec<Point3<f64>>,
     /// The side of a square, or the least distance of two points, in meters.
     pub side_m: f64,
+    /// Whether a part of the board shows which part it is, as that of one with markers does.
+    pub has_markers: bool,
 }
 
 impl BoardPoints {
     /// The inner corners of a chessboard.
     pub fn of_chessboard(board: &Chessboard) -> Self {
-        Self { points: board.corners_in_board(), side_m: board.square_m }
+        Self { points: board.corners_in_board(), side_m: board.square_m, has_markers: false }
     }
 
     /// The corners of a target.
@@ -36,6 +39,7 @@ impl BoardPoints {
         Self {
             points: (0..size.cols * size.rows).filter_map(corner).collect(),
             side_m: target.spanned_chessboard().square_m,
+            has_markers: !matches!(target, Target::Chessboard(_)),
         }
     }
 
@@ -50,7 +54,9 @@ impl BoardPoints {
         let first = points.first()?;
         let distances = points.iter().skip(1).map(|point| (point - first).norm());
         let side_m = distances.fold(f64::INFINITY, f64::min);
-        (points.len() >= 4).then_some(Self { points, side_m })
+        let has_markers =
+            problem.views.iter().any(|view| view.correspondences.len() < points.len());
+        (points.len() >= 4).then_some(Self { points, side_m, has_markers })
     }
 
     /// The least and the greatest x and y.
@@ -97,16 +103,23 @@ pub struct Holding {
     pub roll: f64,
 }
 
-/// The shares of the image, tilts and rolls that are asked for.
-const SHARE: [f64; 2] = [0.25, 0.85];
+/// The shares of the image, tilts and rolls that are asked for. Small boards reach far into the
+/// corners of a fisheye's image; how small is limited by the squares.
+const SHARE: [f64; 2] = [0.12, 0.85];
 /// Rendered boards are found up to 50°; beyond, detectors begin to miss them.
 const GREATEST_TILT: f64 = 0.85;
 const GREATEST_ROLL: f64 = 0.6;
+/// A board that is asked for in a corner keeps this part of the room from it.
+const IN_CORNER: f64 = 0.06;
+/// How far off hands end a movement, relative to the distance: its standard deviation.
+const AIM: f64 = 0.03;
 /// Squares smaller than this are not asked for: detectors need 6 px.
 const LEAST_SIDE_PX: f64 = 8.0;
 /// What is seen of a board's card beyond its outer corners: the squares that make them corners.
 const MARGIN_SQUARES: f64 = 1.0;
 const BORDER_PX: f64 = 2.0;
+/// A board with markers may be cut off at the image's rim by this part of its extent.
+const OVERHANG: f64 = 0.35;
 /// Blur beyond this part of the image's diagonal is refused by admission; half of it is asked for
 /// at most.
 const BLUR_PART: f64 = 0.00125;
@@ -132,6 +145,13 @@ impl Holding {
         }
     }
 
+    /// The `index`-th of those in a corner of the image, one corner after another.
+    pub fn in_corner(index: usize) -> Self {
+        let beside = |at: f64| IN_CORNER + (1.0 - 2.0 * IN_CORNER) * at;
+        let at = [index & 1, index >> 1 & 1].map(|side| beside(side as f64));
+        Self { at, ..Self::of_sequence(index) }
+    }
+
     /// One near it: the `index`-th of a sequence within `step` (0 to 1) of the whole range.
     pub fn near(&self, index: usize, step: f64) -> Self {
         let part = |axis: usize| {
@@ -154,6 +174,8 @@ pub struct CandidateView {
     pub holding: Holding,
     /// Where it would be.
     pub camera_from_board: Pose,
+    /// How likely all of it is seen when hands hold it about there.
+    pub likely: f64,
     /// Its corners with the noise that they would have; every n-th of many, with the weight of all.
     pub corners: Vec<WeightedCorner>,
 }
@@ -205,8 +227,21 @@ impl CandidateSpace<'_> {
             let std_px = self.noise.std_px(side, distance_m) * each;
             (side >= LEAST_SIDE_PX).then_some(WeightedCorner { point_in_board: *point, std_px })
         };
-        let corners = self.board.points.iter().step_by(step).map(corner).collect::<Option<_>>()?;
-        Some(CandidateView { holding: *holding, camera_from_board, corners })
+        let points = self.board.points.iter().step_by(step);
+        let corners: Vec<WeightedCorner> = if self.board.has_markers {
+            let inside = |point: &&Point3<f64>| {
+                let pixel = self.lens.pixel_from_point(&(camera_from_board * **point));
+                pixel.is_some_and(|pixel| self.size.contains(pixel))
+            };
+            points.clone().filter(inside).filter_map(corner).collect()
+        } else {
+            points.clone().map(corner).collect::<Option<_>>()?
+        };
+        if 2 * corners.len() < points.len() {
+            return None;
+        }
+        let likely = self.likely(&camera_from_board)?;
+        Some(CandidateView { holding: *holding, camera_from_board, likely, corners })
     }
 
     /// Where the outer corners of the board are seen, in pixels: the one at its least x and y
@@ -242,18 +277,21 @@ impl CandidateSpace<'_> {
                 distance_m *= 1.2;
                 continue;
             };
-            let rooms = [width - 1.0 - (high.x - low.x), height - 1.0 - (high.y - low.y)]
-                .map(|room| room - 2.0 * BORDER_PX);
+            let box_px = [high.x - low.x, high.y - low.y];
+            let over_px = box_px.map(|px| if self.board.has_markers { OVERHANG * px } else { 0.0 });
+            let rooms = [width - 1.0 - box_px[0], height - 1.0 - box_px[1]];
+            let rooms = [0, 1].map(|axis| rooms[axis] + 2.0 * (over_px[axis] - BORDER_PX));
             if rooms[0] < 0.0 || rooms[1] < 0.0 {
                 distance_m *= 1.12;
                 continue;
             }
-            if low.x >= 0.0 && low.y >= 0.0 && high.x <= width - 1.0 && high.y <= height - 1.0 {
+            let over = [-low.x, -low.y, high.x - width + 1.0, high.y - height + 1.0];
+            if (0..4).all(|side| over[side] <= over_px[side % 2]) {
                 inside = Some(camera_from_board);
             }
             let moved = [
-                BORDER_PX + holding.at[0] * rooms[0] - low.x,
-                BORDER_PX + holding.at[1] * rooms[1] - low.y,
+                BORDER_PX - over_px[0] + holding.at[0] * rooms[0] - low.x,
+                BORDER_PX - over_px[1] + holding.at[1] * rooms[1] - low.y,
             ];
             if moved[0].hypot(moved[1]) < 2.0 && inside.is_some() {
                 break;
@@ -261,6 +299,22 @@ impl CandidateSpace<'_> {
             target = Pixel::new(target.x + moved[0], target.y + moved[1]);
         }
         inside
+    }
+
+    /// How likely a board that is aimed there is seen whole, where it has to be: hands end a
+    /// movement beside its aim, normally distributed by each axis.
+    fn likely(&self, camera_from_board: &Pose) -> Option<f64> {
+        if self.board.has_markers {
+            return Some(1.0);
+        }
+        let [low, high] = self.bounding_box(camera_from_board)?;
+        let focal_px = 0.5 * (self.lens.matrix.fx + self.lens.matrix.fy);
+        let std_px = AIM * focal_px;
+        let [width, height] = [self.size.width, self.size.height].map(f64::from);
+        let rooms = [low.x, low.y, width - 1.0 - high.x, height - 1.0 - high.y];
+        // The logistic approximation of the normal distribution, right to 0.01.
+        let inside = |room: f64| 1.0 / (1.0 + (-1.702 * room / std_px).exp());
+        Some(rooms.into_iter().map(inside).product())
     }
 
     fn bounding_box(&self, camera_from_board: &Pose) -> Option<[Pixel; 2]> {

@@ -7,6 +7,7 @@ use crate::calibration::information::candidate_views::{CandidateSpace, Candidate
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::projection_goal::ProjectionGoal;
 use crate::calibration::information::view_information::view_information;
+use crate::estimation::uncertainty::UncertaintyMap;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
@@ -22,8 +23,8 @@ pub struct SuggestedView {
     pub uncertainty_px: f64,
     /// The same after that view.
     pub expected_uncertainty_px: f64,
-    /// How much surer projections would be with it, as [`ProjectionGoal::gain`] has it.
-    pub gain: f64,
+    /// By how much the goal's criterion would fall, as [`ProjectionGoal::drop`] has it.
+    pub drop: f64,
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
     /// if each teaches half as much. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
@@ -31,6 +32,8 @@ pub struct SuggestedView {
 
 /// Candidates of the sequence, and around the best of them, within this part of the range.
 const CANDIDATES: usize = 112;
+/// Candidates in the image's corners, where lenses are known worst.
+const IN_CORNERS: usize = 24;
 const REFINED: [(usize, f64); 2] = [(12, 0.12), (12, 0.05)];
 /// Candidates whose drop of the goal is at least this part of the best one's are as good.
 const AS_GOOD: f64 = 0.9;
@@ -46,7 +49,9 @@ const HALF_AS_MUCH: f64 = 0.5;
 struct ScoredView {
     view: CandidateView,
     information: DMatrix<f64>,
-    uncertainty_px: f64,
+    map: UncertaintyMap,
+    /// The drop of the goal's criterion that is to be expected of hands.
+    score: f64,
 }
 
 /// The next view to ask for, with what is `known` of the lens; `from` is where the board is now and
@@ -57,23 +62,25 @@ pub fn suggest_view(
     space: &CandidateSpace<'_>,
     (from, goal_px): (Option<&Pose>, Option<f64>),
 ) -> Option<SuggestedView> {
-    let uncertainty_px = goal.uncertainty_px(&known.covariance()?)?;
+    let now = goal.map(&known.covariance()?)?;
     let score = |holding: &Holding| -> Option<ScoredView> {
         let view = space.view(holding)?;
         let information =
             view_information(&known.lens, &known.free, &view.camera_from_board, &view.corners)?;
-        let after_px = goal.uncertainty_px(&known.covariance_with(&information)?)?;
-        Some(ScoredView { view, information, uncertainty_px: after_px })
+        let map = goal.map(&known.covariance_with(&information)?)?;
+        let score = view.likely * goal.drop(&now, &map);
+        Some(ScoredView { view, information, map, score })
     };
     let mut scored: Vec<ScoredView> =
         (0..CANDIDATES).filter_map(|index| score(&Holding::of_sequence(index))).collect();
+    scored.extend((0..IN_CORNERS).filter_map(|index| score(&Holding::in_corner(index))));
     for (count, step) in REFINED {
-        let best = scored.iter().min_by(by_uncertainty)?.view.holding;
+        let best = scored.iter().max_by(|a, b| a.score.total_cmp(&b.score))?.view.holding;
         scored.extend((0..count).filter_map(|index| score(&best.near(index, step))));
     }
-    scored.sort_by(|a, b| by_uncertainty(&a, &b));
-    let most_px = uncertainty_px - AS_GOOD * (uncertainty_px - scored.first()?.uncertainty_px);
-    let as_good = scored.iter().take_while(|scored| scored.uncertainty_px <= most_px);
+    scored.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let least = AS_GOOD * scored.first()?.score;
+    let as_good = scored.iter().take_while(|scored| scored.score >= least);
     let effort = |scored: &ScoredView| {
         from.map_or(0.0, |from| effort(from, &scored.view.camera_from_board, space))
     };
@@ -86,18 +93,11 @@ pub fn suggest_view(
     Some(SuggestedView {
         camera_from_board: chosen.view.camera_from_board,
         outline_px: space.outline_px(&chosen.view.camera_from_board)?,
-        uncertainty_px,
-        expected_uncertainty_px: chosen.uncertainty_px,
-        gain: goal.gain(
-            &goal.map(&known.covariance()?)?,
-            &goal.map(&known.covariance_with(&chosen.information)?)?,
-        ),
+        uncertainty_px: goal.figure_px(&now)?,
+        expected_uncertainty_px: goal.figure_px(&chosen.map)?,
+        drop: goal.drop(&now, &chosen.map),
         views_to_go,
     })
-}
-
-fn by_uncertainty(a: &&ScoredView, b: &&ScoredView) -> std::cmp::Ordering {
-    a.uncertainty_px.total_cmp(&b.uncertainty_px)
 }
 
 /// How far it is from one pose to another, in rotations by a radian.

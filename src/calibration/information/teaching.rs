@@ -133,6 +133,16 @@ impl Teaching {
         }
     }
 
+    /// By how much the goal's criterion would fall with one more view, as
+    /// [`ProjectionGoal::drop`] has it.
+    pub fn drop(&self, view: &TaughtView) -> f64 {
+        let after = self.known.covariance_with(&view.information);
+        match (&self.now, after.and_then(|covariance| self.goal.map(&covariance))) {
+            (Some(now), Some(after)) => self.goal.drop(now, &after),
+            _ => 0.0,
+        }
+    }
+
     /// Takes a view in.
     pub fn add(&mut self, view: TaughtView) {
         self.views.push(view);

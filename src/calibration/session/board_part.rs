@@ -24,10 +24,11 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
 /// Placements that differ by so many steps teach a lens that nothing is known of yet.
 const FIRST_STEPS: f64 = 0.6;
-/// A board reaches the place that it is asked for in about this time, in seconds …
+/// Within this time after a view, in seconds, the board is on its way to the place that it is asked
+/// for: a person reacts and carries it. What teaches far less than what is asked for is not taken …
 const ON_ITS_WAY_S: f64 = 1.0;
-/// … and what teaches this part of what is asked for is taken on the way.
-const GOOD_PART: f64 = 0.5;
+/// … but what teaches this part of it is.
+const GOOD_PART: f64 = 0.7;
 
 /// One camera's part of a session with a board.
 #[derive(Debug, Clone)]
@@ -274,12 +275,16 @@ impl BoardPart {
         let (Some(teaching), Some(taught)) = (&self.teaching, taught) else {
             return if is_full { Err(full) } else { Ok(None) };
         };
-        let (gain, needed) = (teaching.gain(taught), self.needed(frame));
+        let (gain, needed) = (teaching.gain(taught), self.share());
+        let (lowers, awaited) = (teaching.drop(taught), self.awaited(frame));
         // Before the lens is estimated every other placement counts towards estimating it.
         let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
         let counts = !teaching.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
         if !self.views.is_empty() && gain < needed && !counts {
             return Err(Rejection::TeachesLittle { gain, needed });
+        }
+        if lowers < awaited {
+            return Err(Rejection::TeachesLittle { gain: lowers, needed: awaited });
         }
         if !is_full {
             return Ok(None);
@@ -290,21 +295,23 @@ impl BoardPart {
         }
     }
 
-    /// What a view must teach to be kept: its share of what the others taught, and soon after the
-    /// last one a good part of what the suggested view would, since the board is on its way there.
-    /// A named frame is an image of its own.
-    fn needed(&self, frame: &FrameFacts) -> f64 {
-        let share = 0.5 * self.options.worth / self.views.len().max(1) as f64;
-        let since_s = self.views.last().map_or(f64::INFINITY, |last| {
-            frame.time_ns().saturating_sub(last.frame.time_ns()) as f64 * 1e-9
-        });
-        let waits = (1.0 - since_s / ON_ITS_WAY_S).clamp(0.0, 1.0);
-        match &self.advice.suggested {
-            Some(suggested) if frame.name.is_none() => {
-                share.max(GOOD_PART * waits * suggested.gain)
-            }
-            _ => share,
+    /// What a view must teach to be kept: its share of what the others taught.
+    fn share(&self) -> f64 {
+        0.5 * self.options.worth / self.views.len().max(1) as f64
+    }
+
+    /// By how much a view must lower the goal: soon after the last one a good part of what the
+    /// suggested view would, since the board is on its way there. A named frame is an image of its
+    /// own.
+    fn awaited(&self, frame: &FrameFacts) -> f64 {
+        let (Some(last), Some(suggested)) = (self.views.last(), &self.advice.suggested) else {
+            return 0.0;
+        };
+        if frame.name.is_some() {
+            return 0.0;
         }
+        let since_s = frame.time_ns().saturating_sub(last.frame.time_ns()) as f64 * 1e-9;
+        if since_s < ON_ITS_WAY_S { GOOD_PART * suggested.drop } else { 0.0 }
     }
 
     fn admit(&mut self, seen: &CameraFrame, taught: Option<TaughtView>) -> Result<u32, Rejection> {
