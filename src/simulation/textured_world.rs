@@ -214,8 +214,9 @@ impl Standpoint {
             }
             CameraPath::Rotation => {
                 let angle = 0.9 * number as f64;
-                let turn = [0.24 * angle.cos() + jitter(0.03), 0.16 * angle.sin() + jitter(0.03)];
-                ([0.0, 0.0, -distance], [turn[0], turn[1], quarter + jitter(0.05)])
+                let pan_tilt =
+                    [0.24 * angle.cos() + jitter(0.03), 0.16 * angle.sin() + jitter(0.03)];
+                ([0.0, 0.0, -distance], [pan_tilt[0], pan_tilt[1], quarter + jitter(0.05)])
             }
         };
         camera_at([center[0], center[1], center[2]], [pan, tilt, roll])
