@@ -39,24 +39,24 @@ def wait_until_ready(daemon):
 
 
 def collect():
-    """Runs a session to its end, telling what it sees; the finished session."""
+    """Runs a session to its end, reporting what it sees; the finished session."""
     left = ask(CAMERA)["session"]
     if left:
         print("a session that an earlier demo left is stopped first", flush=True)
         ask(f"{ADDRESS}/v1/sessions/{left}/stop", {})
     session = ask(f"{CAMERA}/sessions", REQUEST)
-    told = None
+    reported = None
     while session["state"] in ("collecting", "solving"):
         seen = (session["state"], session["views_kept"])
-        if seen != told:
-            told = seen
+        if seen != reported:
+            reported = seen
             print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the image covered", flush=True)
         time.sleep(0.2)
         session = ask(f"{ADDRESS}/v1/sessions/{session['id']}")
     return session
 
 
-def tell(session):
+def report(session):
     """Prints the calibration that the session ended with."""
     if session["state"] != "finished":
         sys.exit(f"the session is {session['state']}: {session['reason']}")
@@ -89,7 +89,7 @@ def main():
     try:
         wait_until_ready(daemon)
         print(f"plumb runs at {ADDRESS}; a session collects views from recordings/walk.mcap", flush=True)
-        tell(collect())
+        report(collect())
         daemon.wait()
     except KeyboardInterrupt:
         pass

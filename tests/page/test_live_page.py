@@ -89,8 +89,8 @@ def start_session(browser):
 
 def test_an_operator_calibrates_and_reloads_in_the_middle(daemon, browser):
     browser.get(daemon)
-    picture = browser.find_element(By.ID, "picture")
-    wait(browser, lambda b: b.execute_script("return arguments[0].naturalWidth", picture) == 640)
+    image = browser.find_element(By.ID, "live-image")
+    wait(browser, lambda b: b.execute_script("return arguments[0].naturalWidth", image) == 640)
     wait(browser, lambda b: "streaming" in b.find_element(By.ID, "state").text)
 
     start_session(browser)

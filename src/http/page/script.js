@@ -1,5 +1,5 @@
 "use strict";
-// All state is the daemon's: this page shows what it is told, and a reload loses nothing. The form's last values are the
+// All state is the daemon's: this page shows what it is sent, and a reload loses nothing. The form's last values are the
 // only thing kept in the browser.
 
 const $ = (id) => document.getElementById(id);
@@ -57,7 +57,7 @@ function drawn(name, attributes) {
   return made;
 }
 
-// ---- the camera, or the rig, and its picture
+// ---- the camera, or the rig, and its image
 
 const home = () => (rig ? at`/v1/rigs/${rig.name}` : at`/v1/cameras/${camera.name}`);
 const later = (act) => setTimeout(() => { act().catch(() => later(act)); }, 2000);
@@ -96,7 +96,7 @@ async function begin() {
   say("start-title", rig ? `Calibrate the rig of ${rig.cameras.join(", ")}` : "Calibrate");
   listSensors();
   showCamera();
-  showPicture();
+  showLiveImage();
   follow();
   await showNewest().catch(() => later(showNewest));
 }
@@ -112,7 +112,7 @@ function ofRig(cameras) {
   };
 }
 
-// A camera with depth can be looked at in several ways.
+// A camera with depth can be shown in several ways.
 function listSensors() {
   const names = Object.keys(camera.sensors);
   const choices = names.map((name) => [name, name]);
@@ -134,8 +134,8 @@ async function showNewest() {
   say("loading", "");
   await showHistory();
   if (!rig && camera.session && !sessions.some((one) => one.id === camera.session)) {
-    const lent = await ask(at`/v1/sessions/${camera.session}`);
-    wait(`This camera is in a session of the rig ${lent.camera}: choose it above to see how far it is.`);
+    const held = await ask(at`/v1/sessions/${camera.session}`);
+    wait(`This camera is in a session of the rig ${held.camera}: choose it above to see how far it is.`);
   }
 }
 
@@ -152,14 +152,14 @@ function showCamera() {
 }
 
 // The corners are drawn by the daemon, into the very frame that they were found in.
-function showPicture() {
-  const picture = $("picture");
+function showLiveImage() {
+  const image = $("live-image");
   const corners = $("show-corners").checked;
-  show("picture", !rig);
+  show("live-image", !rig);
   show("overlay", !rig);
   show("tiles", Boolean(rig));
   if (rig) {
-    picture.removeAttribute("src");
+    image.removeAttribute("src");
     show("placeholder", false);
     $("tiles").replaceChildren(...rig.cameras.map((name) => element("figure", {}, tile(name, corners), element("figcaption", {}, name))));
     return;
@@ -167,26 +167,26 @@ function showPicture() {
   const sensor = $("sensor").value || "color";
   const edges = sensor.includes("&") || corners;
   const source = () => at`/v1/cameras/${camera.name}/preview.mjpg?overlay=${edges}&guidance=false&at=${Date.now()}` + `&sensor=${sensor}`;
-  picture.alt = `live image of camera ${camera.name}`;
-  picture.onload = () => show("placeholder", false);
-  picture.onerror = () => {
+  image.alt = `live image of camera ${camera.name}`;
+  image.onload = () => show("placeholder", false);
+  image.onerror = () => {
     say("placeholder", "no image at the moment");
-    setTimeout(() => { picture.src = source(); }, 1500);
+    setTimeout(() => { image.src = source(); }, 1500);
   };
-  picture.src = source();
+  image.src = source();
 }
 
-// One picture after the other: a browser keeps few connections to one place, and endless ones would take them all.
+// One image after the other: a browser keeps few connections to one place, and endless ones would take them all.
 function tile(name, corners) {
-  const picture = element("img", { alt: `live image of camera ${name}` });
+  const image = element("img", { alt: `live image of camera ${name}` });
   const next = () => {
-    if (picture.parentNode && !picture.isConnected) return;
-    picture.src = at`/v1/cameras/${name}/frame.jpg?overlay=${corners}&guidance=false&at=${Date.now()}`;
+    if (image.parentNode && !image.isConnected) return;
+    image.src = at`/v1/cameras/${name}/frame.jpg?overlay=${corners}&guidance=false&at=${Date.now()}`;
   };
-  picture.onload = () => setTimeout(next, 150);
-  picture.onerror = () => setTimeout(next, 1000);
+  image.onload = () => setTimeout(next, 150);
+  image.onerror = () => setTimeout(next, 1000);
   next();
-  return picture;
+  return image;
 }
 
 function layer(name) {
@@ -270,14 +270,14 @@ function drawGhost() {
   top.setAttribute("d", path([[0, 0], [cols, 0], [cols, rows], [0, rows]]));
 }
 
-// How near the board is to its ghost, as a part of the ghost's size: it turns green, and beeps come faster.
+// How near the board is to its ghost, as a part of the ghost's size: it becomes green, and beeps come faster.
 let lastNear = 0;
 function showNearness(outline) {
   const group = layer("ghost");
   if (!ghost || !outline || outline.length !== 4) { group.classList.remove("near"); return; }
   const size = Math.hypot(ghost[2][0] - ghost[0][0], ghost[2][1] - ghost[0][1]);
-  const off = (turned) => ghost.reduce((sum, p, k) => {
-    const q = outline[(k + turned) % 4];
+  const off = (start) => ghost.reduce((sum, p, k) => {
+    const q = outline[(k + start) % 4];
     return sum + Math.hypot(p[0] - q[0], p[1] - q[1]);
   }, 0) / (4 * size);
   const away = Math.min(off(0), off(2));
@@ -286,7 +286,7 @@ function showNearness(outline) {
   if (away < 0.5 && performance.now() - lastNear > wait) { lastNear = performance.now(); beep(520, 0.05); }
 }
 
-// ---- the voice: who holds a board looks at it and not at a screen
+// ---- the voice: who holds a board watches it and not a screen
 
 let spoken = "";
 function speak(text) {
@@ -321,7 +321,7 @@ function follow() {
 async function refresh() {
   await refreshCamera();
   await showNewest();
-  showPicture();
+  showLiveImage();
 }
 
 async function refreshCamera() {
@@ -483,16 +483,16 @@ async function showViews() {
 }
 
 function viewItem(view, i) {
-  const picture = element("img", { src: view.picture, alt: "", loading: "lazy" });
+  const image = element("img", { src: view.picture, alt: "", loading: "lazy" });
   const words = element("span", {}, element("b", {}, `${view.camera ? `${view.camera} ` : ""}${view.n + 1}`), element("i", {}));
-  return element("li", {}, element("button", { type: "button", onclick: () => showLarge(i) }, picture, words));
+  return element("li", {}, element("button", { type: "button", onclick: () => showLarge(i) }, image, words));
 }
 
 function showLarge(i) {
   const view = views[i];
-  const [picture, words] = $("large").children;
-  picture.src = view.picture;
-  picture.alt = `view ${view.n + 1}`;
+  const [image, words] = $("large").children;
+  image.src = view.picture;
+  image.alt = `view ${view.n + 1}`;
   const fit = view.rms_px == null ? "" : `, rms ${px(view.rms_px)}`;
   words.textContent = `View ${view.n + 1}: ${view.name}, ${view.corners} corners${fit}${view.reason ? `. Not used: ${view.reason}` : ""}`;
   $("large").showModal();
@@ -503,8 +503,8 @@ function showLarge(i) {
 const fill = (id, rows) => $(id).querySelector("tbody").replaceChildren(...rows.map((row) =>
   element("tr", {}, ...row.map((cell) => element("td", {}, String(cell))))));
 
-// The picture sensors of a calibration by name: a camera's own, or a rig's cameras.
-function picturesOf(calibration) {
+// The image sensors of a calibration by name: a camera's own, or a rig's cameras.
+function imageSensorsOf(calibration) {
   const own = ["color", "infrared", "infrared2"].filter((name) => calibration.sensors[name]).map((name) => [name, calibration.sensors[name]]);
   return new Map([...own, ...(calibration.cameras || []).map((one) => [one.name, one.sensors.color])]);
 }
@@ -516,19 +516,19 @@ async function showResult(id) {
     say("session-error", error.message);
     return;
   }
-  const pictures = picturesOf(result);
+  const imageSensors = imageSensorsOf(result);
   const { grade, reasons } = result.verdict;
   say("verdict", VERDICTS[grade], "");
   $("verdict").dataset.grade = grade;
   $("verdict").style.color = `var(--${grade})`;
   $("reasons").replaceChildren(...reasons.map((reason) => element("li", {}, reason)));
-  $("result-sensor").replaceChildren(...[...pictures.keys()].map((name) => element("option", { value: name }, name)));
-  show("result-sensors", pictures.size > 1);
-  if (pictures.size) showSensor();
+  $("result-sensor").replaceChildren(...[...imageSensors.keys()].map((name) => element("option", { value: name }, name)));
+  show("result-sensors", imageSensors.size > 1);
+  if (imageSensors.size) showSensor();
   showPlaces(result.extrinsics || []);
   showDepth(result.sensors.depth);
   const links = [...FORMATS, ...(result.extrinsics && result.extrinsics.length ? ["urdf", "tf"] : []), ...(result.sensors.depth ? ["depth"] : [])];
-  const names = [...pictures.keys(), ...(result.sensors.depth ? ["depth"] : [])];
+  const names = [...imageSensors.keys(), ...(result.sensors.depth ? ["depth"] : [])];
   $("downloads").replaceChildren(...links.flatMap((format) => {
     const several = OF_ONE_SENSOR.includes(format) && names.length > 1;
     return (several ? names : [null]).map((name) => element("a", {
@@ -542,7 +542,7 @@ async function showResult(id) {
 
 function showSensor() {
   const name = $("result-sensor").value;
-  const sensor = picturesOf(result).get(name);
+  const sensor = imageSensorsOf(result).get(name);
   say("result-what", `${when(result.created_at)} · ${sensor.image_size.join(" × ")} · ${sensor.views.filter((view) => view.used).length} of ${sensor.views.length} views`);
   const numbers = [
     ["rms", px(sensor.rms_px)], ["uncertainty", px(sensor.uncertainty_px.median)], ["worst", px(sensor.uncertainty_px.worst)],
@@ -588,7 +588,7 @@ async function showHistory() {
   const { calibrations } = await ask(`${home()}/calibrations`);
   show("past", calibrations.length > 0);
   $("history").tBodies[0].replaceChildren(...calibrations.map((one) => {
-    const [sensor] = picturesOf(one).values();
+    const [sensor] = imageSensorsOf(one).values();
     const grade = element("span", { className: `pill ${one.verdict.grade}` }, one.verdict.grade);
     const current = one.id === camera.calibration ? element("span", { className: "pill good" }, "current") : "";
     const open = element("button", { className: "small", type: "button", onclick: () => openResult(one) }, "show");
@@ -688,8 +688,8 @@ $("again").addEventListener("click", () => {
   $("cols").focus();
 });
 $("show-coverage").addEventListener("change", showCoverage);
-$("show-corners").addEventListener("change", showPicture);
-$("sensor").addEventListener("change", showPicture);
+$("show-corners").addEventListener("change", showLiveImage);
+$("sensor").addEventListener("change", showLiveImage);
 $("result-sensor").addEventListener("change", showSensor);
 window.addEventListener("hashchange", () => { session = null; result = null; viewsOf = null; begin(); });
 setInterval(() => { if (session && session.state === "collecting") showClock(); }, 1000);
