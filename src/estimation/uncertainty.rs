@@ -163,9 +163,7 @@ impl ProjectionSamples {
     /// lens sees nothing of the image.
     pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> Option<UncertaintyMap> {
         let Self { grid, distance, samples } = self;
-        let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
-        let count = covariance.nrows().min(MAX_PARAMETERS);
-        padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
+        let padded = padded(covariance);
         let mut weights: Vec<f64> =
             samples.iter().map(|sample| f64::from(u8::from(sample.is_some()))).collect();
         let mut spreads = spreads(samples, &weights, (&padded, *distance))?;
@@ -181,17 +179,67 @@ impl ProjectionSamples {
             weights = next;
             spreads = self::spreads(samples, &weights, (&padded, *distance))?;
         }
-        let worst_direction = |spread: &Matrix2<f64>| {
-            let half_gap = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
-            (0.5 * spread.trace() + half_gap).max(0.0).sqrt()
-        };
-        Some(UncertaintyMap {
-            grid: *grid,
-            std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
-            square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
-            covariance_px2: spreads,
-            weights,
+        Some(map_of(*grid, spreads, weights))
+    }
+
+    /// The same samples after the motion that compensates with the weights of `map`: to compare many
+    /// covariances that are not far from that map's. `None` where the motion is not determined.
+    pub fn compensated_as(&self, map: &UncertaintyMap) -> Option<CompensatedSamples> {
+        let compensation = compensation(&self.samples, &map.weights, self.distance)?;
+        let rest = |sample: &Sample| sample.by_parameters - sample.by_motion * compensation;
+        Some(CompensatedSamples {
+            grid: self.grid,
+            weights: map.weights.clone(),
+            rests: self.samples.iter().map(|sample| sample.as_ref().map(rest)).collect(),
         })
+    }
+}
+
+/// [`ProjectionSamples`] with a compensating motion that is held: an uncertainty takes a tenth of
+/// the time.
+#[derive(Debug, Clone)]
+pub struct CompensatedSamples {
+    grid: PixelGrid,
+    weights: Vec<f64>,
+    /// The derivative of each projection by the parameters, the compensating motion in it.
+    rests: Vec<Option<SMatrix<f64, 2, MAX_PARAMETERS>>>,
+}
+
+impl CompensatedSamples {
+    /// The 1-σ uncertainty of the projections for this covariance of the lens's parameters: that of
+    /// [`ProjectionSamples::uncertainty`] for the covariance that the motion was chosen for and its
+    /// multiples, and near it for others.
+    pub fn uncertainty(&self, covariance: &DMatrix<f64>) -> UncertaintyMap {
+        let covariance = padded(covariance);
+        let spread = |rest: &SMatrix<f64, 2, MAX_PARAMETERS>| rest * covariance * rest.transpose();
+        let spreads = self.rests.iter().map(|rest| rest.as_ref().map(spread)).collect();
+        map_of(self.grid, spreads, self.weights.clone())
+    }
+}
+
+/// A covariance as one of the most parameters that a lens has; zero rows for those it has not.
+fn padded(covariance: &DMatrix<f64>) -> SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS> {
+    let mut padded = SMatrix::<f64, MAX_PARAMETERS, MAX_PARAMETERS>::zeros();
+    let count = covariance.nrows().min(MAX_PARAMETERS);
+    padded.view_mut((0, 0), (count, count)).copy_from(&covariance.view((0, 0), (count, count)));
+    padded
+}
+
+fn map_of(
+    grid: PixelGrid,
+    spreads: Vec<Option<Matrix2<f64>>>,
+    weights: Vec<f64>,
+) -> UncertaintyMap {
+    let worst_direction = |spread: &Matrix2<f64>| {
+        let half_gap = (0.5 * (spread[(0, 0)] - spread[(1, 1)])).hypot(spread[(0, 1)]);
+        (0.5 * spread.trace() + half_gap).max(0.0).sqrt()
+    };
+    UncertaintyMap {
+        grid,
+        std_px: spreads.iter().map(|spread| spread.as_ref().map(worst_direction)).collect(),
+        square_px2: spreads.iter().map(|spread| spread.as_ref().map(Matrix2::trace)).collect(),
+        covariance_px2: spreads,
+        weights,
     }
 }
 
@@ -213,6 +261,20 @@ fn spreads(
     weights: &[f64],
     (covariance, distance): (&SMatrix<f64, MAX_PARAMETERS, MAX_PARAMETERS>, Distance),
 ) -> Option<Vec<Option<Matrix2<f64>>>> {
+    let compensation = compensation(samples, weights, distance)?;
+    let spread = |sample: &Sample| {
+        let rest = sample.by_parameters - sample.by_motion * compensation;
+        rest * covariance * rest.transpose()
+    };
+    Some(samples.iter().map(|sample| sample.as_ref().map(spread)).collect())
+}
+
+/// The compensating motion that suits `weights`, by the lens's parameters.
+fn compensation(
+    samples: &[Option<Sample>],
+    weights: &[f64],
+    distance: Distance,
+) -> Option<SMatrix<f64, 6, MAX_PARAMETERS>> {
     let mut normal = Matrix6::zeros();
     let mut coupling = SMatrix::<f64, 6, MAX_PARAMETERS>::zeros();
     for (sample, weight) in samples.iter().zip(weights) {
@@ -221,12 +283,7 @@ fn spreads(
         normal += by_motion * sample.by_motion;
         coupling += by_motion * sample.by_parameters;
     }
-    let compensation = invert_motion(&normal, distance)? * coupling;
-    let spread = |sample: &Sample| {
-        let rest = sample.by_parameters - sample.by_motion * compensation;
-        rest * covariance * rest.transpose()
-    };
-    Some(samples.iter().map(|sample| sample.as_ref().map(spread)).collect())
+    Some(invert_motion(&normal, distance)? * coupling)
 }
 
 /// 1 for pixels that are known at most [`FAR_WORSE`] times worse than the median, then falling with

@@ -193,6 +193,38 @@ fn space<'a>(lens: &'a Lens, board: &'a BoardPoints, noise: &'a CornerNoise) -> 
 }
 
 #[test]
+fn a_held_compensation_gives_the_map_that_it_was_taken_from() {
+    for lens in [lens(), fisheye()] {
+        let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());
+        let space = space(&lens, &board, &noise);
+        let mut known = LensInformation::prior(lens, SIZE);
+        let mut information = (0..40).filter_map(|index| {
+            let view = space.view(&Holding::of_sequence(index))?;
+            let free = open_parameters(lens.model());
+            view_information(&lens, &free, &view.camera_from_board, &view.corners)
+        });
+        for view in information.by_ref().take(6) {
+            known = known.with(&view);
+        }
+        let goal = ProjectionGoal::new(&lens, SIZE, GoalFigure::Worst);
+        let covariance = known.covariance().unwrap();
+        let now = goal.map(&covariance).unwrap();
+        let near = goal.near(&now).unwrap();
+        for (factor, covariance) in [(1.0, covariance.clone()), (0.5, covariance * 0.25)] {
+            let held = near.uncertainty(&covariance);
+            for (std, expected) in held.std_px.iter().zip(&now.std_px) {
+                let (std, expected) = (std.unwrap_or(0.0), factor * expected.unwrap_or(0.0));
+                assert!((std - expected).abs() <= 1e-9 * expected, "{std} px, not {expected}");
+            }
+        }
+        let after = known.covariance_with(&information.next().unwrap()).unwrap();
+        let exact = goal.uncertainty_px(&after).unwrap();
+        let held = goal.figure_px(&near.uncertainty(&after)).unwrap();
+        assert!((held / exact - 1.0).abs() < 0.1, "{held} px for {exact} px");
+    }
+}
+
+#[test]
 fn frontal_views_are_followed_by_a_tilted_one() {
     let lens = lens();
     let (board, noise) = (BoardPoints::of_chessboard(&board()), CornerNoise::default());

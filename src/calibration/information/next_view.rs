@@ -7,7 +7,7 @@ use crate::calibration::information::candidate_views::{CandidateSpace, Candidate
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::projection_goal::ProjectionGoal;
 use crate::calibration::information::view_information::view_information;
-use crate::estimation::uncertainty::UncertaintyMap;
+use crate::estimation::uncertainty::CompensatedSamples;
 use crate::geometry::pixel::Pixel;
 use crate::geometry::pose::Pose;
 
@@ -49,7 +49,6 @@ const HALF_AS_MUCH: f64 = 0.5;
 struct ScoredView {
     view: CandidateView,
     information: DMatrix<f64>,
-    map: UncertaintyMap,
     /// The drop of the goal's criterion that is to be expected of hands.
     score: f64,
 }
@@ -63,13 +62,14 @@ pub fn suggest_view(
     (from, goal_px): (Option<&Pose>, Option<f64>),
 ) -> Option<SuggestedView> {
     let now = goal.map(&known.covariance()?)?;
+    let near = goal.near(&now)?;
     let score = |holding: &Holding| -> Option<ScoredView> {
         let view = space.view(holding)?;
         let information =
             view_information(&known.lens, &known.free, &view.camera_from_board, &view.corners)?;
-        let map = goal.map(&known.covariance_with(&information)?)?;
-        let score = view.likely * goal.drop(&now, &map);
-        Some(ScoredView { view, information, map, score })
+        let after = near.uncertainty(&known.covariance_with(&information)?);
+        let score = view.likely * goal.drop(&now, &after);
+        Some(ScoredView { view, information, score })
     };
     let mut scored: Vec<ScoredView> =
         (0..CANDIDATES).filter_map(|index| score(&Holding::of_sequence(index))).collect();
@@ -88,14 +88,16 @@ pub fn suggest_view(
     let shortlist: Vec<&DMatrix<f64>> =
         scored.iter().step_by(3).take(SHORTLIST).map(|scored| &scored.information).collect();
     let views_to_go = goal_px.map(|goal_px| {
-        [1.0, HALF_AS_MUCH].map(|part| views_to_go(known, goal, (&shortlist, part), goal_px))
+        [1.0, HALF_AS_MUCH]
+            .map(|part| views_to_go(known, (goal, &near), (&shortlist, part), goal_px))
     });
+    let after = goal.map(&known.covariance_with(&chosen.information)?)?;
     Some(SuggestedView {
         camera_from_board: chosen.view.camera_from_board,
         outline_px: space.outline_px(&chosen.view.camera_from_board)?,
         uncertainty_px: goal.figure_px(&now)?,
-        expected_uncertainty_px: goal.figure_px(&chosen.map)?,
-        drop: goal.drop(&now, &chosen.map),
+        expected_uncertainty_px: goal.figure_px(&after)?,
+        drop: goal.drop(&now, &after),
         views_to_go,
     })
 }
@@ -113,13 +115,13 @@ pub fn effort(here_from_board: &Pose, there_from_board: &Pose, space: &Candidate
 /// its next step, reach the goal.
 fn views_to_go(
     known: &LensInformation,
-    goal: &ProjectionGoal,
+    (goal, near): (&ProjectionGoal, &CompensatedSamples),
     (shortlist, part): (&[&DMatrix<f64>], f64),
     goal_px: f64,
 ) -> u32 {
     let mut known = known.clone();
     let figure = |known: &LensInformation| {
-        known.covariance().and_then(|covariance| goal.uncertainty_px(&covariance))
+        known.covariance().and_then(|covariance| goal.figure_px(&near.uncertainty(&covariance)))
     };
     let mut figures: Vec<f64> = figure(&known).into_iter().collect();
     for count in 0..=COUNTED {

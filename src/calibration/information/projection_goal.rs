@@ -2,7 +2,9 @@
 
 use nalgebra::DMatrix;
 
-use crate::estimation::uncertainty::{Distance, PixelGrid, ProjectionSamples, UncertaintyMap};
+use crate::estimation::uncertainty::{
+    CompensatedSamples, Distance, PixelGrid, ProjectionSamples, UncertaintyMap,
+};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 
@@ -95,5 +97,10 @@ impl ProjectionGoal {
     /// The uncertainty at each pixel of the grid.
     pub fn map(&self, covariance: &DMatrix<f64>) -> Option<UncertaintyMap> {
         self.samples.uncertainty(covariance)
+    }
+
+    /// Maps as fast as many candidates need them, compared with `now`.
+    pub fn near(&self, now: &UncertaintyMap) -> Option<CompensatedSamples> {
+        self.samples.compensated_as(now)
     }
 }
