@@ -307,7 +307,7 @@ impl BoardPart {
         let (Some(last), Some(suggested)) = (self.views.last(), &self.advice.suggested) else {
             return 0.0;
         };
-        if frame.name.is_some() {
+        if !self.options.awaits_suggested || frame.name.is_some() {
             return 0.0;
         }
         let since_s = frame.time_ns().saturating_sub(last.frame.time_ns()) as f64 * 1e-9;
