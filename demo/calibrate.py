@@ -69,7 +69,7 @@ def report(session):
     for name in (name for name in lens if name != "model" and (lens[name] or std.get(name))):
         print(f"  {name:>4} {lens[name]:12.5f} ± {std[name]:.5f}")
     print(f"verdict: {calibration['verdict']['grade']}", *calibration["verdict"]["reasons"], sep="\n  ")
-    print(f"\nlook:     {ADDRESS}/")
+    print(f"\npage:     {ADDRESS}/")
     print(f"for ROS:  curl '{ADDRESS}/v1/calibrations/{calibration['id']}?format=ros'")
     print("Ctrl-C ends it.", flush=True)
 
