@@ -36,6 +36,7 @@ pub use operator::{Operator, OperatorKind, Skill};
 pub use renderer::Renderer;
 pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
 pub use seat::Seat;
+pub use textured_solids::smooth_noise;
 pub use textured_world::{CameraPath, Scenery, TexturedWorld, TexturedWorldOptions};
 pub use walk::{Walk, WalkOptions};
 pub use world::{FrameTruth, SimulatedFrame, World, WorldOptions};

@@ -89,14 +89,23 @@ fn texture([u, v]: [f64; 2], salt: u64, footprint: f64) -> f64 {
         if seen <= 0.0 {
             break;
         }
-        light += 0.42 * seen * (noise(u * frequency, v * frequency, salt * 16 + octave) - 0.5);
+        light +=
+            0.42 * seen * (smooth_noise(u * frequency, v * frequency, salt * 16 + octave) - 0.5);
         frequency *= FINER;
     }
     light.clamp(0.02, 0.98)
 }
 
-/// Values at the corners of a grid, smooth between them.
-fn noise(x: f64, y: f64, salt: u64) -> f64 {
+/// Values from 0 to 1 at the corners of a grid, smooth between them: the same for the same place and
+/// `salt`.
+///
+/// ```
+/// use plumb::simulation::smooth_noise;
+///
+/// assert_eq!(smooth_noise(2.0, -3.0, 7), smooth_noise(2.0, -3.0, 7));
+/// assert!((smooth_noise(2.0, -3.0, 7) - smooth_noise(2.0 + 1e-6, -3.0, 7)).abs() < 1e-9);
+/// ```
+pub fn smooth_noise(x: f64, y: f64, salt: u64) -> f64 {
     let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
     let (column, row) = (x.floor(), y.floor());
     let (fx, fy) = (smooth(x - column), smooth(y - row));

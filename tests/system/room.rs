@@ -3,6 +3,7 @@
 use image::{GrayImage, Luma};
 use nalgebra::Vector3;
 use plumb::geometry::pose::Pose;
+use plumb::simulation::smooth_noise;
 
 /// A camera without distortion.
 pub struct RoomCamera {
@@ -14,32 +15,13 @@ pub struct RoomCamera {
     pub center_px: [f64; 2],
 }
 
-/// Values at the corners of a grid, the same for the same place.
-fn corner(x: i64, y: i64, salt: u64) -> f64 {
-    let mut bits = (x as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15)
-        ^ (y as u64).wrapping_mul(0xc2b2_ae3d_27d4_eb4f)
-        ^ salt.wrapping_mul(0x1656_67b1_9e37_79f9);
-    for _ in 0..2 {
-        bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    }
-    ((bits >> 40) as f64) / f64::from(1 << 24)
-}
-
 /// Smooth noise of several sizes.
 fn texture(u: f64, v: f64, salt: u64) -> f64 {
-    let smooth = |t: f64| t * t * (3.0 - 2.0 * t);
     [(2.3, 0.35), (5.1, 0.4), (11.7, 0.35), (23.0, 0.3)]
         .iter()
         .enumerate()
         .map(|(k, (frequency, amplitude))| {
-            let (x, y) = (u * frequency, v * frequency);
-            let (fx, fy) = (smooth(x - x.floor()), smooth(y - y.floor()));
-            let at = |dx: i64, dy: i64| {
-                corner(x.floor() as i64 + dx, y.floor() as i64 + dy, salt + 16 * k as u64)
-            };
-            let upper = at(0, 0) * (1.0 - fx) + at(1, 0) * fx;
-            let lower = at(0, 1) * (1.0 - fx) + at(1, 1) * fx;
-            amplitude * (upper * (1.0 - fy) + lower * fy)
+            amplitude * smooth_noise(u * frequency, v * frequency, salt + 16 * k as u64)
         })
         .sum::<f64>()
         / 1.4
