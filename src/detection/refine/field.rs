@@ -1,20 +1,37 @@
 //! A quantity that changes smoothly over a board: a polynomial in column and row, fitted to the
 //! corners' measurements, of the order that predicts a left-out corner best.
 
-/// Terms of a polynomial of an order, from 0 to the highest.
-pub(super) const TERMS: [usize; 5] = [1, 3, 6, 10, 15];
-const MOST_TERMS: usize = 15;
-/// Room for them, for the sake of vectors.
-pub(super) const LANES: usize = 16;
-/// Minimum corners per term.
-const SAMPLES_PER_TERM: usize = 2;
+use crate::detection::refine::field_sums::{
+    FieldSums, LANES, MOST_TERMS, Solution, TERMS, highest_order, trust,
+};
+
 /// Pivot threshold relative to the diagonal; rejects near-collinear basis terms.
 const LEAST_PIVOT: f64 = 1e-6;
 /// Weighted least squares are repeated against outliers.
 const ROUNDS: usize = 2;
-/// A sample this many times the mean square off has lost three quarters of its weight (Geman &
-/// McClure).
-const TOLERANCE: f64 = 6.0;
+/// The power of column and row in each term.
+const POWERS: [[usize; 2]; MOST_TERMS] = [
+    [0, 0],
+    [1, 0],
+    [0, 1],
+    [2, 0],
+    [1, 1],
+    [0, 2],
+    [3, 0],
+    [2, 1],
+    [1, 2],
+    [0, 3],
+    [4, 0],
+    [3, 1],
+    [2, 2],
+    [1, 3],
+    [0, 4],
+];
+/// Powers 0 … 4 of a term, and 0 … 8 of a product of two; room for them, for the sake of vectors.
+const TERM_POWERS: usize = 5;
+const PRODUCT_POWERS: usize = 9;
+const TERM_LANES: usize = 8;
+const PRODUCT_LANES: usize = 12;
 
 /// One corner's measurement: at column and row, a value.
 #[derive(Debug, Clone, Copy)]
@@ -34,121 +51,6 @@ pub(super) struct BoardField {
     solution: Solution,
 }
 
-/// Coefficients by order, and by falling power of the first of the two within it; 0 beyond the
-/// terms.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Solution {
-    pub coefficients: [f64; LANES],
-    pub terms: usize,
-}
-
-/// A solution and the weighted mean squares that it leaves, and that the highest order would.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct SolvedField {
-    pub solution: Solution,
-    pub mean_square: f64,
-    pub chosen_mean_square: f64,
-}
-
-/// Weighted normal equations of all terms (the lower triangle), their right sides, and the sums of
-/// trust and of squared values.
-#[derive(Default)]
-pub(super) struct FieldSums {
-    normal: [[f64; LANES]; MOST_TERMS],
-    right: [f64; LANES],
-    trust: f64,
-    squares: f64,
-}
-
-/// The highest order, up to `order`, that `count` samples may have.
-pub(super) fn highest_order(count: usize, order: usize) -> usize {
-    (0..=order).rev().find(|&order| SAMPLES_PER_TERM * TERMS[order] <= count).unwrap_or(0)
-}
-
-/// The robust weight of a sample whose weighted square is `square`, where the mean is `mean_square`
-/// (Geman & McClure).
-#[inline(always)]
-pub(super) fn trust(square: f64, mean_square: f64) -> f64 {
-    let doubt = 1.0 + square / (TOLERANCE * mean_square);
-    1.0 / (doubt * doubt)
-}
-
-impl FieldSums {
-    /// Adds a sample: its columns, its value, its weight and how much of that is trust.
-    #[inline(always)]
-    pub fn add(
-        &mut self,
-        columns: &[f64; LANES],
-        value: f64,
-        weight: f64,
-        trust: f64,
-        terms: usize,
-    ) {
-        self.add_rows::<0, 4>(columns, weight, terms);
-        self.add_rows::<4, 8>(columns, weight, terms);
-        self.add_rows::<8, 12>(columns, weight, terms);
-        self.add_rows::<12, 16>(columns, weight, terms);
-        let weighted = weight * value;
-        for (sum, column) in self.right.iter_mut().zip(columns) {
-            *sum += weighted * column;
-        }
-        self.trust += trust;
-        self.squares += weighted * value;
-    }
-
-    /// Adds to the rows `FROM` … `TO`, as far as there are terms, as much of each as may be left of
-    /// the diagonal.
-    #[inline(always)]
-    fn add_rows<const FROM: usize, const TO: usize>(
-        &mut self,
-        columns: &[f64; LANES],
-        weight: f64,
-        terms: usize,
-    ) {
-        for row in FROM..TO.min(terms) {
-            let weighted = weight * columns[row];
-            for (sum, column) in self.normal[row][..TO].iter_mut().zip(&columns[..TO]) {
-                *sum += weighted * column;
-            }
-        }
-    }
-
-    /// The coefficients of the order up to `order` that generalized cross-validation prefers
-    /// (Craven and Wahba, 1979), of `count` samples; and the mean square of the highest order.
-    /// `least_pivot` is the pivot threshold. `None`: the samples do not determine even a mean.
-    pub fn solve(mut self, order: usize, count: usize, least_pivot: f64) -> Option<SolvedField> {
-        let Self { normal, right, trust, squares } = &mut self;
-        let sound = factor(normal, TERMS[order], least_pivot);
-        // The part of the squares that each term explains.
-        for row in 0..sound {
-            right[row] = (right[row] - dot(&normal[row][..row], &right[..row])) / normal[row][row];
-        }
-        let mut best = None;
-        let mut left = f64::INFINITY;
-        for &terms in TERMS[..=order].iter().filter(|&&terms| terms <= sound) {
-            let rest = (*squares - dot(&right[..terms], &right[..terms])).max(1e-14 * *squares);
-            left = rest / *trust;
-            let free = 1.0 - terms as f64 / count as f64;
-            let score = left / (free * free).max(1e-9);
-            if best.is_none_or(|(least, _)| score < least) {
-                best = Some((score, terms));
-            }
-        }
-        let (score, terms) = best?;
-        let mut coefficients = [0.0; LANES];
-        for row in (0..terms).rev() {
-            let known: f64 = (row + 1..terms).map(|k| normal[k][row] * coefficients[k]).sum();
-            coefficients[row] = (right[row] - known) / normal[row][row];
-        }
-        let free = (1.0 - terms as f64 / count as f64).powi(2).max(1e-9);
-        Some(SolvedField {
-            solution: Solution { coefficients, terms },
-            mean_square: left,
-            chosen_mean_square: score * free,
-        })
-    }
-}
-
 impl BoardField {
     /// Fits a field of `order` at most; 0 everywhere if there are no samples.
     pub fn fit(samples: &[FieldSample], order: usize) -> Self {
@@ -156,12 +58,8 @@ impl BoardField {
         let order = highest_order(samples.len(), order);
         let mut mean_square = f64::INFINITY;
         for _ in 0..ROUNDS {
-            let sums = pulp::Arch::new().dispatch(FieldSummation {
-                field: &field,
-                samples,
-                terms: TERMS[order],
-                mean_square,
-            });
+            let sums =
+                pulp::Arch::new().dispatch(FieldSummation { field: &field, samples, mean_square });
             let Some(solved) = sums.solve(order, samples.len(), LEAST_PIVOT) else { break };
             (field.solution, mean_square) =
                 (solved.solution, solved.mean_square.max(f64::MIN_POSITIVE));
@@ -184,6 +82,17 @@ impl BoardField {
 
     fn scaled(&self, place: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|k| (place[k] - self.middle[k]) * self.scale[k])
+    }
+
+    /// The field along the row at scaled place `y`, as a polynomial of the scaled column.
+    #[inline(always)]
+    fn along_row(&self, y: f64) -> [f64; TERM_POWERS] {
+        let y = powers(y);
+        let mut along = [0.0; TERM_POWERS];
+        for ([col, row], coefficient) in POWERS.into_iter().zip(self.solution.coefficients) {
+            along[col] += coefficient * y[row];
+        }
+        along
     }
 
     /// The field's value at `place`.
@@ -222,10 +131,13 @@ impl BoardField {
 }
 
 /// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+///
+/// The normal equations are moments: sums of weights times a power of the column times a power of
+/// the row, 45 different ones for 120 entries. Within a row of the board only the column's powers
+/// differ, so that a corner takes five vectors in place of 40.
 struct FieldSummation<'a> {
     field: &'a BoardField,
     samples: &'a [FieldSample],
-    terms: usize,
     mean_square: f64,
 }
 
@@ -234,23 +146,100 @@ impl pulp::NullaryFnOnce for FieldSummation<'_> {
 
     #[inline(always)]
     fn call(self) -> FieldSums {
-        let Self { field, samples, terms, mean_square } = self;
+        let Self { field, samples, mean_square } = self;
         let mut sums = FieldSums::default();
+        let mut moments = Moments::default();
+        let mut row = RowMoments::default();
+        let mut row_place = f64::NAN;
+        let mut row_field = [0.0; TERM_POWERS];
         for &FieldSample { place, value, weight } in samples {
-            let basis = basis([
-                (place[0] - field.middle[0]) * field.scale[0],
-                (place[1] - field.middle[1]) * field.scale[1],
-            ]);
-            let mut off = value;
-            for (basis, coefficient) in basis.iter().zip(&field.solution.coefficients) {
-                off -= basis * coefficient;
+            if place[1] != row_place {
+                moments.add(&std::mem::take(&mut row));
+                row_place = place[1];
+                row.y = (row_place - field.middle[1]) * field.scale[1];
+                row_field = field.along_row(row.y);
             }
+            let x = powers((place[0] - field.middle[0]) * field.scale[0]);
+            let [c0, c1, c2, c3, c4] = row_field;
+            let off = value - ((c0 + c1 * x[1]) + (c2 * x[2] + c3 * x[3]) + c4 * x[4]);
             let trust =
                 if mean_square.is_finite() { trust(weight * off * off, mean_square) } else { 1.0 };
-            sums.add(&basis, value, trust * weight, trust, terms);
+            sums.trust += trust;
+            sums.squares += row.add(&x, value, trust * weight);
         }
+        moments.add(&row);
+        moments.fill(&mut sums);
         sums
     }
+}
+
+/// Sums over one row of the board, whose scaled place is `y`.
+#[derive(Debug, Default)]
+struct RowMoments {
+    y: f64,
+    /// Of weights times each power of the column.
+    weights: [f64; PRODUCT_LANES],
+    /// Of weighted values times each power of the column.
+    values: [f64; TERM_LANES],
+}
+
+impl RowMoments {
+    /// Adds a sample at these powers of its column; returns its weighted square.
+    #[inline(always)]
+    fn add(&mut self, x: &[f64; PRODUCT_LANES], value: f64, weight: f64) -> f64 {
+        for (sum, power) in self.weights.iter_mut().zip(x) {
+            *sum += weight * power;
+        }
+        let weighted = weight * value;
+        for (sum, power) in self.values.iter_mut().zip(x) {
+            *sum += weighted * power;
+        }
+        weighted * value
+    }
+}
+
+/// Sums over the board, by the power of the row, then of the column.
+#[derive(Debug, Default)]
+struct Moments {
+    weights: [[f64; PRODUCT_LANES]; PRODUCT_POWERS],
+    values: [[f64; TERM_LANES]; TERM_POWERS],
+}
+
+impl Moments {
+    #[inline(always)]
+    fn add(&mut self, row: &RowMoments) {
+        let y = powers(row.y);
+        for (sums, y) in self.weights.iter_mut().zip(y) {
+            for (sum, of_row) in sums.iter_mut().zip(row.weights) {
+                *sum += y * of_row;
+            }
+        }
+        for (sums, y) in self.values.iter_mut().zip(y) {
+            for (sum, of_row) in sums.iter_mut().zip(row.values) {
+                *sum += y * of_row;
+            }
+        }
+    }
+
+    /// The upper triangle of the normal equations, and their right sides.
+    #[inline(always)]
+    fn fill(&self, sums: &mut FieldSums) {
+        for (row, [row_x, row_y]) in POWERS.into_iter().enumerate() {
+            for (col, [x, y]) in POWERS.into_iter().enumerate().skip(row) {
+                sums.normal[row][col] = self.weights[row_y + y][row_x + x];
+            }
+            sums.right[row] = self.values[row_y][row_x];
+        }
+    }
+}
+
+/// The powers 0 … 8 of `x`, and three more.
+#[inline(always)]
+fn powers(x: f64) -> [f64; PRODUCT_LANES] {
+    let x2 = x * x;
+    let (x3, x4) = (x2 * x, x2 * x2);
+    let x8 = x4 * x4;
+    [1.0, x, x2, x3, x4, x4 * x, x4 * x2, x4 * x3, x8, x8 * x, x8 * x2, x8 * x3]
 }
 
 /// All terms at a scaled place.
@@ -280,24 +269,6 @@ pub(super) fn basis([x, y]: [f64; 2]) -> [f64; LANES] {
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
-}
-
-/// Replaces the first `terms` of `normal` by the lower triangular L with L·Lᵀ; returns how many of
-/// them the samples determine.
-fn factor(normal: &mut [[f64; LANES]; MOST_TERMS], terms: usize, least_pivot: f64) -> usize {
-    for row in 0..terms {
-        for col in 0..=row {
-            let rest = normal[row][col] - dot(&normal[row][..col], &normal[col][..col]);
-            if col < row {
-                normal[row][col] = rest / normal[col][col];
-            } else if rest > least_pivot * normal[row][row] {
-                normal[row][row] = rest.sqrt();
-            } else {
-                return row;
-            }
-        }
-    }
-    terms
 }
 
 #[cfg(test)]

@@ -89,14 +89,16 @@ impl Lattice {
 
     /// The curvature of the edges along `axis` by both: the differences between neighbors, whose
     /// positions have this variance, and what each corner's own window says beyond that. `None`
-    /// where no corner has two neighbors: a window alone cannot distinguish curvature from noise.
+    /// where no window says anything, or no corner has two neighbors: a window alone cannot
+    /// distinguish curvature from noise.
     pub fn curvature_with_own(
         &mut self,
         axis: usize,
         variance_px2: f64,
         own: impl Iterator<Item = (GridIndex, OwnCurvature)>,
     ) -> Option<BoardField> {
-        if self.by_neighbors[axis].is_empty() {
+        let mut own = own.peekable();
+        if self.by_neighbors[axis].is_empty() || own.peek().is_none() {
             return None;
         }
         self.samples.clear();

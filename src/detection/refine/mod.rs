@@ -22,6 +22,7 @@ mod corner_model;
 mod corner_std;
 mod elimination;
 mod field;
+mod field_sums;
 mod first_fit;
 mod fit;
 mod fitted;

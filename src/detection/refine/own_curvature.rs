@@ -6,6 +6,11 @@
 //! does, for large ones nothing), but it says it at the ends of the board's lines too, where the
 //! neighbors' differences have to be extrapolated: in small cells that error was common to all
 //! corners of a border and up to three times their standard deviation.
+//!
+//! A window that reaches a part e of the way to the next corner has 6/45 · e⁴ of the information
+//! of the second difference of three corners: an offset's variance is ε²/(2r) where white noise
+//! along an edge has the density ε² and the window reaches r to each side, the curvature's by one
+//! window 45/2 · ε²/r⁵, by three corners at the distance d six offsets' over d⁴.
 
 use pulp::{Simd, WithSimd};
 
@@ -13,6 +18,11 @@ use crate::detection::refine::corner_model::{CornerModel, OFFSETS};
 use crate::detection::refine::fit::CornerFit;
 use crate::detection::refine::normal_equations::{ModelColumns, RESIDUAL};
 use crate::detection::refine::samples::Samples;
+use crate::detection::refine::window::Window;
+
+/// A window that reaches a smaller part of the way to the next corner is not asked: it has less
+/// than a hundredth of the information that the corner's neighbors have (above).
+const LEAST_EXTENT: f64 = 0.5;
 
 /// The curvature of one edge in its corner's window.
 #[derive(Debug, Clone, Copy)]
@@ -25,16 +35,20 @@ pub(super) struct OwnCurvature {
     pub move_px2: [f64; 2],
 }
 
-/// Of the fit of a corner in bins of `bin` pixels, whose samples and last linearization these are.
-/// `None` where the window does not determine it.
+/// Of the fit of a corner in `window`, whose samples and last linearization these are. `None` where
+/// the window does not determine it.
 pub(super) fn own_curvatures(
     samples: &Samples,
     columns: &ModelColumns,
-    (fit, bin): (&CornerFit, usize),
+    (fit, window): (&CornerFit, &Window),
 ) -> [Option<OwnCurvature>; 2] {
+    let asked = window.extent.map(|extent| extent >= LEAST_EXTENT);
+    if asked == [false; 2] {
+        return [None; 2];
+    }
     let model = &fit.model;
     let sums = pulp::Arch::new().dispatch(AlongEdges { samples, columns, model });
-    let bin = bin as f64;
+    let bin = window.bin as f64;
     [0, 1].map(|edge| {
         let [s0, s1, s2, s3, s4] = sums[edge].information;
         let [r0, r1, r2] = sums[edge].scores;
@@ -50,7 +64,9 @@ pub(super) fn own_curvatures(
         let mut offsets = [0.0; 2];
         offsets[edge] = -0.5 * (offset + blur);
         let move_px2 = model.center_move(offsets).map(|v| v * bin * bin);
-        let known = variance > 0.0 && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
+        let known = asked[edge]
+            && variance > 0.0
+            && (excess + variance + move_px2[0] + move_px2[1]).is_finite();
         known.then_some(OwnCurvature { excess, variance, move_px2 })
     })
 }

@@ -116,7 +116,7 @@ impl Refiner {
                 self.note_scatter(refined.len(), second);
             }
             self.own_curvatures.push(second.as_ref().map_or([None; 2], |second| {
-                own_curvatures(&self.samples, &self.columns, (&second.fit, second.window.bin))
+                own_curvatures(&self.samples, &self.columns, (&second.fit, &second.window))
             }));
             self.shapes.push(second.as_ref().map_or([1.0, 0.0, 1.0], Fitted::shape));
             if let Some(second) = &second {

@@ -8,8 +8,9 @@
 //! over the image.
 
 use crate::detection::refine::corner_model::length;
-use crate::detection::refine::field::{
-    FieldSums, LANES, Solution, TERMS, basis, highest_order, trust,
+use crate::detection::refine::field::basis;
+use crate::detection::refine::field_sums::{
+    FieldSums, LANES, Solution, TERMS, highest_order, trust,
 };
 use crate::geometry::pixel::Pixel;
 
@@ -105,12 +106,7 @@ impl Straightness {
         let (mut solution, mut mean_square) = (Solution::default(), f64::INFINITY);
         let mut scatter = None;
         for _ in 0..ROUNDS {
-            let summation = LineSummation {
-                lines: self,
-                solution: &solution,
-                terms: TERMS[order],
-                mean_square,
-            };
+            let summation = LineSummation { lines: self, solution: &solution, mean_square };
             let Some(solved) =
                 pulp::Arch::new().dispatch(summation).solve(order, free, LEAST_PIVOT)
             else {
@@ -200,7 +196,6 @@ impl pulp::NullaryFnOnce for Preparation<'_> {
 struct LineSummation<'a> {
     lines: &'a Straightness,
     solution: &'a Solution,
-    terms: usize,
     mean_square: f64,
 }
 
@@ -216,7 +211,7 @@ impl pulp::NullaryFnOnce for LineSummation<'_> {
 
     #[inline(always)]
     fn call(self) -> FieldSums {
-        let Self { lines, solution, terms, mean_square } = self;
+        let Self { lines, solution, mean_square } = self;
         let mut sums = FieldSums::default();
         let mut start = 0;
         for (&end, trend) in lines.ends.iter().zip(&lines.trends) {
@@ -226,7 +221,7 @@ impl pulp::NullaryFnOnce for LineSummation<'_> {
             if !mean_square.is_finite() {
                 for (point, columns) in line.iter().zip(columns) {
                     let (columns, n) = trend.removed(point, columns);
-                    sums.add(&columns, n, point.certainty, 1.0, terms);
+                    sums.add(&columns, n, point.certainty, 1.0);
                 }
                 continue;
             }
@@ -235,7 +230,7 @@ impl pulp::NullaryFnOnce for LineSummation<'_> {
                 let (columns, n) = trend.removed(point, columns);
                 let off = left(&columns, n, solution);
                 let trust = trust(point.certainty * off * off, mean_square);
-                sums.add(&columns, n, trust * point.certainty, trust, terms);
+                sums.add(&columns, n, trust * point.certainty, trust);
             }
         }
         sums
