@@ -17,6 +17,7 @@ mod extrema;
 pub mod keypoint;
 pub mod matching;
 mod orientation;
+pub mod patch;
 mod plane;
 mod scale_space;
 pub mod tracks;

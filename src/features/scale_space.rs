@@ -18,7 +18,7 @@ const DOUBLED_PIXELS: usize = 700_000;
 
 /// Images with a side longer than this are halved first: what is smaller than two pixels there is
 /// noise and sharpening.
-const LONGEST_SIDE: usize = 2400;
+pub(super) const LONGEST_SIDE: usize = 2400;
 
 /// An octave whose shorter side is below this has no room for a descriptor.
 const SHORTEST_SIDE: usize = 24;

@@ -12,6 +12,7 @@ use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::degeneracy::{TwoViewGeometry, TwoViewKind, two_view_geometry};
 use crate::features::detector::{FeatureOptions, Features, find_features};
 use crate::features::matching::{DescriptorTable, Match, match_descriptors};
+use crate::features::patch::PatchImage;
 use crate::features::tracks::join_tracks;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::gray::GrayView;
@@ -25,6 +26,9 @@ pub struct SceneImage {
     pub size: ImageSize,
     /// Shared, so that a copy costs nothing.
     features: Arc<Features>,
+    /// What keypoints are located in to more than their own precision; none where there is no
+    /// image any more.
+    patches: Option<Arc<PatchImage>>,
 }
 
 impl SceneImage {
@@ -36,13 +40,14 @@ impl SceneImage {
     /// Finds the features of `image` as `options` say.
     pub fn with_options(name: String, image: GrayView<'_>, options: &FeatureOptions) -> Self {
         let features = Arc::new(find_features(image, options));
-        Self { name, size: image.size(), features }
+        let patches = Some(Arc::new(PatchImage::of(image)));
+        Self { name, size: image.size(), features, patches }
     }
 
     /// One with these features.
     #[cfg(test)]
     pub(crate) fn of_features(name: &str, size: ImageSize, features: Features) -> Self {
-        Self { name: name.to_owned(), size, features: Arc::new(features) }
+        Self { name: name.to_owned(), size, features: Arc::new(features), patches: None }
     }
 
     /// Where its features are, strongest first.
@@ -56,6 +61,11 @@ impl SceneImage {
         let keypoints = &self.features.keypoints;
         let at = keypoints[feature].pixel;
         (0..feature).rev().take_while(|k| keypoints[*k].pixel == at).last().unwrap_or(feature)
+    }
+
+    /// Its luma.
+    pub(super) fn patches(&self) -> Option<&PatchImage> {
+        self.patches.as_deref()
     }
 
     /// How many features it has.
@@ -81,6 +91,8 @@ pub(super) struct ImagePairs {
     /// The homography that explains most of each pair's matches, whatever it leaves: distortion
     /// changes that of a camera that only rotated.
     pub homographies: Vec<RotatedPair>,
+    /// Pairs of which a homography explains nearly all.
+    pub nearly_planar: usize,
     /// Pairs between which nothing moved.
     pub still: usize,
     /// The number of inlier matches between each image and the next.
@@ -130,6 +142,7 @@ pub(super) fn correspond(
         general: Vec::new(),
         rotated: Vec::new(),
         homographies: Vec::new(),
+        nearly_planar: 0,
         still: 0,
         between_neighbors: vec![0; images.len().saturating_sub(1)],
     };
@@ -162,6 +175,7 @@ impl ImagePairs {
         geometry: &TwoViewGeometry,
     ) {
         let matches: Vec<PointPair> = geometry.inliers.iter().map(|k| points[*k]).collect();
+        self.nearly_planar += usize::from(geometry.is_nearly_planar);
         if geometry.kind == TwoViewKind::Still {
             self.still += 1;
         }
@@ -193,7 +207,12 @@ pub(super) fn point_pair(first: &SceneImage, second: &SceneImage, pair: Match) -
 
 fn track_point(images: &[SceneImage], image: usize, feature: usize) -> TrackPoint {
     let keypoint = &images[image].features.keypoints[feature];
-    TrackPoint { image, pixel: keypoint.pixel, std_px: keypoint.std_px() }
+    TrackPoint {
+        image,
+        pixel: keypoint.pixel,
+        scale_px: keypoint.scale_px,
+        std_px: keypoint.std_px(),
+    }
 }
 
 /// `work` on each of `items`, in their order whatever the number of threads.

@@ -11,6 +11,7 @@ pub mod conditions;
 pub mod correspondence;
 pub mod key_frames;
 mod lens_fit;
+mod localization;
 pub mod refusal;
 pub mod result;
 #[cfg(test)]

@@ -87,7 +87,7 @@ fn scene(seed: u64, motion: Motion) -> (SceneProblem, Vec<ImagePair>) {
             let (dx, dy) = (NOISE_PX * seeded.gauss(), NOISE_PX * seeded.gauss());
             if SIZE.contains(pixel) && seeded.uniform(1.0) < 0.2 {
                 let pixel = Pixel::new(pixel.x + dx, pixel.y + dy);
-                track.push(TrackPoint { image, pixel, std_px: 0.2 });
+                track.push(TrackPoint { image, pixel, scale_px: 2.0, std_px: 0.2 });
             }
         }
         if track.len() >= 2 {

@@ -6,6 +6,7 @@ use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::{ImagePairs, SceneImage, correspond};
 use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
+use crate::calibration::scene::localization::localize;
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 use crate::calibration::scene::verdict::{self, Evidence};
@@ -92,8 +93,11 @@ pub fn calibrate_scene(
     goes_on()?;
     let start = reconstruction(&found, options);
     goes_on()?;
-    let start = start?;
+    let mut start = start?;
     check_rotation(&start)?;
+    settle(&mut start);
+    localize(images, &mut start, options.threads);
+    goes_on()?;
     let fit = fit_lens(&start, options.lens, &options.given);
     goes_on()?;
     let fit = fit?;
@@ -154,9 +158,18 @@ fn reconstruction(
     }
 }
 
+/// Poses and points as near to the truth as keypoints have them.
+fn settle(start: &mut Reconstruction) {
+    let free = std::mem::replace(&mut start.bundle.free, vec![FX, FY, CX, CY, COEFFICIENTS]);
+    start.bundle.robust_limit = ROBUST * start.bundle.median_noise(&start.state);
+    start.state = start.bundle.minimize(start.state.clone(), COMPARING);
+    start.bundle.free = free;
+}
+
 /// Whether most pairs of images show what one plane, or a rotation, would.
 fn is_one_plane(found: &ImagePairs) -> bool {
-    found.general.len() < LEAST_GENERAL || found.general.len() * 4 < found.rotated.len()
+    let verified = found.general.len() + found.rotated.len();
+    found.general.len() < LEAST_GENERAL || 4 * verified < 5 * found.nearly_planar
 }
 
 /// Whether a camera that only rotated explains the images: translations and depths, which it does

@@ -31,6 +31,8 @@ pub struct SceneObservation {
     pub camera: usize,
     /// Where.
     pub pixel: Pixel,
+    /// The size of what is seen there: the standard deviation of a Gaussian, in pixels.
+    pub scale_px: f64,
     /// One over the standard deviation of each coordinate, per pixel.
     pub inverse_std: f64,
 }

@@ -29,7 +29,12 @@ fn exact() -> (Bundle, SceneState) {
     let seen = |point: &Point3<f64>| -> Vec<SceneObservation> {
         let at = |(camera, pose): (usize, &Pose)| {
             let pixel = lens.pixel_from_point(&(*pose * *point))?;
-            Some(SceneObservation { camera, pixel, inverse_std: 2.0 + camera as f64 })
+            Some(SceneObservation {
+                camera,
+                pixel,
+                scale_px: 2.0,
+                inverse_std: 2.0 + camera as f64,
+            })
         };
         cameras_from_scene.iter().enumerate().filter_map(at).collect()
     };

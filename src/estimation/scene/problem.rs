@@ -10,6 +10,8 @@ pub struct TrackPoint {
     pub image: usize,
     /// Where.
     pub pixel: Pixel,
+    /// The size of what is seen there: the standard deviation of a Gaussian, in pixels.
+    pub scale_px: f64,
     /// Expected standard deviation of each coordinate in pixels, up to a factor that all share.
     pub std_px: f64,
 }

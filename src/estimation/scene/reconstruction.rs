@@ -208,6 +208,7 @@ impl<'a> Growing<'a> {
                     Some(SceneObservation {
                         camera: place(at.image)?,
                         pixel: at.pixel,
+                        scale_px: at.scale_px,
                         inverse_std,
                     })
                 })

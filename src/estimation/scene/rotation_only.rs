@@ -39,10 +39,13 @@ const ORTHONORMAL: f64 = 0.02;
 /// Cauchy's limit, in standard deviations (95 % efficient where no observation is wrong).
 const ROBUST: f64 = 2.4;
 
-const DESCENDING: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-4 };
+const DESCENDING: BundleStop = BundleStop { max_steps: 20, least_decrease: 1e-5 };
 
-/// Descents with the limit that the last one's noise gives.
-const REFITS: usize = 2;
+/// Descents at most, each with the limit that the last one's noise gives.
+const REFITS: usize = 10;
+
+/// A descent that leaves more than this part of the noise is the last.
+const SETTLED: f64 = 0.98;
 
 /// How far K⁻¹ H K is from a rotation.
 fn deviation(homography: &Homography, matrix: CameraMatrix) -> (f64, Matrix3<f64>) {
@@ -95,7 +98,12 @@ pub fn reconstruct_rotations(
             .iter()
             .filter_map(|at| {
                 let inverse_std = 1.0 / at.std_px;
-                Some(SceneObservation { camera: place(at.image)?, pixel: at.pixel, inverse_std })
+                Some(SceneObservation {
+                    camera: place(at.image)?,
+                    pixel: at.pixel,
+                    scale_px: at.scale_px,
+                    inverse_std,
+                })
             })
             .collect();
         seen.sort_by_key(|seen| seen.camera);
@@ -119,9 +127,14 @@ pub fn reconstruct_rotations(
     let mut state = bundle.minimize(state, DESCENDING);
     // The homographies were taken for those of a lens without distortion and in the middle.
     bundle.free = vec![FX, FY, CX, CY, COEFFICIENTS];
+    let mut noise = bundle.median_noise(&state);
     for _ in 0..REFITS {
-        bundle.robust_limit = ROBUST * bundle.median_noise(&state);
+        bundle.robust_limit = ROBUST * noise;
         state = bundle.minimize(state, DESCENDING);
+        let last = std::mem::replace(&mut noise, bundle.median_noise(&state));
+        if noise > SETTLED * last {
+            break;
+        }
     }
     (images.len() >= 2).then_some(Reconstruction { images, bundle, state })
 }

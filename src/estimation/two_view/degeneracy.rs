@@ -37,14 +37,21 @@ pub struct TwoViewGeometry {
     pub inliers: Vec<usize>,
     /// How many of those a homography explains as well.
     pub on_homography: usize,
+    /// Whether a homography explains nearly all of the inliers.
+    pub is_nearly_planar: bool,
     /// The median displacement of the matches between the images, in pixels.
     pub displacement_px: f64,
 }
 
-/// A homography that explains this part of F's inliers leaves too little for F: where outliers are
-/// 5 % they alone can make up the rest (P. Torr, *An assessment of information criteria for motion
-/// model selection*, 1997, discusses the choice; COLMAP takes 0.8).
+/// A homography that explains this part of F's inliers shows nearly one plane, or a rotation
+/// (COLMAP's).
 const HOMOGRAPHY_PART: f64 = 0.8;
+
+/// The natural logarithm of how often matches beside the homography may agree on F by chance: once
+/// in a million pairs of images. F has two degrees of freedom more than a homography (HZ result
+/// 13.6: plane and parallax), so that what is beside it says whether there is depth, however large
+/// the plane is.
+const LOG_NO_CHANCE: f64 = -13.8;
 
 /// Fewer matches agree by chance too easily.
 const LEAST_INLIERS: usize = 16;
@@ -76,12 +83,40 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
         (0..inlier_pairs.len()).filter(explained).count()
     });
     let displacement_px = median_displacement_px(&inlier_pairs);
-    let kind = if on_homography as f64 > HOMOGRAPHY_PART * inlier_pairs.len() as f64 {
-        TwoViewKind::Homography
-    } else {
-        TwoViewKind::General
+    let beside = homography.as_ref().map_or(pairs.len(), |homography| {
+        let all = Planar { pairs, size };
+        let is_beside = |k: &usize| all.squared_residual_px2(homography, *k) > limit_px * limit_px;
+        (0..pairs.len()).filter(is_beside).count()
+    });
+    let on_epipolar_lines = inliers.len() - on_homography;
+    let shows_depth = on_epipolar_lines >= LEAST_INLIERS
+        && log_false_alarms(on_epipolar_lines, beside, epipolar.chance(limit_px)) < LOG_NO_CHANCE;
+    let kind = if shows_depth { TwoViewKind::General } else { TwoViewKind::Homography };
+    let is_nearly_planar = on_homography as f64 > HOMOGRAPHY_PART * inliers.len() as f64;
+    Some(TwoViewGeometry {
+        kind,
+        fundamental,
+        homography,
+        inliers,
+        on_homography,
+        is_nearly_planar,
+        displacement_px,
+    })
+}
+
+/// The natural logarithm of how often `on_epipolar_lines` of `beside` matches, each by `chance`, lie along
+/// the epipolar lines of an epipole that two of them give.
+fn log_false_alarms(on_epipolar_lines: usize, beside: usize, chance: f64) -> f64 {
+    let log_factorial = |n: usize| (1..=n).map(|k| (k as f64).ln()).sum::<f64>();
+    let log_choose = |n: usize, k: usize| {
+        log_factorial(n) - log_factorial(k) - log_factorial(n.saturating_sub(k))
     };
-    Some(TwoViewGeometry { kind, fundamental, homography, inliers, on_homography, displacement_px })
+    let tests = (beside.max(1) as f64).ln();
+    let free = on_epipolar_lines.saturating_sub(2) as f64;
+    tests
+        + log_choose(beside, on_epipolar_lines)
+        + log_choose(on_epipolar_lines, 2)
+        + free * chance.ln()
 }
 
 fn median_displacement_px(pairs: &[PointPair]) -> f64 {
@@ -101,6 +136,7 @@ fn still(pairs: &[PointPair]) -> Option<TwoViewGeometry> {
         fundamental: Matrix3::zeros(),
         homography: Homography::from_matrix(&Matrix3::identity()),
         on_homography: inliers.len(),
+        is_nearly_planar: true,
         inliers,
         displacement_px,
     })
