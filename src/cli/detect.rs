@@ -7,7 +7,7 @@ use crate::cli::detect_args::{Unread, paths};
 use crate::cli::in_order::{all_cores, in_order};
 use crate::cli::search::{SearchedImage, searcher};
 use crate::cli::sources::FrameSets;
-use crate::cli::{Failure, output};
+use crate::cli::{Failure, output, recognize};
 use crate::detection::board_detection::{BoardMarkers, DetectOptions, Detection, GridIndex};
 use crate::geometry::target::Target;
 
@@ -57,6 +57,9 @@ const ANY_SQUARE_M: f64 = 0.025;
 /// # Errors
 /// When images could not be read, after all others have been searched.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    if args.target.is_auto() {
+        return recognize::run(args);
+    }
     let target = args.target.read(ANY_SQUARE_M)?;
     let options = DetectOptions { allow_partial: args.allow_partial };
     let mut unread = Unread::default();

@@ -29,6 +29,7 @@ pub mod lens_name;
 pub mod output;
 mod plane_errors;
 pub mod progress;
+mod recognize;
 pub mod record;
 pub mod rectify;
 mod result_image;

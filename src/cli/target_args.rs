@@ -32,7 +32,8 @@ pub struct ShapeArgs {
     #[arg(long, required_unless_present = "target")]
     board: Option<BoardSize>,
     /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
-    /// JSON or TOML, or Kalibr's YAML.
+    /// JSON or TOML, or Kalibr's YAML; in `plumb detect`, auto names the ChArUco board or AprilGrid
+    /// that is seen.
     #[arg(long, value_name = "FILE", conflicts_with = "board")]
     target: Option<PathBuf>,
 }
@@ -54,11 +55,19 @@ impl TargetArgs {
 }
 
 impl ShapeArgs {
+    /// Whether the target is to be found out.
+    pub fn is_auto(&self) -> bool {
+        self.target.as_deref() == Some(Path::new("auto"))
+    }
+
     /// The target; a board that is given by its size alone has squares of `square_m` meters.
     ///
     /// # Errors
     /// As [`TargetArgs::read`].
     pub fn read(&self, square_m: f64) -> Result<Target, Failure> {
+        if self.is_auto() {
+            return Err(Failure::usage("only `plumb detect` takes --target auto: give the target"));
+        }
         match (self.board, &self.target) {
             (Some(board), _) => {
                 Ok(Chessboard::new(board, square_m).map_err(Failure::usage)?.into())

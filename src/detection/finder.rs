@@ -2,6 +2,8 @@
 
 use crate::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use crate::detection::coded::detector::TargetDetector;
+use crate::detection::coded::no_target::NoTarget;
+use crate::detection::coded::recognition::recognize;
 use crate::detection::detector::Detector;
 use crate::detection::tracking::TrackedBoard;
 use crate::geometry::target::Target;
@@ -18,6 +20,17 @@ pub struct TargetFinder {
 enum DetectorOfKind {
     Plain(Box<Detector>),
     Coded(Box<TargetDetector>),
+}
+
+/// The same reason with the name of the board that is seen in place of `target`.
+fn named(none: NoTarget, image: GrayView<'_>, target: &Target) -> NoTarget {
+    if !matches!(none, NoTarget::NoMarkers { .. } | NoTarget::OtherBoard { .. }) {
+        return none;
+    }
+    match recognize(image) {
+        Some(seen) => NoTarget::Recognized { seen: seen.to_string(), target: target.to_string() },
+        None => none,
+    }
 }
 
 impl TargetFinder {
@@ -48,7 +61,9 @@ impl TargetFinder {
         match &mut self.of_kind {
             DetectorOfKind::Plain(detector) => detector.find_board(image, options),
             DetectorOfKind::Coded(detector) => {
-                Ok(detector.find(image)?.into_detection(self.target.lattice()))
+                let found =
+                    detector.find(image).map_err(|none| named(none, image, &self.target))?;
+                Ok(found.into_detection(self.target.lattice()))
             }
         }
     }

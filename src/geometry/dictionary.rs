@@ -103,6 +103,11 @@ impl Dictionary {
         self.count
     }
 
+    /// Whether `other` has all its markers, by the same numbers.
+    pub fn is_part_of(&self, other: &Self) -> bool {
+        self.table.name == other.table.name && self.count <= other.count
+    }
+
     /// Whether the cell in `row` and `col` of the marker `id` is white, as OpenCV draws it upright.
     /// `None` outside of the marker or of the dictionary.
     pub fn is_white(&self, id: usize, row: usize, col: usize) -> Option<bool> {

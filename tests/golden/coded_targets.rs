@@ -3,8 +3,11 @@
 //! answered.
 
 use nalgebra::{Matrix3, Vector3};
+use plumb::detection::board_detection::DetectOptions;
 use plumb::detection::coded::detector::TargetDetector;
 use plumb::detection::coded::no_target::NoTarget;
+use plumb::detection::coded::recognition::recognize;
+use plumb::detection::finder::TargetFinder;
 use plumb::geometry::dictionary::Dictionary;
 use plumb::geometry::printed_board::PrintedBoard;
 use plumb::geometry::target::{AprilGrid, CharucoBoard, Target, chessboard};
@@ -42,10 +45,33 @@ fn april_grid(family: &str, border: u32, first_id: u32) -> AprilGrid {
     }
 }
 
-/// An image of the print of `target`, and the map from the sheet, in meters, to it.
+/// An image of the print of `target`, all of it in view, and the map from the sheet, in meters, to
+/// it.
 fn image(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let print = PrintedBoard::of(target);
+    let scale = 0.8 * (WIDTH as f64 / print.width_m).min(HEIGHT as f64 / print.height_m);
+    image_of(&print, [print.width_m / 2.0, print.height_m / 2.0], scale, seed)
+}
+
+/// An image of `print` from near: `squares` sides of a square fill its width, somewhere on the
+/// sheet.
+fn close_up(target: &Target, squares: f64, seed: u64) -> (GrayImage, Matrix3<f64>) {
+    let print = PrintedBoard::of(target);
+    let mut rng = ChaCha8Rng::seed_from_u64(1000 + seed);
+    let middle = [print.width_m, print.height_m].map(|side| side * rng.random_range(0.35..0.65));
+    let square_m = print.width_m / f64::from(target.lattice().cols + 1);
+    image_of(&print, middle, WIDTH as f64 / (squares * square_m), seed)
+}
+
+/// An image with the sheet's point `middle`, in meters, in its middle, where a meter takes `scale`
+/// pixels.
+fn image_of(
+    print: &PrintedBoard,
+    middle: [f64; 2],
+    scale: f64,
+    seed: u64,
+) -> (GrayImage, Matrix3<f64>) {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let margin_m = 0.02;
     let [across, down] = [print.width_m, print.height_m]
         .map(|side| ((side + 2.0 * margin_m) * RASTER_PER_M).ceil() as usize);
@@ -58,21 +84,10 @@ fn image(target: &Target, seed: u64) -> (GrayImage, Matrix3<f64>) {
             row[edge(rect.x)..edge(rect.x + rect.width)].fill(f32::from(u8::from(rect.white)));
         }
     }
-    let scale = 0.8 * (WIDTH as f64 / print.width_m).min(HEIGHT as f64 / print.height_m);
     let angle = rng.random_range(-0.4..0.4_f64);
     let (s, c) = angle.sin_cos();
     let slant = [0, 1].map(|_| rng.random_range(-0.9..0.9));
-    let centered = Matrix3::new(
-        1.0,
-        0.0,
-        -print.width_m / 2.0,
-        0.0,
-        1.0,
-        -print.height_m / 2.0,
-        0.0,
-        0.0,
-        1.0,
-    );
+    let centered = Matrix3::new(1.0, 0.0, -middle[0], 0.0, 1.0, -middle[1], 0.0, 0.0, 1.0);
     let pixel_from_sheet = Matrix3::new(
         scale * c,
         -scale * s,
@@ -161,6 +176,15 @@ fn other_boards_are_not_answered() {
         (Target::Charuco(charuco("DICT_6X6_250", 6, false)), Target::Charuco(asked)),
         (Target::Charuco(CharucoBoard { first_id: 40, ..asked }), Target::Charuco(asked)),
         (Target::Charuco(CharucoBoard { cols: 8, rows: 5, ..asked }), Target::Charuco(asked)),
+        // The same markers one column on, but for those at the ends.
+        (
+            Target::Charuco(charuco("DICT_5X5_100", 6, true)),
+            Target::Charuco(CharucoBoard { rows: 7, legacy: None, ..asked }),
+        ),
+        (
+            Target::Charuco(charuco("DICT_5X5_100", 6, true)),
+            Target::Charuco(CharucoBoard { rows: 5, legacy: None, ..asked }),
+        ),
         (chessboard(6, 5, 0.04).expect("a board"), Target::Charuco(asked)),
         (Target::AprilGrid(grid), Target::Charuco(asked)),
         (Target::Charuco(asked), Target::AprilGrid(grid)),
@@ -214,4 +238,111 @@ fn part_of_a_board_is_labeled_where_one_of_its_own_ends_is_seen() {
         let stated = TargetDetector::new(shown).expect("a target with markers");
         assert!({ stated }.find(columns(&image, middle.clone()).view()).is_ok(), "seed {seed}");
     }
+}
+
+/// What of `asked` is answered of an image of `shown` from so near that few corners are in view; each
+/// corner must be right.
+fn found_near(shown: &Target, asked: &Target, squares: f64, seed: u64) -> Option<usize> {
+    let (image, pixel_from_sheet) = close_up(shown, squares, seed);
+    let mut detector = TargetDetector::new(*asked).expect("a target with markers");
+    let found = detector.find(image.view()).ok()?;
+    let print = PrintedBoard::of(shown);
+    for corner in &found.corners {
+        let truth = print.corner(shown, corner.id).expect("an id of the board");
+        let truth = pixel_from_sheet * Vector3::new(truth.x, truth.y, 1.0);
+        let off = (corner.pixel.x - truth.x / truth.z).hypot(corner.pixel.y - truth.y / truth.z);
+        assert!(off < 0.25, "{shown}, seed {seed}: corner {} is {off} px off", corner.id);
+    }
+    Some(found.corners.len())
+}
+
+/// A handful of corners and two or three whole markers, as a macro lens shows them.
+#[test]
+fn squares_that_fill_the_image_are_found() {
+    let board = Target::Charuco(charuco("DICT_6X6_250", 6, false));
+    let answers: Vec<usize> =
+        (0..24).filter_map(|seed| found_near(&board, &board, 2.6, seed)).collect();
+    assert!(answers.iter().all(|&corners| (4..=9).contains(&corners)), "{answers:?}");
+    // Few of them show four corners of one square and two whole markers.
+    assert!(answers.len() >= 4, "{} of 24 found", answers.len());
+}
+
+#[test]
+fn squares_of_other_boards_that_fill_the_image_are_not_answered() {
+    let asked = charuco("DICT_6X6_250", 6, false);
+    let others = [
+        Target::Charuco(CharucoBoard { first_id: 60, ..asked }),
+        Target::Charuco(charuco("DICT_5X5_250", 6, false)),
+        chessboard(6, 5, 0.04).expect("a board"),
+        Target::AprilGrid(april_grid("tag36h11", 2, 0)),
+    ];
+    for shown in &others {
+        for seed in 40..46 {
+            let (image, _) = close_up(shown, 2.6, seed);
+            let mut detector =
+                TargetDetector::new(Target::Charuco(asked)).expect("a target with markers");
+            let answer = detector.find(image.view());
+            assert!(answer.is_err(), "{shown}, seed {seed}: {answer:?}");
+        }
+    }
+}
+
+#[test]
+fn charuco_boards_of_any_geometry_are_named() {
+    // Of one image in twenty or so, of a board of even rows, both layouts agree with what is seen.
+    for (seed, dictionary) in Dictionary::all().take(19).enumerate() {
+        let first_id = if seed % 5 == 4 { 7 } else { 0 };
+        let marker_m = 0.02 + 0.002 * (seed % 7) as f64;
+        let (rows, legacy) = (5 + seed as u32 % 3, seed % 4 < 2);
+        let board = CharucoBoard { first_id, marker_m, ..charuco(dictionary.name(), rows, legacy) };
+        if board.check().is_err() {
+            continue;
+        }
+        let (image, _) = image(&Target::Charuco(board), 400 + seed as u64);
+        let shown = format!("{} of {rows} rows, seed {seed}", dictionary.name());
+        let seen = recognize(image.view()).unwrap_or_else(|| panic!("{shown}: nothing"));
+        let Target::Charuco(seen) = seen.target else { panic!("{shown}: {seen}") };
+        assert_eq!((seen.cols, seen.rows, seen.first_id), (7, rows, first_id), "{shown}");
+        assert!(seen.dictionary.is_part_of(&dictionary), "{shown}");
+        let expected = rows.is_multiple_of(2).then_some(legacy);
+        assert_eq!(seen.legacy, expected, "{shown}");
+        let off = seen.marker_m / seen.square_m - board.marker_m / board.square_m;
+        assert!(off.abs() < 0.03, "{shown}: markers by {off} too large");
+    }
+}
+
+#[test]
+fn april_grids_of_any_geometry_are_named() {
+    let cases = [
+        ("tag36h11", 2, 0.3, 0),
+        ("tag36h11", 1, 0.25, 4),
+        ("tag25h9", 2, 0.2, 0),
+        ("tag36h10", 2, 0.35, 20),
+    ];
+    for (seed, (family, border, spacing, first_id)) in cases.into_iter().enumerate() {
+        let grid = AprilGrid { spacing, ..april_grid(family, border, first_id) };
+        let (image, _) = image(&Target::AprilGrid(grid), 500 + seed as u64);
+        let shown = format!("{family}, border {border}, gaps {spacing}");
+        let seen = recognize(image.view()).unwrap_or_else(|| panic!("{shown}: nothing"));
+        let Target::AprilGrid(seen) = seen.target else { panic!("{shown}: {seen}") };
+        let shape = |grid: &AprilGrid| (grid.cols, grid.rows, grid.first_id, grid.border_bits);
+        assert_eq!(shape(&seen), shape(&grid));
+        assert_eq!(seen.family, grid.family);
+        assert!((seen.spacing - spacing).abs() < 0.02, "{shown}: seen {}", seen.spacing);
+    }
+}
+
+#[test]
+fn the_board_that_is_seen_in_place_of_another_is_named() {
+    let board = charuco("DICT_4X4_50", 5, true);
+    let shown = Target::Charuco(CharucoBoard { marker_m: 0.02, ..board });
+    let asked = Target::Charuco(charuco("DICT_5X5_100", 6, false));
+    let (image, _) = image(&shown, 400);
+    let none = TargetFinder::new(&asked).find(image.view(), &DetectOptions::default());
+    let reason = none.expect_err("another board").to_string();
+    for word in ["7x5 ChArUco board (DICT_4X4_50)", "of a square", "7x6 ChArUco board"] {
+        assert!(reason.contains(word), "{reason}");
+    }
+    let plain = chessboard(6, 5, 0.04).expect("a board");
+    assert_eq!(recognize(self::image(&plain, 601).0.view()), None);
 }

@@ -4,7 +4,7 @@
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::by_sides;
-use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels};
+use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
@@ -20,6 +20,7 @@ use crate::detection::search::response::Response;
 use crate::detection::search::seeds::Neighborhood;
 use crate::detection::thresholds::Thresholds;
 use crate::detection::thresholds::chessboard::SeedThresholds;
+use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
@@ -44,6 +45,24 @@ pub struct TargetDetector {
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) refiner: Refiner,
+}
+
+/// Which lattices are searched for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum LatticeSearch {
+    /// Of several squares.
+    Boards,
+    /// Of as little as one square that fills the image.
+    FewSquares,
+}
+
+impl LatticeSearch {
+    fn least_crossings(self, limits: &LatticeThresholds) -> usize {
+        match self {
+            Self::Boards => limits.least_crossings,
+            Self::FewSquares => limits.fewest_crossings,
+        }
+    }
 }
 
 /// What was seen that is no answer.
@@ -111,37 +130,103 @@ impl TargetDetector {
         let coarsest = coarsest_level(image.size(), 1);
         self.pyramid.build(image, coarsest);
         let mut seen = Unlabeled::default();
-        let half =
-            usize::from(width.max(height) > self.thresholds.lattice.large_side_px).min(coarsest);
-        let order = (0..=coarsest).map(|level| if level <= half { half - level } else { level });
-        for level in order {
-            if (width.min(height) >> level) < self.thresholds.lattice.least_side_px {
-                continue;
+        for level in self.levels(image, coarsest) {
+            let search = LatticeSearch::Boards;
+            if let Some(detection) = self.find_on(image, (level, search), &mut seen) {
+                return Ok(detection);
             }
-            if let Some(label) = self.search_level(image, level, &mut seen)
-                && let Some(detection) = self.finish(image, level, label)
-                && detection.corners.len() >= self.thresholds.marker_corners.least_corners
-            {
+        }
+        // Squares of which an image shows no more than a few are large on any level.
+        for level in (coarsest.saturating_sub(1)..=coarsest).rev() {
+            let search = LatticeSearch::FewSquares;
+            if let Some(detection) = self.find_on(image, (level, search), &mut seen) {
                 return Ok(detection);
             }
         }
         Err(self.reason(&seen))
     }
 
+    /// What `of` makes of the largest lattice of a level, on the first level on which that is
+    /// something; lattices of fewer than `least` crossings are left out.
+    pub(super) fn find_map_lattice<T>(
+        &mut self,
+        image: GrayView<'_>,
+        least: usize,
+        mut of: impl FnMut(GrayView<'_>, &Sheets, &Grid) -> Option<T>,
+    ) -> Option<T> {
+        let coarsest = coarsest_level(image.size(), 1);
+        self.pyramid.build(image, coarsest);
+        let mut largest = Grid::default();
+        for level in self.levels(image, coarsest) {
+            let pyramid = std::mem::take(&mut self.pyramid);
+            let view = pyramid.level(image, level);
+            self.prepare(view, &mut Unlabeled::default());
+            largest.clear(0, true);
+            let mut starts = 0;
+            for place in 0..self.order.len() {
+                let first = self.order[place].1;
+                if starts == self.thresholds.lattice.most_starts {
+                    break;
+                }
+                if self.used[first] || !self.start(view, LatticeSearch::Boards, first) {
+                    continue;
+                }
+                starts += 1;
+                self.spend();
+                if self.grid.members.len() > largest.members.len() {
+                    std::mem::swap(&mut largest, &mut self.grid);
+                }
+            }
+            let found = (largest.members.len() >= least)
+                .then(|| of(view, &self.sheets, &largest))
+                .flatten();
+            self.pyramid = pyramid;
+            if found.is_some() {
+                return found;
+            }
+        }
+        None
+    }
+
+    /// The levels in the order in which they are searched: large images at half their size first.
+    fn levels(&self, image: GrayView<'_>, coarsest: usize) -> impl Iterator<Item = usize> + use<> {
+        let limits = self.thresholds.lattice;
+        let (shorter, longer) =
+            (image.width().min(image.height()), image.width().max(image.height()));
+        let half = usize::from(longer > limits.large_side_px).min(coarsest);
+        (0..=coarsest)
+            .map(move |level| if level <= half { half - level } else { level })
+            .filter(move |&level| shorter >> level >= limits.least_side_px)
+    }
+
+    fn find_on(
+        &mut self,
+        image: GrayView<'_>,
+        (level, search): (usize, LatticeSearch),
+        seen: &mut Unlabeled,
+    ) -> Option<TargetDetection> {
+        let label = self.search_level(image, (level, search), seen)?;
+        self.finish(image, level, label).filter(|detection| {
+            detection.corners.len() >= self.thresholds.marker_corners.least_corners
+        })
+    }
+
     fn search_level(
         &mut self,
         image: GrayView<'_>,
-        level: usize,
+        (level, search): (usize, LatticeSearch),
         seen: &mut Unlabeled,
     ) -> Option<BoardLabel> {
         let pyramid = std::mem::take(&mut self.pyramid);
-        let label = self.search(pyramid.level(image, level), seen);
+        let view = pyramid.level(image, level);
+        self.prepare(view, seen);
+        let label = self.search(view, search, seen);
         self.pyramid = pyramid;
         label
     }
 
-    /// Grows lattices from the candidates of `view`, until one is labeled; it is left in `grid`.
-    fn search(&mut self, view: GrayView<'_>, seen: &mut Unlabeled) -> Option<BoardLabel> {
+    /// Collects the candidates of `view`.
+    fn prepare(&mut self, view: GrayView<'_>, seen: &mut Unlabeled) {
         self.response.compute(view, 1);
         let probe = Probe { image: view, thresholds: &self.thresholds };
         self.candidates.search(probe, &self.response, usize::from(u16::MAX));
@@ -150,33 +235,30 @@ impl TargetDetector {
         self.neighborhood.fill(candidates, view.width(), view.height());
         self.used.clear();
         self.used.resize(candidates.len(), false);
-        let reach = view.width().max(view.height()) as f32 / 2.0;
-        let (mut starts, mut read) = (0, 0);
         by_reach(view, candidates, &mut self.order);
+    }
+
+    /// Grows lattices from the candidates of `view`, until one is labeled; it is left in `grid`.
+    fn search(
+        &mut self,
+        view: GrayView<'_>,
+        search: LatticeSearch,
+        seen: &mut Unlabeled,
+    ) -> Option<BoardLabel> {
+        let limits = self.thresholds.lattice;
+        let (mut starts, mut read) = (0, 0);
         for place in 0..self.order.len() {
             let first = self.order[place].1;
-            if starts == self.thresholds.lattice.most_starts
-                || read == self.thresholds.lattice.most_read
-            {
+            if starts == limits.most_starts || read == limits.most_read {
                 break;
             }
-            if self.used[first] {
+            if self.used[first] || !self.start(view, search, first) {
                 continue;
             }
-            let candidates = &self.candidates.found;
-            let Some(seed) = self.neighborhood.seed(candidates, first, reach) else { continue };
             starts += 1;
-            let scene = LatticeScene {
-                image: view,
-                candidates,
-                neighborhood: &self.neighborhood,
-                sheets: &self.sheets,
-                thresholds: &self.thresholds.lattice,
-            };
-            self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
             self.spend();
             let count = self.grid.members.len();
-            if count < self.thresholds.lattice.least_crossings {
+            if count < search.least_crossings(&limits) {
                 continue;
             }
             read += 1;
@@ -184,8 +266,7 @@ impl TargetDetector {
                 let (a, b) = (bounds.width() as u32, bounds.height() as u32);
                 seen.lattice = (count, a.max(b), a.min(b));
             }
-            let dbg = self.label(view);
-            match dbg {
+            match self.label(view) {
                 BoardLabels::One(label) => {
                     self.complete(view, label);
                     return Some(label);
@@ -196,6 +277,26 @@ impl TargetDetector {
             }
         }
         None
+    }
+
+    /// Grows a lattice from the square at candidate `first` into `grid`; false if there is none.
+    fn start(&mut self, view: GrayView<'_>, search: LatticeSearch, first: usize) -> bool {
+        let candidates = &self.candidates.found;
+        let longer = view.width().max(view.height()) as f32;
+        let reach = match search {
+            LatticeSearch::Boards => longer / 2.0,
+            LatticeSearch::FewSquares => longer,
+        };
+        let Some(seed) = self.neighborhood.seed(candidates, first, reach) else { return false };
+        let scene = LatticeScene {
+            image: view,
+            candidates,
+            neighborhood: &self.neighborhood,
+            sheets: &self.sheets,
+            thresholds: &self.thresholds.lattice,
+        };
+        self.growth.start(scene, &seed, &mut self.grid, &mut self.spare);
+        true
     }
 
     /// The candidates that are crossings of the lattice start no other.
@@ -244,7 +345,20 @@ impl TargetDetector {
                 way += alike;
             }
         }
-        believed
+        match believed {
+            BoardLabels::One(label) => {
+                self.contradicted(view, &label).map_or(believed, BoardLabels::Elsewhere)
+            }
+            _ => believed,
+        }
+    }
+
+    /// How many of the cells around the lattice contradict `label`.
+    fn contradicted(&mut self, view: GrayView<'_>, label: &BoardLabel) -> Option<usize> {
+        let sheet = &self.sheets.ways[label.way];
+        let in_bright = self.sheets.in_bright != label.inverted;
+        self.reading.read_around(view, (&self.sheets, sheet), &self.grid, in_bright);
+        contradicted_around(sheet, &self.reading, label)
     }
 
     /// Of two places alike the one whose ends are seen.

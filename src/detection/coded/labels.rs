@@ -97,19 +97,7 @@ impl BestLabel {
     pub(super) fn labels(&self, reading: &MarkerReading, sheets: &Sheets) -> BoardLabels {
         let Some(best) = self.first else { return self.none() };
         let (sheet, limits) = (&sheets.ways[best.way], &reading.limits);
-        let (mut agree, mut against, mut clear) = (0, 0, 0);
-        for (index, cell) in reading.cells.iter().enumerate() {
-            if cell.weight < limits.least_read_weight {
-                continue;
-            }
-            let own = own_agreement(sheet, reading, index, best.placement).unwrap_or(0.0);
-            agree += usize::from(own > limits.contradicting_agreement);
-            clear += usize::from(own > limits.clear_agreement);
-            against += usize::from(
-                own <= limits.contradicting_agreement
-                    && reading.best(index) > limits.clear_agreement,
-            );
-        }
+        let Votes { agree, against, clear } = votes(sheet, reading, best.placement);
         let least = if clear >= 2 && clear == agree + against {
             limits.least_clear_significance
         } else {
@@ -183,6 +171,46 @@ pub(super) fn cell_in_sheet(placement: BoardPlacement, (i, j): (i32, i32)) -> (i
 fn aligned(sheets: &Sheets, placement: BoardPlacement) -> bool {
     let (i, j) = cell_in_grid(placement, 0, 0);
     !sheets.alternates() || (i & 1, j & 1) == (0, 0)
+}
+
+/// What the cells say of a place.
+#[derive(Debug, Clone, Copy, Default)]
+struct Votes {
+    agree: usize,
+    /// Clearly another marker.
+    against: usize,
+    /// Agree without doubt.
+    clear: usize,
+}
+
+fn votes(sheet: &Sheet, reading: &MarkerReading, placement: BoardPlacement) -> Votes {
+    let limits = &reading.limits;
+    let mut votes = Votes::default();
+    for (index, cell) in reading.cells.iter().enumerate() {
+        if cell.weight < limits.least_read_weight {
+            continue;
+        }
+        let own = own_agreement(sheet, reading, index, placement).unwrap_or(0.0);
+        votes.agree += usize::from(own > limits.contradicting_agreement);
+        votes.clear += usize::from(own > limits.clear_agreement);
+        votes.against += usize::from(
+            own <= limits.contradicting_agreement && reading.best(index) > limits.clear_agreement,
+        );
+    }
+    votes
+}
+
+/// How many of the cells around the lattice, which are read, clearly show markers of the target that
+/// belong elsewhere; `None` if they agree with `label`. Within a lattice the markers of a board are
+/// those of another that is one column narrower or has the other layout; at its ends they are not.
+pub(super) fn contradicted_around(
+    sheet: &Sheet,
+    reading: &MarkerReading,
+    label: &BoardLabel,
+) -> Option<usize> {
+    let Votes { agree, against, .. } = votes(sheet, reading, label.placement);
+    let most = reading.limits.most_contradictions * agree as f32;
+    (against >= 2 && against as f32 > most).then_some(against)
 }
 
 fn own_agreement(

@@ -14,6 +14,7 @@
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
 //! | print | `print` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
+//! | recognition | `recognition` | which board it is, where none was asked for |
 //!
 //! **May miss, never mislabels**: a board is answered only if its markers agree with one place in
 //! the target and no other, and none that is clearly read says otherwise.
@@ -29,4 +30,5 @@ pub mod no_target;
 mod order;
 mod print;
 mod reading;
+pub mod recognition;
 mod sheet;

@@ -45,6 +45,14 @@ pub enum NoTarget {
         /// What was searched for.
         target: String,
     },
+    /// A board with markers that was recognized, but another.
+    #[error("a {seen} is seen, not the {target}: give the target that is seen, or show the other")]
+    Recognized {
+        /// What is seen.
+        seen: String,
+        /// What was searched for.
+        target: String,
+    },
     /// Markers that fit two places alike.
     #[error(
         "{markers} markers of the {target} are seen, but the part in view fits two places on it: show one of its ends, or state its layout (\"legacy\": true or false)"
@@ -64,7 +72,7 @@ impl NoTarget {
             Self::ImageTooSmall { .. } => "image_too_small",
             Self::NoLattice { .. } => "no_lattice",
             Self::NoMarkers { .. } => "no_markers",
-            Self::OtherBoard { .. } => "other_board",
+            Self::OtherBoard { .. } | Self::Recognized { .. } => "other_board",
             Self::TwoPlaces { .. } => "two_places",
         }
     }

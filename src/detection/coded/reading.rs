@@ -1,11 +1,23 @@
 //! What the cells of a lattice show, and how well that agrees with each marker.
 
+use std::ops::RangeInclusive;
+
 use crate::detection::coded::chart::{Chart, ChartPair};
 use crate::detection::coded::sheet::{Sheet, Sheets, unit};
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::markers::LabelThresholds;
 use crate::imaging::gray::GrayView;
+
+/// Known corners of a cell that is read.
+const WELL_KNOWN: RangeInclusive<usize> = 3..=4;
+/// The same in a lattice with fewer than `FEW_CELLS` of those: of one square that fills the image
+/// the cells around it share an edge each.
+const BARELY_KNOWN: RangeInclusive<usize> = 2..=4;
+/// The same of the cells around a lattice.
+const AROUND: RangeInclusive<usize> = 2..=2;
+/// Cells that are certain by themselves: below that many none is left out.
+const FEW_CELLS: usize = 3;
 
 /// A cell that may hold a marker.
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +57,33 @@ impl MarkerReading {
         grid: &Grid,
         in_bright: bool,
     ) {
+        for known in [WELL_KNOWN, BARELY_KNOWN] {
+            self.read_known(image, (sheets, sheet), grid, (in_bright, known));
+            if self.cells.len() >= FEW_CELLS {
+                break;
+            }
+        }
+    }
+
+    /// Reads the cells around `grid`, which share an edge with it.
+    pub(super) fn read_around(
+        &mut self,
+        image: GrayView<'_>,
+        of: (&Sheets, &Sheet),
+        grid: &Grid,
+        in_bright: bool,
+    ) {
+        self.read_known(image, of, grid, (in_bright, AROUND));
+    }
+
+    /// Reads the cells of which so many corners are known.
+    fn read_known(
+        &mut self,
+        image: GrayView<'_>,
+        (sheets, sheet): (&Sheets, &Sheet),
+        grid: &Grid,
+        (in_bright, corners_known): (bool, RangeInclusive<usize>),
+    ) {
         self.cells.clear();
         self.agreement.clear();
         self.markers = sheets.codes.len() / (4 * sheets.bits * sheets.bits).max(1);
@@ -57,7 +96,7 @@ impl MarkerReading {
                 }
                 let corners = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
                 let known = corners.iter().filter(|at| grid.get(at.0, at.1).is_some()).count();
-                if known >= 3
+                if corners_known.contains(&known)
                     && let Some(depth) = self.sample(image, (sheets, sheet), grid, (i, j))
                 {
                     self.compare(sheets, (i, j), depth, contrast(grid, &corners));

@@ -8,6 +8,8 @@ thresholds! {
     LatticeThresholds {
         /// Fewer crossings are no lattice.
         least_crossings: usize = 6, "crossings", ThresholdOrigin::Swept;
+        /// The same of squares that fill the image.
+        fewest_crossings: usize = 4, "crossings", ThresholdOrigin::Derived("a homography takes four");
         /// Cells from which a lattice is grown, on one pyramid level: it bounds the time.
         most_starts: usize = 48, "cells", ThresholdOrigin::Swept;
         /// Lattices whose markers are read, on one level: it bounds the time.
