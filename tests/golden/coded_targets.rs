@@ -289,8 +289,7 @@ fn squares_of_other_boards_that_fill_the_image_are_not_answered() {
 
 #[test]
 fn charuco_boards_of_any_geometry_are_named() {
-    // Of one image in twenty or so, of a board of even rows, both layouts agree with what is seen.
-    for (seed, dictionary) in Dictionary::all().take(19).enumerate() {
+    for (seed, dictionary) in Dictionary::all().enumerate() {
         let first_id = if seed % 5 == 4 { 7 } else { 0 };
         let marker_m = 0.02 + 0.002 * (seed % 7) as f64;
         let (rows, legacy) = (5 + seed as u32 % 3, seed % 4 < 2);

@@ -142,13 +142,14 @@ fn confirmed(image: GrayView<'_>, boards: impl Iterator<Item = Target>) -> Optio
         let mut detector = TargetDetector::new(target)?;
         let detection = detector.find(image).ok()?;
         let rows = detector.unseen_rows(image, &detection);
-        // Markers first: a board of another size agrees with some of them.
+        // Corners first: a smaller board fits a part of a larger one. Markers come last: they are
+        // read until they prove the labels, no further.
         let rank = (
-            detection.markers.read,
-            !rows.missing_in_view,
             detection.corners.len(),
-            first_id(&target) == 0,
             !detection.partial,
+            !rows.missing_in_view,
+            first_id(&target) == 0,
+            detection.markers.read,
         );
         let target = detector.measured(image, &detection);
         Some((rank, RecognizedBoard { target, detection, may_go_on: rows.may_go_on }))
