@@ -211,10 +211,6 @@ pub struct AdmissionOptions {
     pub worth: f64,
     /// The most views of a session. Default: 150.
     pub view_limit: u32,
-    /// Whether somebody carries the board to where it is asked for: for a second after a view, what
-    /// teaches far less than the suggested view is not taken then. Default: no, for frames of a
-    /// recording come whatever is asked for, and what they teach is lost if they are not taken.
-    pub awaits_suggested: bool,
 }
 
 impl Default for AdmissionOptions {
@@ -225,7 +221,6 @@ impl Default for AdmissionOptions {
             novelty_steps: 0.3,
             worth: 0.3,
             view_limit: 150,
-            awaits_suggested: false,
         }
     }
 }

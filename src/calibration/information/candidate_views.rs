@@ -201,7 +201,10 @@ pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
     let row = *camera_from_board * Vector3::x();
     let quarters = (row.y.atan2(row.x) / FRAC_PI_2).round();
     let rolled = UnitQuaternion::from_scaled_axis(Vector3::z() * (quarters * FRAC_PI_2));
-    let towards_camera = (*camera_from_board * Vector3::z()).z < 0.0;
+    // By the line of sight: at a fisheye's rim the normal of a board that is seen from the front
+    // may point away from the image plane.
+    let normal = *camera_from_board * Vector3::z();
+    let towards_camera = normal.dot(&camera_from_board.translation()) < 0.0;
     if towards_camera {
         rolled * UnitQuaternion::from_scaled_axis(Vector3::x() * PI)
     } else {

@@ -3,7 +3,9 @@
 
 use nalgebra::{DMatrix, Point3, UnitQuaternion, Vector3};
 
-use crate::calibration::information::candidate_views::{BoardPoints, CandidateSpace, Holding};
+use crate::calibration::information::candidate_views::{
+    BoardPoints, CandidateSpace, Holding, base_rotation,
+};
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample};
 use crate::calibration::information::lens_information::{LensInformation, open_parameters};
 use crate::calibration::information::movement::{Held, next_movement};
@@ -348,4 +350,16 @@ fn blur_and_tilt_widen_the_noise() {
     assert!(noise.blur_px(0.32) > 2.0 * noise.blur_px(0.5));
     assert!(noise.std_px(10.0, 0.5) > 1.3 * noise.std_px(20.0, 0.5));
     assert!(noise.std_px(20.0, 0.3) > 1.3 * noise.std_px(20.0, 0.5));
+}
+
+#[test]
+fn a_board_at_the_rim_of_a_fisheye_is_seen_from_the_front() {
+    // Its normal points along the line of sight, 80 degrees off the axis and tilted by 20 more.
+    let seen_at = |angle: f64| Pose::from_axis_angle(Vector3::y() * angle, Vector3::zeros());
+    let camera_from_facing =
+        seen_at(80_f64.to_radians()) * Pose::from_axis_angle(Vector3::zeros(), Vector3::z());
+    let camera_from_board = camera_from_facing * seen_at(20_f64.to_radians());
+    assert!((camera_from_board * Vector3::z()).z < 0.0);
+    let base = base_rotation(&camera_from_board);
+    assert!((base * Vector3::z()).z > 0.99, "{base}");
 }

@@ -1,7 +1,7 @@
 //! The next view to ask for: the one that lowers the goal most, of those about as good the one that
 //! is nearest to how the board is held now; and how many more views the goal takes.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Point3};
 
 use crate::calibration::information::candidate_views::{CandidateSpace, CandidateView, Holding};
 use crate::calibration::information::lens_information::LensInformation;
@@ -82,7 +82,7 @@ pub fn suggest_view(
     let least = AS_GOOD * scored.first()?.score;
     let as_good = scored.iter().take_while(|scored| scored.score >= least);
     let effort = |scored: &ScoredView| {
-        from.map_or(0.0, |from| effort(from, &scored.view.camera_from_board, space))
+        from.map_or(0.0, |from| effort(from, &scored.view.camera_from_board, space.board.middle()))
     };
     let chosen = as_good.min_by(|a, b| effort(a).total_cmp(&effort(b)))?;
     let shortlist: Vec<&DMatrix<f64>> =
@@ -102,10 +102,10 @@ pub fn suggest_view(
     })
 }
 
-/// How far it is from one pose to another, in rotations by a radian.
-pub fn effort(here_from_board: &Pose, there_from_board: &Pose, space: &CandidateSpace<'_>) -> f64 {
+/// How far it is from one pose to another for a board with this middle, in rotations by a radian.
+pub fn effort(here_from_board: &Pose, there_from_board: &Pose, middle: Point3<f64>) -> f64 {
     let poses = [here_from_board, there_from_board];
-    let [here, there] = poses.map(|pose| (*pose * space.board.middle()).coords);
+    let [here, there] = poses.map(|pose| (*pose * middle).coords);
     let translation = (there - here).norm() / here.norm().max(f64::MIN_POSITIVE);
     EFFORT_PER_DISTANCE * translation
         + here_from_board.rotation().angle_to(&there_from_board.rotation())

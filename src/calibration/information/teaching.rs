@@ -14,7 +14,7 @@ use crate::calibration::information::candidate_views::{
 };
 use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, side_px};
 use crate::calibration::information::lens_information::LensInformation;
-use crate::calibration::information::next_view::{SuggestedView, suggest_view};
+use crate::calibration::information::next_view::{SuggestedView, effort, suggest_view};
 use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
 use crate::calibration::information::view_information::{WeightedCorner, view_information};
 use crate::calibration::placement::NOMINAL_FOCAL;
@@ -122,13 +122,16 @@ impl Teaching {
         self.placed((number, seen, blur_px), camera_from_board)
     }
 
-    /// How much surer projections would be with one more view: the mean over the image of the
-    /// relative drop of their standard deviation, 0 to 1.
+    /// How much surer projections would be with one more view, 0 to 1: the mean over the image of
+    /// the relative drop of their standard deviation, or the drop of the goal's criterion if that
+    /// is more. The worst place in the image may be a small part of it.
     pub fn gain(&self, view: &TaughtView) -> f64 {
         let after = self.known.covariance_with(&view.information);
         let after = after.and_then(|covariance| self.goal.map(&covariance));
         match (&self.now, after) {
-            (Some(now), Some(after)) => self.goal.gain(now, &after),
+            (Some(now), Some(after)) => {
+                self.goal.gain(now, &after).max(self.goal.drop(now, &after))
+            }
             _ => 0.0,
         }
     }
@@ -196,6 +199,11 @@ impl Teaching {
         let samples: Vec<NoiseSample> =
             self.views.iter().filter_map(|view| self.noise_sample(view)).collect();
         CornerNoise::learn(&samples)
+    }
+
+    /// How far it is from one pose of the board to another, in rotations by a radian.
+    pub fn effort(&self, here_from_board: &Pose, there_from_board: &Pose) -> f64 {
+        effort(here_from_board, there_from_board, self.board.middle())
     }
 
     /// Where the board can be asked for.

@@ -9,6 +9,7 @@ use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
 use crate::calibration::session::action::CameraFrame;
 use crate::calibration::session::advice::{Advice, Now};
+use crate::calibration::session::approach::Approach;
 use crate::calibration::session::ending::LEAST_VIEWS;
 use crate::calibration::session::progress::{FrameTime, Obstacle};
 use crate::calibration::session_record::{Finish, SessionMember, SessionRequest};
@@ -24,10 +25,8 @@ const LEAST_VIEWS_FOR_GOAL: u32 = 8;
 
 /// Placements that differ by so many steps teach a lens that nothing is known of yet.
 const FIRST_STEPS: f64 = 0.6;
-/// Within this time after a view, in seconds, the board is on its way to the place that it is asked
-/// for: a person reacts and carries it. What teaches far less than what is asked for is not taken …
-const ON_ITS_WAY_S: f64 = 1.0;
-/// … but what teaches this part of it is.
+/// While the board is brought to the suggested view, what teaches less than this part of it is not
+/// taken.
 const GOOD_PART: f64 = 0.7;
 
 /// One camera's part of a session with a board.
@@ -43,6 +42,7 @@ pub struct BoardPart {
     teaching: Option<Teaching>,
     advice: Advice,
     before: Option<SeenBefore>,
+    approach: Approach,
     time: FrameTime,
     obstacle: Obstacle,
     going_on: Option<GoingOn>,
@@ -79,6 +79,7 @@ impl BoardPart {
             teaching: None,
             advice: Advice::default(),
             before: None,
+            approach: Approach::default(),
             time: FrameTime::default(),
             obstacle: Obstacle::default(),
             going_on: None,
@@ -276,15 +277,18 @@ impl BoardPart {
             return if is_full { Err(full) } else { Ok(None) };
         };
         let (gain, needed) = (teaching.gain(taught), self.share());
-        let (lowers, awaited) = (teaching.drop(taught), self.awaited(frame));
+        let awaited = self.awaited(frame, &taught.camera_from_board);
         // Before the lens is estimated every other placement counts towards estimating it.
         let steps = self.placements.iter().map(|kept| kept.steps_to(placement));
         let counts = !teaching.is_estimated() && steps.fold(f64::INFINITY, f64::min) >= FIRST_STEPS;
         if !self.views.is_empty() && gain < needed && !counts {
             return Err(Rejection::TeachesLittle { gain, needed });
         }
-        if lowers < awaited {
-            return Err(Rejection::TeachesLittle { gain: lowers, needed: awaited });
+        if let Some(needed) = awaited {
+            let gain = teaching.drop(taught);
+            if gain < needed {
+                return Err(Rejection::TeachesLittle { gain, needed });
+            }
         }
         if !is_full {
             return Ok(None);
@@ -300,18 +304,13 @@ impl BoardPart {
         0.5 * self.options.worth / self.views.len().max(1) as f64
     }
 
-    /// By how much a view must lower the goal: soon after the last one a good part of what the
-    /// suggested view would, since the board is on its way there. A named frame is an image of its
-    /// own.
-    fn awaited(&self, frame: &FrameFacts) -> f64 {
-        let (Some(last), Some(suggested)) = (self.views.last(), &self.advice.suggested) else {
-            return 0.0;
-        };
-        if !self.options.awaits_suggested || frame.name.is_some() {
-            return 0.0;
-        }
-        let since_s = frame.time_ns().saturating_sub(last.frame.time_ns()) as f64 * 1e-9;
-        if since_s < ON_ITS_WAY_S { GOOD_PART * suggested.drop } else { 0.0 }
+    /// While the board is about to arrive at the suggested view: by how much another one must lower
+    /// the goal, a good part of what that does.
+    fn awaited(&self, frame: &FrameFacts, camera_from_board: &Pose) -> Option<f64> {
+        let (teaching, suggested) = (self.teaching.as_ref()?, self.advice.suggested.as_ref()?);
+        let poses = [camera_from_board, &suggested.camera_from_board];
+        let arriving = self.approach.is_arriving(frame, poses, teaching);
+        arriving.then_some(GOOD_PART * suggested.drop)
     }
 
     fn admit(&mut self, seen: &CameraFrame, taught: Option<TaughtView>) -> Result<u32, Rejection> {
@@ -404,6 +403,9 @@ impl BoardPart {
         };
         if let Some(teaching) = &self.teaching {
             self.summary.guidance = self.advice.guidance(teaching, &now);
+            let suggested = self.advice.suggested.as_ref();
+            let poses = camera_from_board.zip(suggested.map(|it| &it.camera_from_board));
+            self.approach.follow(time_ns, poses.map(Into::into), teaching);
         }
     }
 }

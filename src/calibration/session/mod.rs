@@ -13,6 +13,7 @@
 
 mod action;
 mod advice;
+mod approach;
 mod board_part;
 pub mod camera;
 mod ending;

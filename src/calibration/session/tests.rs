@@ -1,6 +1,6 @@
 //! The session against seeded frames: what it keeps, what it rejects, when it ends.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use super::*;
 use crate::calibration::placement::tests::{SIZE, detection_at};
@@ -68,6 +68,18 @@ fn admitted(
 /// A session's views as they are stored.
 fn stored(session: &Session) -> Vec<(KeptView, View)> {
     session.kept().iter().map(|kept| (*kept, session.view(kept).unwrap().clone())).collect()
+}
+
+/// A board on its way in `steps` from its last placement to the suggested view.
+fn carried_to_the_suggested_view(session: &Session, steps: u32) -> Vec<Detection> {
+    let there = session.record().guidance.camera_from_board.unwrap();
+    let middle = (there * Point3::new(0.1, 0.0625, 0.0)).coords;
+    let (here, rotation) = (Vector3::new(0.12, 0.02, 0.5), there.rotation().scaled_axis());
+    let at = |step| {
+        let part = f64::from(step) / f64::from(steps);
+        detection_at(here + (middle - here) * part, rotation * part)
+    };
+    (0..=steps).map(at).collect()
 }
 
 /// Feeds `detections` as frames from `first` on; the actions of all.
@@ -354,4 +366,29 @@ fn what_is_asked_for_has_a_place_a_worth_and_views_to_go() {
     feed(&mut session, 1, &placements()[1..10]);
     let message = &session.record().guidance.message;
     assert!(message.contains("cannot be reached"), "{message}");
+}
+
+#[test]
+fn a_board_on_its_way_to_the_suggested_view_is_waited_for() {
+    let mut session = session(None);
+    feed(&mut session, 0, &placements());
+    let way = carried_to_the_suggested_view(&session, 40);
+    let on_the_way = |k: usize| FrameFacts {
+        host_time_ns: frame(13).host_time_ns + k as i64 * 30_000_000,
+        ..frame(13 + k as u64)
+    };
+    // Not on its way, the same view is kept.
+    let mut shown_at_once = session.clone();
+    assert!(admitted(&mut shown_at_once, &on_the_way(0), Ok(&way[30])).is_ok());
+
+    let admissions: Vec<_> = way
+        .iter()
+        .enumerate()
+        .map(|(k, board)| admitted(&mut session, &on_the_way(k), Ok(board)))
+        .collect();
+    assert!(admissions[1..36].iter().all(Result::is_err), "{admissions:?}");
+    let waited = |admission: &Result<u32, Rejection>| matches!(admission, Err(Rejection::TeachesLittle { gain, needed }) if gain < needed);
+    assert!(admissions.iter().filter(|it| waited(it)).count() > 5, "{admissions:?}");
+    let arrived = (41..44).map(|k| admitted(&mut session, &on_the_way(k), Ok(&way[40])));
+    assert!(admissions[36..].iter().cloned().chain(arrived).any(|it| it.is_ok()));
 }

@@ -190,11 +190,7 @@ impl OperatedSession {
             (!of_worst).then_some(Finish { uncertainty_px: Some(goal_px), ..Finish::default() });
         let request = SessionRequest { target: self.board.into(), lens, finish, given: Vec::new() };
         let record = SessionRecord::begin("", "", request, 0);
-        let options = AdmissionOptions {
-            awaits_suggested: self.operator == OperatorName::Follows,
-            ..AdmissionOptions::default()
-        };
-        let mut session = Session::begin(record, &[], &options);
+        let mut session = Session::begin(record, &[], &AdmissionOptions::default());
         let mut operator =
             Operator::before(self.seed, self.operator.kind(), &self.board, (&self.lens, self.size));
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed ^ 0x006e_6f69_7365);

@@ -1,0 +1,43 @@
+//! Whether somebody brings the board to where it is asked for: what is seen on the way there
+//! teaches less, in motion, than the view that is about to come.
+
+use crate::calibration::information::teaching::Teaching;
+use crate::calibration::view::FrameFacts;
+use crate::geometry::pose::Pose;
+
+/// A board that arrives within this time at its present speed, in seconds, is waited for: a person
+/// carries a board to another place in about so long.
+const WAITED_S: f64 = 2.0;
+/// Frames after a longer time, in seconds, are not one movement.
+const ONE_MOVEMENT_S: f64 = 0.5;
+
+/// How far the board was from the suggested view in the frame before.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Approach {
+    before: Option<(i64, f64)>,
+}
+
+impl Approach {
+    /// Takes in a frame: when it was taken, and the poses of the board in it and in the suggested
+    /// view, as far as there are any.
+    pub(super) fn follow(&mut self, time_ns: i64, poses: Option<[&Pose; 2]>, teaching: &Teaching) {
+        self.before = poses.map(|[here, there]| (time_ns, teaching.effort(here, there)));
+    }
+
+    /// Whether the board, in the next frame, is about to arrive. A named frame is an image of its
+    /// own.
+    pub(super) fn is_arriving(
+        &self,
+        frame: &FrameFacts,
+        [here_from_board, there_from_board]: [&Pose; 2],
+        teaching: &Teaching,
+    ) -> bool {
+        let Some((time_ns, before)) = self.before.filter(|_| frame.name.is_none()) else {
+            return false;
+        };
+        let elapsed_s = frame.time_ns().saturating_sub(time_ns) as f64 * 1e-9;
+        let left = teaching.effort(here_from_board, there_from_board);
+        // Nearer by so much in `elapsed_s` that the rest takes less than `WAITED_S`.
+        (0.0..ONE_MOVEMENT_S).contains(&elapsed_s) && (before - left) * WAITED_S > left * elapsed_s
+    }
+}
