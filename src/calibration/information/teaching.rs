@@ -122,16 +122,13 @@ impl Teaching {
         self.placed((number, seen, blur_px), camera_from_board)
     }
 
-    /// How much surer projections would be with one more view, 0 to 1: the mean over the image of
-    /// the relative drop of their standard deviation, or the drop of the goal's criterion if that
-    /// is more. The worst place in the image may be a small part of it.
+    /// How much surer projections would be with one more view: the mean over the image of the
+    /// relative drop of their standard deviation, 0 to 1.
     pub fn gain(&self, view: &TaughtView) -> f64 {
         let after = self.known.covariance_with(&view.information);
         let after = after.and_then(|covariance| self.goal.map(&covariance));
         match (&self.now, after) {
-            (Some(now), Some(after)) => {
-                self.goal.gain(now, &after).max(self.goal.drop(now, &after))
-            }
+            (Some(now), Some(after)) => self.goal.gain(now, &after),
             _ => 0.0,
         }
     }
