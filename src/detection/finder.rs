@@ -14,6 +14,7 @@ use crate::imaging::gray::GrayView;
 pub struct TargetFinder {
     target: Target,
     of_kind: DetectorOfKind,
+    other: OtherBoard,
 }
 
 #[derive(Debug)]
@@ -22,14 +23,34 @@ enum DetectorOfKind {
     Coded(Box<TargetDetector>),
 }
 
-/// The same reason with the name of the board that is seen in place of `target`.
-fn named(none: NoTarget, image: GrayView<'_>, target: &Target) -> NoTarget {
-    if !matches!(none, NoTarget::NoMarkers { .. } | NoTarget::OtherBoard { .. }) {
-        return none;
-    }
-    match recognize(image) {
-        Some(seen) => NoTarget::Recognized { seen: seen.to_string(), target: target.to_string() },
-        None => none,
+/// Frames of a sequence from one recognition of another board to the next: it takes several times
+/// as long as a search, and what is held before a camera stays for a second.
+const RECOGNIZED_EVERY: u32 = 30;
+
+/// Which other board is seen in a sequence of images.
+#[derive(Debug, Default)]
+struct OtherBoard {
+    /// Its name, as it was recognized last.
+    seen: Option<String>,
+    /// Frames until it is recognized again.
+    frames_left: u32,
+}
+
+impl OtherBoard {
+    /// The same reason, with the name of the board that is seen in place of `target`.
+    fn named(&mut self, none: NoTarget, image: GrayView<'_>, target: &Target) -> NoTarget {
+        if !matches!(none, NoTarget::NoMarkers { .. } | NoTarget::OtherBoard { .. }) {
+            return none;
+        }
+        if self.frames_left == 0 {
+            self.seen = recognize(image).map(|seen| seen.to_string());
+            self.frames_left = RECOGNIZED_EVERY;
+        }
+        self.frames_left -= 1;
+        match self.seen.clone() {
+            Some(seen) => NoTarget::Recognized { seen, target: target.to_string() },
+            None => none,
+        }
     }
 }
 
@@ -40,7 +61,7 @@ impl TargetFinder {
             Some(coded) => DetectorOfKind::Coded(Box::new(coded)),
             None => DetectorOfKind::Plain(Box::new(Detector::new(target.lattice()))),
         };
-        Self { target: *target, of_kind }
+        Self { target: *target, of_kind, other: OtherBoard::default() }
     }
 
     /// The target that is searched for.
@@ -49,7 +70,7 @@ impl TargetFinder {
     }
 
     /// Finds the target in `image`. Part of a board with markers is always answered: they prove
-    /// which part.
+    /// which part. Another board with markers is named.
     ///
     /// # Errors
     /// [`NoBoard`] says why there is none.
@@ -58,18 +79,32 @@ impl TargetFinder {
         image: GrayView<'_>,
         options: &DetectOptions,
     ) -> Result<Detection, NoBoard> {
-        match &mut self.of_kind {
+        self.other = OtherBoard::default();
+        self.find_in_sequence(image, options)
+    }
+
+    /// As [`Self::find`], but another board is recognized in a fraction of the images.
+    fn find_in_sequence(
+        &mut self,
+        image: GrayView<'_>,
+        options: &DetectOptions,
+    ) -> Result<Detection, NoBoard> {
+        let Self { target, of_kind, other } = self;
+        match of_kind {
             DetectorOfKind::Plain(detector) => detector.find_board(image, options),
             DetectorOfKind::Coded(detector) => {
-                let found =
-                    detector.find(image).map_err(|none| named(none, image, &self.target))?;
-                Ok(found.into_detection(self.target.lattice()))
+                let found = detector.find(image);
+                if found.is_ok() {
+                    *other = OtherBoard::default();
+                }
+                let found = found.map_err(|none| other.named(none, image, target))?;
+                Ok(found.into_detection(target.lattice()))
             }
         }
     }
 
     /// Finds it where it was in the last image, else anywhere. A board with markers is searched for
-    /// each time.
+    /// each time; another one is named as it was seen within the last second or so.
     ///
     /// # Errors
     /// As [`Self::find`].
@@ -81,7 +116,8 @@ impl TargetFinder {
         match &mut self.of_kind {
             DetectorOfKind::Plain(detector) => detector.track_board(image, options),
             DetectorOfKind::Coded(_) => {
-                Ok(TrackedBoard { detection: self.find(image, options)?, followed: false })
+                let detection = self.find_in_sequence(image, options)?;
+                Ok(TrackedBoard { detection, followed: false })
             }
         }
     }

@@ -126,20 +126,30 @@ fn image_of(
     (image, pixel_from_sheet)
 }
 
-/// How many corners of `target` the detector of `asked`, the same board with its layout and border
-/// left out, finds; all must be right.
-fn found(target: &Target, asked: &Target, seed: u64) -> usize {
-    let (image, pixel_from_sheet) = image(target, seed);
+/// How many corners of `shown` the detector of `asked` finds in an image of it; each must be right.
+fn right_corners(
+    shown: &Target,
+    asked: &Target,
+    (image, pixel_from_sheet): &(GrayImage, Matrix3<f64>),
+    seed: u64,
+) -> Result<usize, NoTarget> {
     let mut detector = TargetDetector::new(*asked).expect("a target with markers");
-    let detection = detector.find(image.view()).unwrap_or_else(|none| panic!("{target}: {none}"));
-    let print = PrintedBoard::of(target);
+    let detection = detector.find(image.view())?;
+    let print = PrintedBoard::of(shown);
     for corner in &detection.corners {
-        let truth = print.corner(target, corner.id).expect("an id of the board");
+        let truth = print.corner(shown, corner.id).expect("an id of the board");
         let truth = pixel_from_sheet * Vector3::new(truth.x, truth.y, 1.0);
         let off = (corner.pixel.x - truth.x / truth.z).hypot(corner.pixel.y - truth.y / truth.z);
-        assert!(off < 0.25, "{target}, seed {seed}: corner {} is {off} px off", corner.id);
+        assert!(off < 0.25, "{shown}, seed {seed}: corner {} is {off} px off", corner.id);
     }
-    detection.corners.len()
+    Ok(detection.corners.len())
+}
+
+/// The same of an image of all of `target`, where `asked` is that with its layout and border left
+/// out.
+fn found(target: &Target, asked: &Target, seed: u64) -> usize {
+    right_corners(target, asked, &image(target, seed), seed)
+        .unwrap_or_else(|none| panic!("{target}: {none}"))
 }
 
 #[test]
@@ -240,28 +250,13 @@ fn part_of_a_board_is_labeled_where_one_of_its_own_ends_is_seen() {
     }
 }
 
-/// What of `asked` is answered of an image of `shown` from so near that few corners are in view; each
-/// corner must be right.
-fn found_near(shown: &Target, asked: &Target, squares: f64, seed: u64) -> Option<usize> {
-    let (image, pixel_from_sheet) = close_up(shown, squares, seed);
-    let mut detector = TargetDetector::new(*asked).expect("a target with markers");
-    let found = detector.find(image.view()).ok()?;
-    let print = PrintedBoard::of(shown);
-    for corner in &found.corners {
-        let truth = print.corner(shown, corner.id).expect("an id of the board");
-        let truth = pixel_from_sheet * Vector3::new(truth.x, truth.y, 1.0);
-        let off = (corner.pixel.x - truth.x / truth.z).hypot(corner.pixel.y - truth.y / truth.z);
-        assert!(off < 0.25, "{shown}, seed {seed}: corner {} is {off} px off", corner.id);
-    }
-    Some(found.corners.len())
-}
-
 /// A handful of corners and two or three whole markers, as a macro lens shows them.
 #[test]
 fn squares_that_fill_the_image_are_found() {
     let board = Target::Charuco(charuco("DICT_6X6_250", 6, false));
-    let answers: Vec<usize> =
-        (0..24).filter_map(|seed| found_near(&board, &board, 2.6, seed)).collect();
+    let answers: Vec<usize> = (0..24)
+        .filter_map(|seed| right_corners(&board, &board, &close_up(&board, 2.6, seed), seed).ok())
+        .collect();
     assert!(answers.iter().all(|&corners| (4..=9).contains(&corners)), "{answers:?}");
     // Few of them show four corners of one square and two whole markers.
     assert!(answers.len() >= 4, "{} of 24 found", answers.len());
@@ -337,10 +332,17 @@ fn the_board_that_is_seen_in_place_of_another_is_named() {
     let shown = Target::Charuco(CharucoBoard { marker_m: 0.02, ..board });
     let asked = Target::Charuco(charuco("DICT_5X5_100", 6, false));
     let (image, _) = image(&shown, 400);
-    let none = TargetFinder::new(&asked).find(image.view(), &DetectOptions::default());
+    let options = DetectOptions::default();
+    let mut finder = TargetFinder::new(&asked);
+    let none = finder.find(image.view(), &options);
     let reason = none.expect_err("another board").to_string();
     for word in ["7x5 ChArUco board (DICT_4X4_50)", "of a square", "7x6 ChArUco board"] {
         assert!(reason.contains(word), "{reason}");
+    }
+    // In a sequence the name stands while that board is seen.
+    for _ in 0..3 {
+        let none = finder.track(image.view(), &options);
+        assert_eq!(none.expect_err("another board").to_string(), reason);
     }
     let plain = chessboard(6, 5, 0.04).expect("a board");
     assert_eq!(recognize(self::image(&plain, 601).0.view()), None);

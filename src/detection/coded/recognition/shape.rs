@@ -106,7 +106,9 @@ fn row_length(cells: &[MarkedCell], (step, upward): (i32, i64)) -> Option<u32> {
     }
     let count = |length: i64| lengths.iter().filter(|&&other| other == length).count();
     let likeliest = lengths.iter().copied().max_by_key(|&length| (count(length), -length))?;
-    (2 * count(likeliest) > lengths.len()).then(|| u32::try_from(likeliest).ok())?
+    // Two loose copies of one marker differ by nothing.
+    let length = u32::try_from(likeliest).ok().filter(|&length| length > 0)?;
+    (2 * count(likeliest) > lengths.len()).then_some(length)
 }
 
 /// The first and last column and row of crossings, in the board's rotation.
@@ -117,4 +119,27 @@ fn lines(seen: &SeenMarkers, grid: &Grid) -> Option<[(i32, i32); 2]> {
         seen.placement.in_board(bounds.i.1, bounds.j.1),
     );
     Some([(a.0.min(b.0), a.0.max(b.0)), (a.1.min(b.1), a.1.max(b.1))])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cells(markers: &[((i32, i32), u32)]) -> Vec<MarkedCell> {
+        markers.iter().map(|&(at, marker)| MarkedCell { at, marker }).collect()
+    }
+
+    #[test]
+    fn numbers_rise_by_the_length_of_a_row() {
+        let board = cells(&[((0, 0), 3), ((2, 0), 4), ((0, 2), 10), ((2, 2), 11), ((4, 0), 17)]);
+        assert_eq!(row_length(&board, (2, 1)), Some(7));
+        assert_eq!(row_length(&board, (2, -1)), None);
+    }
+
+    #[test]
+    fn copies_of_one_marker_have_no_row_length() {
+        assert_eq!(row_length(&cells(&[((0, 0), 5), ((0, 2), 5)]), (2, 1)), None);
+        assert_eq!(row_length(&cells(&[((0, 0), 5)]), (2, 1)), None);
+        assert_eq!(row_length(&[], (2, 1)), None);
+    }
 }
