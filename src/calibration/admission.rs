@@ -229,6 +229,8 @@ const LEAST_BLUR_LIMIT_PX: f64 = 2.0;
 /// Two boards further from each other than this part of the diagonal are not one motion: the
 /// recording has a cut, or is a pile of photographs.
 const CUT: f64 = 0.25;
+/// Frames after a longer time, in seconds, are not one movement: nothing is said of its speed.
+pub(crate) const ONE_MOVEMENT_S: f64 = 0.5;
 
 /// The frame before, with what was seen in it.
 #[derive(Debug, Clone, PartialEq)]
@@ -285,7 +287,7 @@ pub fn admit(
 fn speed_px_per_s(detection: &Detection, seen: &FrameFacts, before: &SeenBefore) -> Option<f64> {
     let elapsed_s = (seen.time_ns() - before.time_ns) as f64 * 1e-9;
     // A named frame is an image of its own; the times of a folder of them mean nothing.
-    if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < 0.5) {
+    if seen.name.is_some() || !(elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S) {
         return None;
     }
     let corners = detection.corners.iter();

@@ -1,15 +1,14 @@
 //! Whether somebody brings the board to where it is asked for: what is seen on the way there
 //! teaches less, in motion, than the view that is about to come.
 
+use crate::calibration::admission::ONE_MOVEMENT_S;
 use crate::calibration::information::teaching::Teaching;
 use crate::calibration::view::FrameFacts;
 use crate::geometry::pose::Pose;
 
-/// A board that arrives within this time at its present speed, in seconds, is waited for: a person
-/// carries a board to another place in about so long.
+/// A board that arrives within this time at its present speed, in seconds, is waited for (swept:
+/// docs/guidance.md).
 const WAITED_S: f64 = 2.0;
-/// Frames after a longer time, in seconds, are not one movement.
-const ONE_MOVEMENT_S: f64 = 0.5;
 
 /// How far the board was from the suggested view in the frame before.
 #[derive(Debug, Clone, Copy, Default)]
@@ -38,6 +37,7 @@ impl Approach {
         let elapsed_s = frame.time_ns().saturating_sub(time_ns) as f64 * 1e-9;
         let left = teaching.effort(here_from_board, there_from_board);
         // Nearer by so much in `elapsed_s` that the rest takes less than `WAITED_S`.
-        (0.0..ONE_MOVEMENT_S).contains(&elapsed_s) && (before - left) * WAITED_S > left * elapsed_s
+        let is_one_movement = elapsed_s > 0.0 && elapsed_s < ONE_MOVEMENT_S;
+        is_one_movement && (before - left) * WAITED_S > left * elapsed_s
     }
 }
