@@ -16,6 +16,7 @@ use crate::geometry::lens::Lens;
 use crate::imaging::decode;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
+use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
 use crate::imaging::point_cloud::{CloudPoint, to_ply};
 
 /// Calibrates a camera from images of a static scene, without a target.
@@ -58,10 +59,11 @@ const MAX_IMAGES: usize = 60;
 pub fn run(args: &Args) -> Result<(), Failure> {
     let threads = args.threads.map_or_else(all_cores, usize::from);
     let started = Instant::now();
-    let images = images(args, threads)?;
+    let (images, nominal_focal) = images(args, threads)?;
     let options = SceneOptions {
         lens: args.lens.into(),
         given: args.given.clone(),
+        nominal_focal,
         threads,
         ..SceneOptions::default()
     };
@@ -89,8 +91,8 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
 }
 
-/// The features of every image, in order.
-fn images(args: &Args, threads: usize) -> Result<Vec<SceneImage>, Failure> {
+/// The features of every image, in order, and the focal length that all files state alike.
+fn images(args: &Args, threads: usize) -> Result<(Vec<SceneImage>, Option<NominalFocal>), Failure> {
     for source in &args.sources {
         if !Path::new(source).exists() && !source.contains(['*', '?', '[']) {
             let line = format!("{source}: there is no such file or folder; check the path");
@@ -99,7 +101,7 @@ fn images(args: &Args, threads: usize) -> Result<Vec<SceneImage>, Failure> {
     }
     let count = FrameSets::new(args.sources.iter().cloned()).count();
     let step = count.div_ceil(MAX_IMAGES).max(1);
-    let mut images = Vec::new();
+    let (mut images, mut focals) = (Vec::new(), Vec::new());
     let spinner = progress::spinner("finding features");
     in_order(
         FrameSets::new(args.sources.iter().cloned()).step_by(step),
@@ -113,15 +115,18 @@ fn images(args: &Args, threads: usize) -> Result<Vec<SceneImage>, Failure> {
         },
         |image| {
             spinner.inc(1);
-            images.push(image.map_err(Failure::failed)?);
+            let (image, focal) = image.map_err(Failure::failed)?;
+            images.push(image);
+            focals.push(focal);
             Ok::<(), Failure>(())
         },
     )?;
     spinner.finish_and_clear();
-    Ok(images)
+    let alike = focals.windows(2).all(|pair| pair[0] == pair[1]);
+    Ok((images, focals.first().copied().flatten().filter(|_| alike)))
 }
 
-fn image(frames: &SourcedFrames) -> Result<SceneImage, String> {
+fn image(frames: &SourcedFrames) -> Result<(SceneImage, Option<NominalFocal>), String> {
     let name = frames.path();
     let frame = frames
         .set
@@ -129,7 +134,8 @@ fn image(frames: &SourcedFrames) -> Result<SceneImage, String> {
         .ok_or_else(|| format!("{name}: has no image sensor"))?;
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
-    Ok(SceneImage::of(name, luma.view()))
+    let focal = nominal_focal(&frame.bytes, luma.size());
+    Ok((SceneImage::of(name, luma.view()), focal))
 }
 
 fn cloud(calibration: &SceneCalibration) -> Vec<CloudPoint> {

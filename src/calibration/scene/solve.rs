@@ -21,6 +21,7 @@ use crate::estimation::uncertainty::{Distance, PixelGrid, UncertaintyMap, projec
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::geometry::pose::Pose;
+use crate::imaging::nominal_focal::NominalFocal;
 
 /// What is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +30,8 @@ pub struct SceneOptions {
     pub lens: LensChoice,
     /// Lens parameters that are known, by name.
     pub given: Vec<(String, f64)>,
+    /// The focal length that the images' files state; compared with the estimate.
+    pub nominal_focal: Option<NominalFocal>,
     /// Threads; the result does not depend on it.
     pub threads: usize,
     /// Ends the calibration early.
@@ -38,7 +41,8 @@ pub struct SceneOptions {
 impl Default for SceneOptions {
     fn default() -> Self {
         let interrupt = Interrupt::default();
-        Self { lens: LensChoice::Auto, given: Vec::new(), threads: 1, interrupt }
+        let (lens, given, nominal_focal) = (LensChoice::Auto, Vec::new(), None);
+        Self { lens, given, nominal_focal, threads: 1, interrupt }
     }
 }
 
@@ -103,7 +107,12 @@ pub fn calibrate_scene(
     let fit = fit?;
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, &found, &start)?;
-    Ok(finished(images, &start, &fit, (&conditions, &found)))
+    let mut calibration = finished(images, &start, &fit, (&conditions, &found));
+    let sensor = &calibration.sensor;
+    let focal = (sensor.lens.matrix.fx, sensor.lens_std[FX]);
+    let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
+    calibration.verdict.reasons.extend(unfit);
+    Ok(calibration)
 }
 
 /// The size of all images, if there are enough and they have features.

@@ -5,6 +5,7 @@ use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::lens_fit::LensFit;
 use crate::estimation::scene::bundle::CameraMotion;
 use crate::estimation::uncertainty::UncertaintyMap;
+use crate::imaging::nominal_focal::NominalFocal;
 
 /// A focal length known to this part of itself (1 sigma) is good; to the second, usable.
 const FOCAL_STD: [f64; 2] = [0.002, 0.01];
@@ -22,6 +23,9 @@ const PARALLAX_DEG: f64 = 5.0;
 pub(super) const RELIEF: f64 = 0.02;
 /// Images that all stand upright leave the principal point to the parallax.
 const ROLLED_DEG: f64 = 30.0;
+/// A stated focal length that is off by more standard deviations does not fit: chance gives one in
+/// 370.
+const EXCLUDED: f64 = 3.0;
 
 /// What the verdict rests on.
 pub(super) struct Evidence<'a> {
@@ -161,10 +165,37 @@ fn motion(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     Some((Grade::Usable, reason))
 }
 
+/// What to say of a stated focal length that the estimate (fx, its standard deviation) excludes.
+pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Option<String> {
+    let NominalFocal { focal_px, std_px } = nominal;
+    let excluded = (fx - focal_px).abs() > EXCLUDED * std.hypot(std_px);
+    excluded.then(|| {
+        format!(
+            "the EXIF focal length {focal_px:.0} px (± {std_px:.0} by its rounding) does not fit: \
+             estimated {fx:.0} ± {std:.0} px; cropped images or a near focus also change it"
+        )
+    })
+}
+
 fn held(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     let names = evidence.held_by_prior.join(", ");
     let reason = format!(
         "the images say no more of {names} than what lenses are like beforehand: rotate the camera by 90 degrees about its axis for some images"
     );
     (!evidence.held_by_prior.is_empty()).then_some((Grade::Usable, reason))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stated_focal_length_that_is_excluded_is_named() {
+        let nominal = NominalFocal { focal_px: 2866.0, std_px: 24.0 };
+        let said = unfit_focal(nominal, (2976.0, 8.0)).unwrap();
+        assert!(said.starts_with("the EXIF focal length 2866 px"), "{said}");
+        assert!(said.contains("does not fit: estimated 2976 ± 8 px"), "{said}");
+        assert_eq!(unfit_focal(nominal, (2920.0, 8.0)), None);
+        assert_eq!(unfit_focal(nominal, (2976.0, 80.0)), None);
+    }
 }
