@@ -99,7 +99,7 @@ pub(super) fn fit(
 }
 
 /// The covariance of the offsets of the edges (xx, xy, yy), as moves of the corner.
-fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
+pub(super) fn position_covariance([aa, ab, bb]: [f64; 3], model: &CornerModel) -> [f64; 3] {
     let (a, b) = (model.center_move([1.0, 0.0]), model.center_move([0.0, 1.0]));
     let moves =
         |i: usize, j: usize| a[i] * a[j] * aa + (a[i] * b[j] + b[i] * a[j]) * ab + b[i] * b[j] * bb;

@@ -3,13 +3,13 @@
 
 use crate::detection::refine::beside::{Beside, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
-use crate::detection::refine::fit::FitOptions;
+use crate::detection::refine::fit::{FitOptions, position_covariance};
 use crate::detection::refine::fitted::Fitted;
 use crate::detection::refine::grid_corner::GridCorner;
 use crate::detection::refine::lattice::axes_of;
-use crate::detection::refine::normal_equations::Noise;
+use crate::detection::refine::normal_equations::{CornerEquations, Linearized, Noise};
 use crate::detection::refine::refiner::Refiner;
-use crate::detection::refine::shading::take_off_shading;
+use crate::detection::refine::shading::{joint_step, take_off_shading};
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
@@ -76,7 +76,8 @@ impl Refiner {
         self.fit(window, start, &noise, &options)
     }
 
-    /// Fits of a corner under light of its own, each after more of that is taken off.
+    /// Fits of a corner under light of its own, each after more of that is taken off; at last one
+    /// step of both together.
     fn fit_shaded(
         &mut self,
         window: Window,
@@ -92,6 +93,14 @@ impl Refiner {
             model = self.fit(window, model, &patient, &options)?.fit.model;
             take_off_shading(&mut self.samples, &self.columns, reach[0].max(reach[1]));
         }
-        self.fit(window, model, noise, options)
+        let mut fitted = self.fit(window, model, noise, options)?;
+        let mut equations = CornerEquations::default();
+        let linearized = Linearized { samples: &self.samples, noise, with_flat: false };
+        linearized.at(&fitted.fit.model, &mut self.columns, &mut equations);
+        let joint =
+            joint_step(&mut self.samples, &self.columns, reach[0].max(reach[1]), amplitude)?;
+        fitted.fit.model = fitted.fit.model.moved_by(&joint.step);
+        fitted.fit.covariance = position_covariance(joint.offset_covariance, &fitted.fit.model);
+        Some(fitted)
     }
 }
