@@ -5,6 +5,7 @@ use crate::calibration::result::{Grade, Verdict};
 use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::{CameraEstimate, CameraOptions};
 use crate::estimation::known_together::known_only_together;
+use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
 
@@ -29,6 +30,9 @@ const FLAT_DEG: f64 = 15.0;
 /// Tilts that differ less than this in one of two directions leave that direction out.
 const ONE_WAY_DEG: f64 = 7.5;
 
+/// Uncertainties that are this many times as large are worth a word.
+const NOTABLE_WIDENING: f64 = 1.2;
+
 /// Grades a calibration and says why.
 pub(crate) fn judge(
     estimate: &CameraEstimate,
@@ -41,6 +45,7 @@ pub(crate) fn judge(
     // first.
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
+    findings.extend(too_simple_lens(estimate, check));
     let factor = if findings.is_empty() { 1.0 } else { estimate.variance_inflation.sqrt() };
     findings.extend(self::uncertainty(uncertainty, factor));
     findings.extend(rejected_views(estimate));
@@ -194,6 +199,23 @@ fn smooth_residuals(check: &ModelCheck) -> Option<(Grade, String)> {
         "neighboring corners are off the same way (correlation {correlation:.2}, where noise alone has none)"
     );
     worse_than_good(graded(correlation, CORRELATION), sign)
+}
+
+fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Grade, String)> {
+    let LensMisfit { model, held_out_rms_px: [own_px, larger_px], fx, widening } =
+        check.lens_misfit?;
+    let own = estimate.lens.model();
+    let off = |px: Option<f64>| {
+        px.map_or("more than can be computed".to_owned(), |px| format!("{px:.3} px"))
+    };
+    let (own_px, larger_px) = (off(own_px), off(larger_px));
+    let mut reason = format!(
+        "the lens model {own} is too simple for this lens: {model} is off by {larger_px} on held-out views, {own} by {own_px}, and {model} would give fx {fx:.1}: let the model be chosen (auto), or use {model}"
+    );
+    if widening > NOTABLE_WIDENING {
+        reason += &format!("; uncertainties are {widening:.1} times as large for it");
+    }
+    Some((Grade::Usable, reason))
 }
 
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {

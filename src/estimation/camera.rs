@@ -9,6 +9,7 @@ use crate::estimation::effects::apply::with_effects;
 use crate::estimation::error::EstimationError;
 use crate::estimation::jackknife::with_jackknife;
 use crate::estimation::lens_choice;
+use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::model_error::{noise_floor_px_of, with_noise_floor};
 pub use crate::estimation::problem::{CameraOptions, CameraStart};
@@ -45,7 +46,9 @@ pub fn calibrate_and_check(
 }
 
 /// As [`calibrate_and_check`], and where views differ by more than their corners' scatter explains,
-/// with the covariance of the lens from solves without some of them: as many solves again.
+/// with the covariance of the lens from solves without some of them: as many solves again. Where a
+/// larger lens model than the one asked for predicts views better, the difference from it counts
+/// as an error of the lens.
 ///
 /// # Errors
 /// As [`calibrate_camera`].
@@ -55,8 +58,14 @@ pub fn calibrate_with_jackknife(
 ) -> Result<(CameraEstimate, ModelCheck), EstimationError> {
     let (estimate, fit) = solve(problem, options)?;
     let weighted = with_noise_floor(problem, estimate.noise_floor_px);
-    let estimate = with_jackknife(&weighted, options, (estimate, &fit));
-    let check = ModelCheck::of(&fit, &estimate, options);
+    let mut estimate = with_jackknife(&weighted, options, (estimate, &fit));
+    let mut check = ModelCheck::of(&fit, &estimate, options);
+    if check.is_beyond_noise(&fit, &estimate) {
+        check.lens_misfit = LensMisfit::of(&weighted, options, (&estimate, &fit));
+    }
+    if let Some(misfit) = &check.lens_misfit {
+        estimate.lens_covariance *= misfit.widening * misfit.widening;
+    }
     options.interrupt.check()?;
     Ok((estimate, check))
 }

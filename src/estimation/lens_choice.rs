@@ -92,9 +92,7 @@ pub(crate) fn choose_lens(
     let Some(closest) = closest.cloned() else {
         return Err(refusal.unwrap_or(EstimationError::NoFit));
     };
-    let views = closest.good_views();
-    let views: Vec<usize> =
-        views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect();
+    let views = compared_views(&closest);
     let grid = PixelGrid::over(prepared.image_size, COLUMNS);
     let trials: Vec<Trial<'_>> =
         fits.iter().filter_map(|fit| Trial::of(fit, &closest.observations, &views, grid)).collect();
@@ -106,22 +104,24 @@ pub(crate) fn choose_lens(
     let Some((_, chosen)) = by_size.iter().enumerate().find(enough) else {
         return Ok((closest, Vec::new()));
     };
-    let corners: usize = views
-        .iter()
-        .map(|v| closest.observations[*v].used.iter().filter(|used| **used).count())
-        .sum();
     let summary = |trial: &Trial<'_>| LensTrial {
         model: trial.fit.lens().model(),
-        held_out_rms_px: (trial.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt(),
+        held_out_rms_px: trial.rms_px(&closest.observations, &views),
         parameters: trial.fit.layout.sensors[0].lens.free.len(),
     };
     Ok((chosen.fit.clone(), trials.iter().map(summary).collect()))
 }
 
+/// The used views of a fit, or enough of them, evenly.
+pub(crate) fn compared_views(fit: &CameraFit) -> Vec<usize> {
+    let views = fit.good_views();
+    views.iter().step_by(views.len().div_ceil(MAX_VIEWS).max(1)).copied().collect()
+}
+
 /// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do
 /// not determine all of its parameters are fitted best by a numerator and a denominator of huge
 /// coefficients that cancel but for a kink on a circle, which no lens has.
-fn has_pole(lens: &Lens, size: ImageSize) -> bool {
+pub(crate) fn has_pole(lens: &Lens, size: ImageSize) -> bool {
     let Some([_, _, _, _, _, k4, k5, k6]) = lens.distortion.as_rational() else { return false };
     let matrix = lens.matrix;
     let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
@@ -134,8 +134,8 @@ fn has_pole(lens: &Lens, size: ImageSize) -> bool {
 }
 
 /// A model's fit with its errors on held-out views.
-struct Trial<'a> {
-    fit: &'a CameraFit,
+pub(crate) struct Trial<'a> {
+    pub(crate) fit: &'a CameraFit,
     /// Per view, the sum of squared pixel errors.
     squares: Vec<f64>,
     /// Of the lens parameters; `None` where they are not determined.
@@ -144,7 +144,8 @@ struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    fn of(
+    /// Of the corners that `chosen` uses in `views`.
+    pub(crate) fn of(
         fit: &'a CameraFit,
         chosen: &[BoardObservation],
         views: &[usize],
@@ -154,8 +155,15 @@ impl<'a> Trial<'a> {
         Some(Self { fit, squares, covariance: fit.lens_covariance(), grid })
     }
 
+    /// The root mean square of its errors, in pixels.
+    pub(crate) fn rms_px(&self, chosen: &[BoardObservation], views: &[usize]) -> f64 {
+        let used = |view: &usize| chosen[*view].used.iter().filter(|used| **used).count();
+        let corners: usize = views.iter().map(used).sum();
+        (self.squares.iter().sum::<f64>() / corners.max(1) as f64).sqrt()
+    }
+
     /// Whether it is to be preferred to `smaller`, which is preferred where they do not differ.
-    fn is_worth_more(&self, smaller: &Self) -> bool {
+    pub(crate) fn is_worth_more(&self, smaller: &Self) -> bool {
         let gain = gain_in_standard_errors(&smaller.squares, &self.squares);
         let moved = || self.moves_projections_of(smaller.fit.lens()).unwrap_or(0.0);
         gain > 0.0 && moved() > if gain > HELD_OUT { MOVED } else { MOVED_FAR }

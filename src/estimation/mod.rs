@@ -33,6 +33,7 @@ mod jackknife;
 mod joint;
 pub mod known_together;
 pub mod lens_choice;
+pub mod lens_misfit;
 pub mod measured_board;
 mod misfit;
 pub mod model_check;

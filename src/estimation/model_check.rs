@@ -9,6 +9,7 @@ use crate::estimation::joint::Layout;
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::joint::per_observation::{assemble, linearize_each};
 use crate::estimation::lens_choice::{refit, squares_under};
+use crate::estimation::lens_misfit::LensMisfit;
 use crate::estimation::misfit::Misfit;
 use crate::estimation::problem::{BoardShape, CameraOptions};
 use crate::estimation::uncertainty::{
@@ -36,6 +37,8 @@ pub struct ModelCheck {
     /// How far the board seems bent at its middle along x and y, in meters, where that explains a
     /// visible part of what is left and was not estimated.
     pub bow_m: Option<[f64; 2]>,
+    /// Whether the lens model that was asked for is too simple.
+    pub lens_misfit: Option<LensMisfit>,
 }
 
 /// The least part of the residuals' squares that a bent board must explain to be named, and the
@@ -68,9 +71,8 @@ impl ModelCheck {
         }
         let halves = Self::halves(fit, estimate).unwrap_or_default();
         let residual_correlation = residual_correlation(estimate);
-        let suspicious = halves.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
-            || residual_correlation.is_some_and(|correlation| correlation > SUSPICIOUS_CORRELATION)
-            || estimate.variance_inflation > 1.0;
+        let halves = Self { residual_correlation, ..halves };
+        let suspicious = halves.is_suspicious(estimate);
         let views = some_views(fit);
         let size = [estimate.image_size.width, estimate.image_size.height].map(f64::from);
         let test = suspicious && views.len() >= Self::MIN_VIEWS;
@@ -80,7 +82,20 @@ impl ModelCheck {
         let smooth = residual_correlation.is_none_or(|correlation| correlation > 0.0);
         let estimated = options.board_shape != BoardShape::Flat;
         let bow_m = if smooth && !estimated { bow_m(fit) } else { None };
-        Self { bow_m, residual_correlation, misfit, ..halves }
+        Self { bow_m, misfit, ..halves }
+    }
+
+    /// Whether residuals, or halves of the views, say that something is not as modeled.
+    fn is_suspicious(&self, estimate: &CameraEstimate) -> bool {
+        self.split_half_ratio.is_none_or(|ratio| ratio > SUSPICIOUS_RATIO)
+            || self.residual_correlation.is_some_and(|r| r > SUSPICIOUS_CORRELATION)
+            || estimate.variance_inflation > 1.0
+    }
+
+    /// Whether something beyond lens and poses was found or is suspected: what else is wrong with
+    /// them may be asked then.
+    pub(crate) fn is_beyond_noise(&self, fit: &CameraFit, estimate: &CameraEstimate) -> bool {
+        !fit.is_exact() && (fit.effects.is_some() || self.is_suspicious(estimate))
     }
 
     fn halves(fit: &CameraFit, estimate: &CameraEstimate) -> Option<Self> {

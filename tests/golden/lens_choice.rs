@@ -1,6 +1,9 @@
 //! `auto` finds the model that made the images, and none with more parameters than they show.
 
-use plumb::estimation::camera::{CameraEstimate, CameraOptions, calibrate_camera};
+use plumb::estimation::camera::{
+    CameraEstimate, CameraOptions, calibrate_camera, calibrate_with_jackknife,
+};
+use plumb::estimation::problem::LensChoice;
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -78,12 +81,43 @@ fn auto_errs_no_more_than_it_says_and_takes_no_parameter_that_the_lens_lacks() {
 }
 
 #[test]
+fn a_stated_model_that_is_too_simple_is_reported_and_its_error_is_covered() {
+    let cases = [
+        (SeededCamera::ordinary(), LensModel::Pinhole, true),
+        (SeededCamera::ordinary(), LensModel::Radial, true),
+        (SeededCamera::wide(), LensModel::Radial, true),
+        (SeededCamera::ordinary(), LensModel::Brown, false),
+        (SeededCamera::ordinary(), LensModel::Rational, false),
+        (SeededCamera::wide(), LensModel::Rational, false),
+        (SeededCamera::fisheye(), LensModel::KannalaBrandt, false),
+    ];
+    for (camera, stated, too_simple) in cases {
+        for (views, seed) in [(12, 0), (20, 1), (40, 2)] {
+            let mut rng = SeededCamera::rng(5200 + seed);
+            let poses = camera.poses(views, &mut rng);
+            let lens = LensChoice::Model(stated);
+            let options = CameraOptions { lens, ..CameraOptions::default() };
+            let problem = camera.problem(&poses, &mut rng);
+            let (estimate, check) = calibrate_with_jackknife(&problem, &options).unwrap();
+            let case = format!(
+                "{stated} for {}, {views} views: {:?}",
+                camera.lens.model(),
+                check.lens_misfit
+            );
+            let sigmas = worst_error_in_sigmas(&camera.lens, &estimate);
+            assert_eq!(check.lens_misfit.is_some(), too_simple, "{case}");
+            assert!(sigmas < 5.0, "{sigmas} sigma: {case}");
+        }
+    }
+}
+
+#[test]
 fn given_parameters_stay_and_square_pixels_are_square() {
     let camera = SeededCamera::ordinary();
     let mut rng = SeededCamera::rng(32);
     let poses = camera.poses(12, &mut rng);
     let problem = camera.problem(&poses, &mut rng);
-    let lens = plumb::estimation::problem::LensChoice::Model(LensModel::Brown);
+    let lens = LensChoice::Model(LensModel::Brown);
     let given = vec![("cx".to_owned(), 320.0), ("k3".to_owned(), 0.0)];
     let options = CameraOptions { lens, given, square_pixels: true, ..CameraOptions::default() };
     let estimate = calibrate_camera(&problem, &options).unwrap();

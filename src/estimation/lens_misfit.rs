@@ -1,0 +1,130 @@
+//! Whether a lens model that was asked for is too simple for the lens. Its own residuals show that
+//! poorly: the board's shape and the poses take up what the lens leaves, and the focal length goes
+//! along.
+
+use crate::estimation::camera_estimate::CameraEstimate;
+use crate::estimation::camera_fit::{CameraFit, fit_camera};
+use crate::estimation::effects::apply::with_effects;
+use crate::estimation::joint::BoardObservation;
+use crate::estimation::lens_choice::{Trial, compared_views, has_pole};
+use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
+use crate::estimation::start::Prepared;
+use crate::estimation::uncertainty::{
+    Distance, PixelGrid, projection_difference, projection_uncertainty,
+};
+use crate::geometry::lens::{Lens, LensModel};
+
+/// A larger lens model that predicts views better than the one that was asked for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensMisfit {
+    /// The larger model.
+    pub model: LensModel,
+    /// The error of the model asked for and of the larger one on views they were not fitted to, in
+    /// pixels; `None` where it cannot predict them.
+    pub held_out_rms_px: [Option<f64>; 2],
+    /// The focal length that the larger model has, in pixels.
+    pub fx: f64,
+    /// How many times as uncertain the lens asked for is when its difference from the larger one
+    /// counts as an error.
+    pub widening: f64,
+}
+
+/// The image is compared on this many columns of pixels.
+const COLUMNS: u32 = 12;
+
+impl LensMisfit {
+    /// Compares the lens model of `estimate`, which was asked for, with the larger ones that an
+    /// automatic choice compares; `None` where none of them is worth more
+    /// ([`crate::estimation::lens_choice`]).
+    pub(crate) fn of(
+        problem: &CameraProblem,
+        options: &CameraOptions,
+        (estimate, fit): (&CameraEstimate, &CameraFit),
+    ) -> Option<Self> {
+        let LensChoice::Model(stated) = options.lens else { return None };
+        let place = stated.facts().auto_place?;
+        let mut prepared = Prepared::of(problem);
+        if let Some(board) = &options.measured_board {
+            prepared.place_on(board).ok()?;
+        }
+        let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
+        let own = fitted(stated)?;
+        let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
+        let mut larger: Vec<CameraFit> =
+            LensModel::compared().filter(is_larger).filter_map(&mut fitted).collect();
+        larger.retain(|fit| !has_pole(fit.lens(), problem.image_size));
+        // As an automatic choice does, with the outliers of the model that fits most closely.
+        let closest = larger.iter().min_by(|a, b| a.robust.limit.total_cmp(&b.robust.limit))?;
+        let observations = &closest.observations;
+        let mut views = compared_views(closest);
+        // A model that does not fit may have lost views to it.
+        views.retain(|view| own.faults[*view].is_none());
+        let grid = PixelGrid::over(problem.image_size, COLUMNS);
+        let trial = |fit| Trial::of(fit, observations, &views, grid);
+        // A model may be so far off that it predicts some view not at all.
+        let of_own = trial(&own);
+        let held_out_px = |trial: &Trial<'_>| trial.rms_px(observations, &views);
+        let trials = larger.iter().filter_map(trial);
+        let better =
+            trials.filter(|larger| of_own.as_ref().is_none_or(|own| larger.is_worth_more(own)));
+        let best = better.min_by(|a, b| held_out_px(a).total_cmp(&held_out_px(b)))?;
+        let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
+        let full = with_effects(best.fit.clone(), problem.image_size, options);
+        let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
+            beyond_effects((fit, &full), views, grid)?
+        } else {
+            plain_px
+        };
+        let (model, fx) = (full.lens().model(), full.lens().matrix.fx);
+        let widening = widening(estimate, full.lens(), grid)?;
+        Some(Self { model, held_out_rms_px, fx, widening })
+    }
+}
+
+/// The held-out errors of a lens and of a larger one, in pixels, each with the board's shape and
+/// the motion that it finds: without them a larger lens may be better only because it takes them
+/// up. `None` where it is not worth more then.
+fn beyond_effects(
+    (own, larger): (&CameraFit, &CameraFit),
+    mut views: Vec<usize>,
+    grid: PixelGrid,
+) -> Option<[Option<f64>; 2]> {
+    let [of_own, of_larger] = common_corners(own, larger);
+    views.retain(|view| of_own[*view].used.contains(&true));
+    let own = Trial::of(own, &of_own, &views, grid)?;
+    let larger = Trial::of(larger, &of_larger, &views, grid)?;
+    let held_out_px = [own.rms_px(&of_own, &views), larger.rms_px(&of_larger, &views)];
+    larger.is_worth_more(&own).then_some(held_out_px.map(Some))
+}
+
+/// The observations of two fits of the same views, with the corners that both of them use.
+fn common_corners(a: &CameraFit, b: &CameraFit) -> [Vec<BoardObservation>; 2] {
+    let [mut of_a, mut of_b] = [a, b].map(|fit| fit.observations.clone());
+    for (a, b) in of_a.iter_mut().zip(&mut of_b) {
+        for (a, b) in a.used.iter_mut().zip(&mut b.used) {
+            (*a, *b) = (*a && *b, *a && *b);
+        }
+    }
+    [of_a, of_b]
+}
+
+/// How many times as large the standard deviations of `estimate` are when its projections' mean
+/// squared difference from `other`, in units of their variance, counts as one more variance.
+fn widening(estimate: &CameraEstimate, other: &Lens, grid: PixelGrid) -> Option<f64> {
+    let known = projection_uncertainty(
+        &estimate.lens,
+        &estimate.lens_covariance,
+        grid,
+        Distance::Infinity,
+    )?;
+    let moved = projection_difference(&estimate.lens, other, grid, &known.weights);
+    let ratios: Vec<f64> = moved
+        .iter()
+        .zip(&known.square_px2)
+        .filter_map(|(moved, square_px2)| {
+            let [x, y] = (*moved)?;
+            Some((x * x + y * y) / (*square_px2)?)
+        })
+        .collect();
+    Some((1.0 + ratios.iter().sum::<f64>() / ratios.len().max(1) as f64).sqrt())
+}
