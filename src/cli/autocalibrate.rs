@@ -3,20 +3,17 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
 use crate::cli::files::write_file;
-use crate::cli::in_order::{all_cores, in_order};
+use crate::cli::in_order::all_cores;
 use crate::cli::lens_name::LensName;
-use crate::cli::sources::{FrameSets, SourcedFrames};
+use crate::cli::scene_images::{SceneImages, scene_images};
+use crate::cli::search_args::check_sources;
+use crate::cli::sources::FrameSets;
 use crate::cli::{Failure, output, progress};
 use crate::document::scene::SceneCalibrationDocument;
 use crate::export::colmap_scene;
 use crate::geometry::lens::Lens;
-use crate::imaging::decode;
-use crate::imaging::frame::SensorKind;
-use crate::imaging::gray::GrayImage;
-use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
 use crate::imaging::point_cloud::{CloudPoint, to_ply};
 
 /// Calibrates a camera from images of a static scene, without a target.
@@ -49,9 +46,6 @@ pub struct Args {
     sources: Vec<String>,
 }
 
-/// Images used at most: of more, as of a video, every so manyth is taken.
-const MAX_IMAGES: usize = 60;
-
 /// Runs the command.
 ///
 /// # Errors
@@ -59,7 +53,9 @@ const MAX_IMAGES: usize = 60;
 pub fn run(args: &Args) -> Result<(), Failure> {
     let threads = args.threads.map_or_else(all_cores, usize::from);
     let started = Instant::now();
-    let (images, nominal_focal) = images(args, threads)?;
+    check_sources(&args.sources)?;
+    let frame_sets = || FrameSets::new(args.sources.iter().cloned());
+    let SceneImages { images, nominal_focal } = scene_images(frame_sets, threads)?;
     let options = SceneOptions {
         lens: args.lens.into(),
         given: args.given.clone(),
@@ -89,53 +85,6 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     } else {
         output::print_text(&summary(&calibration))
     }
-}
-
-/// The features of every image, in order, and the focal length that all files state alike.
-fn images(args: &Args, threads: usize) -> Result<(Vec<SceneImage>, Option<NominalFocal>), Failure> {
-    for source in &args.sources {
-        if !Path::new(source).exists() && !source.contains(['*', '?', '[']) {
-            let line = format!("{source}: there is no such file or folder; check the path");
-            return Err(Failure::failed(line));
-        }
-    }
-    let count = FrameSets::new(args.sources.iter().cloned()).count();
-    let step = count.div_ceil(MAX_IMAGES).max(1);
-    let (mut images, mut focals) = (Vec::new(), Vec::new());
-    let spinner = progress::spinner("finding features");
-    in_order(
-        FrameSets::new(args.sources.iter().cloned()).step_by(step),
-        threads,
-        || {
-            |frames: Result<SourcedFrames, _>| {
-                frames
-                    .map_err(|unreadable: crate::cli::sources::Unreadable| unreadable.reason)
-                    .and_then(|frames| image(&frames))
-            }
-        },
-        |image| {
-            spinner.inc(1);
-            let (image, focal) = image.map_err(Failure::failed)?;
-            images.push(image);
-            focals.push(focal);
-            Ok::<(), Failure>(())
-        },
-    )?;
-    spinner.finish_and_clear();
-    let alike = focals.windows(2).all(|pair| pair[0] == pair[1]);
-    Ok((images, focals.first().copied().flatten().filter(|_| alike)))
-}
-
-fn image(frames: &SourcedFrames) -> Result<(SceneImage, Option<NominalFocal>), String> {
-    let name = frames.path();
-    let frame = frames
-        .set
-        .frame(SensorKind::Color)
-        .ok_or_else(|| format!("{name}: has no image sensor"))?;
-    let mut luma = GrayImage::default();
-    decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
-    let focal = nominal_focal(&frame.bytes, luma.size());
-    Ok((SceneImage::of(name, luma.view()), focal))
 }
 
 fn cloud(calibration: &SceneCalibration) -> Vec<CloudPoint> {

@@ -35,6 +35,7 @@ pub mod rectify;
 mod result_image;
 pub mod rig;
 mod row_differences;
+mod scene_images;
 pub mod search;
 pub mod search_args;
 pub mod serve;
@@ -48,8 +49,10 @@ mod target_sheet;
 pub mod token;
 pub mod uncertainty;
 pub mod undistort;
+mod verified;
 pub mod verify;
 mod verify_depth;
+mod verify_scene;
 
 use std::ffi::OsString;
 use std::io::IsTerminal;

@@ -40,7 +40,7 @@ impl SearchArgs {
                 "a SOURCE is missing: give images, a folder of them, a quoted glob or a recording; see --help",
             ));
         }
-        self.sources.iter().try_for_each(|source| check_there(source))
+        check_sources(&self.sources)
     }
 
     /// The sources, in as many words as a line holds.
@@ -50,6 +50,12 @@ impl SearchArgs {
             few => few.join(" "),
         }
     }
+}
+
+/// # Errors
+/// When one of `sources` is not there.
+pub(super) fn check_sources(sources: &[String]) -> Result<(), Failure> {
+    sources.iter().try_for_each(|source| check_there(source))
 }
 
 /// A mistyped source must not be lost among the images that could be read.

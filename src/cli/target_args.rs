@@ -38,6 +38,34 @@ pub struct ShapeArgs {
     target: Option<PathBuf>,
 }
 
+/// A target whose size does not matter, or none.
+#[derive(Debug, clap::Args)]
+pub struct ShapeOrSceneArgs {
+    /// Inner corners of the board, COLSxROWS, as in 9x6: where four squares meet, along a row and
+    /// along a column.
+    #[arg(long, required_unless_present_any = ["target", "scene"])]
+    board: Option<BoardSize>,
+    /// The target in FILE, in place of --board: a chessboard, a ChArUco board or an AprilGrid as
+    /// JSON or TOML, or Kalibr's YAML.
+    #[arg(long, value_name = "FILE", conflicts_with = "board")]
+    target: Option<PathBuf>,
+    /// Use what the images show of a static scene with texture, taken from different places, in
+    /// place of a board.
+    #[arg(long, conflicts_with_all = ["board", "target"])]
+    scene: bool,
+}
+
+impl ShapeOrSceneArgs {
+    /// The target, as [`ShapeArgs::read`] has it; `None` for a scene.
+    ///
+    /// # Errors
+    /// As [`TargetArgs::read`].
+    pub fn read(&self, square_m: f64) -> Result<Option<Target>, Failure> {
+        let shape = ShapeArgs { board: self.board, target: self.target.clone() };
+        (!self.scene).then(|| shape.read(square_m)).transpose()
+    }
+}
+
 impl TargetArgs {
     /// The target.
     ///

@@ -2,19 +2,21 @@
 //!
 //! The corners are fitted twice: with the lens as it was calibrated, and with the lens that fits
 //! them best. What the second explains and the first does not is how far the lens has moved where
-//! the corners are.
+//! the corners are. Without a board, a static scene is asked (`verify_scene`).
 
 use std::path::PathBuf;
 
-use serde::Serialize;
-
 use crate::calibration::result::ImageCalibration;
+use crate::cli::Failure;
 use crate::cli::files::read_calibration;
 use crate::cli::gather::gather;
 use crate::cli::search_args::SearchArgs;
-use crate::cli::target_args::ShapeArgs;
-use crate::cli::verify_depth::{VerifiedDepth, verify_depth};
-use crate::cli::{Failure, output};
+use crate::cli::target_args::ShapeOrSceneArgs;
+use crate::cli::verified::{
+    CERTAIN_PX, COLUMNS, LEAST_LIMIT_PX, LIMIT_SIGMAS, VISIBLE, Verified, print, same_size,
+};
+use crate::cli::verify_depth::verify_depth;
+use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
 use crate::estimation::uncertainty::{
@@ -24,18 +26,6 @@ use crate::geometry::lens::Lens;
 use crate::geometry::median::median;
 use crate::geometry::target::Target;
 
-/// A change of this many of the calibration's own standard deviations is one.
-const LIMIT_SIGMAS: f64 = 3.0;
-/// Smallest limit of a change, in pixels: less is not distinguishable from the images' own errors.
-const LEAST_LIMIT_PX: f64 = 0.1;
-/// Images that show a change only where it is this many times what is allowed show little; and a
-/// lens this many times farther off than chance and the calibration allow is another one.
-const VISIBLE: f64 = 3.0;
-/// A calibration that is itself uncertain by more, in pixels, hides changes that matter: chosen, as
-/// overlays and depth registration are off by a visible amount from a pixel on.
-const CERTAIN_PX: f64 = 1.0;
-/// Columns of the grid that uncertainty is summed up over.
-const COLUMNS: u32 = 12;
 /// The board's square where the calibration does not state it: its size has no influence on the
 /// answer.
 const ANY_SQUARE_M: f64 = 0.025;
@@ -49,55 +39,10 @@ pub struct Args {
     #[command(flatten)]
     search: SearchArgs,
     #[command(flatten)]
-    target: ShapeArgs,
+    target: ShapeOrSceneArgs,
     /// Print the answer as one JSON document
     #[arg(long)]
     json: bool,
-}
-
-/// The answer.
-#[derive(Debug, Serialize)]
-struct Verified {
-    holds: bool,
-    /// How far projections are off where corners are seen, beyond their noise, in pixels; where
-    /// these views determine a lens of their own that is certainly another, how far it projects
-    /// from the calibrated one in the median over the image.
-    moved_px: f64,
-    /// The most that the calibration's own uncertainty allows.
-    limit_px: f64,
-    /// The least change of the lens that these images show, over the whole image; null where
-    /// they show none.
-    visible_px: Option<f64>,
-    /// The error of these images with the lens as calibrated.
-    rms_px: f64,
-    /// The same with the lens that fits them best; null where they do not determine one.
-    best_rms_px: Option<f64>,
-    views: usize,
-    /// Depth against the board; left out where the calibration or the images have none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    depth: Option<VerifiedDepth>,
-    reasons: Vec<String>,
-}
-
-impl Verified {
-    fn answer(&self) -> &'static str {
-        let of_lens = self.limit_px <= CERTAIN_PX
-            && self.visible_px.is_some_and(|visible_px| visible_px <= VISIBLE * self.limit_px);
-        match self.depth.as_ref().is_none_or(VerifiedDepth::saw_all) && of_lens {
-            _ if !self.holds => "does not hold",
-            true => "holds",
-            false => "holds as far as can be seen",
-        }
-    }
-
-    /// The same with what is said of depth.
-    fn with_depth(mut self, depth: Option<VerifiedDepth>) -> Self {
-        if let Some(depth) = &depth {
-            self.holds &= depth.holds;
-            self.reasons.extend(depth.reasons.iter().cloned());
-        }
-        Self { depth, ..self }
-    }
 }
 
 /// Runs the command.
@@ -106,7 +51,7 @@ impl Verified {
 /// When the calibration or the images cannot be read, are of different sizes, or show no board.
 pub fn run(args: &Args) -> Result<(), Failure> {
     let calibration = read_calibration(&args.calibration)?;
-    let file = args.calibration.display();
+    let file = args.calibration.display().to_string();
     let sensor = calibration
         .guide()
         .ok_or_else(|| Failure::failed(format!("{file}: has no image sensor to verify")))?;
@@ -114,14 +59,12 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         Some(Target::Chessboard(board)) => board.square_m,
         _ => ANY_SQUARE_M,
     };
-    let target = args.target.read(square_m)?;
+    let Some(target) = args.target.read(square_m)? else {
+        let verified = verify_scene((&file, sensor), &args.search)?;
+        return print(&verified, &file, args.json);
+    };
     let (problem, _) = gather(&args.search, target)?.finish()?;
-    if problem.image_size != sensor.image_size {
-        return Err(Failure::failed(format!(
-            "the images are {}, {file} is for {}: give images of that size, or the calibration exported for theirs",
-            problem.image_size, sensor.image_size
-        )));
-    }
+    same_size(problem.image_size, (&file, sensor))?;
     let (verified, fixed) = verify(sensor, &problem)?;
     let seen = fixed.views.iter().filter(|view| view.fault.is_none());
     let poses = seen.filter_map(|view| Some((view.name.clone(), view.camera_from_board?)));
@@ -132,16 +75,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         let reason = "depth was not measured: give a folder with color/ and depth/, or a recording";
         verified.reasons.push(reason.to_owned());
     }
-    if args.json {
-        return output::print_json(&verified);
-    }
-    let answer = verified.answer();
-    let Verified { moved_px, limit_px, rms_px, views, depth, reasons, .. } = verified;
-    output::print_line(&format!(
-        "{file} {answer}: {views} views, rms {rms_px:.3} px, projections off by {moved_px:.3} px, {limit_px:.3} px allowed"
-    ))?;
-    let of_depth = depth.map(|depth| depth.lines()).unwrap_or_default();
-    of_depth.iter().chain(&reasons).try_for_each(|line| output::print_line(&format!("  {line}")))
+    print(&verified, &file, args.json)
 }
 
 /// The answer, and the views under the calibrated lens.
@@ -206,7 +140,7 @@ fn verify(
         moved_px,
         limit_px,
         visible_px,
-        rms_px: fixed.rms_px,
+        rms_px: Some(fixed.rms_px),
         best_rms_px: best.map(|best| best.rms_px),
         views,
         depth: None,

@@ -91,6 +91,37 @@ fn a_camera_that_only_rotates_gives_its_focal_length_whatever_the_threads() {
 }
 
 #[test]
+fn a_calibration_is_verified_against_a_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let images: Vec<GrayImage> = rotating().iter().map(render).collect();
+    let images = written(folder.path(), &images);
+    let file = folder.path().join("calibration.json");
+    let file = file.to_str().unwrap();
+    let made = autocalibrate(&["--lens", "radial", "--out", file], &images);
+    assert_eq!(made.code, Some(0), "{made:?}");
+    let verify = || {
+        let images = images.iter().map(|path| path.to_str().unwrap());
+        let asked = ["verify", "--scene", "--json", "--calibration", file];
+        let finished = plumb(asked.into_iter().chain(images));
+        assert_eq!(finished.code, Some(0), "{finished:?}");
+        serde_json::from_str::<Value>(&finished.stdout).unwrap()
+    };
+    let same = verify();
+    assert_eq!((&same["holds"], &same["views"]), (&Value::Bool(true), &Value::from(7)), "{same}");
+    assert!(same["moved_px"].as_f64().unwrap() < 1e-6, "{same}");
+    // A lens that is a fifth longer is another one, whatever the images leave open.
+    let mut document: Value = serde_json::from_str(&fs::read_to_string(file).unwrap()).unwrap();
+    for name in ["fx", "fy"] {
+        let focal = &mut document["sensors"]["color"]["lens"][name];
+        *focal = Value::from(1.2 * focal.as_f64().unwrap());
+    }
+    fs::write(file, document.to_string()).unwrap();
+    let other = verify();
+    assert_eq!(other["holds"], Value::Bool(false), "{other}");
+    assert!(other["reasons"].to_string().contains("calibrate again"), "{other}");
+}
+
+#[test]
 fn a_single_wall_is_refused_as_one_plane() {
     // From these places the field of view ends within the wall at the far end.
     let folder = tempfile::tempdir().unwrap();
