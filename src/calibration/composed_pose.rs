@@ -1,4 +1,4 @@
-//! A pose by way of another, with its standard deviations.
+//! The composition of two poses, with its standard deviations.
 
 use nalgebra::{Matrix3, Vector3};
 

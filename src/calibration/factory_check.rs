@@ -1,11 +1,11 @@
-//! What the factory says of a depth camera, beside what was found: which of the two is closer to
-//! the board on views that the latter was not fitted to.
+//! The factory's calibration of a depth camera beside the estimate: which of the two measures the
+//! board better on views that the estimate was not fitted to.
 //!
-//! The board's planes are the corners' alone, so that they lean to neither; depth that was found in
-//! half of the views is judged by planes of that half's lens. Every view is judged by what the
-//! other half of the views gives; the factory's is given by none. Color's own lens, which may be
-//! off by what its corners leave open, scales all of its planes alike: what was found follows that,
-//! so that it must be better by more.
+//! The views are dealt into two halves. Each half is measured with the estimate of the other half,
+//! and with the factory's calibration, which was fitted to neither. The board's true plane comes
+//! from the corners in color alone, so that it favors neither. An error of the color lens scales
+//! all planes alike, and the estimate with them; so the estimate must be better by more than the
+//! color lens is uncertain.
 
 use nalgebra::{DMatrix, Matrix6, Vector3};
 

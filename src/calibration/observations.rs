@@ -42,10 +42,10 @@ pub struct ObservedFrameSet {
     pub number: usize,
     /// Its path or sequence number.
     pub name: String,
-    /// When color was taken, in seconds since any moment; `None` where times mean nothing.
+    /// When color was taken, in seconds from an arbitrary origin; `None` where times mean nothing.
     pub time_s: Option<f64>,
-    /// Whether it is a view. Others determine how the board moved, and by how much the sensors are
-    /// each other in time.
+    /// Whether it is a view. The others determine how the board moved, and the time offsets between
+    /// the sensors.
     pub is_view: bool,
     /// The board in the images that show it, by sensor.
     pub corners: Vec<(SensorKind, Vec<Correspondence>)>,
@@ -114,8 +114,8 @@ impl CameraFrameSets {
         self.image_sensors.iter().find(|(kind, _)| *kind == sensor).map(|(_, size)| *size)
     }
 
-    /// The image sensors that are neither color, nor determined together with depth, whose image
-    /// infrared's is.
+    /// The image sensors other than color and the infrared sensor whose images depth is computed
+    /// from: that one is solved together with depth.
     pub(super) fn beside_color(&self) -> impl Iterator<Item = SensorKind> {
         let with_depth = self.depth.is_some();
         let kinds = self.image_sensors.iter().map(|(kind, _)| *kind);
@@ -136,8 +136,8 @@ impl CameraFrameSets {
         }
     }
 
-    /// The same as one image sensor of several, called `name`, its views numbered by `number_of`
-    /// their place among the views and the frame set's own number.
+    /// The same as one image sensor of several, called `name`. `number_of` numbers a view, from its
+    /// place among the views and the number of its frame set.
     pub(super) fn as_rig_sensor(
         &self,
         (name, sensor): (String, SensorKind),

@@ -14,7 +14,7 @@ use crate::geometry::homography::Homography;
 use crate::geometry::pixel::{ImageSize, Pixel};
 
 /// Nominal focal length over the image's longer side: a horizontal field of view of 58°, between
-/// those of telephones and webcams.
+/// those of phones and webcams.
 pub(crate) const NOMINAL_FOCAL: f64 = 0.9;
 
 /// How a board is held before the camera.

@@ -29,11 +29,11 @@ pub struct DepthSensor {
 pub struct RgbdCapture {
     /// Its path or sequence number.
     pub name: String,
-    /// When the color image was taken, in seconds since any moment; `None` where times mean
-    /// nothing.
+    /// When the color image was taken, in seconds from an arbitrary origin; `None` where
+    /// times mean nothing.
     pub time_s: Option<f64>,
-    /// Whether it is a view. Others determine the board's motion, and the time between the sensors'
-    /// exposures.
+    /// Whether it is a view. The others determine the board's motion, and the time between the
+    /// sensors' exposures.
     pub is_view: bool,
     /// The board in the color image; empty where it wasn't found.
     pub color: Vec<Correspondence>,

@@ -1,10 +1,12 @@
-//! Why a model does not fit: what else, had it been in the model, would explain what is left. Each
-//! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948): a
-//! board whose points are off its plane, the same in every view; and a board or camera in motion
-//! while the rows of the image were read one after another. Twelve unknowns a view always explain
-//! something, so motion must explain far more than a board of any shape does, or clearly more than
-//! the same with columns in place of rows: that differs only by perspective, since a shear along
-//! rows is one along columns and a rotation.
+//! Why a model does not fit: which effect, added to the model, would explain the residuals. Each
+//! candidate is tried by one Gauss–Newton step from the minimum (a score test, C. R. Rao, 1948).
+//! There are two: a board whose points are off its plane, alike in every view; and a board or camera
+//! that moves while the rows of the image are read one after another.
+//!
+//! Motion has twelve unknowns a view, which always explain something. So it must explain far more
+//! than a board of any shape does, or clearly more than the same motion with columns read in place
+//! of rows. Those two differ by perspective only, since a shear along rows is a shear along columns
+//! and a rotation.
 
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix3xX, Point3, Vector3};
 

@@ -1,14 +1,13 @@
-//! What no corner's own standard deviation knows of: a board that is not quite flat or square, a
-//! lens that its model only nearly describes, and that the deviations are themselves only
-//! estimates, which differ more than the errors do. It is the same for all corners; weights by the
-//! corners' own deviations alone would trust a few that seem sharp with an error that is not
-//! theirs.
+//! The noise floor: an error that all corners share beyond their own standard deviations. A board is
+//! not quite flat or square, a lens model is only nearly right, and the standard deviations are
+//! estimates themselves. Without it, the few corners that seem sharpest would get most of the
+//! weight.
 //!
-//! One more variance for all corners, so that residuals bear out the weights: where they are the
-//! same for corners of small and of large deviations, it is large and the weights nearly equal;
-//! where they follow the deviations, it is 0. It is the one of greatest likelihood for variances k
-//! (std² + common²) with any k (a variance component, as in R. C. Paule and J. Mandel, *Consensus
-//! values and weighting factors*, 1982, but with the level free).
+//! It is one more variance, common to all corners. Where residuals are equal for corners of small
+//! and of large standard deviations it is large, and the weights become nearly equal; where
+//! residuals follow the standard deviations it is 0. It maximizes the likelihood of variances k ·
+//! (std² + common²) with k free (a variance component, as in R. C. Paule and J. Mandel, *Consensus
+//! values and weighting factors*, 1982, where k is 1).
 
 use std::borrow::Cow;
 
@@ -93,7 +92,7 @@ impl Seen {
     }
 }
 
-/// −ln of the likelihood, but for a constant, at the likeliest level.
+/// −ln of the likelihood, up to a constant, at the likeliest k.
 fn negative_log_likelihood(seen: &[Seen], common: f64) -> f64 {
     let (mut level, mut spread) = (0.0, 0.0);
     for Seen { variance, square } in seen {

@@ -13,14 +13,14 @@ pub(crate) const LIMIT: f64 = 5.0;
 /// Where Huber's loss becomes linear, in standard deviations.
 const HUBER: f64 = 2.0;
 
-/// Fewer wrong corners than this do no harm that choosing the right ones would not undo.
+/// With a smaller share of outliers, plain least squares is near enough to separate them.
 const FEW: f64 = 0.005;
 
 /// Until the scale of the residuals is known to a few percent. Little damping: a start from the
 /// closed form is near, and more costs a step of its own.
 const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
-/// A view needs this part of its corners, or its labels are wrong rather than its corners.
+/// A view with a smaller share of inliers has wrong labels, rather than some wrong corners.
 const MIN_USED: f64 = 0.6;
 
 /// Residuals below this, in units of each corner's standard deviation, are rounding.

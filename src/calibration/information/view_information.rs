@@ -14,10 +14,10 @@ pub struct WeightedCorner {
     pub std_px: f64,
 }
 
-/// The information of one view on the lens's parameters (a square matrix over the parameters in
-/// `free`, by their index in [`Lens::parameters`]; in units of 1 over the product of theirs), the
-/// board's pose unknown. Corners outside the lens's valid region add nothing. `None` where the rest
-/// leave the pose open.
+/// The information matrix of one view over the lens parameters in `free` (indices into
+/// [`Lens::parameters`]), with the board's pose eliminated. Each entry is in units of 1 over the
+/// product of its two parameters' units. Corners outside the lens's valid region add nothing.
+/// `None` where the others do not determine the pose.
 pub fn view_information(
     lens: &Lens,
     free: &[usize],
