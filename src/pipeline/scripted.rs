@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::calibration::session_record::{SessionRecord, SessionRequest};
 use crate::capture::{CaptureError, FrameSource, SourceDescription};
@@ -17,6 +17,7 @@ use crate::pipeline::event::{Event, EventKind, EventStream};
 use crate::pipeline::fleet::Fleet;
 use crate::pipeline::running::{CameraPlan, FleetOptions};
 use crate::store::Store;
+use crate::store::error::StoreError;
 
 /// A test that hangs has failed.
 pub(super) const PATIENCE: Duration = Duration::from_secs(60);
@@ -139,7 +140,19 @@ pub(super) fn fleet_of(
         first_frame: stall,
     };
     let options = FleetOptions { supervision, ..FleetOptions::default() };
-    Fleet::start(plans, Arc::new(Store::open(folder.path()).unwrap()), &options).unwrap()
+    Fleet::start(plans, Arc::new(released(folder)), &options).unwrap()
+}
+
+/// The store in `folder`. A fleet that was dropped leaves threads behind that a camera holds up;
+/// the last of them lets go of the store.
+fn released(folder: &tempfile::TempDir) -> Store {
+    let end = Instant::now() + Duration::from_secs(20);
+    loop {
+        match Store::open(folder.path()) {
+            Err(StoreError::InUse { .. }) if Instant::now() < end => std::thread::yield_now(),
+            store => return store.unwrap(),
+        }
+    }
 }
 
 pub(super) fn request() -> SessionRequest {
