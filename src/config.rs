@@ -30,6 +30,7 @@
 //! session = { target = { kind = "chessboard", cols = 9, rows = 6, square_m = 0.025 } } # what the
 //!                                # service `start` begins: the body of POST …/sessions; default: refused
 //! camera_info_with_images = true # default: false; with each image, too, and with its stamp
+//! alpha = 0.0                    # default; of rectified images every pixel is seen; 1: they hold all
 //!
 //! [[camera]]
 //! name = "front"                 # letters, digits, `-`, `_`; once each
@@ -123,6 +124,10 @@ mod tests {
             (
                 "[ros2]\ndomain_id = 300\n",
                 "plumb.toml:2: ros2.domain_id: 300 is no domain; write 0 to 232",
+            ),
+            (
+                "[ros2]\nalpha = 2\n",
+                "plumb.toml:2: ros2.alpha: 2 cannot be; give a number from 0 to 1",
             ),
             (
                 "[ros2]\nsession = { target = { kind = \"chessboard\", cols = 1, rows = 6, square_m = 0.025 } }\n",

@@ -28,8 +28,8 @@ pub struct Args {
     /// left,right [default: the two cameras of a rig].
     #[arg(long, value_name = "NAME")]
     sensor: Option<String>,
-    /// Of a stereo format: 0 for rectified images of which every pixel is seen, 1 for those that
-    /// hold everything that was seen.
+    /// Of ros, ros_stereo and opencv_stereo: 0 for rectified images of which every pixel is seen, 1
+    /// for those that hold everything that was seen.
     #[arg(long, default_value_t = 0.0)]
     alpha: f64,
     /// The part of the images it was made with that those show that it is wanted for, in pixels

@@ -54,6 +54,9 @@ pub struct Ros2Config {
     pub session: Option<SessionRequest>,
     /// Whether camera_info comes with each image too, with the image's stamp. Default: not.
     pub camera_info_with_images: bool,
+    /// What rectified images show, by the P of camera_info: from 0, every pixel of them is seen, to
+    /// 1, all that was seen is in them. Default: 0.
+    pub alpha: f64,
 }
 
 /// Where the certificate is, and its key; both PEM.

@@ -87,6 +87,7 @@ struct Ros2Table {
     domain_id: Option<Spanned<u16>>,
     session: Option<Spanned<StartDocument>>,
     camera_info_with_images: Option<bool>,
+    alpha: Option<Spanned<f64>>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -259,7 +260,17 @@ fn check_ros2(table: &Ros2Table, place: &Place) -> Result<Ros2Config, ConfigErro
         domain_id: table.domain_id.as_ref().map(|id| *id.get_ref()),
         session: table.session.as_ref().map(request).transpose()?,
         camera_info_with_images: table.camera_info_with_images.unwrap_or(false),
+        alpha: check_alpha(table.alpha.as_ref(), place)?,
     })
+}
+
+fn check_alpha(alpha: Option<&Spanned<f64>>, place: &Place) -> Result<f64, ConfigError> {
+    let Some(alpha) = alpha else { return Ok(0.0) };
+    if !(0.0..=1.0).contains(alpha.get_ref()) {
+        let problem = format!("{} cannot be; give a number from 0 to 1", alpha.get_ref());
+        return Err(place.refuse(&alpha.span(), "ros2.alpha", problem));
+    }
+    Ok(*alpha.get_ref())
 }
 
 fn check_rigs(

@@ -26,6 +26,7 @@ pub(super) fn begin(
         domain: Domain::of_environment(config.ros2.domain_id),
         session: config.ros2.session.clone(),
         info_with_images: config.ros2.camera_info_with_images,
+        alpha: config.ros2.alpha,
         instruments,
     };
     let (fleet, store) = (Arc::clone(fleet), Arc::clone(store));

@@ -31,7 +31,7 @@ pub struct ExportOptions {
     /// Of a stereo format two of them, as `left,right`. Default: the only one, or color's; the two
     /// cameras of a rig.
     pub sensor: Option<String>,
-    /// Of a stereo format: 0 for rectified images of which every pixel is seen, 1 for those that
-    /// hold all that was seen. Default: 0.
+    /// Of ROS's formats and the stereo ones: 0 for rectified images of which every pixel is seen, 1
+    /// for those that hold all that was seen. Default: 0.
     pub alpha: f64,
 }

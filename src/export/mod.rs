@@ -33,7 +33,8 @@ pub use format::Format;
 use crate::calibration::result::Calibration;
 use crate::document::calibration::CalibrationDocument;
 use crate::document::reading::to_json_pretty;
-use crate::export::sensors::{depth_sensor, one_sensor, placed_sensors};
+use crate::export::sensors::{Sensor, depth_sensor, one_sensor, placed_sensors};
+use crate::geometry::rectification::RectifiedCamera;
 
 /// Writes `calibration` in `format`.
 ///
@@ -52,7 +53,11 @@ pub fn export(
         Format::Ros | Format::Opencv | Format::Mrcal => {
             let (sensor, note) = one()?;
             let text = match format {
-                Format::Ros => ros::camera_info(&sensor.frame_name(camera), &sensor, None)?,
+                Format::Ros => {
+                    let Sensor { lens, image_size, .. } = sensor;
+                    let rectified = RectifiedCamera::framed(lens, image_size, options.alpha);
+                    ros::camera_info(&sensor.frame_name(camera), &sensor, &rectified)?
+                }
                 Format::Opencv => opencv::file_storage(calibration, &sensor)?,
                 _ => mrcal::camera_model(&sensor)?,
             };

@@ -7,19 +7,16 @@ use crate::export::{ExportError, Format};
 use crate::geometry::lens::Lens;
 use crate::geometry::rectification::RectifiedCamera;
 
-/// `sensor_msgs/CameraInfo` as YAML. Of a single camera, the rectification is the identity, and the
-/// projection matrix keeps the camera matrix: a rectified image has the same focal length and
-/// principal point, so that nothing is resampled more than the distortion asks for.
+/// `sensor_msgs/CameraInfo` as YAML, with the rotation and the projection matrix of `rectified`.
 pub(super) fn camera_info(
     name: &str,
     sensor: &Sensor<'_>,
-    rectified: Option<&RectifiedCamera>,
+    rectified: &RectifiedCamera,
 ) -> Result<String, ExportError> {
     without_skew(sensor, Format::Ros)?;
     let (model, coefficients) = distortion(sensor.lens)?;
     let k = sensor.lens.matrix;
     let camera_matrix = list(&[k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0]);
-    let rectified = rectified.copied().unwrap_or_else(|| RectifiedCamera::alone(&k));
     let rectification = list(rectified.rectified_from_camera.transpose().as_slice());
     let projection = list(rectified.projection.transpose().as_slice());
     Ok(format!(

@@ -29,7 +29,7 @@ pub(super) fn camera_infos(
     let mut files = Vec::new();
     for (sensor, rectified) in of.sensors.iter().zip(&of.stereo.cameras) {
         let name = sensor.frame_name(camera);
-        let text = ros::camera_info(&name, sensor, Some(rectified))?;
+        let text = ros::camera_info(&name, sensor, rectified)?;
         let file_name = Format::Ros.file_name(&name);
         files.push(ExportedFile { file_name, bytes: text.into_bytes() });
     }

@@ -32,6 +32,9 @@ pub struct GraphPlan {
     pub session: Option<SessionRequest>,
     /// Whether camera_info comes with each image too, with the image's stamp.
     pub info_with_images: bool,
+    /// What rectified images show, by the P of camera_info: with 0 every pixel of them is seen, with
+    /// 1 all that was seen is in them.
+    pub alpha: f64,
     /// The cameras and rigs, which change with the configuration.
     pub instruments: watch::Receiver<InstrumentsOnGraph>,
 }
@@ -114,6 +117,7 @@ struct GraphTask {
     store: Arc<Store>,
     session: Option<SessionRequest>,
     info_with_images: bool,
+    alpha: f64,
     participant: Arc<Participant>,
     instruments: InstrumentsOnGraph,
     /// By the name of the camera or rig.
@@ -132,13 +136,14 @@ impl GraphTask {
             "diagnostic_msgs/msg/DiagnosticArray",
             Durability::Volatile,
         )?;
-        let GraphPlan { session, info_with_images, .. } = plan;
+        let GraphPlan { session, info_with_images, alpha, .. } = plan;
         let (instruments, topics) = (InstrumentsOnGraph::default(), BTreeMap::new());
         Ok(Self {
             fleet,
             store,
             session,
             info_with_images,
+            alpha,
             participant,
             instruments,
             topics,
@@ -221,7 +226,7 @@ impl GraphTask {
             Ok(Err(error)) => return tracing::warn!("{error}"),
             Ok(Ok(None)) | Err(_) => return,
         };
-        let results = Results::of(name, &calibration);
+        let results = Results::of(name, &calibration, self.alpha);
         if new {
             self.have_kept(&results);
         }

@@ -35,8 +35,9 @@ pub(super) struct SensorInfo {
 }
 
 impl Results {
-    /// Of the calibration of the camera or rig `name`.
-    pub fn of(name: &str, calibration: &Calibration) -> Self {
+    /// Of the calibration of the camera or rig `name`. With `alpha` 0 every pixel of rectified
+    /// images is seen, with 1 all that was seen is in them.
+    pub fn of(name: &str, calibration: &Calibration, alpha: f64) -> Self {
         let guide = calibration.guide();
         let mut results = Self {
             id: calibration.id.clone(),
@@ -48,18 +49,19 @@ impl Results {
             transforms: Vec::new(),
             left_out: Vec::new(),
         };
-        let rectified = rectified(calibration);
+        let pair = rectified_pair(calibration, alpha);
         let first = calibration.sensors.first().map(|sensor| &sensor.id);
         for sensor in &calibration.sensors {
-            let lens = match &sensor.result {
+            let (lens, size) = match &sensor.result {
                 SensorResult::Image(image) => (&image.lens, image.image_size),
                 SensorResult::Depth(depth) => (&depth.camera.lens, depth.camera.image_size),
             };
             let own = sensor.id.camera.as_deref().unwrap_or(name);
             let frame = optical_frame(own, sensor.id.kind);
-            let as_one_of_two = rectified.iter().find(|(id, _)| *id == sensor.id);
-            let as_one_of_two = as_one_of_two.map(|(_, rectified)| rectified);
-            match camera_info(&frame, lens, as_one_of_two, calibration.created_at_ns) {
+            let as_one_of_two = pair.iter().find(|(id, _)| *id == sensor.id);
+            let rectified = as_one_of_two
+                .map_or_else(|| RectifiedCamera::framed(lens, size, alpha), |(_, pair)| *pair);
+            match camera_info(&frame, (lens, size), &rectified, calibration.created_at_ns) {
                 Some(message) => {
                     let within = sensor_namespace(own, sensor.id.kind);
                     let rig = sensor.id.camera.as_ref().map(|_| format!("/{name}"));
@@ -79,11 +81,11 @@ impl Results {
     }
 }
 
-/// The two cameras of a stereo rig, or the two infrared sensors of a camera, rectified so that
-/// every pixel is seen; none of other calibrations.
-fn rectified(calibration: &Calibration) -> Vec<(SensorId, RectifiedCamera)> {
+/// The two cameras of a stereo rig, or the two infrared sensors of a camera, rectified; none of
+/// other calibrations.
+fn rectified_pair(calibration: &Calibration, alpha: f64) -> Vec<(SensorId, RectifiedCamera)> {
     let Ok(pair) = StereoPair::of(calibration, None) else { return Vec::new() };
-    let Ok((pair, stereo)) = pair.left_first(0.0) else { return Vec::new() };
+    let Ok((pair, stereo)) = pair.left_first(alpha) else { return Vec::new() };
     let [first, second] = pair.cameras.map(|camera| camera.image_size);
     // ROS takes a rectified image to be of the raw one's size.
     if first != second {

@@ -37,8 +37,8 @@ pub(super) struct ExportParameters {
     /// rig when left out.
     #[param(min_length = 1)]
     sensor: Option<String>,
-    /// Of a stereo format: 0 (when left out) for rectified images of which every pixel is seen, 1
-    /// for those that hold everything that was seen.
+    /// Of ros, ros_stereo and opencv_stereo: 0 (when left out) for rectified images of which every
+    /// pixel is seen, 1 for those that hold everything that was seen.
     #[param(schema_with = schemas::alpha, required = false)]
     alpha: Option<f64>,
     /// For images (or the part of them that `crop` says) scaled to this width.

@@ -49,23 +49,25 @@ pub(super) fn image(frame: &Frame, camera: &str, utc_ns: i64) -> Option<Ros2Mess
     Some(Ros2Message { topic: base, type_name: IMAGE, bytes: cdr.0 })
 }
 
-/// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not.
+/// What is stated of a sensor's lens, as `camera_info`; `None` for a model that ROS has not. How its
+/// images are rectified is not stated: P has the camera matrix.
 pub(super) fn camera_info(
     (camera, sensor): (&str, SensorKind),
     lens: &Lens,
     size: ImageSize,
     utc_ns: i64,
 ) -> Option<Ros2Message> {
-    let bytes = camera_info_in(&frame_id(camera, sensor), (lens, size), None, utc_ns)?;
+    let rectified = RectifiedCamera::alone(&lens.matrix);
+    let bytes = camera_info_in(&frame_id(camera, sensor), (lens, size), &rectified, utc_ns)?;
     let topic = format!("{}/camera_info", namespace(camera, sensor));
     Some(Ros2Message { topic, type_name: CAMERA_INFO, bytes })
 }
 
-/// The same in any frame, of a camera by itself or rectified with another.
+/// The same in any frame, with the camera's rectification.
 pub(super) fn camera_info_in(
     frame_id: &str,
     (lens, size): (&Lens, ImageSize),
-    rectified: Option<&RectifiedCamera>,
+    rectified: &RectifiedCamera,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {
     let m = lens.matrix;
@@ -78,7 +80,6 @@ pub(super) fn camera_info_in(
     cdr.u32(distortion.len() as u32);
     distortion.iter().for_each(|d| cdr.f64(*d));
     let matrix = [m.fx, m.skew, m.cx, 0.0, m.fy, m.cy, 0.0, 0.0, 1.0];
-    let rectified = rectified.copied().unwrap_or_else(|| RectifiedCamera::alone(&m));
     // Row by row.
     let rotation = rectified.rectified_from_camera.transpose();
     let projection = rectified.projection.transpose();

@@ -60,11 +60,11 @@ pub fn sensor_namespace(camera: &str, sensor: SensorKind) -> String {
 }
 
 /// `sensor_msgs/msg/CameraInfo`, which is also the request of `sensor_msgs/srv/SetCameraInfo`, of a
-/// camera by itself or rectified with another; `None` for a lens that ROS cannot hold exactly.
+/// camera with its rectification; `None` for a lens that ROS cannot hold exactly.
 pub fn camera_info(
     frame_id: &str,
     (lens, size): (&Lens, ImageSize),
-    rectified: Option<&RectifiedCamera>,
+    rectified: &RectifiedCamera,
     utc_ns: i64,
 ) -> Option<Vec<u8>> {
     if lens.matrix.skew != 0.0 {

@@ -1,4 +1,4 @@
-"""Rectification, against OpenCV's `stereoRectify` and `fisheye.stereoRectify`, and on the corners of real and rendered stereo."""
+"""Rectification, against OpenCV's `stereoRectify` and `getOptimalNewCameraMatrix` and their `fisheye` versions, and on the corners of real and rendered stereo."""
 
 import json
 import urllib.error
@@ -104,6 +104,44 @@ def test_the_matrices_are_opencv_s(rig, model, alpha, plumb, tmp_path):
         np.testing.assert_allclose(stated[name], expected, atol=1e-9, err_msg=name)
     for name, expected in (("P1", P1), ("P2", P2), ("Q", Q)):
         np.testing.assert_allclose(stated[name], expected, rtol=TOLERANCES[model], atol=TOLERANCES[model], err_msg=name)
+
+
+def opencv_alone(model, alpha, scale=1.0):
+    """OpenCV's new camera matrix of a camera by itself, as ROS's own calibrator asks for it, for images of `scale` times the size."""
+    fx, fy, cx, cy, *coefficients = lens_of(model)
+    if scale != 1.0:
+        # Pixel centers are whole numbers.
+        fx, fy, cx, cy = fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5
+    camera_matrix, coefficients = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), np.array(coefficients or [0.0] * 5)
+    size = tuple(int(length * scale) for length in reference.IMAGE_SIZE)
+    if model == "fisheye":
+        return cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(camera_matrix, coefficients, size, np.eye(3), balance=alpha)
+    return cv2.getOptimalNewCameraMatrix(camera_matrix, coefficients, size, alpha)[0]
+
+
+def alone(folder, model):
+    file = folder / "single.json"
+    file.write_text(json.dumps({**reference.calibration("pinhole"), "sensors": {"color": sensor_of(model)}}))
+    return file
+
+
+@pytest.mark.parametrize("alpha", [None, 0.0, 0.3, 1.0])
+@pytest.mark.parametrize("model", [*TOLERANCES, "rational"])
+def test_a_camera_by_itself_has_opencv_s_new_camera_matrix(model, alpha, plumb, tmp_path):
+    asked = [] if alpha is None else ["--alpha", alpha]
+    for scale, size in ((1.0, []), (0.5, ["--width", 320, "--height", 240])):
+        answer = plumb("export", "--calibration", alone(tmp_path, model), "--format", "ros", *asked, *size)
+        stated = yaml.safe_load(answer.stdout)
+        assert stated["rectification_matrix"]["data"] == np.eye(3).ravel().tolist()
+        projection = np.reshape(stated["projection_matrix"]["data"], (3, 4))
+        expected = np.c_[opencv_alone(model, alpha or 0.0, scale), np.zeros(3)]
+        tolerance = TOLERANCES.get(model, TOLERANCES["brown"])
+        np.testing.assert_allclose(projection, expected, rtol=tolerance, atol=tolerance)
+
+
+def test_alpha_of_a_camera_by_itself_is_from_0_to_1(plumb, tmp_path):
+    refused = plumb("export", "--calibration", alone(tmp_path, "brown"), "--format", "ros", "--alpha", "1.5", succeeds=False)
+    assert refused.stderr.endswith("--alpha 1.5: give a number from 0 to 1\n") and refused.returncode == 2
 
 
 def test_the_pair_of_ros_files(plumb, tmp_path):

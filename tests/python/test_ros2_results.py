@@ -18,6 +18,7 @@ auto_approve = false
 [ros2]
 publish = true
 domain_id = {domain}
+alpha = 0.25
 session = {{ target = {{ kind = "chessboard", cols = 9, rows = 6, square_m = 0.025 }}, lens = "{lens}" }}
 [[camera]]
 name = "front"
@@ -40,8 +41,14 @@ ROS_NAMES = {
 }
 
 
-def assert_states(info, sensor, frame_id):
-    """Whether the message says what the document says of the sensor, to the last bit."""
+def exported(plumb, identity, query=""):
+    """The same as a YAML file of ROS, which `test_rectify` and `test_yaml_exports` hold to OpenCV."""
+    with urllib.request.urlopen(f"{plumb.address}/v1/calibrations/{identity}?format=ros{query}") as answer:
+        return yaml.safe_load(answer.read())
+
+
+def assert_states(info, sensor, frame_id, file):
+    """Whether the message says what the document and the exported file say of the sensor, to the last bit."""
     lens = sensor["lens"]
     name, parameters = ROS_NAMES[lens["model"]]
     fx, fy, cx, cy = (lens[name] for name in ("fx", "fy", "cx", "cy"))
@@ -50,7 +57,7 @@ def assert_states(info, sensor, frame_id):
     assert list(info.d) == [lens[parameter] for parameter in parameters]
     assert list(info.k) == [fx, 0, cx, 0, fy, cy, 0, 0, 1]
     assert list(info.r) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
-    assert list(info.p) == [fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0]
+    assert list(info.p) == file["projection_matrix"]["data"]
     assert (info.binning_x, info.binning_y, info.roi) == (0, 0, ros.RegionOfInterest())
 
 
@@ -86,13 +93,14 @@ def test_a_session_by_services_ends_in_a_calibration_that_the_driver_keeps(lens,
 
         plumb.ask(f"/v1/calibrations/{identity}/approve", {})
         sensor = plumb.ask(f"/v1/calibrations/{identity}")["sensors"]["color"]
+        file = exported(plumb, identity, "&alpha=0.25")
         request = asked.take()
-        assert_states(request.camera_info, sensor, "front_optical_frame")
+        assert_states(request.camera_info, sensor, "front_optical_frame", file)
         answers.wait_for_reader()
         answers.send(ros.SetCameraInfoResponse(request.client, request.count, True, ""))
         # Who comes late hears of it too.
         info = ros.Subscriber(participant, "/plumb/front/camera_info", ros.CameraInfo, latched=True).take()
-        assert_states(info, sensor, "front_optical_frame")
+        assert_states(info, sensor, "front_optical_frame", file)
 
         def is_kept(array):
             return ("set_camera_info", "kept") in [(pair.key, pair.value) for pair in array.status[0].values]
@@ -131,9 +139,11 @@ def test_sensors_of_a_camera_are_placed_by_tf_static(participant, plumb_binary, 
             assert [translation.x, translation.y, translation.z] == extrinsics["translation"]
             assert [rotation.w, rotation.x, rotation.y, rotation.z] == [extrinsics["rotation"][name] for name in "wxyz"]
         color = ros.Subscriber(participant, "/plumb/arm/camera_info", ros.CameraInfo, latched=True).take()
-        assert_states(color, document["sensors"]["color"], "arm_optical_frame")
+        identity = finished["calibration"]
+        assert_states(color, document["sensors"]["color"], "arm_optical_frame", exported(plumb, identity))
         infrared = ros.Subscriber(participant, "/plumb/arm/infra1/camera_info", ros.CameraInfo, latched=True).take()
-        assert_states(infrared, document["sensors"]["infrared"], "arm_infrared_optical_frame")
+        file = exported(plumb, identity, "&sensor=infrared")
+        assert_states(infrared, document["sensors"]["infrared"], "arm_infrared_optical_frame", file)
 
 
 RIG = """

@@ -24,7 +24,10 @@ def test_ros(exported, model):
     assert document["camera_name"] == "front"
     camera_matrix = ros_matrix(document, "camera_matrix", 3, 3)
     assert (ros_matrix(document, "rectification_matrix", 3, 3) == np.eye(3)).all()
-    assert (ros_matrix(document, "projection_matrix", 3, 4) == np.c_[camera_matrix, np.zeros(3)]).all()
+    # Held to OpenCV in `test_rectify`.
+    projection = ros_matrix(document, "projection_matrix", 3, 4)
+    assert (projection[:, 3] == 0).all() and (projection[2, :3] == [0, 0, 1]).all()
+    assert (model == "pinhole") == (projection[:, :3] == camera_matrix).all()
     coefficients = ros_matrix(document, "distortion_coefficients", 1, ROS_MODELS[document["distortion_model"]])
     assert (document["distortion_model"] == "equidistant") == (model == "kannala_brandt")
     pixels = reference.project(model, camera_matrix, coefficients, reference.points(model))

@@ -1,6 +1,6 @@
-//! Which part of what two parallel cameras see their rectified images show.
+//! Which part of what a camera, or two parallel ones, see the rectified images show.
 
-use nalgebra::{Matrix3, Vector2};
+use nalgebra::{Matrix3, Vector2, Vector4};
 
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::flat_image::{WIDEST, flat_from_ray};
@@ -20,14 +20,23 @@ pub(super) fn common_matrix(
     size: ImageSize,
     alpha: f64,
 ) -> CameraMatrix {
-    let is_plane = |camera: &RotatedCamera<'_>| {
-        camera.camera.lens.model().facts().opencv.is_some_and(|known| !known.fisheye)
-    };
-    let (focal_px, principal) = match cameras.iter().all(is_plane) {
+    let (focal_px, principal) = match cameras.iter().all(RotatedCamera::is_plane) {
         true => by_rectangles(cameras, axis, size, alpha),
         false => by_sides(cameras, size, alpha),
     };
     CameraMatrix { fx: focal_px, fy: focal_px, cx: principal.x, cy: principal.y, skew: 0.0 }
+}
+
+/// The camera matrix of the rectified images of a camera by itself, of the size of its own.
+pub(super) fn own_matrix(camera: &RotatedCamera<'_>, alpha: f64) -> CameraMatrix {
+    let matrix = match camera.is_plane() {
+        true => camera.matrix_by_rectangles(alpha),
+        false => camera.matrix_by_sides(camera.camera.image_size, alpha),
+    };
+    let CameraMatrix { fx, fy, cx, cy, .. } = matrix;
+    // Of a lens that sees next to nothing, no field can be filled.
+    let is_usable = fx > 0.0 && fy > 0.0 && [fx, fy, cx, cy].iter().all(|value| value.is_finite());
+    if is_usable { matrix } else { camera.camera.lens.matrix }
 }
 
 /// As OpenCV's `stereoRectify`: the middle of what the corners show is in the middle of the image,
@@ -65,9 +74,8 @@ fn by_rectangles(
 /// As OpenCV's `fisheye::stereoRectify`, by the middles of the images' sides, which OpenCV takes
 /// half a pixel to the right of and below where they are.
 fn by_sides(cameras: &[RotatedCamera<'_>; 2], size: ImageSize, alpha: f64) -> (f64, Vector2<f64>) {
-    let [(a, at_a), (b, at_b)] =
-        cameras.each_ref().map(|camera| camera.matrix_by_sides(size, alpha));
-    (a.min(b), 0.5 * (at_a + at_b))
+    let [a, b] = cameras.each_ref().map(|camera| camera.matrix_by_sides(size, alpha));
+    (a.fy.min(b.fy), 0.5 * Vector2::new(a.cx + b.cx, a.cy + b.cy))
 }
 
 /// A rectangle of normalized coordinates.
@@ -78,6 +86,11 @@ struct FlatField {
 }
 
 impl RotatedCamera<'_> {
+    /// Whether its lens distorts an image plane, as OpenCV's models but `fisheye` do.
+    fn is_plane(&self) -> bool {
+        self.camera.lens.model().facts().opencv.is_some_and(|known| !known.fisheye)
+    }
+
     /// Normalized coordinates in the rectified frame of what is seen at `pixel`.
     fn flat(&self, pixel: Pixel) -> Option<Vector2<f64>> {
         let ray = self.camera.lens.bearing_from_pixel(pixel)?;
@@ -96,7 +109,6 @@ impl RotatedCamera<'_> {
     /// The mean of what is seen at the image's corners, or as far towards them as the lens model
     /// reaches in all four.
     fn middle_of_corners(&self) -> Vector2<f64> {
-        const STEPS: u32 = 20;
         let [x, y] = self.last_pixel().map(|last| 0.5 * last);
         let corners_at = |part: f64| {
             let corners = [(-part, -part), (part, -part), (-part, part), (part, part)];
@@ -105,12 +117,11 @@ impl RotatedCamera<'_> {
             let seen: Vec<Vector2<f64>> = seen.into_iter().flatten().collect();
             (seen.len() == corners.len()).then(|| mean(seen.into_iter()))
         };
-        let parts = (1..=STEPS).rev().map(|step| f64::from(step) / f64::from(STEPS));
-        parts.into_iter().find_map(corners_at).unwrap_or_else(Vector2::zeros)
+        parts().find_map(corners_at).unwrap_or_else(Vector2::zeros)
     }
 
-    /// The field that is seen everywhere, by the image's sides, and the one that holds all that is
-    /// seen.
+    /// The field that is seen everywhere, by the image's sides (or as far towards them as the lens
+    /// model reaches), and the one that holds all that is seen.
     fn fields(&self) -> (FlatField, FlatField) {
         // OpenCV's grid.
         const LAST: u32 = 8;
@@ -135,19 +146,36 @@ impl RotatedCamera<'_> {
                 inner.high.y = inner.high.y.min(at.y);
             }
         }
+        let inner = FlatField { low: inner.low.sup(&outer.low), high: inner.high.inf(&outer.high) };
         (inner, outer)
     }
 
-    /// OpenCV's `fisheye::estimateNewCameraMatrixForUndistortRectify`: the focal length down the
-    /// image, and the principal point.
-    fn matrix_by_sides(&self, size: ImageSize, alpha: f64) -> (f64, Vector2<f64>) {
+    /// OpenCV's `getOptimalNewCameraMatrix`: between the matrix with which the field that is seen
+    /// everywhere fills the image, and the one with which the field that holds all that is seen
+    /// does.
+    fn matrix_by_rectangles(&self, alpha: f64) -> CameraMatrix {
+        let last = Vector2::from(self.last_pixel());
+        let filling = |FlatField { low, high }: FlatField| {
+            let focal = last.component_div(&(high - low));
+            Vector4::new(focal.x, focal.y, -focal.x * low.x, -focal.y * low.y)
+        };
+        let (inner, outer) = self.fields();
+        let between = filling(inner).lerp(&filling(outer), alpha);
+        CameraMatrix { fx: between.x, fy: between.y, cx: between.z, cy: between.w, skew: 0.0 }
+    }
+
+    /// OpenCV's `fisheye::estimateNewCameraMatrixForUndistortRectify`, for rectified images of
+    /// `size`.
+    fn matrix_by_sides(&self, size: ImageSize, alpha: f64) -> CameraMatrix {
         let own = self.camera.image_size;
         let (width, height) = (f64::from(own.width), f64::from(own.height));
         let (half_width, half_height) = (f64::from(own.width / 2), f64::from(own.height / 2));
         let aspect = self.camera.lens.matrix.fx / self.camera.lens.matrix.fy;
         let sides =
             [(half_width, 0.0), (width, half_height), (half_width, height), (0.0, half_height)];
-        let flat = sides.into_iter().filter_map(|(x, y)| self.flat(Pixel::new(x, y)));
+        let half = Vector2::new(half_width, half_height);
+        let flat =
+            sides.into_iter().filter_map(|(x, y)| self.flat_towards(half, Vector2::new(x, y)));
         let square: Vec<Vector2<f64>> = flat.map(|at| Vector2::new(at.x, at.y * aspect)).collect();
         let middle = mean(square.iter().copied());
         let reach = 0.5 * Vector2::new(width, height * aspect);
@@ -165,16 +193,30 @@ impl RotatedCamera<'_> {
         let focal_px = alpha * least + (1.0 - alpha) * most;
         let principal = reach - focal_px * middle;
         let scale = Vector2::new(f64::from(size.width) / width, f64::from(size.height) / height);
-        (
-            focal_px / aspect * scale.y,
-            Vector2::new(principal.x * scale.x, principal.y / aspect * scale.y),
-        )
+        CameraMatrix {
+            fx: focal_px * scale.x,
+            fy: focal_px / aspect * scale.y,
+            cx: principal.x * scale.x,
+            cy: principal.y / aspect * scale.y,
+            skew: 0.0,
+        }
+    }
+
+    /// What is seen at the pixel `to`, or as far towards it from `from` as the lens model reaches.
+    fn flat_towards(&self, from: Vector2<f64>, to: Vector2<f64>) -> Option<Vector2<f64>> {
+        parts().find_map(|part| self.flat(Pixel::from(from + (to - from) * part)))
     }
 
     fn last_pixel(&self) -> [f64; 2] {
         let ImageSize { width, height } = self.camera.image_size;
         [f64::from(width) - 1.0, f64::from(height) - 1.0]
     }
+}
+
+/// Parts of a way on which the end of what a lens model reaches is searched, from the whole of it on.
+fn parts() -> impl Iterator<Item = f64> {
+    const STEPS: u32 = 20;
+    (1..=STEPS).rev().map(|step| f64::from(step) / f64::from(STEPS))
 }
 
 /// The mean of `places`; 0 of none.

@@ -5,6 +5,10 @@
 //! (both with `CALIB_ZERO_DISPARITY`): each camera takes half of the rotation between them, then
 //! both together the shortest rotation that lays the baseline along an axis of the image. The
 //! cameras get one focal length and one principal point.
+//!
+//! A camera by itself has nothing to be parallel to: its rectified images are those that a lens
+//! without distortion would have taken, and all there is to choose is how much of what it sees they
+//! show.
 
 mod framing;
 #[cfg(test)]
@@ -13,7 +17,7 @@ mod rectification_tests;
 use nalgebra::{Matrix3, Matrix3x4, Matrix4, Point3, Quaternion, UnitQuaternion, Vector3, Vector4};
 
 use crate::geometry::camera_matrix::CameraMatrix;
-use crate::geometry::lens::Lens;
+use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 use framing::RotatedCamera;
@@ -169,6 +173,24 @@ impl RectifiedCamera {
             rectified_from_camera: Matrix3::identity(),
             projection: matrix.to_matrix().insert_column(3, 0.0),
         }
+    }
+
+    /// A camera by itself with `lens` and images of `image_size`, which keeps its orientation; its
+    /// rectified images are of the same size. With `alpha` 0 every pixel of them is seen, with 1
+    /// all that was seen is in them.
+    ///
+    /// The camera matrix is that of OpenCV's `getOptimalNewCameraMatrix`; of a lens that does not
+    /// distort an image plane that of `fisheye::estimateNewCameraMatrixForUndistortRectify`, whose
+    /// `balance` is `alpha`, and which frames by the middles of the image's sides alone. A lens
+    /// without distortion keeps its own. What is further than [`WIDEST`](crate::geometry::flat_image::WIDEST) off the axis counts as if
+    /// it were there.
+    pub fn framed(lens: &Lens, image_size: ImageSize, alpha: f64) -> Self {
+        if lens.model() == LensModel::Pinhole {
+            return Self::alone(&lens.matrix);
+        }
+        let camera = StereoCamera { lens: *lens, image_size };
+        let rotated = RotatedCamera { camera: &camera, rectified_from_camera: Matrix3::identity() };
+        Self::alone(&framing::own_matrix(&rotated, alpha.clamp(0.0, 1.0)))
     }
 
     /// The camera matrix of the rectified image.

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3, Vector4};
 
 use super::*;
-use crate::geometry::lens::LensModel;
+use crate::geometry::flat_image::WIDEST;
 
 /// Numbers between −1 and 1, the same for each seed (a linear congruential generator's upper bits).
 struct Draws(u64);
@@ -97,11 +97,20 @@ fn what_both_see_is_in_one_line_and_disparity_is_depth() {
     }
 }
 
+/// The pixels at the border of an image.
+fn edge() -> impl Iterator<Item = Pixel> {
+    let across = (0..640).flat_map(|x| [(x, 0), (x, 479)]);
+    let down = (0..480).flat_map(|y| [(0, y), (639, y)]);
+    across.chain(down).map(|(x, y)| Pixel::new(f64::from(x), f64::from(y)))
+}
+
+/// In the image, but for as much as a side curves between two of the nine points that are followed.
+fn is_inside(at: Pixel) -> bool {
+    (-1.0..640.0).contains(&at.x) && (-1.0..480.0).contains(&at.y)
+}
+
 #[test]
 fn alpha_0_shows_nothing_unseen_and_alpha_1_leaves_nothing_out() {
-    let edge = || {
-        (0..640).flat_map(|x| [(x, 0), (x, 479)]).chain((0..480).flat_map(|y| [(0, y), (639, y)]))
-    };
     for seed in 0..20 {
         let mut draws = Draws(seed + 1000);
         let model = MODELS[seed as usize % 3];
@@ -110,18 +119,77 @@ fn alpha_0_shows_nothing_unseen_and_alpha_1_leaves_nothing_out() {
             .map(|alpha| StereoRectification::new(&cameras, &second_from_first, alpha).unwrap());
         for (k, camera) in cameras.iter().enumerate() {
             let lens = &camera.lens;
-            for (x, y) in edge() {
-                let pixel = Pixel::new(f64::from(x), f64::from(y));
-                // A side between two of the nine points that are followed curves by as much.
-                let near =
-                    |at: Pixel| (-1.0..640.0).contains(&at.x) && (-1.0..480.0).contains(&at.y);
-                let seen = tight.cameras[k].pixel_from_rectified(lens, pixel);
-                assert!(seen.is_some_and(near), "seed {seed}: {pixel:?} shows {seen:?}");
-                let shown = wide.cameras[k].rectified_from_pixel(lens, pixel);
-                assert!(shown.is_some_and(near), "seed {seed}: {pixel:?} is at {shown:?}");
-            }
+            let [tight, wide] = [&tight, &wide].map(|stereo| &stereo.cameras[k]);
+            assert_frames(lens, tight, wide);
         }
         assert!(tight.cameras[0].matrix().fx > wide.cameras[0].matrix().fx);
+    }
+}
+
+/// Whether all of the `tight` image is seen, and all that is seen is in the `wide` one.
+fn assert_frames(lens: &Lens, tight: &RectifiedCamera, wide: &RectifiedCamera) {
+    for pixel in edge() {
+        let seen = tight.pixel_from_rectified(lens, pixel);
+        assert!(seen.is_some_and(is_inside), "{lens:?}: {pixel:?} shows {seen:?}");
+        let shown = wide.rectified_from_pixel(lens, pixel);
+        assert!(shown.is_some_and(is_inside), "{lens:?}: {pixel:?} is at {shown:?}");
+    }
+}
+
+#[test]
+fn a_camera_by_itself_is_framed_as_a_pair_is() {
+    for seed in 0..20 {
+        let mut draws = Draws(seed + 2000);
+        let lens = lens(MODELS[seed as usize % 3], &mut draws);
+        let [tight, wide] = [0.0, 1.0].map(|alpha| RectifiedCamera::framed(&lens, SIZE, alpha));
+        assert_frames(&lens, &tight, &wide);
+        let unchanged = tight == RectifiedCamera::alone(&lens.matrix);
+        assert_eq!(unchanged, lens.model() == LensModel::Pinhole);
+        let between = RectifiedCamera::framed(&lens, SIZE, 0.25);
+        let mean = tight.projection * 0.75 + wide.projection * 0.25;
+        assert!((between.projection - mean).amax() < 1e-9);
+    }
+}
+
+#[test]
+fn a_fisheye_is_framed_by_its_sides_and_no_wider_than_a_flat_image_is() {
+    // From 50 to more than 90 degrees off the axis at the left and right sides.
+    for focal_px in [380.0, 300.0, 240.0, 205.0, 160.0] {
+        let parameters =
+            [focal_px, 1.01 * focal_px, 319.0, 241.0, 0.0, -0.012, 0.004, -0.002, 3e-4];
+        let lens = Lens::from_parameters(LensModel::KannalaBrandt, &parameters).unwrap();
+        for alpha in [0.0, 0.5, 1.0] {
+            let matrix = RectifiedCamera::framed(&lens, SIZE, alpha).matrix();
+            assert!((matrix.fy / matrix.fx - 1.01).abs() < 1e-12);
+            let shown = [(0.0, 240.0), (639.0, 240.0), (320.0, 0.0), (320.0, 479.0)]
+                .map(|(x, y)| matrix.normalized_from_pixel(Pixel::new(x, y)).norm());
+            // What is as far as that in one direction may leave the other one's sides empty.
+            let nearest = shown.into_iter().fold(f64::INFINITY, f64::min);
+            assert!(nearest < 1.05 * WIDEST, "{focal_px}: {shown:?}");
+            let off = f64::hypot(matrix.cx - 319.5, matrix.cy - 239.5);
+            assert!(off < 10.0, "{focal_px}: {off} px off the middle");
+        }
+    }
+}
+
+#[test]
+fn a_lens_model_that_ends_inside_the_image_is_framed_by_what_it_reaches() {
+    // One-to-one up to 163 and 230 pixels from the middle.
+    for (model, coefficients) in
+        [(LensModel::Radial, &[-0.5][..]), (LensModel::KannalaBrandt, &[-0.2, 0.0, 0.0, 0.0])]
+    {
+        let parameters = [&[300.0, 300.0, 320.0, 240.0, 0.0], coefficients].concat();
+        let lens = Lens::from_parameters(model, &parameters).unwrap();
+        assert!(lens.bearing_from_pixel(Pixel::new(0.0, 240.0)).is_none());
+        for alpha in [0.0, 0.5, 1.0] {
+            let framed = RectifiedCamera::framed(&lens, SIZE, alpha);
+            for (x, y) in [(60.0, 240.0), (580.0, 240.0), (320.0, 40.0), (320.0, 440.0)] {
+                let seen = framed.pixel_from_rectified(&lens, Pixel::new(x, y));
+                assert!(seen.is_some(), "{model:?}, {alpha}: nothing is seen at {x}, {y}");
+            }
+            let matrix = framed.matrix();
+            assert!((matrix.cx - 320.0).abs() < 5.0 && (matrix.cy - 240.0).abs() < 5.0);
+        }
     }
 }
 
