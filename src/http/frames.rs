@@ -37,6 +37,10 @@ pub(super) struct DrawingParameters {
     /// other's, by the current calibration of its rig (or of its own two infrared sensors); false
     /// when left out.
     rectified: Option<bool>,
+    /// Of undistorted or rectified images: 0 (when left out) for those of which every pixel is
+    /// seen, 1 for those that hold everything that was seen.
+    #[param(schema_with = schemas::alpha, required = false)]
+    alpha: Option<f64>,
     /// With `sensor=depth`, color: depth in color's image; with `sensor=color`, depth: color in
     /// depth's image. By the current calibration.
     #[param(schema_with = schemas::sensor_kind, required = false)]
@@ -52,6 +56,7 @@ impl ReadQuery for DrawingParameters {
             guidance: parameters.flag("guidance")?,
             undistorted: parameters.flag("undistorted")?,
             rectified: parameters.flag("rectified")?,
+            alpha: parameters.fraction("alpha")?,
             registered: parameters.one_of("registered", SensorKind::from_name, "color, depth")?,
         })
     }
@@ -64,7 +69,7 @@ impl ReadQuery for DrawingParameters {
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 404, description = "no such camera, or it has no such sensor", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "no frame yet, or no calibration to undistort or rectify with", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn frame(
     State(shared): State<Arc<Shared>>,
@@ -83,7 +88,7 @@ pub(super) async fn frame(
     responses(
         (status = 200, description = "an endless image", body = Vec<u8>, content_type = "multipart/x-mixed-replace"),
         (status = 404, description = "no such camera", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "an unknown sensor", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown sensor, or an alpha that is not from 0 to 1", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "too many watch", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn preview(
@@ -121,12 +126,19 @@ async fn next_part(frames: &mut PreviewReceiver) -> Option<[Bytes; 3]> {
 fn drawing(asked: &DrawingParameters, overlay: bool) -> Result<Drawing, Problem> {
     let overlay = asked.overlay.unwrap_or(overlay);
     let sensor = asked.sensor.unwrap_or(SensorKind::Color);
+    let undistorted = asked.undistorted.unwrap_or(false);
+    let rectified = asked.rectified.unwrap_or(false);
+    if asked.alpha.is_some() && !undistorted && !rectified {
+        let problem = "is of flat images; give rectified=true or undistorted=true with it";
+        return Err(Problem::field("alpha", problem));
+    }
     Ok(Drawing {
         sensor,
         overlay,
         guidance: asked.guidance.unwrap_or(overlay),
-        undistorted: asked.undistorted.unwrap_or(false),
-        rectified: asked.rectified.unwrap_or(false),
+        undistorted,
+        rectified,
+        alpha: asked.alpha.unwrap_or_default(),
         registered: registered(asked, sensor)?,
     })
 }

@@ -38,6 +38,7 @@ const PLAIN: Drawing = Drawing {
     guidance: false,
     undistorted: false,
     rectified: false,
+    alpha: 0.0,
     registered: false,
 };
 const SETTABLE: [(Rs2Option, f32); 3] = [

@@ -252,6 +252,13 @@ def test_live_images_of_a_calibrated_rig_are_rectified(plumb_binary, tmp_path):
         with urllib.request.urlopen(f"{plumb.address}/v1/cameras/{camera}/frame.jpg?rectified=true") as answer:
             return cv2.imdecode(np.frombuffer(answer.read(), np.uint8), cv2.IMREAD_GRAYSCALE)
 
+    def preview(plumb, camera, query):
+        """The first image of the stream."""
+        with urllib.request.urlopen(f"{plumb.address}/v1/cameras/{camera}/preview.mjpg?{query}", timeout=30) as stream:
+            stated = next(line for line in stream if line.lower().startswith(b"content-length"))
+            assert not stream.readline().strip()
+            return cv2.imdecode(np.frombuffer(stream.read(int(stated.split(b":")[1])), np.uint8), cv2.IMREAD_GRAYSCALE)
+
     with Daemon(plumb_binary, RIG.format(folder=RECORDINGS), tmp_path) as plumb:
         events = plumb.events("head")
         session = plumb.ask("/v1/rigs/head/sessions", {"target": BOARD, "lens": "brown"})
@@ -264,6 +271,10 @@ def test_live_images_of_a_calibrated_rig_are_rectified(plumb_binary, tmp_path):
         plumb.ask(f"/v1/calibrations/{finished['calibration']}/approve", {})
         left, right = frame(plumb, "left"), frame(plumb, "right")
         rows = opencv_rows(left, right)
+        assert len(rows) == 48 and np.abs(rows).max() < 0.5
+        whole = [preview(plumb, camera, "rectified=true&alpha=1&overlay=false") for camera in ("left", "right")]
+        assert all((image[:2] < 8).sum() > 100 and not (tight[:2] < 8).any() for image, tight in zip(whole, (left, right)))
+        rows = opencv_rows(*whole)
         assert len(rows) == 48 and np.abs(rows).max() < 0.5
         with urllib.request.urlopen(f"{plumb.address}/v1/rigs/head/calibration?format=ros_stereo") as answer:
             stated = list(yaml.safe_load_all(answer.read()))

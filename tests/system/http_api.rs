@@ -140,6 +140,12 @@ fn a_camera_is_shown_with_its_image() {
         is_problem(&served.get("/v1/cameras/front/frame.jpg?overlay=2"), 422)["field"],
         "overlay"
     );
+    for flat in ["rectified=true&alpha=1.5", "undistorted=true&alpha=x", "alpha=1"] {
+        for path in ["frame.jpg", "preview.mjpg"] {
+            let refused = served.get(&format!("/v1/cameras/front/{path}?{flat}"));
+            assert_eq!(is_problem(&refused, 422)["field"], "alpha", "{path}?{flat}");
+        }
+    }
     is_problem(&served.get("/v1/cameras/front/calibration"), 404);
     // A recording's device states nothing.
     is_problem(&served.get("/v1/cameras/front/factory"), 404);
@@ -343,6 +349,7 @@ fn a_calibration_is_served_in_every_format_and_approved() {
     let negative = served.get(&format!("/v1/calibrations/{id}/uncertainty?distance_m=-1"));
     assert_eq!(is_problem(&negative, 422)["field"], "distance_m");
     is_jpeg(&served.get("/v1/cameras/front/frame.jpg?undistorted=true"), (640, 480));
+    is_jpeg(&served.get("/v1/cameras/front/frame.jpg?undistorted=true&alpha=1"), (640, 480));
     is_problem(&served.get("/v1/calibrations/none"), 404);
     is_problem(&served.post_nothing("/v1/calibrations/none/approve"), 404);
 }

@@ -11,14 +11,18 @@ use crate::served::{Served, recording};
 const CAMERAS: [&str; 3] = ["left", "right", "far"];
 
 fn configuration() -> String {
-    let camera = |name: &str| {
+    configuration_of(&CAMERAS)
+}
+
+fn configuration_of(cameras: &[&str]) -> String {
+    let camera = |name: &&str| {
         let path = recording(&format!("rig-{name}.mcap")).display().to_string();
         format!(
             "[[camera]]\nname = {name:?}\nsource = {{ kind = \"recording\", path = {path:?}, pace = \"fastest\" }}\n"
         )
     };
-    CAMERAS.map(camera).concat()
-        + "[[rig]]\nname = \"head\"\ncameras = [\"left\", \"right\", \"far\"]\n"
+    let tables: String = cameras.iter().map(camera).collect();
+    format!("{tables}[[rig]]\nname = \"head\"\ncameras = {cameras:?}\n")
 }
 
 fn request() -> Value {
@@ -250,6 +254,28 @@ fn a_rig_is_served_like_a_camera_and_has_its_cameras_to_itself() {
     );
     let image = served.get(views[1]["picture"].as_str().unwrap());
     assert_eq!((image.status, image.media_type.as_str()), (200, "image/jpeg"));
+}
+
+#[test]
+fn rectified_images_hold_as_much_as_alpha_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = Served::start(folder.path(), &configuration_of(&CAMERAS[..2]));
+    let id = calibrate(&served)["calibration"].as_str().unwrap().to_owned();
+    assert_eq!(served.post_nothing(&format!("/v1/calibrations/{id}/approve")).status, 200);
+    let unseen = |camera: &str, query: &str| {
+        let answer = served.get(&format!("/v1/cameras/{camera}/frame.jpg?rectified=true{query}"));
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        let image = image::load_from_memory(&answer.bytes).unwrap().into_luma8();
+        assert_eq!(image.dimensions(), (640, 480));
+        let border = image.enumerate_pixels().filter(|(x, y, _)| *x < 2 || *y < 2);
+        border.filter(|(.., pixel)| pixel.0[0] < 8).count()
+    };
+    for camera in &CAMERAS[..2] {
+        let [unsaid, all_seen, half, whole] =
+            ["", "&alpha=0", "&alpha=0.5", "&alpha=1"].map(|query| unseen(camera, query));
+        assert_eq!((unsaid, all_seen), (0, 0), "{camera}");
+        assert!(whole > half && half > 100, "{camera}: {half}, {whole}");
+    }
 }
 
 #[test]

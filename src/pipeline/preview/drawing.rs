@@ -18,7 +18,7 @@ const JPEG_QUALITY: u8 = 85;
 pub type EncodedFrame = Arc<[u8]>;
 
 /// What is drawn of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drawing {
     /// Whose image.
     pub sensor: SensorKind,
@@ -30,6 +30,9 @@ pub struct Drawing {
     pub undistorted: bool,
     /// As one of two parallel cameras, by the current calibration of its rig.
     pub rectified: bool,
+    /// How much of what was seen an undistorted or rectified image shows: from 0, every pixel of it
+    /// is seen, to 1, all that was seen is in it.
+    pub alpha: f64,
     /// Depth in color's image, or color in depth's.
     pub registered: bool,
 }
@@ -107,13 +110,13 @@ fn image_map(
     scene: &DrawnScene<'_>,
     maps: &CalibrationMaps,
 ) -> Result<Option<Arc<PixelMap>>, PreviewError> {
-    let Drawing { sensor, undistorted, rectified, .. } = drawing;
+    let Drawing { sensor, undistorted, rectified, alpha, .. } = drawing;
     if rectified {
         let ids = [scene.rig_calibration, scene.calibration];
-        return maps.rectification(scene.camera, ids, sensor).map(Some);
+        return maps.rectification(scene.camera, ids, (sensor, alpha)).map(Some);
     }
     match undistorted {
-        true => maps.undistortion(scene.camera, scene.calibration, sensor).map(Some),
+        true => maps.undistortion(scene.camera, scene.calibration, (sensor, alpha)).map(Some),
         false => Ok(None),
     }
 }

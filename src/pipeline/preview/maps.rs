@@ -14,13 +14,18 @@ use crate::pipeline::preview::newest::NewestValues;
 use crate::pipeline::preview::registered::Registration;
 use crate::store::Store;
 
+/// Whose images are shown flat, and how much of them: from 0, every pixel is seen, to 1, all that
+/// was seen is there.
+pub(super) type FlatView = (SensorKind, f64);
+
 /// The maps used last, of all cameras.
 #[derive(Debug)]
 pub(in crate::pipeline) struct CalibrationMaps {
     store: Arc<Store>,
-    undistortions: NewestValues<(String, SensorKind), PixelMap>,
-    /// By calibration, camera and sensor.
-    rectifications: NewestValues<(String, String, SensorKind), PixelMap>,
+    /// By calibration and view.
+    undistortions: NewestValues<(String, FlatView), PixelMap>,
+    /// By calibration, camera and view.
+    rectifications: NewestValues<(String, String, FlatView), PixelMap>,
     registrations: NewestValues<String, Registration>,
 }
 
@@ -43,22 +48,22 @@ impl CalibrationMaps {
         &self,
         camera: &str,
         id: Option<&str>,
-        sensor: SensorKind,
+        (sensor, alpha): FlatView,
     ) -> Result<Arc<PixelMap>, PreviewError> {
         let none = || PreviewError::NotCalibrated { camera: camera.to_owned(), sensor };
-        let key = (id.ok_or_else(none)?.to_owned(), sensor);
+        let key = (id.ok_or_else(none)?.to_owned(), (sensor, alpha));
         self.undistortions.get_or_make(&key, || {
             let calibration = self.store.calibration(&key.0)?.ok_or_else(none)?;
             let calibrated = calibration.image(sensor).ok_or_else(none)?;
             let (lens, size) = (&calibrated.lens, calibrated.image_size);
-            let undistortion = Undistortion::new(lens, size, &UndistortOptions::default());
+            let options = UndistortOptions { balance: alpha, size: None };
+            let undistortion = Undistortion::new(lens, size, &options);
             Ok((key.clone(), undistortion.map))
         })
     }
 
     /// The map that rectifies a sensor's images by the current calibration of the camera's rig, or
-    /// by its own, the first of `ids` that is of a stereo pair with the sensor in it. Every pixel
-    /// is seen.
+    /// by its own, the first of `ids` that is of a stereo pair with the sensor in it.
     ///
     /// # Errors
     /// [`PreviewError::NotStereo`], [`PreviewError::Store`].
@@ -66,11 +71,11 @@ impl CalibrationMaps {
         &self,
         camera: &str,
         ids: [Option<&str>; 2],
-        sensor: SensorKind,
+        (sensor, alpha): FlatView,
     ) -> Result<Arc<PixelMap>, PreviewError> {
         let mut why = None;
         for id in ids.into_iter().flatten() {
-            let key = (id.to_owned(), camera.to_owned(), sensor);
+            let key = (id.to_owned(), camera.to_owned(), (sensor, alpha));
             let refused = |reason: Option<String>| {
                 let camera = camera.to_owned();
                 PreviewError::NotStereo { camera, sensor, reason }
@@ -79,7 +84,7 @@ impl CalibrationMaps {
                 let calibration = self.store.calibration(id)?.ok_or_else(|| refused(None))?;
                 let stated = |error: &dyn std::fmt::Display| refused(Some(error.to_string()));
                 let pair = StereoPair::of(&calibration, None).map_err(|error| stated(&error))?;
-                let stereo = pair.rectify(0.0).map_err(|error| stated(&error))?;
+                let stereo = pair.rectify(alpha).map_err(|error| stated(&error))?;
                 let is_own = |id: &SensorId| {
                     id.kind == sensor && id.camera.as_deref().is_none_or(|own| own == camera)
                 };

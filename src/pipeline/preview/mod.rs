@@ -197,6 +197,7 @@ mod tests {
         guidance: true,
         undistorted: false,
         rectified: false,
+        alpha: 0.0,
         registered: false,
     };
 
