@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests/python"))
 
-FPS = 30
+FPS = int(os.environ.get("BENCH_FPS", 30))
 TICKS = os.sysconf("SC_CLK_TCK")
 
 
