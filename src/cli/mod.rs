@@ -25,6 +25,7 @@ pub mod focus;
 pub mod gather;
 pub mod in_order;
 pub mod length;
+mod lens_change;
 pub mod lens_name;
 pub mod output;
 mod plane_errors;

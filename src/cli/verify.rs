@@ -7,9 +7,11 @@
 use std::path::PathBuf;
 
 use crate::calibration::result::ImageCalibration;
+use crate::calibration::solve::uncertainty_map;
 use crate::cli::Failure;
 use crate::cli::files::read_calibration;
 use crate::cli::gather::gather;
+use crate::cli::lens_change::LensChange;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::target_args::ShapeOrSceneArgs;
 use crate::cli::verified::{
@@ -19,11 +21,8 @@ use crate::cli::verify_depth::verify_depth;
 use crate::cli::verify_scene::verify_scene;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
 use crate::estimation::problem::{CameraProblem, LensChoice};
-use crate::estimation::uncertainty::{
-    Distance, PixelGrid, projection_difference, projection_uncertainty,
-};
+use crate::estimation::uncertainty::Distance;
 use crate::geometry::lens::Lens;
-use crate::geometry::median::median;
 use crate::geometry::target::Target;
 
 /// The board's square where the calibration does not state it: its size has no influence on the
@@ -99,7 +98,10 @@ fn verify(
     let noise_px = best.as_ref().map_or(sensor.rms_px, |best| best.rms_px);
     let unexplained_px = (fixed.rms_px.powi(2) - noise_px.powi(2)).max(0.0).sqrt();
     let limit_px = (LIMIT_SIGMAS * sensor.uncertainty_px.median).max(LEAST_LIMIT_PX);
-    let change = best.as_ref().and_then(|best| LensChange::between(&sensor.lens, best));
+    let change = best.as_ref().and_then(|best| {
+        let uncertainty = uncertainty_map(best, COLUMNS, Distance::Infinity)?;
+        LensChange::between(&sensor.lens, &uncertainty, &best.lens)
+    });
     let visible_px = change.map(|change| change.visible_px);
     // The boards' poses take up most of a change of focus: residuals alone show little of it.
     let certain =
@@ -147,29 +149,6 @@ fn verify(
         reasons,
     };
     Ok((verified, fixed))
-}
-
-/// What the lens that fits the views best says of the calibrated one, in the median over the
-/// image.
-#[derive(Debug, Clone, Copy)]
-struct LensChange {
-    /// How far it projects from the calibrated one, after the best compensating rotation.
-    seen_px: f64,
-    /// The least such change that these views show.
-    visible_px: f64,
-}
-
-impl LensChange {
-    fn between(calibrated: &Lens, best: &CameraEstimate) -> Option<Self> {
-        let grid = PixelGrid::over(best.image_size, COLUMNS);
-        let covariance = &best.lens_covariance;
-        let map = projection_uncertainty(&best.lens, covariance, grid, Distance::Infinity)?;
-        let seen = projection_difference(calibrated, &best.lens, grid, &map.weights);
-        Some(Self {
-            seen_px: median(seen.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())?,
-            visible_px: LIMIT_SIGMAS * map.median_and_worst()?.0,
-        })
-    }
 }
 
 /// Corners that were used, or are off by no more than `limit_px`.

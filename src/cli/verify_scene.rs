@@ -1,10 +1,10 @@
 //! A calibration against a static scene, without a board: the lens is estimated from the images
 //! alone and compared with the calibrated one, where both are uncertain.
 
-use nalgebra::DMatrix;
-
 use crate::calibration::result::ImageCalibration;
-use crate::calibration::scene::{SceneOptions, SceneSensor, calibrate_scene};
+use crate::calibration::scene::{SceneOptions, calibrate_scene};
+use crate::calibration::solve::sensor_uncertainty;
+use crate::cli::lens_change::LensChange;
 use crate::cli::scene_images::scene_images;
 use crate::cli::search_args::SearchArgs;
 use crate::cli::sources::FrameSets;
@@ -13,10 +13,7 @@ use crate::cli::verified::{
 };
 use crate::cli::{Failure, progress};
 use crate::estimation::problem::LensChoice;
-use crate::estimation::uncertainty::{
-    Distance, PixelGrid, projection_difference, projection_uncertainty,
-};
-use crate::geometry::median::median;
+use crate::estimation::uncertainty::Distance;
 
 /// The answer; `file` is what the calibration was read from.
 ///
@@ -38,22 +35,17 @@ pub(super) fn verify_scene(
     let spinner = progress::spinner("solving");
     let solved = calibrate_scene(&images, &options);
     spinner.finish_and_clear();
-    let scene = solved.map_err(Failure::failed)?;
-    let views = scene.views.iter().filter(|view| view.camera_from_scene.is_some()).count();
-    compared(sensor, &scene.sensor, views).ok_or_else(|| {
+    let scene = solved.map_err(Failure::failed)?.into_calibration();
+    scene.guide().and_then(|scene| compared(sensor, scene)).ok_or_else(|| {
         Failure::failed("the images leave the lens open: show texture in all of the image")
     })
 }
 
 /// The comparison of two lenses, each with its uncertainty; `None` where no projection is known.
-fn compared(calibrated: &ImageCalibration, scene: &SceneSensor, views: usize) -> Option<Verified> {
-    let grid = PixelGrid::over(scene.image_size, COLUMNS);
-    let rows = &scene.lens_covariance;
-    let covariance = DMatrix::from_fn(rows.len(), rows.len(), |i, j| rows[i][j]);
-    let map = projection_uncertainty(&scene.lens, &covariance, grid, Distance::Infinity)?;
-    let seen = projection_difference(&calibrated.lens, &scene.lens, grid, &map.weights);
-    let moved_px = median(seen.into_iter().flatten().map(|[x, y]| x.hypot(y)).collect())?;
-    let scene_px = LIMIT_SIGMAS * map.median_and_worst()?.0;
+fn compared(calibrated: &ImageCalibration, scene: &ImageCalibration) -> Option<Verified> {
+    let uncertainty = sensor_uncertainty(scene, COLUMNS, Distance::Infinity)?;
+    let LensChange { seen_px: moved_px, visible_px: scene_px } =
+        LensChange::between(&calibrated.lens, &uncertainty, &scene.lens)?;
     let calibrated_px = LIMIT_SIGMAS * calibrated.uncertainty_px.median;
     let limit_px = scene_px.hypot(calibrated_px).max(LEAST_LIMIT_PX);
     let mut reasons = Vec::new();
@@ -81,7 +73,7 @@ fn compared(calibrated: &ImageCalibration, scene: &SceneSensor, views: usize) ->
         visible_px: Some(scene_px),
         rms_px: None,
         best_rms_px: Some(scene.rms_px),
-        views,
+        views: scene.views.iter().filter(|view| view.used).count(),
         depth: None,
         reasons,
     })

@@ -50,7 +50,7 @@ const MOVED: f64 = 2.5;
 const MOVED_FAR: f64 = 4.0;
 
 /// The image is compared on this many columns of pixels.
-const COLUMNS: u32 = 12;
+pub(crate) const COLUMNS: u32 = 12;
 
 /// A step's cost is as it was predicted within this part: the problem is linear there, and the step
 /// its minimum.

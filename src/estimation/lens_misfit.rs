@@ -6,7 +6,7 @@ use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::{Trial, compared_views, has_pole};
+use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, has_pole};
 use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
@@ -28,9 +28,6 @@ pub struct LensMisfit {
     /// counts as an error.
     pub widening: f64,
 }
-
-/// The image is compared on this many columns of pixels.
-const COLUMNS: u32 = 12;
 
 impl LensMisfit {
     /// Compares the lens model of `estimate`, which was asked for, with the larger ones that an

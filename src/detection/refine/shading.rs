@@ -70,8 +70,8 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
 
 /// Standard deviation of each term beforehand, in amplitudes: over a window, a highlight changes as
 /// much as black differs from white. Where a small window does not determine the light, this keeps
-/// it from taking all of the edge (swept: from 0.3 to no bound the rms of hard images is the same
-/// to 10 %).
+/// it from taking all of the edge (swept: from 0.3 to no bound the rms of hard images of two salts
+/// is within 11 % of that at 1).
 const LIGHT_STD: f64 = 1.0;
 
 /// Unknowns of the light and of the corner together.
