@@ -35,11 +35,13 @@ examples:
 	cargo build $(FEATURES) --examples
 	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example find_board -- examples/board.jpg 9x6
 	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example solve_correspondences
+	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example relative_pose
 	timeout --kill-after=10 60 cargo run $(FEATURES) --quiet --example frame_source
 
 # What other programs read from Plumb: OpenCV, mrcal, a YAML parser, the Python readers of recordings, DDS.
 python-test: $(VENV)/installed
 	$(TESTED) --no-run
+	cargo build $(FEATURES) --example relative_pose
 	PLUMB=target/debug/plumb timeout --kill-after=10 400 $(VENV)/bin/python -m pytest -q -rs tests/python
 
 # The live page, driven in a real browser.

@@ -6,8 +6,12 @@ use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::fundamental::{
     fundamental_from_many, fundamental_from_seven, sampson_distance_px,
 };
-use crate::estimation::two_view::ransac::{Consensus, RansacOptions, SampledModel, ransac};
-use crate::estimation::two_view::refinement::refine_fundamental;
+use crate::estimation::two_view::ransac::{
+    Consensus, RansacOptions, SampledModel, chance_beside_line, ransac,
+};
+use crate::estimation::two_view::refinement::{
+    ResidualMixture, refine_fundamental, refine_fundamental_among_wrong,
+};
 use crate::geometry::homography::Homography;
 use crate::geometry::median::median;
 use crate::geometry::pixel::ImageSize;
@@ -71,7 +75,8 @@ pub fn two_view_geometry(pairs: &[PointPair], size: ImageSize) -> Option<TwoView
         return None;
     }
     let inlier_pairs: Vec<PointPair> = inliers.iter().map(|k| pairs[*k]).collect();
-    let fundamental = refine_fundamental(&model, &inlier_pairs).unwrap_or(model);
+    let mixture = ResidualMixture { std: 0.5 * limit_px, wrong_within_unit: epipolar.chance(1.0) };
+    let fundamental = refine_fundamental_among_wrong(&model, pairs, mixture).unwrap_or(model);
     let planar = Planar { pairs: &inlier_pairs, size };
     // Plane or not is asked at F's own precision.
     let limit_px = limit_px.max(1.0) * 1.5;
@@ -172,10 +177,8 @@ impl SampledModel for Epipolar<'_> {
         sampson_distance_px(f, &self.pairs[index]).powi(2)
     }
 
-    /// A strip along a line through the image.
     fn chance(&self, limit_px: f64) -> f64 {
-        let area = f64::from(self.size.width) * f64::from(self.size.height);
-        2.0 * self.size.diagonal_px() * limit_px / area.max(1.0)
+        chance_beside_line(self.size, limit_px)
     }
 
     fn max_solutions(&self) -> f64 {

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! pairs of pixels --ransac--> F, E or H with inliers and their scale --degeneracy--> what it shows
+//! pairs, K --ransac--> E of known cameras with inliers
 //! E --pose--> of four poses the one with points in front --triangulation--> points
 //! F of many pairs --focal--> focal length
 //! ```
@@ -10,6 +11,7 @@
 //! All pairs hold x₂ᵀ F x₁ = 0: F maps a point of the first image to its line in the second.
 //! Source: R. Hartley and A. Zisserman, *Multiple view geometry in computer vision*, 2004 (HZ).
 
+pub mod calibrated;
 pub mod degeneracy;
 pub mod essential;
 mod five_point;

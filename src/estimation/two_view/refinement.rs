@@ -5,6 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, Vector3};
 
 use crate::estimation::two_view::PointPair;
 use crate::estimation::two_view::essential::essential_from_pose;
+use crate::estimation::two_view::fundamental::sampson_distance_px;
 use crate::geometry::pose::Pose;
 
 /// Steps at most; few are needed from an algebraic fit.
@@ -12,6 +13,37 @@ const MAX_STEPS: usize = 10;
 
 /// A step that lowers the cost by less than this part ends the descent.
 const LEAST_DECREASE: f64 = 1e-7;
+
+/// Rounds of weighing the pairs anew; the weights settle in three or four.
+const ROUNDS: usize = 6;
+
+/// What a residual says of a pair: right ones have Gaussian residuals, wrong ones any.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ResidualMixture {
+    /// The standard deviation of right pairs' residuals, in the pairs' unit.
+    pub std: f64,
+    /// The probability that a wrong pair's residual is within one unit of 0.
+    pub wrong_within_unit: f64,
+}
+
+impl ResidualMixture {
+    /// The probability of each pair to be right, with `std` and the part of right pairs estimated
+    /// from the residuals: expectation maximization (A. Dempster, N. Laird and D. Rubin, 1977).
+    fn weigh(&mut self, residuals: &[f64], weights: &mut [f64]) {
+        let part = weights.iter().sum::<f64>() / weights.len() as f64;
+        let wrong = 0.5 * self.wrong_within_unit * (1.0 - part);
+        let height = part / (self.std * std::f64::consts::TAU.sqrt());
+        for (weight, residual) in weights.iter_mut().zip(residuals) {
+            let right = height * (-0.5 * (residual / self.std).powi(2)).exp();
+            *weight = if right > 0.0 { right / (right + wrong) } else { 0.0 };
+        }
+        let sum = weights.iter().sum::<f64>();
+        let squares: f64 = weights.iter().zip(residuals).map(|(w, r)| w * r * r).sum();
+        let std = (squares / sum).sqrt();
+        // Exact pairs have no scatter, and a few rounds of halving leave them as they are.
+        self.std = if std.is_finite() { std.max(0.5 * self.std) } else { self.std };
+    }
+}
 
 /// Something with an epipolar matrix and few degrees of freedom.
 trait EpipolarGeometry: Sized {
@@ -25,25 +57,56 @@ trait EpipolarGeometry: Sized {
 /// (A. Bartoli and P. Sturm, *Nonlinear estimation of the fundamental matrix with minimal
 /// parameters*, 2004).
 pub fn refine_fundamental(f: &Matrix3<f64>, pairs: &[PointPair]) -> Option<Matrix3<f64>> {
-    Some(descend(Orthonormal::of(f)?, pairs).matrix())
+    Some(descend(Orthonormal::of(f)?, pairs, &vec![1.0; pairs.len()]).matrix())
+}
+
+/// As [`refine_fundamental`], where some of `pairs` are wrong: each counts as much as it is
+/// probably right.
+pub fn refine_fundamental_among_wrong(
+    f: &Matrix3<f64>,
+    pairs: &[PointPair],
+    mixture: ResidualMixture,
+) -> Option<Matrix3<f64>> {
+    Some(descend_among_wrong(Orthonormal::of(f)?, pairs, mixture).matrix())
 }
 
 /// The pose `second_from_first`, unit translation, with the least sum of squared Sampson distances
 /// of `pairs` in normalized coordinates near `second_from_first`.
 pub fn refine_pose(second_from_first: &Pose, pairs: &[PointPair]) -> Pose {
-    let start = UnitBaseline {
-        rotation: second_from_first.rotation_matrix(),
-        translation: second_from_first.translation().normalize(),
-    };
-    let UnitBaseline { rotation, translation } = descend(start, pairs);
-    Pose::from_matrix(&rotation, translation)
+    descend(UnitBaseline::of(second_from_first), pairs, &vec![1.0; pairs.len()]).pose()
+}
+
+/// As [`refine_pose`], where some of `pairs` are wrong: each counts as much as it is probably
+/// right.
+pub fn refine_pose_among_wrong(
+    second_from_first: &Pose,
+    pairs: &[PointPair],
+    mixture: ResidualMixture,
+) -> Pose {
+    descend_among_wrong(UnitBaseline::of(second_from_first), pairs, mixture).pose()
+}
+
+fn descend_among_wrong<G: EpipolarGeometry>(
+    start: G,
+    pairs: &[PointPair],
+    mut mixture: ResidualMixture,
+) -> G {
+    let mut best = start;
+    let mut weights = vec![0.5; pairs.len()];
+    for _ in 0..ROUNDS {
+        let f = best.matrix();
+        let residuals: Vec<f64> = pairs.iter().map(|pair| sampson_distance_px(&f, pair)).collect();
+        mixture.weigh(&residuals, &mut weights);
+        best = descend(best, pairs, &weights);
+    }
+    best
 }
 
 /// Levenberg–Marquardt.
-fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair]) -> G {
+fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair], weights: &[f64]) -> G {
     let mut best = start;
     let mut lambda = 1e-4;
-    let (mut cost, mut normal, mut gradient) = equations(&best, pairs);
+    let (mut cost, mut normal, mut gradient) = equations(&best, pairs, weights);
     for _ in 0..MAX_STEPS {
         let mut damped = normal.clone();
         for k in 0..damped.nrows() {
@@ -51,7 +114,7 @@ fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair]) -> G {
         }
         let Some(factor) = damped.cholesky() else { break };
         let next = best.stepped(&-factor.solve(&gradient));
-        let (next_cost, next_normal, next_gradient) = equations(&next, pairs);
+        let (next_cost, next_normal, next_gradient) = equations(&next, pairs, weights);
         if !(next_cost < cost) {
             lambda *= 10.0;
             if lambda > 1e6 {
@@ -72,12 +135,13 @@ fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair]) -> G {
 fn equations(
     geometry: &impl EpipolarGeometry,
     pairs: &[PointPair],
+    weights: &[f64],
 ) -> (f64, DMatrix<f64>, DVector<f64>) {
     let (f, tangents) = (geometry.matrix(), geometry.tangents());
     let size = tangents.len();
     let (mut cost, mut normal) = (0.0, DMatrix::zeros(size, size));
     let (mut gradient, mut row) = (DVector::zeros(size), DVector::zeros(size));
-    for pair in pairs {
+    for (pair, weight) in pairs.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
         let [first, second] = pair.homogeneous();
         let (in_second, in_first) = (f * first, f.tr_mul(&second));
         let squares = in_second.xy().norm_squared() + in_first.xy().norm_squared();
@@ -91,9 +155,9 @@ fn equations(
             let slope = in_second.xy().dot(&by_second.xy()) + in_first.xy().dot(&by_first.xy());
             *value = (second.dot(&by_second) - residual * slope / root) / root;
         }
-        cost += residual * residual;
-        normal.ger(1.0, &row, &row, 1.0);
-        gradient.axpy(residual, &row, 1.0);
+        cost += weight * residual * residual;
+        normal.ger(*weight, &row, &row, 1.0);
+        gradient.axpy(weight * residual, &row, 1.0);
     }
     (cost, normal, gradient)
 }
@@ -152,6 +216,17 @@ struct UnitBaseline {
 }
 
 impl UnitBaseline {
+    fn of(second_from_first: &Pose) -> Self {
+        Self {
+            rotation: second_from_first.rotation_matrix(),
+            translation: second_from_first.translation().normalize(),
+        }
+    }
+
+    fn pose(&self) -> Pose {
+        Pose::from_matrix(&self.rotation, self.translation)
+    }
+
     /// Two unit directions across the translation.
     fn across(&self) -> [Vector3<f64>; 2] {
         let axis = Vector3::ith(self.translation.iamin(), 1.0);

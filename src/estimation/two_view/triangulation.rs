@@ -3,6 +3,8 @@
 use nalgebra::{Matrix3, Matrix4, Point2, Point3, Vector3};
 
 use crate::estimation::two_view::PointPair;
+use crate::estimation::two_view::essential::essential_from_pose;
+use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::pose::Pose;
 
 /// The point, in the first camera's frame, that is nearest to both rays in the first camera's and
@@ -70,6 +72,22 @@ pub fn nearest_epipolar_pair(f: &Matrix3<f64>, pair: &PointPair) -> PointPair {
         first: pair.first - next_first * lambda,
         second: pair.second - next_second * lambda,
     }
+}
+
+/// The most likely point, in the first camera's frame, of a pair of pixels with equal noise: where
+/// the rays of [`nearest_epipolar_pair`] meet. `None` where they are parallel.
+pub fn triangulate_pair(
+    second_from_first: &Pose,
+    cameras: [CameraMatrix; 2],
+    pair: &PointPair,
+) -> Option<Point3<f64>> {
+    let [first, second] = [cameras[0], cameras[1]].map(|camera| camera.to_matrix().try_inverse());
+    let (first, second) = (first?, second?);
+    let (rotation, translation) =
+        (second_from_first.rotation_matrix(), second_from_first.translation());
+    let f = second.tr_mul(&essential_from_pose(&rotation, &translation)) * first;
+    let [at_first, at_second] = nearest_epipolar_pair(&f, pair).homogeneous();
+    triangulate_rays(second_from_first, first * at_first, second * at_second)
 }
 
 /// The angle between the rays from two cameras to a point, in radians.
