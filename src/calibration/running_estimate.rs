@@ -2,12 +2,15 @@
 //! fraction of a solve, and made anew where going on is suspect. The calibration itself never
 //! comes this way: it is solved from nothing at the end.
 
-use crate::calibration::session_record::RunningEstimate;
-use crate::calibration::solve::uncertainty_over;
+use std::sync::Arc;
+
+use crate::calibration::session_record::{RunningEstimate, SHOWN_COLUMNS};
+use crate::calibration::solve::{uncertainty_map, uncertainty_over};
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_and_check};
 use crate::estimation::error::EstimationError;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::problem::{CameraProblem, LensChoice};
+use crate::estimation::uncertainty::Distance;
 
 /// With fewer views an estimate costs little anew, and each new one still changes much.
 const LEAST_VIEWS: usize = 8;
@@ -97,6 +100,7 @@ impl EstimateSoFar {
     fn of((estimate, check): &(CameraEstimate, ModelCheck), made: Made) -> Self {
         let uncertainty_px =
             uncertainty_over(&estimate.lens, &estimate.lens_covariance, estimate.image_size);
+        let uncertainty_map = uncertainty_map(estimate, SHOWN_COLUMNS, Distance::Infinity);
         let rejected: Vec<bool> = estimate.views.iter().map(|view| view.fault.is_some()).collect();
         let views = rejected.iter().filter(|rejected| !**rejected).count() as u32;
         Self {
@@ -104,6 +108,7 @@ impl EstimateSoFar {
                 lens: estimate.lens,
                 rms_px: estimate.rms_px,
                 uncertainty_px,
+                uncertainty_map: uncertainty_map.map(Arc::new),
                 views,
             },
             going_on: Some(GoingOn {

@@ -1,5 +1,7 @@
 //! What is known of a session from outside: the record that is stored, served and resumed from.
 
+use std::sync::Arc;
+
 use crate::calibration::admission::Rejections;
 use crate::calibration::coverage::Coverage;
 use crate::calibration::guidance::Guidance;
@@ -7,6 +9,7 @@ use crate::calibration::result::ProjectionUncertainty;
 use crate::calibration::sensor::SensorId;
 use crate::calibration::target::CalibrationTarget;
 use crate::estimation::problem::LensChoice;
+use crate::estimation::uncertainty::UncertaintyMap;
 use crate::geometry::lens::Lens;
 use crate::imaging::frame::SensorKind;
 
@@ -89,7 +92,7 @@ impl SessionState {
 }
 
 /// What the views so far amount to.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct RunningEstimate {
     /// The lens, as far as it is known.
     pub lens: Lens,
@@ -97,9 +100,14 @@ pub struct RunningEstimate {
     pub rms_px: f64,
     /// How well the lens is known over the image.
     pub uncertainty_px: ProjectionUncertainty,
+    /// The same at each place of a grid; `None` in an estimate that was read back.
+    pub uncertainty_map: Option<Arc<UncertaintyMap>>,
     /// How many views it was made of.
     pub views: u32,
 }
+
+/// The grid that a running estimate's uncertainty is shown on, columns.
+pub const SHOWN_COLUMNS: u32 = 25;
 
 /// What one camera of a rig contributes to a session.
 #[derive(Debug, Clone, PartialEq)]
@@ -223,7 +231,7 @@ impl SessionRecord {
             rejected: self.rejected.clone(),
             coverage: self.coverage.clone(),
             guidance: self.guidance.clone(),
-            estimate: self.estimate,
+            estimate: self.estimate.clone(),
             ..SessionMember::begin(&self.camera)
         }
     }
@@ -235,7 +243,7 @@ impl SessionRecord {
         self.views_kept = member.views_kept;
         self.rejected = member.rejected.clone();
         self.coverage = member.coverage.clone();
-        self.estimate = member.estimate;
+        self.estimate = member.estimate.clone();
         if self.state == SessionState::Collecting {
             self.guidance = member.guidance.clone();
         }

@@ -132,6 +132,7 @@ impl TryFrom<&EstimateDocument> for RunningEstimate {
             lens: Lens::try_from(&document.lens).map_err(|e| e.inside("lens"))?,
             rms_px: document.rms_px,
             uncertainty_px: document.uncertainty_px.into(),
+            uncertainty_map: None,
             views: document.views,
         })
     }

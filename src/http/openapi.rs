@@ -45,6 +45,7 @@ use crate::http::{
         calibrations::delete_calibration,
         uncertainty::numbers,
         uncertainty::uncertainty_image,
+        uncertainty::session_image,
         board::board_image,
         solve::solve,
         recordings::start,

@@ -41,6 +41,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/rigs/{rig}/calibrations", get(rigs::calibrations))
         .route("/v1/sessions", get(sessions::list))
         .route("/v1/sessions/{id}", get(sessions::one).delete(sessions::abort))
+        .route("/v1/sessions/{id}/uncertainty.png", get(uncertainty::session_image))
         .route("/v1/sessions/{id}/stop", post(sessions::stop))
         .route("/v1/sessions/{id}/views", get(views::list))
         .route("/v1/sessions/{id}/views/{image}", get(views::view_image))

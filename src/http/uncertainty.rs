@@ -10,7 +10,7 @@ use axum::response::IntoResponse;
 use crate::calibration::result::ImageCalibration;
 use crate::calibration::solve::sensor_uncertainty;
 use crate::document::uncertainty::UncertaintyMapDocument;
-use crate::estimation::uncertainty::Distance;
+use crate::estimation::uncertainty::{Distance, UncertaintyMap};
 use crate::http::calibrations::calibration;
 use crate::http::problem::Problem;
 use crate::http::request::{Address, Asked, Parameters, ReadQuery, known_name};
@@ -81,6 +81,50 @@ pub(super) async fn uncertainty_image(
     Ok(([(CONTENT_TYPE, "image/png")], png))
 }
 
+/// Which camera of a rig's session is asked about.
+#[derive(utoipa::IntoParams)]
+#[into_params(parameter_in = Query)]
+pub(super) struct MemberParameters {
+    /// A rig's camera; the one that is known worst when left out.
+    camera: Option<String>,
+}
+
+impl ReadQuery for MemberParameters {
+    fn read(parameters: &Parameters) -> Result<Self, Problem> {
+        Ok(Self { camera: parameters.text("camera").map(str::to_owned) })
+    }
+}
+
+/// The projection uncertainty by the estimate of a running session, as a heat map in the same
+/// colors: it darkens with what each view teaches.
+#[utoipa::path(get, path = "/v1/sessions/{id}/uncertainty.png", tag = "sessions",
+    params(("id" = String, Path, description = "the session's"), MemberParameters),
+    responses(
+        (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
+        (status = 404, description = "no such session is running, or it has no estimate yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "an unknown camera", body = Problem, content_type = "application/problem+json"),
+    ))]
+pub(super) async fn session_image(
+    State(shared): State<Arc<Shared>>,
+    Address(id): Address<String>,
+    Asked(parameters): Asked<MemberParameters>,
+) -> Result<impl IntoResponse, Problem> {
+    let live = shared.fleet.live_session(&id);
+    let session = live.ok_or_else(|| Problem::not_found(format!("no session {id} is running")))?;
+    let own = std::iter::once(&session.camera);
+    let members = session.members.iter().map(|member| &member.camera);
+    let known: Vec<String> = own.chain(members).cloned().collect();
+    known_name("camera", parameters.camera.as_deref(), &known)?;
+    let member =
+        session.members.iter().find(|member| Some(&member.camera) == parameters.camera.as_ref());
+    let estimate = member.map_or(&session.estimate, |member| &member.estimate).as_ref();
+    let map = estimate.and_then(|estimate| estimate.uncertainty_map.clone());
+    let map = map.ok_or_else(|| Problem::not_found(format!("session {id} has no estimate yet")))?;
+    let png = on_a_blocking_thread(move || drawn(&map)).await?;
+    let png = png.ok_or_else(|| Problem::not_found(format!("session {id} has no estimate yet")))?;
+    Ok(([(CONTENT_TYPE, "image/png")], png))
+}
+
 /// The sensor that is asked about, with its name, and the distance.
 async fn asked(
     shared: &Shared,
@@ -110,7 +154,10 @@ fn unknown(id: &str) -> Problem {
 }
 
 fn heat_map(sensor: &ImageCalibration, distance: Distance) -> Option<Vec<u8>> {
-    let map = sensor_uncertainty(sensor, COLUMNS[1], distance)?;
+    drawn(&sensor_uncertainty(sensor, COLUMNS[1], distance)?)
+}
+
+fn drawn(map: &UncertaintyMap) -> Option<Vec<u8>> {
     let (cols, rows) = (map.grid.cols as usize, map.grid.rows as usize);
     let values = GridValues { size: map.grid.size, cols, rows, values: &map.std_px };
     heat_map_png(&values, "1 sigma px")

@@ -164,6 +164,7 @@ impl SessionThread {
         for camera in &self.instrument.cameras {
             camera.search.set(session, None);
             camera.suggest(&Guidance::default());
+            camera.show_shared_with(None);
         }
         if let Some(assembly) = self.assembly.take() {
             assembly.close();

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{mpsc, watch};
 
 use crate::calibration::guidance::Guidance;
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pose::Pose;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
@@ -38,6 +39,8 @@ pub(super) struct LiveCamera {
     pub(super) preview: Preview,
     /// Where the running session asks for the board.
     pub(super) guidance: Mutex<Guidance>,
+    /// What the running session kept last of a scene.
+    pub(super) key_frame: Mutex<Option<SceneImage>>,
     /// The rigs that it is in with their current calibrations, the newest last.
     pub(super) rigs: Mutex<Vec<RigCalibration>>,
 }
@@ -84,7 +87,14 @@ impl LiveCamera {
         let calibration = self.status.borrow().calibration.clone();
         let rigs = self.rigs.lock().unwrap_or_else(PoisonError::into_inner);
         let rig_calibration = rigs.last().map(|rig| rig.id.clone());
-        PreviewState { camera: self.name.clone(), calibration, rig_calibration, outline_px }
+        let key_frame = self.key_frame.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let camera = self.name.clone();
+        PreviewState { camera, calibration, rig_calibration, outline_px, key_frame }
+    }
+
+    /// Shows from now on what each image shares with `key_frame`.
+    pub(super) fn show_shared_with(&self, key_frame: Option<SceneImage>) {
+        *self.key_frame.lock().unwrap_or_else(PoisonError::into_inner) = key_frame;
     }
 
     /// Shows from now on where the board should be held.

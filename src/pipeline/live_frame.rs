@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::session::FrameContent;
 use crate::detection::board_detection::{Detection, NoBoard};
 use crate::imaging::frame::FrameSet;
@@ -29,6 +30,11 @@ pub struct FrameDetection {
 }
 
 impl FrameDetection {
+    /// The features of a scene, where they were searched for.
+    pub fn scene(&self) -> Option<&SceneImage> {
+        self.outcome.as_ref().ok().and_then(FrameContent::scene)
+    }
+
     /// The board, if it was found.
     pub fn board(&self) -> Option<&Detection> {
         self.outcome.as_ref().ok().and_then(FrameContent::board)

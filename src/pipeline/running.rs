@@ -122,6 +122,7 @@ pub(super) fn start_camera(
         factory: Arc::default(),
         preview: Preview::new(Arc::clone(&shared.maps)),
         guidance: Mutex::default(),
+        key_frame: Mutex::default(),
         rigs: Mutex::default(),
         name: name.clone(),
     });

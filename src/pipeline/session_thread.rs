@@ -276,18 +276,22 @@ impl SessionThread {
     /// Lets readers see the session as it stands.
     pub(super) fn show(&self) {
         // While it cannot be stored they see it as it was stored last.
-        let Some(record) = self.session.as_ref().map(Session::record) else { return };
+        let Some(session) = &self.session else { return };
         if self.unstored.is_some() {
             return;
         }
+        let record = session.record();
         self.instrument.session.send_replace(Some(Arc::new(record.clone())));
         if record.state == SessionState::Collecting {
             let of_members = record.members.iter().map(|member| &member.guidance);
             let own = std::iter::once(&record.guidance);
             let guidances: Vec<_> =
                 if self.instrument.is_rig { of_members.collect() } else { own.collect() };
-            for (camera, guidance) in self.instrument.cameras.iter().zip(guidances) {
+            for (place, (camera, guidance)) in
+                self.instrument.cameras.iter().zip(guidances).enumerate()
+            {
                 camera.suggest(guidance);
+                camera.show_shared_with(session.last_key_frame(place).map(|key| key.image.clone()));
             }
         }
     }

@@ -67,6 +67,7 @@ pub(super) fn record(id: &str) -> SessionRecord {
             lens: lens.unwrap(),
             rms_px: third,
             uncertainty_px: ProjectionUncertainty { center: 0.1, median: third, worst: 1.0 },
+            uncertainty_map: None,
             views: 1,
         }),
         calibration: None,

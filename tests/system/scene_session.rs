@@ -215,6 +215,38 @@ fn a_killed_daemon_goes_on_with_its_key_frames() {
     assert_true(&calibration_of(&served, &session));
 }
 
+/// Green pixels of the newest frame as it is drawn.
+fn green_pixels(served: &Served, query: &str) -> usize {
+    let shown = served.get(&format!("/v1/cameras/front/frame.jpg?{query}"));
+    assert_eq!(shown.status, 200, "{}", shown.text());
+    let image = image::load_from_memory(&shown.bytes).unwrap().into_rgb8();
+    let is_green = |pixel: &&image::Rgb<u8>| {
+        let [red, green, blue] = pixel.0.map(i32::from);
+        green > red + 60 && green > blue + 30
+    };
+    image.pixels().filter(is_green).count()
+}
+
+#[test]
+fn the_preview_shows_what_an_image_shares_with_the_last_key_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let served = serving(folder.path(), walked(), "pace = \"fastest\"");
+    let mut events = [0, 1].map(|_| served.events("", Some("0")));
+    let id = start_session(&served, &json!({"target": {"kind": "scene"}, "lens": "pinhole"}));
+    until(&mut events[0], &id, has_ended);
+    assert!(green_pixels(&served, "overlay=true") > 300);
+    assert_eq!(green_pixels(&served, "overlay=false"), 0);
+
+    // What is known so far, over the image.
+    until(&mut events[1], &id, |session| !session["estimate"].is_null());
+    let map = served.get(&format!("/v1/sessions/{id}/uncertainty.png?camera=front"));
+    assert_eq!(map.status, 200, "{}", map.text());
+    assert!(image::load_from_memory(&map.bytes).unwrap().width() >= 240);
+    let other = served.get(&format!("/v1/sessions/{id}/uncertainty.png?camera=rear"));
+    assert_eq!(other.status, 422, "{}", other.text());
+    assert_eq!(served.get("/v1/sessions/none/uncertainty.png").status, 404);
+}
+
 #[test]
 fn a_scene_has_no_other_fields() {
     let folder = tempfile::tempdir().unwrap();

@@ -73,6 +73,19 @@ pub fn admit_key_frame(image: &SceneImage, kept: &[KeyFrame]) -> Result<(), Reje
     after_last.known().or_else(|_| after_similar.known())
 }
 
+/// Where `image` shows what a key frame shows: the matches of their strongest features that agree on
+/// the geometry of two views, the key frame's first. Empty where they show nothing together.
+pub fn shared_points(key_frame: &SceneImage, image: &SceneImage) -> Vec<PointPair> {
+    let pairs = strongest_matches(key_frame, image);
+    let geometry = two_view_geometry(&pairs, image.size);
+    geometry.map_or_else(Vec::new, |found| found.inliers.iter().map(|k| pairs[*k]).collect())
+}
+
+fn strongest_matches(first: &SceneImage, second: &SceneImage) -> Vec<PointPair> {
+    let matches = match_descriptors(&first.table(COMPARED), &second.table(COMPARED));
+    matches.iter().map(|pair| point_pair(first, second, *pair)).collect()
+}
+
 /// What a camera did between two images.
 struct KeyFrameStep {
     /// Matches that agree.
@@ -83,9 +96,7 @@ struct KeyFrameStep {
 
 impl KeyFrameStep {
     fn between(first: &SceneImage, second: &SceneImage) -> Self {
-        let matches = match_descriptors(&first.table(COMPARED), &second.table(COMPARED));
-        let pairs: Vec<PointPair> =
-            matches.iter().map(|pair| point_pair(first, second, *pair)).collect();
+        let pairs = strongest_matches(first, second);
         let Some(geometry) = two_view_geometry(&pairs, second.size) else {
             return Self { matches: 0, novelty: None };
         };

@@ -1,12 +1,16 @@
 //! How far the key frames of a running session are: the estimate, and what to do next.
 
+use std::sync::Arc;
+
 use crate::calibration::result::Grade;
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::{SceneCalibration, SceneOptions, SceneRefusal, calibrate_scene};
-use crate::calibration::session_record::RunningEstimate;
+use crate::calibration::session_record::{RunningEstimate, SHOWN_COLUMNS};
+use crate::calibration::solve::sensor_uncertainty;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::bundle::CameraMotion;
+use crate::estimation::uncertainty::Distance;
 
 /// What the key frames of a session amount to.
 #[derive(Debug, Clone, PartialEq)]
@@ -39,19 +43,21 @@ pub fn scene_so_far(images: &[SceneImage], lens: LensChoice) -> SceneSoFar {
     let options = SceneOptions { lens, ..SceneOptions::default() };
     match calibrate_scene(images, &options) {
         Ok(calibration) => {
-            let sensor = &calibration.sensor;
-            let running = RunningEstimate {
-                lens: sensor.lens,
-                rms_px: sensor.rms_px,
-                uncertainty_px: sensor.uncertainty_px,
-                views: images.len() as u32,
-            };
-            let is_known = running.uncertainty_px.worst.is_finite() && running.rms_px.is_finite();
-            SceneSoFar {
-                running: is_known.then_some(running),
-                is_trusted: calibration.verdict.grade != Grade::Poor,
-                next_step: after(&calibration),
-            }
+            let next_step = after(&calibration);
+            let is_trusted = calibration.verdict.grade != Grade::Poor;
+            let calibration = calibration.into_calibration();
+            let running = calibration.guide().and_then(|sensor| {
+                let is_known = sensor.uncertainty_px.worst.is_finite() && sensor.rms_px.is_finite();
+                let map = sensor_uncertainty(sensor, SHOWN_COLUMNS, Distance::Infinity);
+                is_known.then(|| RunningEstimate {
+                    lens: sensor.lens,
+                    rms_px: sensor.rms_px,
+                    uncertainty_px: sensor.uncertainty_px,
+                    uncertainty_map: map.map(Arc::new),
+                    views: images.len() as u32,
+                })
+            });
+            SceneSoFar { running, is_trusted, next_step }
         }
         Err(refusal) => {
             SceneSoFar { running: None, is_trusted: false, next_step: instead(&refusal) }

@@ -33,6 +33,14 @@ impl FrameContent {
             Self::Scene(_) => None,
         }
     }
+
+    /// The features, where they were searched for.
+    pub fn scene(&self) -> Option<&SceneImage> {
+        match self {
+            Self::Board(_) => None,
+            Self::Scene(image) => Some(image),
+        }
+    }
 }
 
 impl From<Detection> for FrameContent {

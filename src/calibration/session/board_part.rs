@@ -201,7 +201,7 @@ impl BoardPart {
         match (finish.uncertainty_px, finish.min_views) {
             (None, None) => false,
             (None, Some(least)) => kept >= least.max(LEAST_VIEWS as u32),
-            (Some(goal_px), least) => self.summary.estimate.is_some_and(|estimate| {
+            (Some(goal_px), least) => self.summary.estimate.as_ref().is_some_and(|estimate| {
                 estimate.views >= least.unwrap_or(LEAST_VIEWS_FOR_GOAL)
                     && estimate.uncertainty_px.median <= goal_px
                     && self.model_holds

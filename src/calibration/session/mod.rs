@@ -166,6 +166,11 @@ impl Session {
         self.cameras.get(kept.camera)?.key_frames().get(kept.view as usize)
     }
 
+    /// What the camera at this place kept last of a scene.
+    pub fn last_key_frame(&self, camera: usize) -> Option<&KeyFrame> {
+        self.cameras.get(camera)?.key_frames().last()
+    }
+
     /// Takes one frame set: what each camera gave, in the instrument's order. `None` once the
     /// session takes no more.
     pub fn observe(&mut self, frame_set: &[Option<CameraFrame>]) -> Option<Observed> {
@@ -444,8 +449,8 @@ impl Session {
         let all_estimated = members.iter().all(|member| member.estimate.is_some());
         let median = |estimate: &RunningEstimate| estimate.uncertainty_px.median;
         let estimates =
-            members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate);
-        record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b)));
+            members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate.as_ref());
+        record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b))).cloned();
         if record.state == SessionState::Collecting {
             record.guidance = Guidance { message: next_step(&members), ..Guidance::default() };
         }

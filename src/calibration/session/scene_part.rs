@@ -159,7 +159,7 @@ impl ScenePart {
         match (finish.uncertainty_px, finish.min_views) {
             (None, None) => false,
             (None, Some(least)) => self.summary.views_kept >= least.max(LEAST_VIEWS as u32),
-            (Some(goal_px), least) => self.summary.estimate.is_some_and(|estimate| {
+            (Some(goal_px), least) => self.summary.estimate.as_ref().is_some_and(|estimate| {
                 estimate.views >= least.unwrap_or(LEAST_KEY_FRAMES_FOR_GOAL)
                     && estimate.uncertainty_px.median <= goal_px
                     && self.is_trusted
@@ -181,7 +181,9 @@ impl ScenePart {
     pub(super) fn estimated(&mut self, so_far: Option<SceneSoFar>) {
         self.estimating = false;
         let Some(SceneSoFar { running, is_trusted, next_step }) = so_far else { return };
-        self.summary.estimate = running.or(self.summary.estimate);
+        if running.is_some() {
+            self.summary.estimate = running;
+        }
         (self.is_trusted, self.next_step) = (is_trusted, next_step);
         self.advise();
     }

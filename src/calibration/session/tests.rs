@@ -51,7 +51,8 @@ fn estimate_of(views: u32, median: f64) -> Option<EstimateSoFar> {
         Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 });
     let uncertainty_px =
         ProjectionUncertainty { center: median / 2.0, median, worst: 3.0 * median };
-    let running = RunningEstimate { lens, rms_px: 0.1, uncertainty_px, views };
+    let running =
+        RunningEstimate { lens, rms_px: 0.1, uncertainty_px, uncertainty_map: None, views };
     Some(EstimateSoFar { running, going_on: None, model_holds: true })
 }
 
@@ -167,7 +168,7 @@ fn one_estimate_at_a_time_and_the_newest_views_at_the_end() {
     assert_eq!(requested(&feed(&mut session, 6, &detections[6..7])), 1);
     session.estimated(0, None);
     assert_eq!(
-        session.record().estimate.unwrap().views,
+        session.record().estimate.as_ref().unwrap().views,
         6,
         "a failed estimate leaves the one before"
     );

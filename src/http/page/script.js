@@ -420,11 +420,23 @@ function showNumbers(running) {
   fill("members", members.map((one) => [one.camera, one.views_kept, one.views_shared, `${Math.round(one.coverage.fraction * 100)} %`,
     px(one.estimate && one.estimate.uncertainty_px.median)]));
   showGoal(estimate);
+  showLiveHeat(running && estimate);
   show("stop", running);
   show("abort", running);
   $("stop").disabled = session.state === "solving";
   $("abort").disabled = session.state === "solving";
   showClock();
+}
+
+// The map of what is known so far, drawn anew with each estimate; the old one stays until then.
+function showLiveHeat(estimate) {
+  const known = estimate && Number.isFinite(estimate.uncertainty_px.median);
+  if (!known) { show("live-heat-part", false); $("live-heat").removeAttribute("src"); return; }
+  const address = at`/v1/sessions/${session.id}/uncertainty.png?of=${`${estimate.views}-${estimate.uncertainty_px.median}`}`;
+  if ($("live-heat").getAttribute("src") === address) return;
+  const image = new Image();
+  image.onload = () => { $("live-heat").src = address; show("live-heat-part", true); };
+  image.src = address;
 }
 
 function showGoal(estimate) {

@@ -2,6 +2,10 @@
 
 use std::sync::Arc;
 
+use image::RgbImage;
+
+use crate::calibration::scene::correspondence::SceneImage;
+use crate::calibration::scene::key_frames::shared_points;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::decode;
 use crate::imaging::draw::{self, Pen};
@@ -13,6 +17,8 @@ use crate::pipeline::preview::maps::CalibrationMaps;
 use crate::pipeline::preview::registered::shaded_depth;
 
 const JPEG_QUALITY: u8 = 85;
+/// More features than this hide the image.
+const MOST_DRAWN: usize = 300;
 
 /// A frame as a JPEG file.
 pub type EncodedFrame = Arc<[u8]>;
@@ -54,6 +60,8 @@ pub(super) struct DrawnScene<'a> {
     pub(super) rig_calibration: Option<&'a str>,
     /// The outline of the board at its suggested pose.
     pub(super) outline_px: &'a [Pixel],
+    /// The last key frame of a session without a target.
+    pub(super) key_frame: Option<&'a SceneImage>,
 }
 
 /// Draws and encodes one frame.
@@ -83,10 +91,11 @@ pub(super) fn encoded(
     if sensor == SensorKind::Depth {
         return Ok(decode::encode_jpeg_rgb(&shaded_depth(&live.frame_set)?, JPEG_QUALITY).into());
     }
-    let seen = live.detection.as_ref().and_then(FrameDetection::board);
-    let seen = seen.filter(|_| overlay && sensor == SensorKind::Color);
+    let detection = live.detection.as_ref().filter(|_| overlay && sensor == SensorKind::Color);
+    let seen = detection.and_then(FrameDetection::board);
+    let features = detection.and_then(FrameDetection::scene);
     let outline_px = if drawing.has_guidance() { scene.outline_px } else { &[] };
-    let is_plain = seen.is_none() && outline_px.is_empty() && map.is_none();
+    let is_plain = seen.is_none() && features.is_none() && outline_px.is_empty() && map.is_none();
     if is_plain && frame.format == PixelFormat::Jpeg {
         return Ok(Arc::clone(&frame.bytes));
     }
@@ -97,11 +106,32 @@ pub(super) fn encoded(
         let corners: Vec<Pixel> = detection.corners.iter().map(|corner| corner.pixel).collect();
         draw::draw_corners(&mut image, &corners);
     }
+    if let Some(features) = features {
+        draw_scene(&mut image, features, scene.key_frame);
+    }
     if let Some(map) = map {
         let mapped = map.rgb(&image, Interpolation::Bilinear);
         image = mapped.ok_or(PreviewError::OtherSize { sensor })?;
     }
     Ok(decode::encode_jpeg_rgb(&image, JPEG_QUALITY).into())
+}
+
+/// Draws what an image shares with the last key frame: a line from where it was there to where it
+/// is. Without a key frame, the features.
+fn draw_scene(image: &mut RgbImage, features: &SceneImage, key_frame: Option<&SceneImage>) {
+    let pen = Pen::fitting(image, draw::FOUND);
+    let radius_px = 1.5 * pen.width_px;
+    let Some(key_frame) = key_frame else {
+        for pixel in features.pixels().take(MOST_DRAWN) {
+            draw::draw_ring(image, pixel, radius_px, pen);
+        }
+        return;
+    };
+    let thin = Pen { width_px: 0.6 * pen.width_px, ..pen };
+    for pair in shared_points(key_frame, features).into_iter().take(MOST_DRAWN) {
+        draw::draw_line(image, pair.first.into(), pair.second.into(), thin);
+        draw::draw_ring(image, pair.second.into(), radius_px, pen);
+    }
 }
 
 /// What the image is shown through, if anything.

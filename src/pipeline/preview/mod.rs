@@ -11,6 +11,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use tokio::sync::watch;
 
+use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pixel::Pixel;
 use crate::pipeline::frame_slot::FrameSlot;
 use crate::pipeline::live_frame::LiveFrame;
@@ -62,6 +63,8 @@ pub(super) struct PreviewState {
     pub(super) rig_calibration: Option<String>,
     /// The outline of the board at its suggested pose.
     pub(super) outline_px: Vec<Pixel>,
+    /// The last key frame of a session without a target.
+    pub(super) key_frame: Option<SceneImage>,
 }
 
 impl Preview {
@@ -153,6 +156,7 @@ impl Preview {
             calibration: state.calibration.as_deref(),
             rig_calibration: state.rig_calibration.as_deref(),
             outline_px: &state.outline_px,
+            key_frame: state.key_frame.as_ref(),
         };
         let jpeg = encoded(live, drawing, &scene, &self.maps)?;
         drawn.retain(|known| is_of(&known.of, live));
@@ -226,6 +230,7 @@ mod tests {
             calibration: None,
             rig_calibration: None,
             outline_px: Vec::new(),
+            key_frame: None,
         }
     }
 
