@@ -57,6 +57,12 @@ fn choose(start: &Reconstruction, given: &[(String, f64)]) -> Result<LensFit, Sc
     let determined = |model: &LensModel| model.coefficient_names().len() <= MOST_COEFFICIENTS;
     let mut compared: Vec<LensModel> =
         LensModel::compared().filter(determined).filter(knows).collect();
+    // A smaller polynomial is a larger one with coefficients at exactly 0, as no lens has them: it
+    // would leave the principal point to what tangential distortion does. Priors bound coefficients
+    // that the images leave open.
+    let polynomials = compared.iter().copied().filter(|model| is_polynomial(start, *model));
+    let largest = polynomials.max_by_key(|model| model.coefficient_names().len());
+    compared.retain(|model| Some(*model) == largest || !is_polynomial(start, *model));
     compared.sort_by_key(|model| model.facts().auto_place);
     for model in compared {
         match fit_model(start, model, given) {
@@ -149,14 +155,20 @@ fn fit_model(
     Ok(LensFit { fit, covariance })
 }
 
+/// Whether `model` is one of the family of Brown's polynomials.
+fn is_polynomial(start: &Reconstruction, model: LensModel) -> bool {
+    let mut parameters = start.bundle.prior.mean(model);
+    parameters[..COEFFICIENTS].copy_from_slice(&start.state.lens.parameters()[..COEFFICIENTS]);
+    Lens::from_parameters(model, &parameters)
+        .is_some_and(|lens| lens.distortion.as_rational().is_some())
+}
+
 /// The start's camera matrix with the model's most likely coefficients.
 fn first_guess(start: &Reconstruction, model: LensModel) -> Vec<f64> {
     let known = start.state.lens.parameters();
     let mut parameters = start.bundle.prior.mean(model);
     parameters[..COEFFICIENTS].copy_from_slice(&known[..COEFFICIENTS]);
-    let has_k1 = Lens::from_parameters(model, &parameters)
-        .is_some_and(|lens| lens.distortion.as_rational().is_some());
-    if !has_k1 {
+    if !is_polynomial(start, model) {
         parameters.truncate(COEFFICIENTS);
         parameters.extend(model.straight());
     } else if let (Some(own), Some(first)) =
