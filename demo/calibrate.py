@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""The demo: starts the daemon on the bundled recording, calibrates over HTTP, prints the result, and serves until Ctrl-C."""
+"""The demo: starts the daemon, calibrates over HTTP from the bundled recording and then with an operator who follows
+the guidance, prints both results, and serves until Ctrl-C."""
 
 import json
 import subprocess
@@ -9,12 +10,12 @@ import urllib.error
 import urllib.request
 
 ADDRESS = "http://127.0.0.1:8600"
-CAMERA = f"{ADDRESS}/v1/cameras/front"
 REQUEST = {
     "target": {"kind": "chessboard", "cols": 9, "rows": 6, "square_m": 0.025},
     "lens": "brown",
     "finish": {"uncertainty_px": 0.05, "min_views": 20, "max_seconds": 60},
 }
+GUIDED = {**REQUEST, "finish": {"uncertainty_px": 0.02, "min_views": 12, "max_seconds": 60}}
 
 
 def ask(url, body=None):
@@ -38,19 +39,21 @@ def wait_until_ready(daemon):
     sys.exit(f"the daemon did not become ready; see {ADDRESS}/readyz")
 
 
-def collect():
-    """Runs a session to its end, reporting what it sees; the finished session."""
-    left = ask(CAMERA)["session"]
+def collect(name, request, says_guidance):
+    """Runs a session of the camera `name` to its end, reporting what it sees; the finished session."""
+    camera = f"{ADDRESS}/v1/cameras/{name}"
+    left = ask(camera)["session"]
     if left:
         print("a session that an earlier demo left is stopped first", flush=True)
         ask(f"{ADDRESS}/v1/sessions/{left}/stop", {})
-    session = ask(f"{CAMERA}/sessions", REQUEST)
+    session = ask(f"{camera}/sessions", request)
     reported = None
     while session["state"] in ("collecting", "solving"):
         seen = (session["state"], session["views_kept"])
         if seen != reported:
             reported = seen
-            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the image covered", flush=True)
+            advice = session["guidance"]["message"] if says_guidance else ""
+            print(f"  {seen[0]}: {seen[1]} views kept, {session['coverage']['fraction']:.0%} of the image covered{advice and '; '}{advice}", flush=True)
         time.sleep(0.2)
         session = ask(f"{ADDRESS}/v1/sessions/{session['id']}")
     return session
@@ -70,8 +73,7 @@ def report(session):
         print(f"  {name:>4} {lens[name]:12.5f} ± {std[name]:.5f}")
     print(f"verdict: {calibration['verdict']['grade']}", *calibration["verdict"]["reasons"], sep="\n  ")
     print(f"\npage:     {ADDRESS}/")
-    print(f"for ROS:  curl '{ADDRESS}/v1/calibrations/{calibration['id']}?format=ros'")
-    print("Ctrl-C ends it.", flush=True)
+    print(f"for ROS:  curl '{ADDRESS}/v1/calibrations/{calibration['id']}?format=ros'", flush=True)
 
 
 def refuse_company():
@@ -89,7 +91,10 @@ def main():
     try:
         wait_until_ready(daemon)
         print(f"plumb runs at {ADDRESS}; a session collects views from recordings/walk.mcap", flush=True)
-        report(collect())
+        report(collect("front", REQUEST, says_guidance=False))
+        print("\na simulated operator now holds the board where the session asks for it; the page shows both", flush=True)
+        report(collect("followed", GUIDED, says_guidance=True))
+        print("Ctrl-C ends it.", flush=True)
         daemon.wait()
     except KeyboardInterrupt:
         pass
