@@ -145,7 +145,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     }
 }
 
-/// clap's explanation without its paragraphs: what was wrong, its tip, and where to read on.
+/// clap's explanation on one line: what was wrong, its tip, and where to read on.
 fn one_line(error: &clap::Error) -> String {
     if error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
         return "a command is missing; see `plumb --help`".to_owned();
@@ -154,8 +154,9 @@ fn one_line(error: &clap::Error) -> String {
     let line = rendered.split("\n\nUsage:").next().unwrap_or(&rendered);
     let line = line.strip_prefix("error: ").unwrap_or(line);
     let line = line.split("\n\nFor more information").next().unwrap_or(line);
-    let words: Vec<&str> = line.split_whitespace().collect();
-    format!("{}; see --help", words.join(" "))
+    let one = |paragraph: &str| paragraph.split_whitespace().collect::<Vec<_>>().join(" ");
+    let paragraphs: Vec<String> = line.split("\n\n").map(one).filter(|p| !p.is_empty()).collect();
+    format!("{}; see --help", paragraphs.join("; "))
 }
 
 /// Log events of the libraries and the daemon, as the environment variable `RUST_LOG` asks;
@@ -175,6 +176,14 @@ fn log_to_stderr() {
 mod tests {
     use super::*;
     use clap::CommandFactory;
+
+    #[test]
+    fn a_tip_is_set_off_from_what_was_wrong() {
+        let asked = ["plumb", "verify", "--calibration", "a.json", "--square", "1", "b.png"];
+        let line = one_line(&Arguments::try_parse_from(asked).unwrap_err());
+        assert!(line.starts_with("unexpected argument '--square' found; tip: "), "{line}");
+        assert!(line.ends_with("; see --help") && !line.contains('\n'), "{line}");
+    }
 
     #[test]
     fn the_arguments_are_consistent() {
