@@ -31,9 +31,10 @@ const WORTH: f64 = 6.0;
 
 /// What all images, all parts of a scene and all regions of the image share leaves no trace in the
 /// differences between them: variances are larger by this factor. Measured by
-/// `benches/scene_coverage` on seeds 1000 and 1001: of a camera that moved, errors were 1.5 times
-/// (rms) what the clusters alone predict.
-const BEYOND_CLUSTERS: f64 = 2.0;
+/// `benches/scene_coverage` on seeds 6200 to 6203: errors were 1.15 times (rms) what the clusters
+/// alone predict, in orbits, sideways motion and rotations alike; a little more, since it is few
+/// worlds that say so.
+const BEYOND_CLUSTERS: f64 = 1.5;
 
 /// Fits the lens that is asked for.
 pub(super) fn fit_lens(
