@@ -101,8 +101,7 @@ impl ReadQuery for MemberParameters {
     params(("id" = String, Path, description = "the session's"), MemberParameters),
     responses(
         (status = 200, description = "the image", body = Vec<u8>, content_type = "image/png"),
-        (status = 404, description = "no such session is running, or it has no estimate yet", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "an unknown camera", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "no such session is running, it has no such camera, or no estimate yet", body = Problem, content_type = "application/problem+json"),
     ))]
 pub(super) async fn session_image(
     State(shared): State<Arc<Shared>>,
@@ -111,12 +110,11 @@ pub(super) async fn session_image(
 ) -> Result<impl IntoResponse, Problem> {
     let live = shared.fleet.live_session(&id);
     let session = live.ok_or_else(|| Problem::not_found(format!("no session {id} is running")))?;
-    let own = std::iter::once(&session.camera);
-    let members = session.members.iter().map(|member| &member.camera);
-    let known: Vec<String> = own.chain(members).cloned().collect();
-    known_name("camera", parameters.camera.as_deref(), &known)?;
-    let member =
-        session.members.iter().find(|member| Some(&member.camera) == parameters.camera.as_ref());
+    let asked = parameters.camera.as_ref().filter(|asked| **asked != session.camera);
+    let member = session.members.iter().find(|member| Some(&member.camera) == asked);
+    if let (Some(asked), None) = (asked, member) {
+        return Err(Problem::not_found(format!("session {id} has no camera `{asked}`")));
+    }
     let estimate = member.map_or(&session.estimate, |member| &member.estimate).as_ref();
     let map = estimate.and_then(|estimate| estimate.uncertainty_map.clone());
     let map = map.ok_or_else(|| Problem::not_found(format!("session {id} has no estimate yet")))?;

@@ -243,7 +243,8 @@ fn the_preview_shows_what_an_image_shares_with_the_last_key_frame() {
     assert_eq!(map.status, 200, "{}", map.text());
     assert!(image::load_from_memory(&map.bytes).unwrap().width() >= 240);
     let other = served.get(&format!("/v1/sessions/{id}/uncertainty.png?camera=rear"));
-    assert_eq!(other.status, 422, "{}", other.text());
+    assert_eq!(other.status, 404, "{}", other.text());
+    assert!(other.text().contains("no camera `rear`"), "{}", other.text());
     assert_eq!(served.get("/v1/sessions/none/uncertainty.png").status, 404);
 }
 
