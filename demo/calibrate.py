@@ -15,7 +15,7 @@ REQUEST = {
     "lens": "brown",
     "finish": {"uncertainty_px": 0.05, "min_views": 20, "max_seconds": 60},
 }
-GUIDED = {**REQUEST, "finish": {"uncertainty_px": 0.02, "min_views": 12, "max_seconds": 60}}
+GUIDED = {**REQUEST, "finish": {"uncertainty_px": 0.02, "min_views": 20, "max_seconds": 60}}
 
 
 def ask(url, body=None):
