@@ -9,6 +9,7 @@ use crate::calibration::solve::SolvedCamera;
 use crate::detection::board_plane::{NoPlane, PlaneOptions, find_board_plane};
 use crate::detection::plane_growth::grow_plane;
 use crate::estimation::board_pose::board_poses;
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::problem::{BoardView, Correspondence};
 use crate::estimation::rgbd::motion::{
     BoardMotion, SeenByBoth, TimeOffset, board_motions, time_offset,
@@ -240,6 +241,7 @@ impl Guess {
                 }
             },
             views,
+            interrupt: Interrupt::default(),
         }
     }
 

@@ -96,7 +96,9 @@ pub fn solve_rgbd(input: &RgbdInput, options: &CameraOptions) -> Result<SolvedRg
     let mut solved = None;
     for round in 0..rounds {
         let margin = if rounds == 1 || round > 0 { MARGIN_SQUARES } else { 0.0 };
-        let measured = guess.measured(input, margin)?;
+        options.interrupt.check().map_err(RgbdError::Joint)?;
+        let mut measured = guess.measured(input, margin)?;
+        measured.problem.interrupt = options.interrupt.clone();
         let joint = calibrate_rgbd(&measured.problem).map_err(|error| match error {
             EstimationError::NoFit => RgbdError::NotOneDevice,
             other => RgbdError::Joint(other),

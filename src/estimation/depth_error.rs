@@ -6,6 +6,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::depth_terms::correction_columns;
 use crate::geometry::depth_camera::DepthTile;
 use crate::geometry::depth_correction::{CorrectedQuantity, DepthCorrection, SplineGrid};
@@ -113,11 +114,13 @@ const FOLDS: usize = 5;
 const PREFERENCE: f64 = 0.01;
 
 /// Tries corrections on `views` (the tiles of each) and answers the chosen one, unfitted, with
-/// everything that was tried. `quantities` are those that make sense for the device.
+/// everything that was tried. `quantities` are those that make sense for the device. Once
+/// `interrupt` was requested nothing more is tried, and the answer is none.
 pub fn choose_correction(
     views: &[Vec<JudgedTile>],
     size: ImageSize,
     quantities: &[CorrectedQuantity],
+    interrupt: &Interrupt,
 ) -> (Option<(DepthCorrection, Smoothness)>, Vec<TriedCorrection>) {
     let seen_m = seen(views);
     let mut tried = Vec::new();
@@ -134,6 +137,9 @@ pub fn choose_correction(
     // The normal equations of a form serve every smoothness.
     let attempt =
         |quantity, terms, cells: [u32; 2], smooth: &[Smoothness]| -> Vec<TriedCorrection> {
+            if interrupt.is_requested() {
+                return Vec::new();
+            }
             let grid = SplineGrid { size, cols: cells[0], rows: cells[1] };
             let form = DepthCorrection::none(quantity, terms, grid, seen_m);
             let folds = folds(views, &form);

@@ -6,7 +6,9 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{Point3, Rotation3, Vector3, Vector6};
 use plumb::calibration::factory_check::FactoryCheck;
 use plumb::calibration::solve_rgbd::{SolvedRgbd, solve_rgbd};
-use plumb::estimation::rgbd::calibrate_rgbd;
+use plumb::estimation::error::EstimationError;
+use plumb::estimation::interrupt::Interrupt;
+use plumb::estimation::rgbd::{RgbdProblem, calibrate_rgbd};
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::pixel::Pixel;
 use plumb::geometry::pose::Pose;
@@ -51,6 +53,18 @@ fn expect_predicted(name: &str, runs: &[Vector6<f64>]) {
 #[test]
 fn predicted_and_observed_scatter_agree_with_infrared() {
     expect_predicted("with infrared", &scatter(&SeededRgbd::new(), 9));
+}
+
+#[test]
+fn a_solve_that_nobody_waits_for_ends_as_interrupted() {
+    let rig = SeededRgbd::new();
+    let poses = rig.poses(9, &mut SeededCamera::rng(31));
+    let problem = rig.problem(&poses, &mut SeededCamera::rng(500));
+    let waited_for = RgbdProblem { interrupt: Interrupt::new(), ..problem.clone() };
+    let solved = calibrate_rgbd(&problem).unwrap();
+    assert_eq!(calibrate_rgbd(&waited_for).as_ref(), Ok(&solved));
+    waited_for.interrupt.request();
+    assert_eq!(calibrate_rgbd(&waited_for), Err(EstimationError::Interrupted));
 }
 
 #[test]

@@ -4,6 +4,7 @@
 use nalgebra::{Point3, Vector3};
 use plumb::calibration::rgbd_input::{DepthSensor, RgbdCapture, RgbdInput};
 use plumb::estimation::camera::CameraOptions;
+use plumb::estimation::interrupt::Interrupt;
 use plumb::estimation::problem::{Correspondence, LensChoice};
 use plumb::estimation::rgbd::{DepthLens, RgbdProblem, RgbdView};
 use plumb::geometry::depth_camera::{DepthCamera, DepthReading, DepthTile};
@@ -146,6 +147,7 @@ impl SeededRgbd {
             time_offset: None,
             corrected: vec![CorrectedQuantity::InverseDepth, CorrectedQuantity::Depth],
             views,
+            interrupt: Interrupt::default(),
         }
     }
 

@@ -164,7 +164,7 @@ impl CornerProblem {
         if problem.depth_lens == DepthLens::Infrared {
             lenses.push(free(&problem.depth.lens, usize::MAX));
         }
-        let mut layout = Layout::new(lenses, None);
+        let mut layout = Layout::new(lenses, None).ended_by(&problem.interrupt);
         let known = problem.time_offset.filter(|_| layout.sensors.len() > 1);
         let offset = known.map(|offset| (layout.len, offset));
         layout.len += usize::from(offset.is_some());

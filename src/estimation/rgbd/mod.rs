@@ -31,7 +31,8 @@ const BASE_SMOOTHNESS: Smoothness = Smoothness { amplitude: 0.5, curvature: 0.01
 /// Calibrates color and depth.
 ///
 /// # Errors
-/// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open.
+/// [`EstimationError`] where views are too few or leave a lens or the sensors' pose open, and
+/// [`EstimationError::Interrupted`] once `problem.interrupt` was requested.
 pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationError> {
     let with_depth = problem.views.iter().filter(|view| !view.tiles.is_empty()).count();
     if with_depth < 3 {
@@ -41,7 +42,7 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
             rejected: String::new(),
         });
     }
-    let corners = CornerBlocks::fit(problem).ok_or(EstimationError::NoFit)?;
+    let corners = CornerBlocks::fit(problem).ok_or_else(|| no_fit(problem))?;
     let by_corners = corners.equations.frame_sets.as_slice();
     let mut planes = Planes::of(problem, &corners.depth_state, by_corners);
     let (fit, (smoothness, tried)) = fit_correction(problem, &mut planes, &corners.depth_state)?;
@@ -54,14 +55,21 @@ pub fn calibrate_rgbd(problem: &RgbdProblem) -> Result<RgbdEstimate, EstimationE
             planes.fit(&fit.state, form, smoothness)
         }),
     };
+    problem.interrupt.check()?;
     planes.assemble(&corners, (&fit, other.as_ref()), (smoothness, tried))
+}
+
+/// Why there is no fit: nobody waits for one any more, or none was found.
+fn no_fit(problem: &RgbdProblem) -> EstimationError {
+    problem.interrupt.check().err().unwrap_or(EstimationError::NoFit)
 }
 
 /// Depth of `estimate` anew, for a device whose color and infrared were solved with others': lenses,
 /// poses and boards are theirs, and planes determine the correction.
 ///
 /// # Errors
-/// [`EstimationError::NoFit`] where no correction fits.
+/// [`EstimationError::NoFit`] where no correction fits, [`EstimationError::Interrupted`] once
+/// `problem.interrupt` was requested.
 pub fn recalibrate_depth(
     problem: &RgbdProblem,
     estimate: &RgbdEstimate,
@@ -96,13 +104,15 @@ fn fit_correction(
     let terms = if problem.corrected.is_empty() { 0 } else { 2 };
     let base = DepthCorrection::none(quantity, terms, SplineGrid::constant(size), planes.seen_m());
     let rounds = if problem.depth_lens == DepthLens::Infrared { 1 } else { 2 };
-    let mut fit = planes.fit(start, base, BASE_SMOOTHNESS).ok_or(EstimationError::NoFit)?;
+    let mut fit = planes.fit(start, base, BASE_SMOOTHNESS).ok_or_else(|| no_fit(problem))?;
     let (mut smoothness, mut tried) = (BASE_SMOOTHNESS, Vec::new());
     for _ in 0..rounds {
-        let (chosen, all) = choose_correction(&planes.judged(&fit), size, &problem.corrected);
+        let judged = planes.judged(&fit);
+        let (chosen, all) =
+            choose_correction(&judged, size, &problem.corrected, &problem.interrupt);
         let none = DepthCorrection::none(quantity, 0, SplineGrid::constant(size), planes.seen_m());
         let (correction, smooth) = chosen.unwrap_or((none, BASE_SMOOTHNESS));
-        fit = planes.fit(&fit.state, correction, smooth).ok_or(EstimationError::NoFit)?;
+        fit = planes.fit(&fit.state, correction, smooth).ok_or_else(|| no_fit(problem))?;
         (smoothness, tried) = (smooth, all);
     }
     Ok((fit, (smoothness, tried)))

@@ -7,7 +7,6 @@ use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Prior, Smoothness, TriedCorrection};
 use crate::estimation::error::EstimationError;
-use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::depth_terms::{PlaneObservation, add_planes, ray};
 use crate::estimation::joint::minimize::{Stop, walk};
 use crate::estimation::joint::normal::{LocalBlock, NormalEquations, Step};
@@ -121,7 +120,7 @@ impl<'a> Planes<'a> {
         let each = depth_state.rig_from_board.iter().zip(by_corners);
         let anchors =
             (problem.depth_lens != DepthLens::Infrared).then(|| each.map(anchor).collect());
-        let interrupt = Interrupt::default();
+        let interrupt = problem.interrupt.clone();
         let layout = Layout { sensors: vec![color, depth], warp: None, len, interrupt };
         Self { problem, layout, planes: planes.collect(), anchors }
     }
@@ -148,6 +147,9 @@ impl<'a> Planes<'a> {
         let mut whole = PlaneState { rig: start.clone(), correction };
         let (mut tile_noise, mut together, mut equations) = (1.0, 1.0, None);
         for round in 0..6 {
+            if self.problem.interrupt.is_requested() {
+                return None;
+            }
             let planes: Vec<PlaneObservation> =
                 self.planes.iter().map(|plane| scaled(plane, tile_noise)).collect();
             let anchors = self.anchors.as_deref();

@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
 use crate::estimation::depth_error::{JudgedTile, Smoothness, TriedCorrection};
+use crate::estimation::interrupt::Interrupt;
 use crate::estimation::joint::{FreeLens, moved};
 use crate::estimation::problem::Correspondence;
 use crate::estimation::rgbd::motion::{BoardMotion, TimeOffset};
@@ -63,6 +64,8 @@ pub struct RgbdProblem {
     pub corrected: Vec<CorrectedQuantity>,
     /// What was seen.
     pub views: Vec<RgbdView>,
+    /// Ends the estimate early.
+    pub interrupt: Interrupt,
 }
 
 /// A calibrated camera with color and depth.
