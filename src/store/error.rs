@@ -45,8 +45,12 @@ pub enum StoreError {
         /// This program's.
         known: i64,
     },
-    /// Not a database, another program's, or a broken one.
-    #[error("store {}: damaged or not a plumb store: {detail}; move it away, or restore it from a copy", path.display())]
+    /// Not a database, another program's, or a broken one; SQLite says the same of a disk that
+    /// cannot be read.
+    #[error(
+        "store {}: damaged, not a plumb store, or on a disk that cannot be read: {detail}; check `dmesg` for disk errors, then move it away, or restore it from a copy",
+        path.display()
+    )]
     Damaged {
         /// The database.
         path: PathBuf,
@@ -97,7 +101,7 @@ pub enum StoreError {
         least_mb: u64,
     },
     /// The database failed.
-    #[error("store {}: {detail}; is the disk full or read-only?", path.display())]
+    #[error("store {}: {detail}; is the disk full, read-only or failing?", path.display())]
     Failed {
         /// The database.
         path: PathBuf,

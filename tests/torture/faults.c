@@ -1,8 +1,9 @@
 /* A disk that fails or forgets, in front of the C library (LD_PRELOAD): what is written to files of one folder.
  *
  * PLUMB_FAULT_DIR      the folder; paths that begin with it are meant
- * PLUMB_FAULT_CONTROL  a file of four ints, changed while the process runs: after how many more writes or syncs it fails (0: never),
- *                      the errno, the writes and syncs so far, and those that failed. It goes on failing until the first is 0 again.
+ * PLUMB_FAULT_CONTROL  a file of eight ints, changed while the process runs: after how many more writes or syncs it fails (0: never),
+ *                      the errno, the writes and syncs so far, and those that failed; the same four of reads. It goes on failing
+ *                      until the first is 0 again.
  * PLUMB_FAULT_LOG      where every write, truncation, rename, removal and sync is written down, for the disk after a power cut
  */
 #define _GNU_SOURCE
@@ -35,7 +36,7 @@ __attribute__((constructor)) static void begin(void) {
     const char *file = getenv("PLUMB_FAULT_CONTROL");
     if (file) {
         int fd = REAL(open)(file, O_RDWR);
-        void *mapped = mmap(0, 16, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+        void *mapped = mmap(0, 32, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
         if (mapped != MAP_FAILED) control = mapped;
     }
     const char *log = getenv("PLUMB_FAULT_LOG");
@@ -46,20 +47,22 @@ static int is_meant(const char *path) { return folder && path && !strncmp(path, 
 
 static const char *meant(int fd) { return fd >= 0 && fd < FILES ? path_of[fd] : 0; }
 
-/* Whether this write or sync is to fail; errno is set then. */
-static int fails(void) {
+/* Whether what these four ints count is to fail this time; errno is set then. */
+static int fails_by(volatile int *ints) {
     if (!control) return 0;
-    __sync_fetch_and_add((int *)&control[2], 1);
-    int left = control[0];
+    __sync_fetch_and_add((int *)&ints[2], 1);
+    int left = ints[0];
     if (left <= 0) return 0;
     if (left > 1) {
-        control[0] = left - 1;
+        ints[0] = left - 1;
         return 0;
     }
-    __sync_fetch_and_add((int *)&control[3], 1);
-    errno = control[1];
+    __sync_fetch_and_add((int *)&ints[3], 1);
+    errno = ints[1];
     return 1;
 }
+static int fails(void) { return fails_by(control); }
+static int read_fails(void) { return fails_by(control + 4); }
 
 /* One line of the log: what, path, offset, length; then the bytes. */
 static void note(char what, const char *path, int64_t offset, const void *bytes, int64_t length) {
@@ -109,6 +112,11 @@ ssize_t writev(int fd, const struct iovec *parts, int count) {
     /* A short write is a write: the rest is asked for again. */
     return meant(fd) && count > 0 ? write(fd, parts[0].iov_base, parts[0].iov_len) : REAL(writev)(fd, parts, count);
 }
+ssize_t pread64(int fd, void *bytes, size_t length, off64_t offset) {
+    return meant(fd) && read_fails() ? -1 : REAL(pread64)(fd, bytes, length, offset);
+}
+ssize_t pread(int fd, void *bytes, size_t length, off_t offset) { return pread64(fd, bytes, length, offset); }
+ssize_t read(int fd, void *bytes, size_t length) { return meant(fd) && read_fails() ? -1 : REAL(read)(fd, bytes, length); }
 int ftruncate64(int fd, off64_t length) {
     const char *path = meant(fd);
     if (path && fails()) return -1;

@@ -41,7 +41,7 @@ def main():
     began, rows = time.monotonic(), []
     with tempfile.TemporaryDirectory() as folder:
         library = shim(folder)
-        tortures = [lambda: kills.torture(asked.kills, asked.seed), lambda: disk.torture(library, asked.rounds),
+        tortures = [lambda: kills.torture(asked.kills, asked.seed), lambda: disk.torture(library, asked.rounds), lambda: disk.torture_reads(library, asked.rounds),
                     lambda: power.torture(library, asked.cuts, asked.seed), lambda: rot.torture(asked.flips, asked.seed), crowds.torture, bombs]
         for torture in tortures:
             for row in torture():
