@@ -9,11 +9,14 @@
 //! wait for each other, so that they come out the same every time.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::mpsc;
 
+#[cfg(test)]
+use super::sync::testing;
+use super::sync::{Condvar, Mutex, MutexGuard};
 use crate::calibration::admission::AdmissionOptions;
 use crate::calibration::session::CameraFrame;
 use crate::calibration::session::gate::{Gate, KeptSoFar};

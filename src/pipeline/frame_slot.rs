@@ -2,7 +2,11 @@
 //! detector has not taken is replaced, so that it never searches an old one. A replay that must not
 //! skip waits for the place instead.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::PoisonError;
+
+#[cfg(test)]
+use super::sync::testing;
+use super::sync::{Condvar, Mutex, MutexGuard};
 
 /// Holds one item at most.
 #[derive(Debug)]
@@ -77,41 +81,69 @@ impl<T> FrameSlot<T> {
 mod tests {
     use std::sync::Arc;
 
+    use super::testing::{alone, in_any_order, thread};
     use super::*;
 
     #[test]
     fn the_newest_wins_and_the_replaced_one_is_reported() {
-        let slot = FrameSlot::new();
-        assert_eq!(slot.put_newest(1), Ok(None));
-        assert_eq!(slot.put_newest(2), Ok(Some(1)));
-        assert_eq!(slot.take(), Some(2));
+        alone(|| {
+            let slot = FrameSlot::new();
+            assert_eq!(slot.put_newest(1), Ok(None));
+            assert_eq!(slot.put_newest(2), Ok(Some(1)));
+            assert_eq!(slot.take(), Some(2));
+        });
     }
 
     #[test]
     fn whoever_waits_loses_nothing() {
-        let slot = Arc::new(FrameSlot::new());
-        let taker = Arc::clone(&slot);
-        let taken = std::thread::spawn(move || {
-            (0..1000).map(|_| taker.take().unwrap()).collect::<Vec<_>>()
+        in_any_order(|| {
+            let slot = Arc::new(FrameSlot::new());
+            let taker = Arc::clone(&slot);
+            let taken =
+                thread::spawn(move || (0..20).map(|_| taker.take().unwrap()).collect::<Vec<_>>());
+            (0..20).for_each(|n| slot.put_waiting(n).unwrap());
+            assert_eq!(taken.join().unwrap(), (0..20).collect::<Vec<_>>());
         });
-        (0..1000).for_each(|n| slot.put_waiting(n).unwrap());
-        assert_eq!(taken.join().unwrap(), (0..1000).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_live_frame_is_taken_or_reported_as_replaced() {
+        in_any_order(|| {
+            let slot = Arc::new(FrameSlot::new());
+            let putter = Arc::clone(&slot);
+            let putting = thread::spawn(move || {
+                let replaced = (0..10).filter_map(|n| putter.put_newest(n).unwrap());
+                replaced.collect::<Vec<_>>()
+            });
+            // The last one replaces or stays: it is always taken in the end.
+            let mut taken = Vec::new();
+            while taken.last() != Some(&9) {
+                taken.push(slot.take().unwrap());
+            }
+            let replaced = putting.join().unwrap();
+            let mut all: Vec<i32> = taken.iter().chain(&replaced).copied().collect();
+            all.sort_unstable();
+            assert_eq!(all, (0..10).collect::<Vec<_>>());
+            assert!(taken.is_sorted());
+        });
     }
 
     #[test]
     fn closing_wakes_both_sides() {
-        let empty = Arc::new(FrameSlot::<u32>::new());
-        let taker = Arc::clone(&empty);
-        let taking = std::thread::spawn(move || taker.take());
-        empty.close();
-        assert_eq!(taking.join().unwrap(), None);
+        in_any_order(|| {
+            let empty = Arc::new(FrameSlot::<u32>::new());
+            let taker = Arc::clone(&empty);
+            let taking = thread::spawn(move || taker.take());
+            empty.close();
+            assert_eq!(taking.join().unwrap(), None);
 
-        let full = Arc::new(FrameSlot::new());
-        full.put_newest(1).unwrap();
-        let putter = Arc::clone(&full);
-        let putting = std::thread::spawn(move || putter.put_waiting(2));
-        full.close();
-        assert_eq!(putting.join().unwrap(), Err(Closed));
-        assert_eq!(full.put_newest(3), Err(Closed));
+            let full = Arc::new(FrameSlot::new());
+            full.put_newest(1).unwrap();
+            let putter = Arc::clone(&full);
+            let putting = thread::spawn(move || putter.put_waiting(2));
+            full.close();
+            assert_eq!(putting.join().unwrap(), Err(Closed));
+            assert_eq!(full.put_newest(3), Err(Closed));
+        });
     }
 }

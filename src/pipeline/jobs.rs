@@ -2,8 +2,11 @@
 //! estimate of each camera. A newer job takes the place of an older one, which nobody waits for any
 //! more, so that there are never more than that.
 
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::PoisonError;
 
+#[cfg(test)]
+use super::sync::testing;
+use super::sync::{Condvar, Mutex, MutexGuard};
 use crate::estimation::interrupt::Interrupt;
 use crate::pipeline::solve_job::{EstimateJob, SolveJob};
 
@@ -93,6 +96,9 @@ impl Jobs {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
+    use super::testing::{alone, in_any_order, thread};
     use super::*;
     use crate::calibration::InstrumentObservations;
     use crate::estimation::problem::LensChoice;
@@ -114,20 +120,48 @@ mod tests {
 
     #[test]
     fn a_solve_that_nobody_waits_for_is_ended() {
-        let jobs = Jobs::default();
-        jobs.solve(job("first"));
-        let first = taken(&jobs);
-        assert!(!first.interrupt.is_requested());
-        jobs.solve(job("second"));
-        assert!(first.interrupt.is_requested(), "a newer one took its place");
-        let second = taken(&jobs);
-        assert!(!second.interrupt.is_requested());
-        jobs.abandon_solve();
-        assert!(second.interrupt.is_requested());
-        jobs.solve(job("third"));
-        let third = taken(&jobs);
-        jobs.close();
-        assert!(third.interrupt.is_requested() && jobs.take().is_none());
-        assert!(third.solve().is_err());
+        alone(|| {
+            let jobs = Jobs::default();
+            jobs.solve(job("first"));
+            let first = taken(&jobs);
+            assert!(!first.interrupt.is_requested());
+            jobs.solve(job("second"));
+            assert!(first.interrupt.is_requested(), "a newer one took its place");
+            let second = taken(&jobs);
+            assert!(!second.interrupt.is_requested());
+            jobs.abandon_solve();
+            assert!(second.interrupt.is_requested());
+            jobs.solve(job("third"));
+            let third = taken(&jobs);
+            jobs.close();
+            assert!(third.interrupt.is_requested() && jobs.take().is_none());
+        });
+    }
+
+    #[test]
+    fn closing_ends_the_solve_that_runs_and_whoever_waits_for_one() {
+        in_any_order(|| {
+            let jobs = Arc::new(Jobs::default());
+            let solving = Arc::clone(&jobs);
+            let solver = thread::spawn(move || {
+                let taken: Vec<Job> = std::iter::from_fn(|| solving.take()).collect();
+                let interrupted = |job: &Job| match job {
+                    Job::Solve(solve) => solve.interrupt.is_requested(),
+                    Job::Estimate(_) => false,
+                };
+                taken.iter().all(interrupted)
+            });
+            jobs.solve(job("first"));
+            jobs.solve(job("second"));
+            jobs.close();
+            assert!(solver.join().unwrap());
+        });
+    }
+
+    #[test]
+    fn an_interrupted_solve_gives_no_result() {
+        let job = job("one");
+        job.interrupt.request();
+        assert!(job.solve().is_err());
     }
 }

@@ -34,6 +34,14 @@ mod frame_rate;
 mod frame_slot;
 mod guarded;
 mod instrument;
+#[cfg(test)]
+#[allow(
+    clippy::duplicate_mod,
+    dead_code,
+    unreachable_pub,
+    reason = "compiled a second time with other primitives, for their tests alone"
+)]
+mod interleavings;
 mod jobs;
 mod live_camera;
 pub mod live_frame;
@@ -61,6 +69,7 @@ mod solve_job;
 mod solve_thread;
 mod stop_signal;
 mod store_health;
+mod sync;
 pub mod unknown;
 mod unstored;
 mod view_image;

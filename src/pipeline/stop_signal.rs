@@ -1,7 +1,11 @@
 //! How threads are asked to end, also those that are waiting.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
+
+#[cfg(test)]
+use super::sync::testing;
+use super::sync::{Condvar, Mutex, MutexGuard};
 
 /// Set once; every clone sees it.
 #[derive(Debug, Clone, Default)]
@@ -35,5 +39,28 @@ impl StopSignal {
 
     fn lock(&self) -> MutexGuard<'_, bool> {
         self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::testing::{in_any_order, thread};
+    use super::*;
+
+    #[test]
+    fn whoever_waits_is_woken_whenever_it_is_set() {
+        in_any_order(|| {
+            let signal = StopSignal::default();
+            let waiting: Vec<_> = (0..2)
+                .map(|_| {
+                    let signal = signal.clone();
+                    thread::spawn(move || signal.wait(Duration::from_secs(3600)))
+                })
+                .collect();
+            assert!(!signal.wait(Duration::ZERO), "no time is no wait");
+            signal.set();
+            assert!(waiting.into_iter().all(|thread| thread.join().unwrap()));
+            assert!(signal.is_set() && signal.wait(Duration::from_secs(3600)));
+        });
     }
 }
