@@ -7,7 +7,7 @@ VENV := target/venv
 PACKAGES := tests/setup/system-packages
 # The one build of all tests, and of the binary they run: a plain `cargo build` would take other features and build it again.
 # ROS 2 is tested too, although it is not built unless asked for.
-FEATURES := --features ros2
+FEATURES := --features ros2,nokhwa
 TESTED := cargo test $(FEATURES) --lib --bins --tests
 
 build:

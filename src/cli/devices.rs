@@ -35,7 +35,12 @@ fn print_listing(listing: &DeviceListing) -> Result<(), Failure> {
         Some(missing) => output::print_line(&format!("{}: {missing}", listing.backend))?,
         None => output::print_line(&format!("{}:", listing.backend))?,
     }
-    let key = if listing.backend == "ros2" { "topic" } else { "device" };
+    let key = match listing.backend {
+        "ros2" => "topic",
+        "realsense" => "serial",
+        "uvc" => "name",
+        _ => "device",
+    };
     listing.devices.iter().try_for_each(|device| print_device(key, device))
 }
 

@@ -3,7 +3,7 @@
 //! | kind | keys |
 //! | --- | --- |
 //! | `v4l2` | `device`; `width` and `height`, `format`, `fps`, `controls` (default: as the device stands); `lock` (default false): hold focus and exposure during a session |
-//! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps` |
+//! | `uvc` | `index` or `name`; `width` and `height`, `format`, `fps`; `backend` (`"native"`, the default on Linux, or `"nokhwa"`, the default elsewhere) |
 //! | `realsense` | `serial` (default: the only one there is); `width` and `height`, `fps`, `preset`, `emitter` (default: as the device stands); or `path` of a .bag file |
 //! | `ros2` | `topic` of images, raw or compressed; `depth`, the topic of their depth (default: none); `domain_id` (default: `ROS_DOMAIN_ID`, or 0) |
 //! | `recording` | `path`; `topic` and `depth`, the camera's in a file of several (default: the only one there is); `pace` (`"recorded"`, the default, or `"fastest"`), `repeat` (default false), `fps` (of a folder without times, default 10) |
@@ -14,6 +14,7 @@ use std::path::PathBuf;
 
 use crate::capture::mode::ModeRequest;
 use crate::capture::realsense::Settings;
+use crate::capture::uvc::Backend;
 use crate::geometry::pixel::ImageSize;
 use crate::simulation::OperatorKind;
 
@@ -37,6 +38,8 @@ pub enum SourceConfig {
         camera: UvcSelector,
         /// What to ask it for.
         mode: ModeRequest,
+        /// What reads it.
+        backend: Backend,
     },
     /// A RealSense camera.
     Realsense {

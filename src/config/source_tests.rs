@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::capture::mode::ModeRequest;
 use crate::capture::realsense::{Preset, Settings};
+use crate::capture::uvc::Backend;
 use crate::config::source::{SourceConfig, UvcSelector};
 use crate::config::{Overrides, Written};
 use crate::geometry::pixel::ImageSize;
@@ -65,8 +66,24 @@ fn each_kind_with_its_defaults() {
     let mode = ModeRequest { size: Some(ImageSize::new(848, 480)), format: None, fps: Some(30.0) };
     let settings = Settings { preset: Some(Preset::HighAccuracy), emitter: Some(false) };
     assert_eq!(source(set), realsense(mode, settings));
-    let uvc = SourceConfig::Uvc { camera: UvcSelector::Index(0), mode: ModeRequest::default() };
-    assert_eq!(source("{ kind = \"uvc\", index = 0 }"), Ok(uvc));
+    let uvc = |backend| {
+        let (camera, mode) = (UvcSelector::Index(0), ModeRequest::default());
+        Ok(SourceConfig::Uvc { camera, mode, backend })
+    };
+    assert_eq!(source("{ kind = \"uvc\", index = 0 }"), uvc(Backend::DEFAULT));
+    let backends = [Backend::Native, Backend::Nokhwa];
+    let (built, absent): (Vec<Backend>, Vec<Backend>) =
+        backends.into_iter().partition(|backend| backend.missing().is_none());
+    let asked = |backend: Backend| {
+        source(&format!("{{ kind = \"uvc\", index = 0, backend = \"{}\" }}", backend.name()))
+    };
+    for backend in built {
+        assert_eq!(asked(backend), uvc(backend));
+    }
+    for backend in absent {
+        let error = asked(backend).unwrap_err();
+        assert!(error.contains(backend.missing().unwrap()), "{error}");
+    }
 }
 
 #[test]
@@ -134,6 +151,10 @@ fn what_cannot_be_is_refused_at_its_key() {
             "camera.source.domain_id: 233 is no domain; write 0 to 232",
         ),
         ("{ kind = \"v4l2\" }", "camera.source.device: missing"),
+        (
+            "{ kind = \"uvc\", index = 0, backend = \"v4l\" }",
+            "camera.source.backend: `v4l` is no backend; write \"native\" or \"nokhwa\"",
+        ),
         (
             "{ kind = \"uvc\", index = 0, name = \"x\" }",
             "camera.source.index: give the camera's index or its name",

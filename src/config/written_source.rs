@@ -8,6 +8,7 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use crate::capture::realsense::{Preset, Settings};
+use crate::capture::uvc::Backend;
 use crate::config::error::ConfigError;
 use crate::config::place::Place;
 use crate::config::source::{SourceConfig, UvcSelector};
@@ -37,6 +38,7 @@ pub(crate) struct WrittenSource {
     pub(super) fps: Option<Spanned<f64>>,
     pub(super) controls: Option<Spanned<BTreeMap<String, i64>>>,
     pub(super) lock: Option<Spanned<bool>>,
+    pub(super) backend: Option<Spanned<String>>,
     pub(super) operator: Option<Spanned<String>>,
     pub(super) preset: Option<Spanned<String>>,
     pub(super) emitter: Option<Spanned<bool>>,
@@ -71,10 +73,12 @@ impl WrittenSource {
                 Ok(SourceConfig::V4l2 { device, mode: self.mode(place)?, controls, lock })
             }
             "uvc" => {
-                self.takes_only(&["index", "name", "width", "height", "format", "fps"], place)?;
+                let keys = ["index", "name", "width", "height", "format", "fps", "backend"];
+                self.takes_only(&keys, place)?;
                 Ok(SourceConfig::Uvc {
                     camera: self.uvc_selector(span, place)?,
                     mode: self.mode(place)?,
+                    backend: self.uvc_backend(place)?,
                 })
             }
             "realsense" => self.realsense(place),
@@ -214,6 +218,17 @@ impl WrittenSource {
                 "give the camera's index or its name, and not both",
             )),
         }
+    }
+
+    /// The backend asked for, which this build has.
+    fn uvc_backend(&self, place: &Place) -> Result<Backend, ConfigError> {
+        let Some(written) = &self.backend else { return Ok(Backend::DEFAULT) };
+        let refuse =
+            |problem: String| place.refuse(&written.span(), "camera.source.backend", problem);
+        let name = written.get_ref();
+        let unknown = || refuse(format!("`{name}` is no backend; write \"native\" or \"nokhwa\""));
+        let backend = Backend::from_name(name).ok_or_else(unknown)?;
+        backend.missing().map_or(Ok(backend), |missing| Err(refuse(missing.to_owned())))
     }
 }
 

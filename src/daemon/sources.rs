@@ -65,12 +65,12 @@ pub fn opener_of(source: &SourceConfig) -> Box<dyn SourceOpener> {
         }
         #[cfg(not(target_os = "linux"))]
         SourceConfig::V4l2 { .. } => not_built("v4l2, which only Linux has; use kind = \"uvc\""),
-        SourceConfig::Uvc { camera, mode } => {
+        SourceConfig::Uvc { camera, mode, backend } => {
             let selector = match camera {
                 UvcSelector::Index(index) => uvc::Selector::Index(index),
                 UvcSelector::Name(name) => uvc::Selector::Name(name),
             };
-            Box::new(uvc::UvcCamera::new(uvc::UvcOptions { selector, mode }))
+            uvc::camera(uvc::UvcOptions { selector, mode, backend })
         }
         #[cfg(feature = "ros2")]
         SourceConfig::Ros2 { topic, depth, domain_id } => {

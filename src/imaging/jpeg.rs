@@ -76,6 +76,28 @@ impl JpegHeader {
     }
 }
 
+/// How many of the bytes are the JPEG that they begin with, its end marker included (ITU-T T.81,
+/// B.1.1); `None` where they begin with none, or end before it does.
+pub fn jpeg_length(bytes: &[u8]) -> Option<usize> {
+    if !bytes.starts_with(&[0xff, SOI]) {
+        return None;
+    }
+    let mut at = 2;
+    loop {
+        // Between markers is coded data, in which 0xff is followed by 0, or fill bytes.
+        at += bytes.get(at..)?.iter().position(|byte| *byte == 0xff)?;
+        match *bytes.get(at + 1)? {
+            EOI => return Some(at + 2),
+            0xff => at += 1,
+            0x00 | 0x01 | SOI | 0xd0..=0xd7 => at += 2,
+            _ => {
+                let length = u16::from_be_bytes([*bytes.get(at + 2)?, *bytes.get(at + 3)?]);
+                at += 2 + usize::from(length.max(2));
+            }
+        }
+    }
+}
+
 fn byte(bytes: &[u8], at: usize) -> Result<&u8, DecodeError> {
     bytes.get(at).ok_or(DecodeError::Truncated { format: "JPEG", bytes: bytes.len() })
 }

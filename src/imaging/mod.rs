@@ -30,3 +30,5 @@ pub mod registration;
 pub mod remap;
 pub mod timestamp;
 pub mod undistort;
+
+pub use jpeg::jpeg_length;

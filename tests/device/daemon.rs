@@ -14,8 +14,19 @@ const ADDRESS: &str = "127.0.0.1:8600";
 /// Longer than anything asked for here takes, in software emulation too.
 const LIMIT: Duration = Duration::from_secs(240);
 
+/// Where the unit of the package runs it.
+const UNIT: &str = "plumb.service";
+const UNIT_CONFIG: &str = "/etc/plumb/plumb.toml";
+
 /// A running daemon; it ends with this value.
-pub struct Daemon(Child);
+pub struct Daemon(Runs);
+
+enum Runs {
+    /// As a child of this process.
+    Child(Child),
+    /// Under systemd, by the package's unit; its process.
+    Unit(u32),
+}
 
 impl Daemon {
     /// Starts it with these `[[camera]]` tables.
@@ -33,13 +44,35 @@ impl Daemon {
             .env("RUST_LOG", "warn")
             .spawn()
             .unwrap();
-        let daemon = Self(child);
+        let daemon = Self(Runs::Child(child));
         let began = Instant::now();
         while ureq::get(&url("/healthz")).call().is_err() {
             assert!(began.elapsed() < LIMIT, "the daemon does not answer");
             std::thread::yield_now();
         }
         daemon
+    }
+
+    /// Has systemd start the package's unit, with these `[[camera]]` tables.
+    pub fn start_unit(cameras: &str) -> Self {
+        fs::create_dir_all("/etc/plumb").unwrap();
+        let written = format!(
+            "[server]\nlisten = \"{ADDRESS}\"\n[store]\npath = \"/var/lib/plumb\"\n{cameras}"
+        );
+        fs::write(UNIT_CONFIG, written).unwrap();
+        let started = Command::new("systemctl").args(["start", UNIT]).status().unwrap();
+        assert!(started.success(), "systemctl start {UNIT}");
+        let asked = ["show", "--property", "MainPID", "--value", UNIT];
+        let process = Command::new("systemctl").args(asked).output().unwrap();
+        Self(Runs::Unit(String::from_utf8(process.stdout).unwrap().trim().parse().unwrap()))
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        match &self.0 {
+            Runs::Child(child) => child.id(),
+            Runs::Unit(process) => *process,
+        }
     }
 
     pub fn get(&self, path: &str) -> Value {
@@ -95,9 +128,8 @@ impl Daemon {
 
     /// Open files and threads, besides those of connections and requests, which come and go.
     pub fn footprint(&self) -> (usize, usize) {
-        let entries = |folder: &str| {
-            fs::read_dir(format!("/proc/{}/{folder}", self.0.id())).unwrap().flatten()
-        };
+        let entries =
+            |folder: &str| fs::read_dir(format!("/proc/{}/{folder}", self.id())).unwrap().flatten();
         let is_file = |link: &PathBuf| !link.to_string_lossy().starts_with("socket:");
         let files =
             entries("fd").filter_map(|entry| fs::read_link(entry.path()).ok()).filter(is_file);
@@ -108,7 +140,7 @@ impl Daemon {
 
     /// Its resident memory, in kilobytes.
     pub fn resident_kb(&self) -> u64 {
-        let status = fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap();
+        let status = fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap();
         let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
         resident.trim().trim_end_matches(" kB").parse().unwrap()
     }
@@ -123,7 +155,7 @@ impl Daemon {
 
     /// What it has computed so far.
     pub fn processor_time(&self) -> Duration {
-        processor_time(&self.0.id().to_string())
+        processor_time(&self.id().to_string())
     }
 
     pub fn wait_for_state(&self, camera: &str, state: &str) -> Value {
@@ -163,8 +195,16 @@ impl CameraEvents {
 
 impl Drop for Daemon {
     fn drop(&mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
+        match &mut self.0 {
+            Runs::Child(child) => {
+                child.kill().unwrap();
+                child.wait().unwrap();
+            }
+            Runs::Unit(_) => {
+                let stopped = Command::new("systemctl").args(["stop", UNIT]).status().unwrap();
+                assert!(stopped.success(), "systemctl stop {UNIT}");
+            }
+        }
     }
 }
 

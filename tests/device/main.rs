@@ -16,10 +16,13 @@ mod faults;
 mod formats;
 mod guest;
 mod loopback;
+#[cfg(feature = "nokhwa")]
+mod portable;
 mod replug;
 mod rig;
 mod small_machine;
 mod supervision;
+mod unit;
 mod usb;
 mod usb_camera;
 mod walk;
@@ -42,10 +45,20 @@ const SCENARIOS: &[(&str, Scenario)] = &[
     ("stall", faults::a_stalled_device_never_blocks),
     ("supervision", supervision::every_fault_is_a_state_with_a_reason_and_the_session_goes_on),
     ("usb", usb::a_usb_camera_streams_holds_still_and_comes_back),
+    #[cfg(feature = "nokhwa")]
+    ("portable_frames", portable::frames_are_those_that_were_shown),
+    #[cfg(feature = "nokhwa")]
+    ("portable_stall", portable::a_stalled_camera_holds_one_thread),
+    #[cfg(feature = "nokhwa")]
+    ("portable_pair", portable::two_cameras_and_one_in_use),
     ("rig", rig::a_rig_goes_on_without_the_camera_that_is_unplugged),
     ("walk", walk::a_walk_is_calibrated_over_http),
     ("replug", replug::two_hundred_rounds_leave_nothing_behind),
 ];
+
+/// As [`SCENARIOS`], in a machine whose first process is systemd.
+const UNDER_SYSTEMD: &[(&str, Scenario)] =
+    &[("unit", unit::the_confined_service_reads_cameras_and_keeps_views)];
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().collect();
@@ -61,10 +74,15 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     if std::env::var_os("SMALL_MACHINE_GUEST").is_none() {
-        return small_machine::run_this_program(&names);
+        let wanted = |scenarios: &[(&str, Scenario)]| {
+            let named = |name: &str| names.is_empty() || names.iter().any(|n| name.contains(n));
+            scenarios.iter().any(|(name, _)| named(name))
+        };
+        return small_machine::run_this_program(&names, wanted(SCENARIOS), wanted(UNDER_SYSTEMD));
     }
     let mut failed = 0;
-    for (name, scenario) in SCENARIOS
+    let systemd = Path::new("/run/systemd/system").exists();
+    for (name, scenario) in if systemd { UNDER_SYSTEMD } else { SCENARIOS }
         .iter()
         .filter(|(name, _)| names.is_empty() || names.iter().any(|n| name.contains(n)))
     {

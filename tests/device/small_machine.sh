@@ -2,18 +2,20 @@
 # A small Linux machine with a real V4L2 stack, for hosts whose kernel has none (containers, most virtual machines).
 #
 #   small_machine.sh prepare                                    make it: packages, kernel, modules, initramfs; quick when done
-#   small_machine.sh run [-t SECONDS] [-m 'MODULE ARGS']… -- PROGRAM ARGS…
+#   small_machine.sh run [-t SECONDS] [-m 'MODULE ARGS']… [-u UNIT] -- PROGRAM ARGS…
 #
 # QEMU boots Debian's own kernel (in software: no KVM is needed), loads the modules and runs PROGRAM on
 # the host's root file system, which the guest sees read-only. Writable in the guest: /run, and /run/out, which is
 # $SMALL_MACHINE_OUT on the host. In the guest `/run/machine/modprobe NAME ARGS` loads another module.
+# With -u the guest's first process is systemd, which knows the service in the file UNIT, the root file system may be
+# changed (the changes are forgotten), and PROGRAM runs as root when the basic system is up.
 # Output and exit status are PROGRAM's own; 124: no end in time; 125: the guest died; 126: a module did not load.
 set -euo pipefail
 HOME_DIR=${SMALL_MACHINE_HOME:-${XDG_CACHE_HOME:-$HOME/.cache}/plumb-small-machine}
-PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils xz-utils)
-MODULES=(vivid v4l2loopback uvcvideo vhci_hcd virtio_pci 9pnet_virtio 9p)
+PACKAGES=(qemu-system-x86 busybox-static cpio kmod v4l-utils xz-utils systemd)
+MODULES=(vivid v4l2loopback uvcvideo vhci_hcd overlay virtio_pci 9pnet_virtio 9p)
 # Raised when a change here must remake what is prepared.
-RECIPE=2
+RECIPE=3
 
 fail() { echo "small machine: $*" >&2; exit 125; }
 
@@ -93,13 +95,28 @@ $bb mount -t proc proc /proc; $bb mount -t sysfs sys /sys; $bb mount -t devtmpfs
 $bb ln -s / /run/machine; $bb ln -s /bin/busybox /busybox
 for module in virtio_pci 9pnet_virtio 9p; do $bb sh /modprobe $module; done
 $bb mount -t 9p -o trans=virtio,version=9p2000.L,ro,cache=loose,msize=524288 hostroot /host
-$bb mount -t tmpfs run /host/run; $bb mkdir -p /host/run/machine /host/run/out
-$bb cp -r /modules /lists /modprobe /host/run/machine/; $bb cp /bin/busybox /host/run/machine/busybox
-$bb chmod 755 /host/run/machine/modprobe
-$bb mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288 hostout /host/run/out
-for dir in proc sys dev; do $bb mount --bind /$dir /host/$dir; done
+new=/host
+if $bb grep -q small_machine.systemd /proc/cmdline; then
+  $bb sh /modprobe overlay
+  $bb mkdir /above; $bb mount -t tmpfs above /above; $bb mkdir /above/changed /above/work /above/root
+  new=/above/root
+  $bb mount -t overlay -o lowerdir=/host,upperdir=/above/changed,workdir=/above/work root $new
+fi
+$bb mount -t tmpfs run $new/run; $bb mkdir -p $new/run/machine $new/run/out
+$bb cp -r /modules /lists /modprobe $new/run/machine/; $bb cp /bin/busybox $new/run/machine/busybox
+$bb chmod 755 $new/run/machine/modprobe
+$bb mount -t 9p -o trans=virtio,version=9p2000.L,msize=524288 hostout $new/run/out
 $bb ifconfig lo 127.0.0.1 up
 $bb stty -F /dev/ttyS1 raw -echo
+if [ $new != /host ]; then
+  $bb mkdir -p $new/run/systemd/system
+  $bb cp $new/run/out/units/* $new/run/systemd/system/
+  for dir in proc sys dev; do $bb mount --move /$dir $new/$dir; done
+  # By this file systemd would take itself to be in a container, like the host.
+  $bb rm -f $new/.dockerenv
+  exec $new/run/machine/busybox switch_root $new /lib/systemd/systemd --unit=small-machine.service
+fi
+for dir in proc sys dev; do $bb mount --bind /$dir /host/$dir; done
 $bb chroot /host /run/out/command.sh </dev/null >/dev/ttyS1 2>&1
 $bb echo $? >/host/run/out/status
 $bb sync; $bb sleep 0.1; $bb reboot -f
@@ -119,23 +136,38 @@ unpacked_module() {
 }
 
 run() {
-  local seconds=180 modules=() out status=0
+  local seconds=180 modules=() unit='' init='' out status=0
   while [ $# -gt 0 ]; do
-    case $1 in -t) seconds=$2; shift 2 ;; -m) modules+=("$2"); shift 2 ;; --) shift; break ;; *) break ;; esac
+    case $1 in -t) seconds=$2; shift 2 ;; -m) modules+=("$2"); shift 2 ;; -u) unit=$2; shift 2 ;; --) shift; break ;; *) break ;; esac
   done
   [ -s "$HOME_DIR/initramfs" ] || fail "not prepared: run $0 prepare"
   out=${SMALL_MACHINE_OUT:-$(mktemp -d /tmp/small-machine.XXXXXX)}
   mkdir -p "$out"; rm -f "$out/status"
   command_file "$out" "${modules[@]+"${modules[@]}"}" -- "$@"
+  if [ -n "$unit" ]; then
+    units "$out" "$unit"
+    init="small_machine.systemd systemd.show_status=no systemd.mask=tmp.mount systemd.condition-needs-update=0"
+  fi
   timeout -k 5 "$seconds" qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -m "${SMALL_MACHINE_MB:-1024}" -smp 2 \
     -kernel "$HOME_DIR/vmlinuz" -initrd "$HOME_DIR/initramfs" \
-    -append 'console=ttyS0 quiet panic=-1 reboot=t mitigations=off random.trust_cpu=on' \
+    -append 'console=ttyS0 quiet panic=-1 reboot=t mitigations=off random.trust_cpu=on '"$init" \
     -display none -monitor none -no-reboot -net none -serial "file:$out/console.log" -serial stdio \
     -virtfs local,path=/,mount_tag=hostroot,security_model=none,readonly=on,multidevs=remap \
     -virtfs local,path="$out",mount_tag=hostout,security_model=none </dev/null 2>"$out/qemu.log" || status=$?
   if [ "$status" = 124 ] || [ "$status" = 137 ]; then echo "small machine: no end within $seconds s (kernel messages: $out/console.log)" >&2; return 124; fi
   [ -s "$out/status" ] || fail "the guest died: $(tail -n1 "$out/qemu.log") (kernel messages: $out/console.log)"
   return "$(cat "$out/status")"
+}
+
+# The service that is tried, and one that runs the command and ends the guest.
+units() {
+  mkdir -p "$1/units"; cp "$2" "$1/units/"
+  cat >"$1/units/small-machine.service" <<'UNIT'
+[Service]
+Type=oneshot
+TimeoutStartSec=infinity
+ExecStart=/bin/sh -c '/run/out/command.sh </dev/null >/dev/ttyS1 2>&1; echo $$? >/run/out/status; sync; /run/machine/busybox sleep 0.1; /run/machine/busybox reboot -f'
+UNIT
 }
 
 # What the guest runs: the modules, then the program, in this directory and with nothing of this environment but $GUEST_ENV.
@@ -155,5 +187,5 @@ command_file() {
 case ${1:-} in
   prepare) prepare ;;
   run) shift; run "$@" ;;
-  *) sed -n '2,12s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+  *) sed -n '2,14s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac

@@ -17,7 +17,7 @@ use crate::walk::WALK;
 pub const SERIAL: &str = "A1B2C3D4";
 
 /// Plugs in a camera that shows the walk, over and over.
-fn plug_in() -> UsbCamera {
+pub fn plug_in() -> UsbCamera {
     let options = ReplayOptions { pace: Pace::Fastest, repeat: true, ..ReplayOptions::default() };
     let mut walk = Replay::open(Path::new(WALK), &options).unwrap();
     let mut luma = GrayImage::default();

@@ -1,6 +1,7 @@
 //! Cameras through `nokhwa`, whose wait for a frame has no end: a thread of its own waits, and is
 //! left behind when its camera never answers again.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -8,68 +9,85 @@ use std::thread;
 use std::time::Duration;
 
 use nokhwa::utils::{
-    ApiBackend, CameraFormat, CameraIndex, CameraInfo, FrameFormat, RequestedFormat,
-    RequestedFormatType, Resolution,
+    ApiBackend, CameraFormat, CameraIndex, CameraInfo, RequestedFormat, RequestedFormatType,
 };
-use nokhwa::{Buffer, NokhwaError};
+use nokhwa::{Buffer, Camera, NokhwaError};
 
 use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::host_clock::now;
 use crate::capture::mode::ModeRequest;
 use crate::capture::uvc::options::{Selector, UvcOptions};
+use crate::capture::uvc::portable_mode::{ALL, choose, in_words, pixel_format};
+#[cfg(target_os = "linux")]
+use crate::capture::v4l2;
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
+use crate::imaging::jpeg_length;
 
-const DEFAULT_FPS: u32 = 30;
-const DEFAULT_SIZE: Resolution = Resolution { width_x: 640, height_y: 480 };
-/// How long a camera may take to open.
+/// How long a camera may take to open, and an earlier wait for a frame to end.
 const OPENING: Duration = Duration::from_secs(10);
+const ENDING: Duration = Duration::from_secs(2);
 /// Frames between the waiting thread and the reader; more would only be old ones.
 const QUEUE: usize = 2;
-const FORMATS: [(FrameFormat, &str, PixelFormat); 6] = [
-    (FrameFormat::GRAY, "GREY", PixelFormat::Mono8),
-    (FrameFormat::NV12, "NV12", PixelFormat::Nv12),
-    (FrameFormat::YUYV, "YUYV", PixelFormat::Yuyv),
-    (FrameFormat::MJPEG, "MJPG", PixelFormat::Jpeg),
-    (FrameFormat::RAWRGB, "RGB3", PixelFormat::Rgb8),
-    (FrameFormat::RAWBGR, "BGR3", PixelFormat::Bgr8),
-];
 
 /// A camera that may come and go.
 #[derive(Debug)]
-pub struct UvcCamera {
+pub(super) struct PortableCamera {
     options: UvcOptions,
     next_sequence: Arc<AtomicU64>,
+    /// Closed when the thread that waits for the camera has ended.
+    last_wait: Option<Receiver<Infallible>>,
 }
 
-impl UvcCamera {
+impl PortableCamera {
     /// A camera that is not opened yet.
-    pub fn new(options: UvcOptions) -> Self {
-        Self { options, next_sequence: Arc::default() }
+    pub(super) fn new(options: UvcOptions) -> Self {
+        Self { options, next_sequence: Arc::default(), last_wait: None }
+    }
+
+    /// A camera that stopped answering holds its thread: no second one is begun, so that a camera
+    /// never has more than one.
+    fn end_last_wait(&mut self, name: &str) -> Result<(), CaptureError> {
+        let Some(last) = self.last_wait.take() else { return Ok(()) };
+        if last.recv_timeout(ENDING) != Err(RecvTimeoutError::Timeout) {
+            return Ok(());
+        }
+        self.last_wait = Some(last);
+        let reason = "it still does not answer; unplug it and plug it in again".to_owned();
+        Err(lost(name, reason))
     }
 }
 
-impl SourceOpener for UvcCamera {
+impl SourceOpener for PortableCamera {
     fn open(&mut self) -> Result<Box<dyn FrameSource>, CaptureError> {
         let info = find(&self.options.selector)?;
         let name = info.human_name();
-        let format = requested(&self.options.mode)?;
+        self.end_last_wait(&name)?;
         let shared = Arc::new(SharedFrames::default());
         let (frames, received) = sync_channel(QUEUE);
         let (opened, opening) = sync_channel(1);
-        let waiting = Waiting { frames, shared: Arc::clone(&shared), name: name.clone() };
+        let (running, ended) = sync_channel(0);
+        let waiting = Waiting {
+            frames,
+            shared: Arc::clone(&shared),
+            name: name.clone(),
+            mode: self.options.mode.clone(),
+            _running: running,
+        };
         let index = info.index().clone();
         let started = thread::Builder::new()
             .name(format!("uvc-{index}"))
-            .spawn(move || waiting.run(index, format, &opened));
+            .spawn(move || waiting.run(index, &opened));
         started.map_err(|error| CaptureError::Failed {
             reason: format!("no thread for {name}: {error}"),
         })?;
+        self.last_wait = Some(ended);
         let silent = |_| lost(&name, "it does not open within 10 s; plug it in again".to_owned());
         let mode = opening.recv_timeout(OPENING).map_err(silent)??;
+        let words = in_words(mode, &self.options.mode);
         let next_sequence = Arc::clone(&self.next_sequence);
-        Ok(Box::new(UvcSource { name, mode, received, shared, next_sequence }))
+        Ok(Box::new(PortableSource { name, mode, words, received, shared, next_sequence }))
     }
 }
 
@@ -86,28 +104,23 @@ struct Waiting {
     frames: SyncSender<Result<Frame, CaptureError>>,
     shared: Arc<SharedFrames>,
     name: String,
+    mode: ModeRequest,
+    _running: SyncSender<Infallible>,
 }
 
 impl Waiting {
-    fn run(
-        self,
-        index: CameraIndex,
-        format: RequestedFormat<'static>,
-        opened: &SyncSender<Result<CameraFormat, CaptureError>>,
-    ) {
-        let camera = nokhwa::Camera::new(index, format)
-            .and_then(|mut camera| camera.open_stream().map(|()| camera));
-        let mut camera = match camera {
+    fn run(self, index: CameraIndex, opened: &SyncSender<Result<CameraFormat, CaptureError>>) {
+        let mut camera = match self.open(index) {
             Ok(camera) => camera,
             Err(error) => {
                 // Whoever asked may have stopped waiting.
-                let _ = opened.send(Err(lost(&self.name, in_words(&error))));
+                let _ = opened.send(Err(error));
                 return;
             }
         };
         let _ = opened.send(Ok(camera.camera_format()));
         while !self.shared.stop.load(Ordering::Relaxed) {
-            let outcome = camera.frame().map_err(|error| lost(&self.name, in_words(&error)));
+            let outcome = camera.frame().map_err(|error| lost(&self.name, meaning(&error)));
             let last = outcome.is_err();
             let frame = match outcome.map(|buffer| frame_of(&buffer)) {
                 Ok(None) => {
@@ -129,18 +142,39 @@ impl Waiting {
             }
         }
     }
+
+    /// Opens the camera with the first mode that it has, then sets the mode that is wanted of those
+    /// it lists: nokhwa's own choice takes one format only.
+    fn open(&self, index: CameraIndex) -> Result<Camera, CaptureError> {
+        let lost = |error: NokhwaError| lost(&self.name, meaning(&error));
+        let any = RequestedFormat::with_formats(RequestedFormatType::None, &ALL);
+        let mut camera = Camera::new(index, any).map_err(lost)?;
+        let offered = camera.compatible_camera_formats().map_err(lost)?;
+        let mode = choose(&offered, &self.mode).map_err(|problem| CaptureError::Failed {
+            reason: format!("{}: {problem}", self.name),
+        })?;
+        if camera.camera_format() != mode {
+            let exactly = RequestedFormatType::Exact(mode);
+            let formats = [mode.format()];
+            let request = RequestedFormat::with_formats(exactly, &formats);
+            camera.set_camera_requset(request).map_err(lost)?;
+        }
+        camera.open_stream().map_err(lost)?;
+        Ok(camera)
+    }
 }
 
 /// The side that is read.
-struct UvcSource {
+struct PortableSource {
     name: String,
     mode: CameraFormat,
+    words: String,
     received: Receiver<Result<Frame, CaptureError>>,
     shared: Arc<SharedFrames>,
     next_sequence: Arc<AtomicU64>,
 }
 
-impl FrameSource for UvcSource {
+impl FrameSource for PortableSource {
     fn next_frame(&mut self, timeout: Duration) -> Result<FrameSet, CaptureError> {
         let frame = self.received.recv_timeout(timeout).map_err(|error| match error {
             RecvTimeoutError::Timeout => CaptureError::TimedOut { waited: timeout },
@@ -162,7 +196,7 @@ impl FrameSource for UvcSource {
             identity: self.name.clone(),
             fps: Some(f64::from(self.mode.frame_rate())),
             model: Some(self.name.clone()),
-            mode: Some(format!("{}, {}", self.name, self.mode)),
+            mode: Some(format!("{}, {}", self.name, self.words)),
             ..SourceDescription::default()
         }
     }
@@ -173,21 +207,21 @@ impl FrameSource for UvcSource {
     }
 }
 
-impl Drop for UvcSource {
+impl Drop for PortableSource {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
     }
 }
 
 /// Every camera that the system lists.
-pub fn list_devices() -> DeviceListing {
+pub(super) fn list_devices() -> DeviceListing {
     let listing = |devices, missing| DeviceListing { backend: "uvc", devices, missing };
-    match nokhwa::query(ApiBackend::Auto) {
+    match cameras() {
         Ok(cameras) if cameras.is_empty() => {
             listing(Vec::new(), Some("no camera is plugged in".to_owned()))
         }
         Ok(cameras) => listing(cameras.iter().map(listed).collect(), None),
-        Err(error) => listing(Vec::new(), Some(in_words(&error))),
+        Err(error) => listing(Vec::new(), Some(meaning(&error))),
     }
 }
 
@@ -201,13 +235,22 @@ fn listed(camera: &CameraInfo) -> ListedDevice {
     }
 }
 
+/// The cameras by their number. On Linux a USB camera has a second node of the same name, for
+/// metadata, which is no camera.
+fn cameras() -> Result<Vec<CameraInfo>, NokhwaError> {
+    let mut cameras = nokhwa::query(ApiBackend::Auto)?;
+    cameras.sort_by_key(|camera| camera.index().clone());
+    #[cfg(target_os = "linux")]
+    cameras.retain(|camera| camera.index().as_index().is_ok_and(v4l2::may_give_images));
+    Ok(cameras)
+}
+
 fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
     let wanted = match selector {
         Selector::Index(index) => format!("camera {index}"),
         Selector::Name(name) => name.clone(),
     };
-    let cameras =
-        nokhwa::query(ApiBackend::Auto).map_err(|error| lost(&wanted, in_words(&error)))?;
+    let cameras = cameras().map_err(|error| lost(&wanted, meaning(&error)))?;
     let names: Vec<String> = cameras.iter().map(CameraInfo::human_name).collect();
     let meant = |camera: &CameraInfo| match selector {
         Selector::Index(index) => *camera.index() == CameraIndex::Index(*index),
@@ -220,57 +263,37 @@ fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
     cameras.into_iter().find(meant).ok_or_else(|| lost(&wanted, absent()))
 }
 
-fn requested(mode: &ModeRequest) -> Result<RequestedFormat<'static>, CaptureError> {
-    const ALL: [FrameFormat; 6] = [
-        FrameFormat::GRAY,
-        FrameFormat::NV12,
-        FrameFormat::YUYV,
-        FrameFormat::MJPEG,
-        FrameFormat::RAWRGB,
-        FrameFormat::RAWBGR,
-    ];
-    let size = mode.size.map_or(DEFAULT_SIZE, |size| Resolution::new(size.width, size.height));
-    let fps = mode.fps.map_or(DEFAULT_FPS, |fps| fps.round() as u32);
-    let Some(name) = &mode.format else {
-        let requested = CameraFormat::new(size, FrameFormat::MJPEG, fps);
-        return Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(requested), &ALL));
-    };
-    let known = FORMATS.iter().find(|(_, known, _)| known.eq_ignore_ascii_case(name));
-    let names: Vec<&str> = FORMATS.iter().map(|(_, name, _)| *name).collect();
-    let unknown = || CaptureError::Failed {
-        reason: format!("no format {name}; write one of {}", names.join(", ")),
-    };
-    let (format, ..) = known.ok_or_else(unknown)?;
-    let requested = CameraFormat::new(size, *format, fps);
-    Ok(RequestedFormat::with_formats(RequestedFormatType::Closest(requested), &ALL))
-}
-
-/// A buffer as a frame; `None` when it holds less than it should, or a format that is not read.
+/// A buffer as a frame; `None` when it holds less than it should, or a format that is not read. On
+/// Linux nokhwa hands over the driver's whole buffer: a JPEG is followed by what earlier, larger
+/// ones left there.
 fn frame_of(buffer: &Buffer) -> Option<Frame> {
-    let (.., format) =
-        *FORMATS.iter().find(|(format, ..)| *format == buffer.source_frame_format())?;
+    let format = pixel_format(buffer.source_frame_format())?;
     let resolution = buffer.resolution();
     let size = ImageSize::new(resolution.width(), resolution.height());
     let stride = format.bytes_per_pixel().unwrap_or(0) * size.width as usize;
     let bytes = buffer.buffer();
-    let whole = if format == PixelFormat::Jpeg {
-        bytes.starts_with(&[0xff, 0xd8])
-    } else {
-        bytes.len() >= stride * size.height as usize
+    let length = match format {
+        PixelFormat::Jpeg => jpeg_length(bytes)?,
+        PixelFormat::Nv12 => stride * size.height as usize * 3 / 2,
+        _ => stride * size.height as usize,
     };
-    whole.then(|| Frame {
-        sensor: SensorKind::Color,
-        size,
-        format,
-        stride,
-        bytes: Arc::from(bytes),
-    })
+    let bytes = Arc::from(bytes.get(..length)?);
+    Some(Frame { sensor: SensorKind::Color, size, format, stride, bytes })
 }
 
 fn lost(device: &str, reason: String) -> CaptureError {
     CaptureError::Lost { device: device.to_owned(), reason }
 }
 
-fn in_words(error: &NokhwaError) -> String {
-    error.to_string().split_whitespace().collect::<Vec<_>>().join(" ")
+/// An error of the library as one line, and what to do where the system's word for it is known.
+fn meaning(error: &NokhwaError) -> String {
+    let words = error.to_string().split_whitespace().collect::<Vec<_>>().join(" ");
+    let has = |part: &str| words.contains(part);
+    if has("resource busy") {
+        return "in use by another program; close that first".to_owned();
+    }
+    if has("No such device") || has("No such file") {
+        return "it was unplugged".to_owned();
+    }
+    words
 }

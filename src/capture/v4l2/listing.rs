@@ -1,5 +1,8 @@
 //! What `plumb devices` lists of Linux video devices.
 
+#[cfg(feature = "nokhwa")]
+use std::path::PathBuf;
+
 use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::v4l2::camera::open_device;
 use crate::capture::v4l2::controls::Controls;
@@ -18,6 +21,16 @@ pub fn list_devices() -> DeviceListing {
         if kernel_has_video() { absent } else { without }.to_owned()
     });
     DeviceListing { backend: "v4l2", devices, missing }
+}
+
+/// Whether `/dev/video{number}` may give images: not a node for metadata or output. One that cannot
+/// be opened may, as far as can be known.
+#[cfg(feature = "nokhwa")]
+pub(in crate::capture) fn may_give_images(number: u32) -> bool {
+    let Ok(opened) = open_device(&PathBuf::from(format!("/dev/video{number}"))) else {
+        return true;
+    };
+    kernel::capability(&opened).is_ok_and(|capability| capability.streams_video())
 }
 
 /// One node; `None` for those that give metadata, take output, or do something else altogether.

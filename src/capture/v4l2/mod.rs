@@ -24,3 +24,5 @@ mod source;
 
 pub use camera::{V4l2Camera, V4l2Options};
 pub use listing::list_devices;
+#[cfg(feature = "nokhwa")]
+pub(in crate::capture) use listing::may_give_images;
