@@ -193,3 +193,22 @@ fn with_huffman_tables(bytes: &[u8], header: JpegHeader) -> Cow<'_, [u8]> {
 /// The application segment by which AVI files mark motion JPEG: APP0, its length with these two
 /// bytes, a name.
 const MOTION_JPEG: &[u8] = b"\xff\xe0\x00\x07AVI1\0";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_jpeg_ends_at_its_own_end_marker() {
+        let thumbnail = [0xff, 0xe1, 0, 6, 0xff, SOI, 0xff, EOI];
+        let coded = [0x12, 0xff, 0x00, 0x34, 0xff, 0xd3, 0x56, 0xff, 0xff, EOI];
+        let scan = [0xff, SOS, 0, 3, 1];
+        let image = [&[0xff, SOI], &thumbnail[..], &scan, &coded].concat();
+        for after in [&[][..], &[0; 100], &[0xff, EOI]] {
+            assert_eq!(jpeg_length(&[&image, after].concat()), Some(image.len()));
+        }
+        for cut in 0..image.len() {
+            assert_eq!(jpeg_length(&image[..cut]), None, "{cut} bytes");
+        }
+    }
+}

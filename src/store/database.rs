@@ -256,7 +256,7 @@ mod tests {
         let garbage = refusal(|path| std::fs::write(path, vec![7; 10_000]).unwrap());
         assert_eq!(
             garbage,
-            "store DIR/plumb.sqlite: damaged, not a plumb store, or on a disk that cannot be read: file is not a database; check `dmesg` for disk errors, then move it away, or restore it from a copy"
+            "store DIR/plumb.sqlite: damaged or not a plumb store: file is not a database; check `dmesg` for disk errors, then move it away, or restore it from a copy"
         );
         let foreign = refusal(|path| {
             Connection::open(path).unwrap().execute_batch("CREATE TABLE cats (id)").unwrap();

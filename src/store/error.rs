@@ -48,7 +48,7 @@ pub enum StoreError {
     /// Not a database, another program's, or a broken one; SQLite says the same of a disk that
     /// cannot be read.
     #[error(
-        "store {}: damaged, not a plumb store, or on a disk that cannot be read: {detail}; check `dmesg` for disk errors, then move it away, or restore it from a copy",
+        "store {}: damaged or not a plumb store: {detail}; check `dmesg` for disk errors, then move it away, or restore it from a copy",
         path.display()
     )]
     Damaged {
