@@ -208,6 +208,12 @@ fn write_factory_lenses(
                 .write_lens(stated.sensor, stated.image_size, lens, utc_ns)
                 .map_err(Failure::failed)?;
         }
+        let others = stated.color_from_sensor.filter(|_| stated.sensor != SensorKind::Color);
+        if let Some((color_from_sensor, Writer::Foxglove(writer))) = others.zip(Some(&mut *writer))
+        {
+            let written = writer.write_pose(stated.sensor, &color_from_sensor, utc_ns);
+            written.map_err(Failure::failed)?;
+        }
     }
     Ok(())
 }

@@ -5,10 +5,12 @@ use std::path::{Path, PathBuf};
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
+use crate::imaging::factory::{FactoryCalibration, FactorySensor, StatedLens};
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::timestamp::{DeviceTime, HostTime};
 use crate::recording::RecordingError;
-use crate::recording::messages::{Topic, decode_frame, decode_lens};
+use crate::recording::messages::{Topic, decode_frame, decode_lens, decode_pose};
 use crate::recording::records::{McapRecord, MessageHeader, RecordReader};
 use crate::recording::topic_names::names_topic;
 
@@ -26,6 +28,8 @@ pub struct McapReader {
     schemas: BTreeMap<u16, String>,
     topics: BTreeMap<u16, (Topic, String)>,
     lenses: BTreeMap<SensorKind, (ImageSize, Lens)>,
+    /// Where sensors are, as color_from_sensor.
+    poses: BTreeMap<SensorKind, Pose>,
     gathering: Option<Gathering>,
     frame_sets: usize,
     frame_set_count: Option<usize>,
@@ -69,6 +73,7 @@ impl McapReader {
             schemas: BTreeMap::new(),
             topics: BTreeMap::new(),
             lenses: BTreeMap::new(),
+            poses: BTreeMap::new(),
             gathering: None,
             frame_sets: 0,
             frame_set_count,
@@ -96,7 +101,7 @@ impl McapReader {
     pub fn camera(&self) -> Option<&str> {
         self.topics.values().find_map(|(topic, _)| match topic {
             Topic::Frames { camera, .. } => Some(camera.as_str()),
-            Topic::Calibration { .. } => None,
+            Topic::Calibration { .. } | Topic::Transform { .. } => None,
         })
     }
 
@@ -108,6 +113,37 @@ impl McapReader {
     /// What the device stated of a sensor's lens, as far as the file has been read.
     pub fn factory_lens(&self, sensor: SensorKind) -> Option<(ImageSize, Lens)> {
         self.lenses.get(&sensor).copied()
+    }
+
+    /// Where the device stated a sensor to be (`color_from_sensor`), as far as the file has been
+    /// read.
+    pub fn factory_pose(&self, sensor: SensorKind) -> Option<Pose> {
+        self.poses.get(&sensor).copied()
+    }
+
+    /// What the recorded device stated of its sensors before the first frame.
+    pub fn factory(&self) -> FactoryCalibration {
+        let Ok(mut ahead) = Self::open(&self.path, &self.asked) else {
+            return FactoryCalibration::default();
+        };
+        // What is damaged is reported when the frames are read.
+        let _first = ahead.next_frame_set();
+        let sensors = ahead.lenses.iter().map(|(sensor, (image_size, lens))| FactorySensor {
+            sensor: *sensor,
+            image_size: *image_size,
+            stated: StatedLens {
+                model: lens.model().name().to_owned(),
+                focal_px: [lens.matrix.fx, lens.matrix.fy],
+                principal_px: [lens.matrix.cx, lens.matrix.cy],
+                coefficients: lens.distortion.coefficients().to_vec(),
+            },
+            lens: Some(*lens),
+            color_from_sensor: match sensor {
+                SensorKind::Color => Some(Pose::identity()),
+                other => ahead.factory_pose(*other),
+            },
+        });
+        FactoryCalibration { sensors: sensors.collect(), depth_encoding: None }
     }
 
     /// The next frames taken together; `None` after the last.
@@ -168,6 +204,11 @@ impl McapReader {
                 Some((Topic::Calibration { sensor, .. }, _)) => {
                     if let Some(lens) = decode_lens(&data) {
                         self.lenses.insert(*sensor, lens);
+                    }
+                }
+                Some((Topic::Transform { sensor, .. }, _)) => {
+                    if let Some(color_from_sensor) = decode_pose(&data) {
+                        self.poses.insert(*sensor, color_from_sensor);
                     }
                 }
                 None => {}

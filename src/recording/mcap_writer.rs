@@ -9,9 +9,10 @@ use mcap::records::MessageHeader;
 
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 use crate::imaging::frame::{FrameSet, SensorKind};
 use crate::recording::RecordingError;
-use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens};
+use crate::recording::messages::{Encoded, Topic, encode_frame, encode_lens, encode_pose};
 
 /// An MCAP file being written: one topic a sensor, chunks of about a megabyte, indexed when
 /// finished.
@@ -102,6 +103,22 @@ impl McapWriter {
         let Some(message) = encode_lens(lens, size, &self.frame_id(sensor), utc_ns) else {
             return Ok(());
         };
+        self.append(&topic, &message, 0, [utc_ns.max(0).unsigned_abs(); 2])
+    }
+
+    /// Notes where the device states a sensor to be from its color sensor.
+    ///
+    /// # Errors
+    /// As [`Self::write`].
+    pub fn write_pose(
+        &mut self,
+        sensor: SensorKind,
+        color_from_sensor: &Pose,
+        utc_ns: i64,
+    ) -> Result<(), RecordingError> {
+        let topic = Topic::Transform { camera: self.camera.clone(), sensor };
+        let frames = [SensorKind::Color, sensor].map(|sensor| self.frame_id(sensor));
+        let Some(message) = encode_pose(color_from_sensor, frames, utc_ns) else { return Ok(()) };
         self.append(&topic, &message, 0, [utc_ns.max(0).unsigned_abs(); 2])
     }
 

@@ -1,18 +1,22 @@
 //! Frames as Foxglove messages: which schema, which topic, which encoding.
 
 use foxglove::bytes::Bytes;
-use foxglove::messages::{CameraCalibration, CompressedImage, RawImage, Timestamp};
+use foxglove::messages::{
+    CameraCalibration, CompressedImage, FrameTransform, Quaternion, RawImage, Timestamp, Vector3,
+};
 use foxglove::{Decode, Encode};
 
 use crate::geometry::camera_matrix::CameraMatrix;
 use crate::geometry::lens::{Distortion, Lens, LensModel};
 use crate::geometry::pixel::ImageSize;
+use crate::geometry::pose::Pose;
 use crate::imaging::decode::file_size;
 use crate::imaging::frame::{Frame, PixelFormat, SensorKind};
 
 pub(super) const COMPRESSED_IMAGE: &str = "foxglove.CompressedImage";
 pub(super) const RAW_IMAGE: &str = "foxglove.RawImage";
 pub(super) const CAMERA_CALIBRATION: &str = "foxglove.CameraCalibration";
+pub(super) const FRAME_TRANSFORM: &str = "foxglove.FrameTransform";
 
 /// A message that can be written: its schema's name and descriptor, and its bytes.
 #[derive(Debug, Clone)]
@@ -29,6 +33,8 @@ pub(super) enum Topic {
     Frames { camera: String, sensor: SensorKind },
     /// `/<camera>/<sensor>/calibration`: what the device says of its lens.
     Calibration { camera: String, sensor: SensorKind },
+    /// `/<camera>/<sensor>/transform`: where the device says that it is from color.
+    Transform { camera: String, sensor: SensorKind },
 }
 
 impl Topic {
@@ -39,15 +45,20 @@ impl Topic {
         if name.contains(char::is_control) {
             return None;
         }
-        if let Some(sensor) = name.strip_suffix("/calibration") {
-            let (camera, sensor) = sensor.rsplit_once('/')?;
-            return Some(Self::Calibration {
-                camera: camera.to_owned(),
-                sensor: SensorKind::from_name(sensor)?,
-            });
+        let of = |name: &str| {
+            let (camera, sensor) = name.rsplit_once('/')?;
+            Some((camera.to_owned(), SensorKind::from_name(sensor)?))
+        };
+        if let Some(name) = name.strip_suffix("/calibration") {
+            let (camera, sensor) = of(name)?;
+            return Some(Self::Calibration { camera, sensor });
         }
-        let (camera, sensor) = name.rsplit_once('/')?;
-        Some(Self::Frames { camera: camera.to_owned(), sensor: SensorKind::from_name(sensor)? })
+        if let Some(name) = name.strip_suffix("/transform") {
+            let (camera, sensor) = of(name)?;
+            return Some(Self::Transform { camera, sensor });
+        }
+        let (camera, sensor) = of(name)?;
+        Some(Self::Frames { camera, sensor })
     }
 
     /// Its name.
@@ -57,13 +68,18 @@ impl Topic {
             Self::Calibration { camera, sensor } => {
                 format!("/{camera}/{}/calibration", sensor.name())
             }
+            Self::Transform { camera, sensor } => {
+                format!("/{camera}/{}/transform", sensor.name())
+            }
         }
     }
 
     /// Whose it is.
     pub(super) fn camera(&self) -> &str {
         match self {
-            Self::Frames { camera, .. } | Self::Calibration { camera, .. } => camera,
+            Self::Frames { camera, .. }
+            | Self::Calibration { camera, .. }
+            | Self::Transform { camera, .. } => camera,
         }
     }
 }
@@ -113,6 +129,33 @@ pub(super) fn encode_lens(
         p: vec![m.fx, m.skew, m.cx, 0.0, 0.0, m.fy, m.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
     };
     encoded(CAMERA_CALIBRATION, &message)
+}
+
+/// The message that says where a device states a sensor to be from its color sensor.
+pub(super) fn encode_pose(
+    color_from_sensor: &Pose,
+    [color_frame_id, sensor_frame_id]: [String; 2],
+    utc_ns: i64,
+) -> Option<Encoded> {
+    let (t, q) = (color_from_sensor.translation(), color_from_sensor.rotation().into_inner());
+    let message = FrameTransform {
+        timestamp: Some(timestamp(utc_ns)),
+        parent_frame_id: color_frame_id,
+        child_frame_id: sensor_frame_id,
+        translation: Some(Vector3 { x: t.x, y: t.y, z: t.z }),
+        rotation: Some(Quaternion { x: q.i, y: q.j, z: q.k, w: q.w }),
+    };
+    encoded(FRAME_TRANSFORM, &message)
+}
+
+/// The pose of a sensor in color's frame that a transform states; `None` if it states none.
+pub(super) fn decode_pose(bytes: &[u8]) -> Option<Pose> {
+    let message = FrameTransform::decode(bytes).ok()?;
+    let (t, q) = (message.translation?, message.rotation?);
+    let quaternion = nalgebra::Quaternion::new(q.w, q.x, q.y, q.z);
+    let translation = nalgebra::Vector3::new(t.x, t.y, t.z);
+    let is_pose = (0.9..1.1).contains(&quaternion.norm()) && translation.norm().is_finite();
+    is_pose.then(|| Pose::new(nalgebra::UnitQuaternion::from_quaternion(quaternion), translation))
 }
 
 /// The frame that a message of `schema` holds; why not, in a few words.
@@ -217,7 +260,9 @@ mod tests {
 
     #[test]
     fn topics_are_the_contract_s() {
-        for name in ["/front/color", "/a/b/depth", "/front/infrared/calibration"] {
+        for name in
+            ["/front/color", "/a/b/depth", "/front/infrared/calibration", "/front/depth/transform"]
+        {
             assert_eq!(Topic::parse(name).unwrap().name(), name);
         }
         for name in ["/front/hue", "/color", "", "/front/color/info", "/fr\nont/color"] {
@@ -258,5 +303,17 @@ mod tests {
         let pinhole = encode_lens(&Lens::pinhole(matrix), ImageSize::new(8, 6), "", 0).unwrap();
         assert_eq!(decode_lens(&pinhole.bytes).unwrap().1.matrix, matrix);
         assert_eq!(decode_lens(b"no message"), None);
+    }
+
+    #[test]
+    fn a_pose_survives() {
+        let rotation = nalgebra::UnitQuaternion::from_euler_angles(0.1, -0.2, 0.3);
+        let color_from_depth = Pose::new(rotation, nalgebra::Vector3::new(0.025, -0.001, 0.002));
+        let frames = || ["front_color".to_owned(), "front_depth".to_owned()];
+        let message = encode_pose(&color_from_depth, frames(), 5).unwrap();
+        let back = decode_pose(&message.bytes).unwrap();
+        assert_eq!(back.translation(), color_from_depth.translation());
+        assert!(back.angle_to(&color_from_depth) < 1e-7);
+        assert_eq!(decode_pose(b"no message"), None);
     }
 }

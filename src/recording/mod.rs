@@ -128,7 +128,8 @@ impl Recording {
     pub fn factory(&self) -> FactoryCalibration {
         match self {
             Self::Bag(bag) => bag.factory().clone(),
-            Self::Folder(_) | Self::Mcap(_) => FactoryCalibration::default(),
+            Self::Mcap(file) => file.factory(),
+            Self::Folder(_) => FactoryCalibration::default(),
         }
     }
 }

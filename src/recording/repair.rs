@@ -74,6 +74,9 @@ impl Copied {
                     && !self.lenses.contains(&sensor)
                 {
                     writer.write_lens(sensor, size, &lens, set.host_time.utc_ns)?;
+                    if let Some(color_from_sensor) = reader.factory_pose(sensor) {
+                        writer.write_pose(sensor, &color_from_sensor, set.host_time.utc_ns)?;
+                    }
                     self.lenses.push(sensor);
                 }
             }
