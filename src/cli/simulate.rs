@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crate::calibration::target::CalibrationTarget;
 use crate::cli::{Failure, output, progress};
 use crate::document::calibration::ExtrinsicsDocument;
 use crate::document::pose::PoseDocument;
@@ -17,11 +18,15 @@ use crate::document::truth::{
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::decode::encode_jpeg;
+use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::gray::GrayImage;
 use crate::imaging::timestamp::{DeviceTime, HostTime};
-use crate::recording::McapWriter;
-use crate::simulation::{FrameTruth, RgbdFrame, RgbdOptions, RgbdWorld, SimulatedFrame, World};
+use crate::recording::{McapWriter, RecordingError};
+use crate::simulation::{
+    FrameTruth, RgbdFrame, RgbdOptions, RgbdWorld, SimulatedFrame, TexturedDepth, TexturedWorld,
+    TexturedWorldOptions, World,
+};
 
 use scene::SceneFile;
 
@@ -73,15 +78,16 @@ fn render(scene: &SceneFile, out: &Path) -> Result<TruthDocument, Failure> {
     let mut writer = McapWriter::create(out, CAMERA).map_err(Failure::failed)?;
     let mut rendering = Rendering::new(scene);
     let mut frames = Vec::new();
+    if let Some(TexturedCamera { depth: Some(_), .. }) = rendering.textured()
+        && let Some(rgbd) = &scene.rgbd
+    {
+        state_depth(&mut writer, rgbd).map_err(Failure::failed)?;
+    }
     let bar = progress::bar("rendering", scene.frames as usize);
     for index in 0..scene.frames {
-        let (truth, images) = rendering.frame(index);
-        writer.write(&frame_set(&truth, images)).map_err(Failure::failed)?;
-        frames.push(TrueFrameDocument {
-            sequence: index,
-            camera_from_board: PoseDocument::from(&truth.camera_from_board),
-            motion_px: Some(truth.motion_px).filter(|motion| motion.is_finite()),
-        });
+        let (time_s, truth, images) = rendering.frame(index);
+        writer.write(&frame_set(index, time_s, images)).map_err(Failure::failed)?;
+        frames.push(truth);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -102,18 +108,52 @@ struct Rendering {
 enum Kind {
     Color(Box<World>),
     Rgbd(Box<RgbdWorld>),
+    Textured(Box<TexturedCamera>),
+}
+
+/// A camera that is carried through a textured world, with a depth camera beside it or without.
+struct TexturedCamera {
+    world: TexturedWorld,
+    depth: Option<TexturedDepth>,
+    fps: f64,
+}
+
+impl TexturedCamera {
+    fn new(options: &TexturedWorldOptions, scene: &SceneFile) -> Self {
+        let depth = scene
+            .rgbd
+            .as_ref()
+            .map(|rgbd| TexturedDepth::new(rgbd.depth.clone(), rgbd.color_from_depth));
+        Self { world: TexturedWorld::new(options.clone()), depth, fps: scene.world.fps }
+    }
+}
+
+/// What a device states of its depth sensor: the truth.
+fn state_depth(writer: &mut McapWriter, rgbd: &RgbdOptions) -> Result<(), RecordingError> {
+    let (sensor, depth) = (SensorKind::Depth, &rgbd.depth);
+    writer.write_lens(sensor, depth.size, &depth.lens, START_UTC_NS)?;
+    writer.write_pose(sensor, &rgbd.color_from_depth, START_UTC_NS)
 }
 
 impl Rendering {
     fn new(scene: &SceneFile) -> Self {
-        let kind = match &scene.rgbd {
-            Some(rgbd) => Kind::Rgbd(Box::new(RgbdWorld::new(rgbd))),
-            None => Kind::Color(Box::new(World::new(&scene.world))),
+        let kind = match (&scene.textured, &scene.rgbd) {
+            (Some(options), _) => Kind::Textured(Box::new(TexturedCamera::new(options, scene))),
+            (None, Some(rgbd)) => Kind::Rgbd(Box::new(RgbdWorld::new(rgbd))),
+            (None, None) => Kind::Color(Box::new(World::new(&scene.world))),
         };
         Self { kind, jpeg_quality: scene.jpeg_quality }
     }
 
-    fn frame(&mut self, index: u64) -> (FrameTruth, Vec<Frame>) {
+    fn textured(&self) -> Option<&TexturedCamera> {
+        match &self.kind {
+            Kind::Textured(camera) => Some(camera),
+            Kind::Color(_) | Kind::Rgbd(_) => None,
+        }
+    }
+
+    /// The `index`-th frames, with their time and what is true of them.
+    fn frame(&mut self, index: u64) -> (f64, TrueFrameDocument, Vec<Frame>) {
         let jpeg = |image: &GrayImage, sensor| {
             file_frame(
                 sensor,
@@ -125,33 +165,56 @@ impl Rendering {
         match &mut self.kind {
             Kind::Color(world) => {
                 let SimulatedFrame { image, truth } = world.frame(index);
-                (truth, vec![jpeg(&image, SensorKind::Color)])
+                (truth.time_s, before_board(&truth), vec![jpeg(&image, SensorKind::Color)])
             }
             Kind::Rgbd(world) => {
                 let RgbdFrame { color, infrared, depth, truth, .. } = world.frame(index);
-                let depth =
-                    file_frame(SensorKind::Depth, PixelFormat::Png, depth.size(), depth.to_png());
-                (
-                    truth,
-                    vec![
-                        jpeg(&color, SensorKind::Color),
-                        jpeg(&infrared, SensorKind::Infrared),
-                        depth,
-                    ],
-                )
+                let frames = vec![
+                    jpeg(&color, SensorKind::Color),
+                    jpeg(&infrared, SensorKind::Infrared),
+                    depth_frame(&depth),
+                ];
+                (truth.time_s, before_board(&truth), frames)
+            }
+            Kind::Textured(camera) => {
+                let TexturedCamera { world, depth, fps } = camera.as_ref();
+                let place = index as usize;
+                let mut frames = vec![jpeg(&world.image(place), SensorKind::Color)];
+                frames.extend(depth.as_ref().map(|depth| depth_frame(&depth.image(world, place))));
+                let truth = TrueFrameDocument {
+                    sequence: index,
+                    camera_from_board: None,
+                    camera_from_scene: Some(PoseDocument::from(&world.camera_from_world(place))),
+                    motion_px: None,
+                };
+                (index as f64 / fps, truth, frames)
             }
         }
     }
+}
+
+/// What is true of a frame before which a board is carried about.
+fn before_board(truth: &FrameTruth) -> TrueFrameDocument {
+    TrueFrameDocument {
+        sequence: truth.index,
+        camera_from_board: Some(PoseDocument::from(&truth.camera_from_board)),
+        camera_from_scene: None,
+        motion_px: Some(truth.motion_px).filter(|motion| motion.is_finite()),
+    }
+}
+
+fn depth_frame(depth: &DepthImage) -> Frame {
+    file_frame(SensorKind::Depth, PixelFormat::Png, depth.size(), depth.to_png())
 }
 
 fn file_frame(sensor: SensorKind, format: PixelFormat, size: ImageSize, bytes: Vec<u8>) -> Frame {
     Frame { sensor, size, format, stride: 0, bytes: Arc::from(bytes) }
 }
 
-fn frame_set(truth: &FrameTruth, frames: Vec<Frame>) -> FrameSet {
-    let since_ns = (truth.time_s * 1e9).round() as i64;
+fn frame_set(sequence: u64, time_s: f64, frames: Vec<Frame>) -> FrameSet {
+    let since_ns = (time_s * 1e9).round() as i64;
     FrameSet {
-        sequence: truth.index,
+        sequence,
         host_time: HostTime { utc_ns: START_UTC_NS + since_ns },
         device_time: Some(DeviceTime { monotonic_ns: since_ns }),
         name: None,
@@ -167,7 +230,10 @@ fn truth_of(scene: &SceneFile, frames: Vec<TrueFrameDocument>) -> TruthDocument 
     let color = &scene.world.sensor;
     let mut truth = TruthDocument {
         seed: scene.world.seed,
-        target: scene.world.board.into(),
+        target: match scene.textured {
+            Some(_) => CalibrationTarget::Scene.into(),
+            None => scene.world.board.into(),
+        },
         sensors: BTreeMap::from([sensor(SensorKind::Color, color.size, &color.lens)]),
         extrinsics: Vec::new(),
         frames,
@@ -175,13 +241,13 @@ fn truth_of(scene: &SceneFile, frames: Vec<TrueFrameDocument>) -> TruthDocument 
     };
     if let Some(RgbdOptions { infrared, depth, color_from_depth, time_offset_s, .. }) = &scene.rgbd
     {
-        truth.sensors.extend([
-            sensor(SensorKind::Infrared, infrared.size, &infrared.lens),
-            sensor(SensorKind::Depth, depth.size, &depth.lens),
-        ]);
-        truth.extrinsics = ["color_from_depth", "color_from_infrared"]
-            .map(|name| ExtrinsicsDocument::exact(name, color_from_depth))
-            .to_vec();
+        truth.sensors.extend([sensor(SensorKind::Depth, depth.size, &depth.lens)]);
+        truth.extrinsics.push(ExtrinsicsDocument::exact("color_from_depth", color_from_depth));
+        if scene.textured.is_none() {
+            truth.sensors.extend([sensor(SensorKind::Infrared, infrared.size, &infrared.lens)]);
+            let exact = ExtrinsicsDocument::exact("color_from_infrared", color_from_depth);
+            truth.extrinsics.push(exact);
+        }
         truth.depth = Some(TrueDepthDocument {
             unit_m: depth.unit_m,
             scale: depth.error.scale,

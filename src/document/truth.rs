@@ -21,7 +21,7 @@ pub const RECORD: &str = "plumb.truth";
 pub struct TruthDocument {
     /// What everything random followed from.
     pub seed: u64,
-    /// The board.
+    /// The board, or the scene.
     pub target: TargetDocument,
     /// Each sensor's true lens, by the sensor's name.
     pub sensors: BTreeMap<String, TrueSensorDocument>,
@@ -73,8 +73,12 @@ pub struct TrueSensorDocument {
 pub struct TrueFrameDocument {
     /// The frame's sequence number.
     pub sequence: u64,
-    /// Where the board was in the middle of the color sensor's exposure.
-    pub camera_from_board: PoseDocument,
+    /// Where the board was in the middle of the color sensor's exposure; left out without a board.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_from_board: Option<PoseDocument>,
+    /// Where the scene was, in meters, in a frame of its own; left out with a board.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub camera_from_scene: Option<PoseDocument>,
     /// How far the board's image moved during the exposure at most, in pixels; null where part of
     /// it was out of view.
     pub motion_px: Option<f64>,
@@ -123,7 +127,8 @@ mod tests {
             extrinsics: Vec::new(),
             frames: vec![TrueFrameDocument {
                 sequence: 3,
-                camera_from_board: pose,
+                camera_from_board: Some(pose),
+                camera_from_scene: None,
                 motion_px: None,
             }],
             depth: Some(TrueDepthDocument {

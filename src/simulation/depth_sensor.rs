@@ -89,11 +89,17 @@ pub(super) struct DepthRenderer {
     rays: Vec<Option<[f64; 2]>>,
 }
 
-/// True inverse depth of each pixel, 0 where nothing is seen, and whether it is the board's.
-struct TrueDepth {
-    inverse: Vec<f64>,
-    on_board: Vec<bool>,
+/// What is truly there at each pixel, row by row.
+#[derive(Debug, Clone)]
+pub(super) struct TrueDepth {
+    /// 1/z in 1/m, 0 where nothing is seen.
+    pub inverse: Vec<f64>,
+    /// Which thing it is of: where two meet, a matcher finds nothing.
+    pub thing: Vec<u64>,
 }
+
+/// The number of the board among things; the wall behind it is 0.
+const BOARD: u64 = 1;
 
 impl DepthRenderer {
     pub(super) fn new(sensor: SimulatedDepthSensor) -> Self {
@@ -108,9 +114,18 @@ impl DepthRenderer {
 
     /// The `index`-th depth image of `seed`.
     pub(super) fn image(&self, scene: &DepthScene<'_>, seed: u64, index: u64) -> DepthImage {
+        self.measured(&self.true_depth(scene), seed, index)
+    }
+
+    /// The ray of each pixel, row by row, with z = 1; `None` where the lens sees nothing.
+    pub(super) fn rays(&self) -> impl Iterator<Item = Option<Vector3<f64>>> + '_ {
+        self.rays.iter().map(|ray| ray.map(|[x, y]| Vector3::new(x, y, 1.0)))
+    }
+
+    /// What the sensor makes of what is truly there, as the `index`-th depth image of `seed`.
+    pub(super) fn measured(&self, truth: &TrueDepth, seed: u64, index: u64) -> DepthImage {
         let mut rng = stream(seed, Purpose::Depth, index);
-        let truth = self.true_depth(scene);
-        let mut blind = self.unmatched(&truth);
+        let mut blind = self.unmatched(truth);
         self.add_holes(&mut blind, &mut rng);
         let width = self.sensor.size.width as usize;
         let readings = truth.inverse.iter().zip(&blind).enumerate().map(|(k, (inverse, blind))| {
@@ -143,7 +158,7 @@ impl DepthRenderer {
         let height = normal.dot(&scene.depth_from_board.translation());
         let [distance, slope_x, slope_y] = scene.wall;
         let one = |ray: &Option<[f64; 2]>| {
-            let Some([x, y]) = *ray else { return (0.0, false) };
+            let Some([x, y]) = *ray else { return (0.0, 0) };
             // The plane n · p = h along the ray (x, y, 1) · z: 1/z = n · ray / h.
             let board = normal.dot(&Vector3::new(x, y, 1.0)) / height;
             let wall = (1.0 - slope_x * x - slope_y * y) / distance;
@@ -152,16 +167,16 @@ impl DepthRenderer {
                     board_from_depth * nalgebra::Point3::new(x / board, y / board, 1.0 / board);
                 let [u, v] = [at.x / side, at.y / side];
                 if board > wall && u > left && u < right && v > top && v < bottom {
-                    return (board, true);
+                    return (board, BOARD);
                 }
             }
-            (wall.max(0.0), false)
+            (wall.max(0.0), 0)
         };
-        let (inverse, on_board) = self.rays.iter().map(one).unzip();
-        TrueDepth { inverse, on_board }
+        let (inverse, thing) = self.rays.iter().map(one).unzip();
+        TrueDepth { inverse, thing }
     }
 
-    /// Where the matcher finds nothing: across edges of the board, in the other eye's shadow, and
+    /// Where the matcher finds nothing: across edges of things, in the other eye's shadow, and
     /// left of its view.
     fn unmatched(&self, truth: &TrueDepth) -> Vec<bool> {
         const WINDOW: usize = 2;
@@ -187,12 +202,12 @@ impl DepthRenderer {
         }
         for y in 0..height {
             for x in 0..width {
-                let here = truth.on_board[y * width + x];
+                let here = truth.thing[y * width + x];
                 let rows = y.saturating_sub(WINDOW)..(y + WINDOW + 1).min(height);
                 let columns = x.saturating_sub(WINDOW)..(x + WINDOW + 1).min(width);
                 let edge = rows
                     .clone()
-                    .any(|y| columns.clone().any(|x| truth.on_board[y * width + x] != here));
+                    .any(|y| columns.clone().any(|x| truth.thing[y * width + x] != here));
                 blind[y * width + x] |= edge;
             }
         }

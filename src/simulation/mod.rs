@@ -1,5 +1,5 @@
 //! A rendered world with exact truth: a chessboard that is carried about before one camera or
-//! several.
+//! several, or a textured scene that a camera is carried through.
 //!
 //! ```text
 //! Walk ──pose at a time──▶ Renderer ──light on the sensor──▶ ImageSensor::develop ──▶ image
@@ -23,6 +23,7 @@ mod rays;
 mod renderer;
 mod rgbd_world;
 mod seat;
+mod textured_depth;
 mod textured_solids;
 mod textured_world;
 mod walk;
@@ -36,6 +37,7 @@ pub use operator::{Operator, OperatorKind, Skill};
 pub use renderer::Renderer;
 pub use rgbd_world::{RgbdFrame, RgbdOptions, RgbdWorld};
 pub use seat::Seat;
+pub use textured_depth::TexturedDepth;
 pub use textured_solids::smooth_noise;
 pub use textured_world::{CameraPath, Scenery, TexturedWorld, TexturedWorldOptions};
 pub use walk::{Walk, WalkOptions};

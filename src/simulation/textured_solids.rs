@@ -69,6 +69,11 @@ pub(super) fn nearest_face(
 }
 
 impl FaceHit {
+    /// The number of the box, from its texture: each has its own.
+    pub fn solid(&self) -> u64 {
+        self.salt / 8
+    }
+
     /// The light from there, 0 to 1, as a pixel that is `footprint` wide there sees it: without
     /// what is finer than the pixel, which would alias.
     pub fn light(&self, footprint: f64) -> f64 {

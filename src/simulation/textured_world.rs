@@ -43,11 +43,21 @@ impl Scenery {
     /// All of them.
     pub const ALL: [Self; 5] =
         [Self::Room, Self::Facade, Self::Plane, Self::Corridor, Self::Garden];
+
+    /// The one of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|scenery| format!("{scenery:?}").eq_ignore_ascii_case(name))
+    }
 }
 
 impl CameraPath {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Orbit, Self::Sideways, Self::Forward, Self::Rotation];
+
+    /// The one of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|path| format!("{path:?}").eq_ignore_ascii_case(name))
+    }
 }
 
 /// What is simulated.
@@ -113,8 +123,7 @@ impl TexturedWorld {
         let world_from_camera = self.cameras_from_world[index].inverse();
         let origin = Point3::from(world_from_camera.translation());
         let rotation = world_from_camera.rotation_matrix();
-        let mut solids = self.solids.clone();
-        solids.extend(self.mover(index));
+        let solids = self.solids(index);
         let mut light = vec![0.0_f32; width * height];
         for (k, light) in light.iter_mut().enumerate() {
             let corner = (k / width) * (width + 1) + k % width;
@@ -130,6 +139,16 @@ impl TexturedWorld {
         }
         let light = blurred(&light, width, sensor.blur_px);
         sensor.develop(&light, self.options.seed, index as u64)
+    }
+
+    /// What everything random follows from.
+    pub(super) fn seed(&self) -> u64 {
+        self.options.seed
+    }
+
+    /// All that is there in the `index`-th image.
+    pub(super) fn solids(&self, index: usize) -> Vec<TexturedBox> {
+        self.solids.iter().copied().chain(self.mover(index)).collect()
     }
 
     /// What moves about in the scene, where it is in the `index`-th image.

@@ -34,6 +34,12 @@
 //! noise_per_m = 0.0018           # σ of a reading's noise, in 1/m of inverse depth
 //! step_per_m = 0.002             # steps of inverse depth, in 1/m
 //! wall_m = 1.8                   # how far the wall behind the board is
+//! error = 1.0                    # how much of the systematic error of an ordinary sensor it has
+//! [scene]                        # only if given: no board, but a textured world that the camera is carried through
+//! world = "room"                 # room, facade, plane, corridor, garden
+//! path = "orbit"                 # orbit, sideways, forward, rotation
+//! mover = false                  # whether something moves about in it
+//! images = 150                   # along all of the path: as many as frames unless said
 //! ```
 
 use std::path::Path;
@@ -45,7 +51,9 @@ use crate::document::lens::LensDocument;
 use crate::geometry::board::{BoardSize, Chessboard};
 use crate::geometry::lens::Lens;
 use crate::geometry::pixel::ImageSize;
-use crate::simulation::{RgbdOptions, WalkOptions, WorldOptions};
+use crate::simulation::{
+    CameraPath, RgbdOptions, Scenery, TexturedWorldOptions, WalkOptions, WorldOptions,
+};
 
 const FRAMES: u64 = 150;
 const JPEG_QUALITY: u8 = 90;
@@ -59,6 +67,8 @@ pub(super) struct SceneFile {
     pub jpeg_quality: u8,
     /// The other sensors, where there are any.
     pub rgbd: Option<RgbdOptions>,
+    /// What the camera is carried through, where there is no board.
+    pub textured: Option<TexturedWorldOptions>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -73,6 +83,16 @@ struct WrittenScene {
     camera: WrittenCamera,
     walk: WrittenWalk,
     depth: Option<WrittenDepth>,
+    scene: Option<WrittenWorld>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct WrittenWorld {
+    world: Option<String>,
+    path: Option<String>,
+    mover: Option<bool>,
+    images: Option<u64>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -82,6 +102,7 @@ struct WrittenDepth {
     noise_per_m: Option<f64>,
     step_per_m: Option<f64>,
     wall_m: Option<f64>,
+    error: Option<f64>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -176,7 +197,34 @@ impl WrittenScene {
             .as_ref()
             .map(|depth| depth.apply(RgbdOptions::new(world.clone())))
             .transpose()?;
-        Ok(SceneFile { world, frames, jpeg_quality, rgbd })
+        let textured = self.scene.as_ref().map(|scene| scene.check(&world, frames)).transpose()?;
+        Ok(SceneFile { world, frames, jpeg_quality, rgbd, textured })
+    }
+}
+
+impl WrittenWorld {
+    /// The world before the camera of `world`, of which there are `frames`.
+    fn check(&self, world: &WorldOptions, frames: u64) -> Result<TexturedWorldOptions, String> {
+        let named = |given: &Option<String>, default: &str| {
+            given.clone().unwrap_or_else(|| default.to_owned())
+        };
+        let (scenery, path) = (named(&self.world, "room"), named(&self.path, "orbit"));
+        let given = self.images.map(|images| images as f64);
+        let images = ranged("scene.images", given, frames as f64, [frames as f64, 1e6])? as u64;
+        let unknown = |key: &str, name: &str, known: &str| {
+            format!("scene.{key}: `{name}` is unknown; write {known}")
+        };
+        Ok(TexturedWorldOptions {
+            seed: world.seed,
+            scenery: Scenery::from_name(&scenery).ok_or_else(|| {
+                unknown("world", &scenery, "room, facade, plane, corridor or garden")
+            })?,
+            path: CameraPath::from_name(&path)
+                .ok_or_else(|| unknown("path", &path, "orbit, sideways, forward or rotation"))?,
+            images: images as usize,
+            sensor: world.sensor.clone(),
+            has_mover: self.mover.unwrap_or(false),
+        })
     }
 }
 
@@ -213,6 +261,9 @@ impl WrittenDepth {
             ranged("depth.noise_per_m", self.noise_per_m, sensor.noise_per_m, [0.0, 1.0])?;
         sensor.step_per_m =
             ranged("depth.step_per_m", self.step_per_m, sensor.step_per_m, [0.0, 1.0])?;
+        let part = ranged("depth.error", self.error, 1.0, [0.0, 10.0])?;
+        let fields = [&mut sensor.error.scale, &mut sensor.error.offset];
+        fields.into_iter().flatten().for_each(|coefficient| *coefficient *= part);
         rgbd.wall[0] = ranged("depth.wall_m", self.wall_m, rgbd.wall[0], [0.1, 1000.0])?;
         Ok(rgbd)
     }
@@ -284,6 +335,9 @@ mod tests {
         assert_eq!(sensor, defaults.world.sensor);
         let world = scene.world.clone();
         assert_eq!(scene.rgbd, Some(RgbdOptions::new(world)));
+        let textured = scene.textured.unwrap();
+        assert_eq!((textured.scenery, textured.path), (Scenery::Room, CameraPath::Orbit));
+        assert_eq!((textured.images, textured.has_mover), (150, false));
         assert_eq!((scene.frames, scene.jpeg_quality, scene.world.fps), (150, 90, 15.0));
     }
 
@@ -300,6 +354,7 @@ mod tests {
                 ": camera.lens: k1",
             ),
             ("fps = [", ":1: "),
+            ("[scene]\nworld = \"sea\"", ": scene.world: `sea` is unknown; write room, facade"),
         ];
         for (text, expected) in table {
             let line = load(text).unwrap_err();
