@@ -1,12 +1,15 @@
 //! `plumb autocalibrate`: from photographs of a static scene to a calibration, without a target.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
-use crate::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
+use crate::calibration::result::SceneScale;
+use crate::calibration::scene::{SceneCalibration, SceneDepth, SceneOptions, calibrate_scene};
 use crate::cli::files::write_file;
 use crate::cli::in_order::all_cores;
 use crate::cli::lens_name::LensName;
+use crate::cli::scene_depth::stated_depth;
 use crate::cli::scene_images::{SceneImages, scene_images};
 use crate::cli::search_args::check_sources;
 use crate::cli::sources::FrameSets;
@@ -14,6 +17,7 @@ use crate::cli::{Failure, output, progress};
 use crate::document::scene::SceneCalibrationDocument;
 use crate::export::colmap_scene;
 use crate::geometry::lens::Lens;
+use crate::imaging::depth_image::DepthImage;
 use crate::imaging::point_cloud::{CloudPoint, to_ply};
 
 /// Calibrates a camera from images of a static scene, without a target.
@@ -41,7 +45,8 @@ pub struct Args {
     /// there.
     #[arg(long, value_name = "DIR")]
     colmap: Option<PathBuf>,
-    /// Images, folders of images, quoted globs, or recordings (.mcap).
+    /// Images, folders of images, quoted globs, or recordings (.mcap, ROS bags); with depth beside
+    /// color, lengths are in meters.
     #[arg(required = true, value_name = "SOURCE")]
     sources: Vec<String>,
 }
@@ -55,7 +60,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let started = Instant::now();
     check_sources(&args.sources)?;
     let frame_sets = || FrameSets::new(args.sources.iter().cloned());
-    let SceneImages { images, nominal_focal } = scene_images(frame_sets, threads)?;
+    let SceneImages { images, depth, nominal_focal } = scene_images(frame_sets, threads)?;
     let options = SceneOptions {
         lens: args.lens.into(),
         given: args.given.clone(),
@@ -66,7 +71,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     let spinner = progress::spinner("solving");
     let solved = calibrate_scene(&images, &options);
     spinner.finish_and_clear();
-    let calibration = solved.map_err(Failure::failed)?;
+    let calibration = with_unit(solved.map_err(Failure::failed)?, depth, &args.sources);
     let id = ulid::Ulid::generate().to_string();
     let mut document = SceneCalibrationDocument::new(id, jiff::Timestamp::now(), &calibration);
     document.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1000.0);
@@ -84,6 +89,25 @@ pub fn run(args: &Args) -> Result<(), Failure> {
         output::print_json(&document)
     } else {
         output::print_text(&summary(&calibration))
+    }
+}
+
+/// The same with lengths in meters, where the depth images that came with the images give them; with
+/// the reason where there are such, and they do not.
+fn with_unit(
+    mut calibration: SceneCalibration,
+    depth: Vec<Option<Arc<DepthImage>>>,
+    sources: &[String],
+) -> SceneCalibration {
+    let Some(size) = depth.iter().flatten().map(|image| image.size()).next() else {
+        return calibration;
+    };
+    match stated_depth(sources, size) {
+        Ok(sensor) => calibration.in_meters(&SceneDepth { sensor, images: depth }),
+        Err(reason) => {
+            calibration.verdict.reasons.push(format!("lengths have no unit: {reason}"));
+            calibration
+        }
     }
 }
 
@@ -129,6 +153,12 @@ fn summary(calibration: &SceneCalibration) -> String {
     for view in calibration.views.iter().filter(|view| view.camera_from_scene.is_none()) {
         let reason = view.reason.as_deref().unwrap_or("no reason given");
         lines.push(format!("  not used: {}: {reason}", view.name));
+    }
+    if let Some(SceneScale { relative_std, readings, views }) = calibration.scale {
+        lines.push(format!(
+            "  lengths in meters, from depth: ± {:.2} % ({readings} readings in {views} images)",
+            100.0 * relative_std
+        ));
     }
     lines.push(format!("verdict: {}", verdict.grade.name()));
     lines.extend(verdict.reasons.iter().map(|reason| format!("  {reason}")));

@@ -36,6 +36,7 @@ pub mod rectify;
 mod result_image;
 pub mod rig;
 mod row_differences;
+mod scene_depth;
 mod scene_images;
 pub mod search;
 pub mod search_args;

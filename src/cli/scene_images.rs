@@ -1,10 +1,13 @@
-//! Images of a static scene, with their features.
+//! Images of a static scene, with their features, and the depth images that were taken with them.
+
+use std::sync::Arc;
 
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::cli::in_order::in_order;
 use crate::cli::sources::{FrameSets, SourcedFrames, Unreadable};
 use crate::cli::{Failure, progress};
 use crate::imaging::decode;
+use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
@@ -16,23 +19,38 @@ const MAX_IMAGES: usize = 60;
 pub(super) struct SceneImages {
     /// The features of every image, in order.
     pub images: Vec<SceneImage>,
+    /// The depth image taken with each; `None` where there is none.
+    pub depth: Vec<Option<Arc<DepthImage>>>,
     /// The focal length that all files state alike.
     pub nominal_focal: Option<NominalFocal>,
 }
 
-/// Finds the features of the images that `frame_sets` gives, called once to count them.
+/// One of them.
+struct ReadImage {
+    image: SceneImage,
+    depth: Option<Arc<DepthImage>>,
+    nominal_focal: Option<NominalFocal>,
+}
+
+/// Finds the features of the images that `frame_sets` gives, called once to count them. Frame sets
+/// without an image, as of sensors that are not taken together, are passed over unless all are.
 ///
 /// # Errors
-/// When an image cannot be read.
+/// When an image cannot be read, of light or of depth.
 pub(super) fn scene_images<'a>(
     frame_sets: impl Fn() -> FrameSets<'a>,
     threads: usize,
 ) -> Result<SceneImages, Failure> {
-    let step = frame_sets().count().div_ceil(MAX_IMAGES).max(1);
-    let (mut images, mut focals) = (Vec::new(), Vec::new());
+    let has_image = |frames: &Result<SourcedFrames, Unreadable>| {
+        frames.as_ref().map_or(true, |frames| frames.set.frame(SensorKind::Color).is_some())
+    };
+    let count = frame_sets().filter(has_image).count();
+    let is_taken = |frames: &Result<SourcedFrames, Unreadable>| count == 0 || has_image(frames);
+    let step = count.div_ceil(MAX_IMAGES).max(1);
+    let (mut images, mut depth, mut focals) = (Vec::new(), Vec::new(), Vec::new());
     let spinner = progress::spinner("finding features");
     in_order(
-        frame_sets().step_by(step),
+        frame_sets().filter(is_taken).step_by(step),
         threads,
         || {
             |frames: Result<SourcedFrames, Unreadable>| {
@@ -42,19 +60,20 @@ pub(super) fn scene_images<'a>(
         },
         |image| {
             spinner.inc(1);
-            let (image, focal) = image.map_err(Failure::failed)?;
-            images.push(image);
-            focals.push(focal);
+            let read = image.map_err(Failure::failed)?;
+            images.push(read.image);
+            depth.push(read.depth);
+            focals.push(read.nominal_focal);
             Ok::<(), Failure>(())
         },
     )?;
     spinner.finish_and_clear();
     let alike = focals.windows(2).all(|pair| pair[0] == pair[1]);
     let nominal_focal = focals.first().copied().flatten().filter(|_| alike);
-    Ok(SceneImages { images, nominal_focal })
+    Ok(SceneImages { images, depth, nominal_focal })
 }
 
-fn scene_image(frames: &SourcedFrames) -> Result<(SceneImage, Option<NominalFocal>), String> {
+fn scene_image(frames: &SourcedFrames) -> Result<ReadImage, String> {
     let name = frames.path();
     let frame = frames
         .set
@@ -62,6 +81,11 @@ fn scene_image(frames: &SourcedFrames) -> Result<(SceneImage, Option<NominalFoca
         .ok_or_else(|| format!("{name}: has no image sensor"))?;
     let mut luma = GrayImage::default();
     decode::luma(frame, &mut luma).map_err(|error| format!("{name}: {error}"))?;
-    let focal = nominal_focal(&frame.bytes, luma.size());
-    Ok((SceneImage::of(name, luma.view()), focal))
+    let depth = frames.set.frame(SensorKind::Depth).map(DepthImage::from_frame).transpose();
+    let depth = depth.map_err(|error| {
+        format!("{name}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped")
+    })?;
+    let nominal_focal = nominal_focal(&frame.bytes, luma.size());
+    let image = SceneImage::of(name, luma.view());
+    Ok(ReadImage { image, depth: depth.map(Arc::new), nominal_focal })
 }

@@ -3,11 +3,14 @@
 use serde::{Deserialize, Deserializer, Serialize};
 use utoipa::ToSchema;
 
-use crate::calibration::result::{Calibration, Extrinsics};
+use crate::calibration::result::{
+    Calibration, Extrinsics, ImageCalibration, SceneScale, SensorResult,
+};
 use crate::calibration::sensor::SensorId;
 use crate::calibration::target::CalibrationTarget;
 use crate::document::error::DocumentError;
 use crate::document::pose::{PoseDocument, RotationDocument};
+use crate::document::scene_scale::{METERS, SceneScaleDocument};
 use crate::document::sensors::SensorsDocument;
 use crate::document::target::TargetDocument;
 use crate::document::time;
@@ -29,8 +32,8 @@ pub struct CalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// The board or the scene; null where correspondences were given without one.
     pub target: Option<TargetDocument>,
-    /// The unit of lengths, without a board only: null, since images do not determine it; the
-    /// greatest distance between two used cameras is 1.
+    /// The unit of lengths, without a board only: `m` where depth gives it, else null: images do
+    /// not determine it, and the greatest distance between two used cameras is 1.
     #[schema(value_type = Option<String>)]
     #[serde(
         default,
@@ -38,6 +41,9 @@ pub struct CalibrationDocument {
         skip_serializing_if = "Option::is_none"
     )]
     pub scene_unit: Option<Option<String>>,
+    /// How well the unit is known, where depth gives it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene_scale: Option<SceneScaleDocument>,
     /// Each calibrated sensor. A camera with one sensor has it under `color`, gray or not.
     pub sensors: SensorsDocument,
     /// The cameras of a rig, in its order; left out for one camera.
@@ -107,13 +113,18 @@ impl From<&Calibration> for CalibrationDocument {
             sensors: SensorsDocument::of(&calibration.sensors, Some(name)),
         };
         let extrinsics = |known: &Extrinsics| extrinsics_document(calibration, known);
+        let scale = calibration.guide().and_then(|sensor| sensor.scene.as_ref()?.scale);
         Self {
             id: calibration.id.clone(),
             camera: calibration.camera.clone(),
             session: calibration.session.clone(),
             created_at: time::from_utc_ns(calibration.created_at_ns),
             target: calibration.target.map(TargetDocument::from),
-            scene_unit: calibration.target.filter(CalibrationTarget::is_scene).map(|_| None),
+            scene_unit: calibration
+                .target
+                .filter(CalibrationTarget::is_scene)
+                .map(|_| scale.map(|_| METERS.to_owned())),
+            scene_scale: scale.map(SceneScaleDocument::from),
             sensors: SensorsDocument::of(&calibration.sensors, None),
             cameras: cameras.iter().map(camera).collect(),
             extrinsics: calibration.extrinsics.iter().map(extrinsics).collect(),
@@ -131,6 +142,14 @@ impl TryFrom<&CalibrationDocument> for Calibration {
         for (i, camera) in document.cameras.iter().enumerate() {
             let own = camera.sensors.to_sensors(Some(&camera.name));
             sensors.extend(own.map_err(|e| e.inside(&format!("cameras[{i}]")))?);
+        }
+        let scale = document.scene_scale.as_ref().map(SceneScale::from);
+        for sensor in &mut sensors {
+            if let SensorResult::Image(ImageCalibration { scene: Some(scene), .. }) =
+                &mut sensor.result
+            {
+                scene.scale = scale;
+            }
         }
         let extrinsics = |(i, extrinsics): (usize, &ExtrinsicsDocument)| {
             extrinsics
@@ -231,7 +250,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::calibration::result::{
         CalibratedSensor, CalibratedView, Checks, ComparedLens, Grade, ImageCalibration,
-        ProjectionUncertainty, SceneSupport, Verdict,
+        ProjectionUncertainty, SceneScale, SceneSupport, Verdict,
     };
     use crate::document::image_sensor::SensorDocument;
     use crate::document::reading::{from_json, to_json, to_json_pretty};
@@ -370,7 +389,11 @@ pub(crate) mod tests {
         let mut calibration = example();
         calibration.target = Some(CalibrationTarget::Scene);
         let color = calibration.image_mut(SensorKind::Color).unwrap();
-        color.scene = Some(SceneSupport { points: 900, held_by_prior: vec!["cx".into()] });
+        color.scene = Some(SceneSupport {
+            points: 900,
+            held_by_prior: vec!["cx".into()],
+            scale: Some(SceneScale { relative_std: 0.004, readings: 700, views: 11 }),
+        });
         for view in &mut color.views {
             view.camera_from_scene = view.camera_from_board.take();
         }

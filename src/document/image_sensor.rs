@@ -143,6 +143,7 @@ impl TryFrom<&SensorDocument> for ImageCalibration {
             scene: document.points.map(|points| SceneSupport {
                 points,
                 held_by_prior: document.held_by_prior.clone(),
+                scale: None,
             }),
         })
     }

@@ -23,6 +23,7 @@ pub mod reading;
 pub mod recording;
 pub mod rig;
 pub mod scene;
+pub mod scene_scale;
 pub mod sensors;
 pub mod sensors_file;
 pub mod session;

@@ -7,6 +7,7 @@ use crate::calibration::scene::{SceneCalibration, SceneView};
 use crate::document::image_sensor::UncertaintyDocument;
 use crate::document::lens::{LensDocument, LensStdDocument};
 use crate::document::pose::PoseDocument;
+use crate::document::scene_scale::{METERS, SceneScaleDocument};
 use crate::document::verdict::{ChecksDocument, VerdictDocument};
 
 /// A finished calibration without a target.
@@ -23,9 +24,12 @@ pub struct SceneCalibrationDocument {
     pub created_at: jiff::Timestamp,
     /// `{"kind": "scene"}`.
     pub target: SceneTargetDocument,
-    /// The unit of lengths: null, since images do not determine it; the greatest distance between
-    /// two used cameras is 1.
+    /// The unit of lengths: `m` where depth gives it, else null: images do not determine it, and
+    /// the greatest distance between two used cameras is 1.
     pub scene_unit: Option<String>,
+    /// How well the unit is known, where depth gives it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene_scale: Option<SceneScaleDocument>,
     /// The sensor, under `color`.
     pub sensors: SceneSensorsDocument,
     /// Always empty: one sensor.
@@ -116,7 +120,8 @@ impl SceneCalibrationDocument {
             session: None,
             created_at,
             target: SceneTargetDocument { kind: "scene".to_owned() },
-            scene_unit: None,
+            scene_unit: calibration.scale.map(|_| METERS.to_owned()),
+            scene_scale: calibration.scale.map(SceneScaleDocument::from),
             sensors: SceneSensorsDocument { color },
             extrinsics: Vec::new(),
             checks: calibration.checks.into(),

@@ -231,12 +231,25 @@ pub struct ImageCalibration {
 }
 
 /// What a scene showed of a lens.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SceneSupport {
     /// How many scene points were used.
     pub points: usize,
     /// Lens parameters of which the images say no more than what was known beforehand.
     pub held_by_prior: Vec<String>,
+    /// How well the meter is known, where depth gives it; without it lengths have no unit.
+    pub scale: Option<SceneScale>,
+}
+
+/// How well measured depth determines a scene's lengths.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SceneScale {
+    /// The standard deviation of a length, as a part of it.
+    pub relative_std: f64,
+    /// How many measured depths of scene points it rests on.
+    pub readings: usize,
+    /// In how many images.
+    pub views: usize,
 }
 
 /// Predicted 1-σ uncertainty of a projected pixel, after the best compensating camera motion.

@@ -5,10 +5,12 @@
 //! images --correspondence--> pairs and tracks --estimation::scene--> lens, poses, points
 //!        --lens_fit--> the lens model that the images call for
 //!        --conditions, verdict--> how far to trust it
+//!        --depth_scale--> lengths in meters, where depth was measured too
 //! ```
 
 pub mod conditions;
 pub mod correspondence;
+pub mod depth_scale;
 pub mod key_frames;
 mod lens_fit;
 mod localization;
@@ -20,6 +22,7 @@ pub mod so_far;
 mod solve;
 mod verdict;
 
+pub use depth_scale::{NoScale, SceneDepth};
 pub use refusal::SceneRefusal;
 pub use result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 pub use solve::{SceneOptions, calibrate_scene};

@@ -4,7 +4,7 @@ use nalgebra::Point3;
 
 use crate::calibration::result::{
     CalibratedSensor, CalibratedView, Calibration, Checks, ImageCalibration, ProjectionUncertainty,
-    SceneSupport, Verdict,
+    SceneScale, SceneSupport, Verdict,
 };
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::sensor::SensorId;
@@ -31,6 +31,8 @@ pub struct SceneCalibration {
     pub held_by_prior: Vec<&'static str>,
     /// How the camera stood and moved.
     pub conditions: SceneConditions,
+    /// How well the meter is known, where depth gives it; without it lengths have no unit.
+    pub scale: Option<SceneScale>,
 }
 
 /// The lens and how well it is known.
@@ -61,7 +63,7 @@ pub struct SceneView {
     /// The root mean square length of its residuals, in pixels.
     pub rms_px: Option<f64>,
     /// Its pose; `None` for an image that was not used. The first used is the identity, and the
-    /// greatest distance between two is 1.
+    /// greatest distance between two is 1 unless lengths are in meters.
     pub camera_from_scene: Option<Pose>,
 }
 
@@ -79,7 +81,7 @@ pub struct ScenePoint {
 impl SceneCalibration {
     /// The same as every other calibration is kept, without a name, and without the points.
     pub fn into_calibration(self) -> Calibration {
-        let Self { sensor, views, points, checks, verdict, held_by_prior, .. } = self;
+        let Self { sensor, views, points, checks, verdict, held_by_prior, scale, .. } = self;
         let held_by_prior = held_by_prior.into_iter().map(str::to_owned).collect();
         let image = ImageCalibration {
             image_size: sensor.image_size,
@@ -93,7 +95,7 @@ impl SceneCalibration {
             board_warp_m: None,
             board_shape: None,
             rolling_shutter: None,
-            scene: Some(SceneSupport { points: points.len(), held_by_prior }),
+            scene: Some(SceneSupport { points: points.len(), held_by_prior, scale }),
         };
         let color = CalibratedSensor::image(SensorId::own(SensorKind::Color), image);
         Calibration::unnamed(Some(CalibrationTarget::Scene), vec![color], (checks, verdict))

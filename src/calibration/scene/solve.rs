@@ -290,7 +290,8 @@ fn finished(
     };
     let verdict = verdict::judge(&evidence);
     let conditions = *conditions;
-    SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions }
+    let scale = None;
+    SceneCalibration { sensor, views, points, checks, verdict, held_by_prior, conditions, scale }
 }
 
 /// The frame of results: the first used image, the greatest distance between two cameras 1.

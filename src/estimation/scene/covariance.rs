@@ -94,7 +94,7 @@ const HALVINGS: u32 = 5;
 
 /// The part of the scene that each point lies in: the scene is halved at the median of its longest
 /// extent, the halves likewise, and so on.
-fn scene_parts(points: &[Point3<f64>]) -> Vec<usize> {
+pub(super) fn scene_parts(points: &[Point3<f64>]) -> Vec<usize> {
     let mut parts = vec![0; points.len()];
     let mut split: Vec<Vec<usize>> = vec![(0..points.len()).collect()];
     for _ in 0..HALVINGS {

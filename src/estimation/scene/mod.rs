@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Lengths have no unit: the scene's frame is that of the first used camera, and the greatest
-//! distance between two cameras is 1. What images hardly determine is held by stated priors
+//! distance between two cameras is 1, unless depth was measured too ([`metric_scale`]). What images hardly determine is held by stated priors
 //! ([`lens_prior`]).
 
 pub mod bundle;
@@ -17,6 +17,7 @@ mod bundle_tests;
 pub mod covariance;
 pub mod hypotheses;
 pub mod lens_prior;
+pub mod metric_scale;
 pub mod problem;
 pub mod reconstruction;
 pub mod resection;
