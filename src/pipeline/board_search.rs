@@ -10,7 +10,6 @@ use crate::detection::tracking::TrackedBoard;
 use crate::geometry::target::Target;
 use crate::imaging::decode;
 use crate::imaging::depth_encoding::DepthEncoding;
-use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::{Frame, FrameSet, SensorKind};
 use crate::imaging::gray::GrayImage;
 use crate::pipeline::guarded::guarded;
@@ -108,17 +107,7 @@ impl BoardSearch {
     ) -> Option<SensorObservation> {
         let sensor = frame.sensor;
         if sensor == SensorKind::Depth {
-            let depth = DepthImage::from_frame(frame).ok()?;
-            let image = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
-            let (image_size, depth) = (depth.size(), Some(Arc::new(depth)));
-            return Some(SensorObservation {
-                sensor,
-                image_size,
-                depth_encoding,
-                detection: None,
-                depth,
-                image,
-            });
+            return SensorObservation::of_depth(frame, depth_encoding);
         }
         let image = image_of(frame)?;
         let found = self.search_frame(frame, board, SearchManner::Whole);

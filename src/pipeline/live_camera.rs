@@ -7,6 +7,7 @@ use tokio::sync::{mpsc, watch};
 use crate::calibration::guidance::Guidance;
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::geometry::pose::Pose;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::pipeline::assembly::SharedFactory;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::captured::Captured;
@@ -90,6 +91,11 @@ impl LiveCamera {
         let key_frame = self.key_frame.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let camera = self.name.clone();
         PreviewState { camera, calibration, rig_calibration, outline_px, key_frame }
+    }
+
+    /// What the device states that the readings of its depth images mean.
+    pub(super) fn depth_encoding(&self) -> Option<DepthEncoding> {
+        self.factory.lock().unwrap_or_else(PoisonError::into_inner).depth_encoding
     }
 
     /// Shows from now on what each image shares with `key_frame`.

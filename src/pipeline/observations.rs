@@ -1,6 +1,8 @@
 //! A session's views, with what the cameras' other sensors gave, as a problem to solve.
 
 use crate::calibration::rgbd_input::DepthSensor;
+use crate::calibration::scene::SceneDepth;
+use crate::calibration::scene::key_frames::KeyFrame;
 use crate::calibration::session::Session;
 use crate::calibration::view::{FrameFacts, View, target_as_seen};
 use crate::calibration::{CameraFrameSets, InstrumentObservations, ObservedFrameSet};
@@ -23,9 +25,11 @@ pub(super) fn solve_job(
 ) -> SolveJob {
     let record = session.record();
     let Some(board) = record.request.target.board() else {
-        let images = session.camera(0).map_or(&[][..], |part| part.key_frames());
-        let images = images.iter().map(|key| key.image.clone()).collect();
-        let observations = SolveInput::Scene(images);
+        let stated = stated.first().and_then(Option::as_ref);
+        let key_frames = session.camera(0).map_or(&[][..], |part| part.key_frames());
+        let images = key_frames.iter().map(|key| key.image.clone()).collect();
+        let depth = scene_depth(key_frames, auxiliary.views(), stated).map(Box::new);
+        let observations = SolveInput::Scene(images, depth);
         return SolveJob {
             session: record.id.clone(),
             lens: record.request.lens,
@@ -56,6 +60,38 @@ pub(super) fn solve_job(
         lens: record.request.lens,
         observations,
         interrupt: Interrupt::new(),
+    }
+}
+
+/// Depth that was taken together with the key frames of a scene; `None` where there is none.
+fn scene_depth(
+    key_frames: &[KeyFrame],
+    auxiliary: &[AuxiliaryView],
+    stated: Option<&FactorySensor>,
+) -> Option<SceneDepth> {
+    let of_depth = || auxiliary.iter().filter(|view| view.sensor == SensorKind::Depth);
+    let size = of_depth().next()?.image_size;
+    let image = |key: &KeyFrame| of_depth().find(|view| view.number == key.number)?.depth.clone();
+    let encoding = of_depth().find_map(|view| view.depth_encoding);
+    let sensor = depth_sensor(encoding, (size, stated), false);
+    Some(SceneDepth { sensor, images: key_frames.iter().map(image).collect() })
+}
+
+/// What is known of a depth sensor with images of `size`, with what the device states of it.
+fn depth_sensor(
+    encoding: Option<DepthEncoding>,
+    (size, stated): (ImageSize, Option<&FactorySensor>),
+    with_infrared: bool,
+) -> DepthSensor {
+    let encoding = encoding.unwrap_or(DepthEncoding::ORDINARY);
+    DepthSensor {
+        reading: encoding.reading,
+        invalid: encoding.invalid,
+        factory: stated.filter(|stated| stated.image_size == size).and_then(|stated| {
+            let depth_from_color = stated.color_from_sensor?.inverse();
+            Some((stated.lens?, depth_from_color))
+        }),
+        with_infrared,
     }
 }
 
@@ -137,16 +173,8 @@ impl<'a> CameraSeen<'a> {
         let mut of_depth = SensorKind::ALL.into_iter().filter(|kind| kind.is_of_depth());
         let infrared = of_depth.find_map(|kind| self.all(kind).next());
         let encoding = self.all(SensorKind::Depth).find_map(|view| view.depth_encoding);
-        let encoding = encoding.unwrap_or(DepthEncoding::ORDINARY);
-        DepthSensor {
-            reading: encoding.reading,
-            invalid: encoding.invalid,
-            factory: stated.filter(|stated| stated.image_size == size).and_then(|stated| {
-                let depth_from_color = stated.color_from_sensor?.inverse();
-                Some((stated.lens?, depth_from_color))
-            }),
-            with_infrared: infrared.is_some_and(|infrared| infrared.image_size == size),
-        }
+        let with_infrared = infrared.is_some_and(|infrared| infrared.image_size == size);
+        depth_sensor(encoding, (size, stated), with_infrared)
     }
 
     fn corners(&self, seen: Option<&AuxiliaryView>, view: &View) -> Vec<Correspondence> {

@@ -12,12 +12,13 @@ use crate::calibration::sensor::SensorId;
 use crate::calibration::session::{Action, KeptView, Session};
 use crate::calibration::session_record::{SessionRecord, SessionState};
 use crate::calibration::view::FrameFacts;
+use crate::imaging::depth_encoding::DepthEncoding;
 use crate::imaging::frame::SensorKind;
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind};
 use crate::pipeline::message::{Message, SeenFrameSet};
 use crate::pipeline::scene_search::key_frame_image;
-use crate::pipeline::seen::searched_frame;
+use crate::pipeline::seen::{SensorObservation, searched_frame};
 use crate::pipeline::session_thread::SessionThread;
 use crate::pipeline::unstored::{Unstored, UnstoredWork};
 use crate::store::{Picture, SensorView, StoreError};
@@ -55,6 +56,12 @@ impl SessionThread {
         let mut rows = Vec::new();
         for place in kept {
             rows.extend(key_frame_row(session, place, seen));
+            let seen_by = self.instrument.cameras.get(place.camera);
+            let encoding = seen_by.and_then(|camera| camera.depth_encoding());
+            if let Some((view, observation)) = key_frame_depth(session, place, seen, encoding) {
+                self.auxiliary.add(place.number, (place.frame_set, None), &observation);
+                rows.push((view, observation.image));
+            }
             let Some((view, frame)) =
                 session.view(place).zip(seen.frames.get(place.camera).and_then(Option::as_ref))
             else {
@@ -275,4 +282,25 @@ fn key_frame_row(
         detection: None,
     };
     Some((view, key_frame_image(searched_frame(frame_set)?)?))
+}
+
+/// The depth image that came with a key frame, as the store has it, and to solve.
+fn key_frame_depth(
+    session: &Session,
+    place: &KeptView,
+    seen: &SeenFrameSet,
+    encoding: Option<DepthEncoding>,
+) -> Option<(SensorView, SensorObservation)> {
+    let key_frame = session.key_frame(place)?;
+    let frame_set = &seen.frames.get(place.camera)?.as_ref()?.frame_set;
+    let observation = SensorObservation::of_depth(frame_set.frame(SensorKind::Depth)?, encoding)?;
+    let view = SensorView {
+        frame_set: place.frame_set,
+        sensor: SensorId::own(SensorKind::Depth),
+        number: None,
+        frame: FrameFacts { image_size: observation.image_size, ..key_frame.frame.clone() },
+        depth_encoding: encoding,
+        detection: None,
+    };
+    Some((view, observation))
 }

@@ -42,6 +42,22 @@ pub(super) struct SensorObservation {
     pub(super) image: Picture,
 }
 
+impl SensorObservation {
+    /// A depth image, without loss; `None` for one that cannot be decoded.
+    pub(super) fn of_depth(frame: &Frame, depth_encoding: Option<DepthEncoding>) -> Option<Self> {
+        let depth = DepthImage::from_frame(frame).ok()?;
+        let image = Picture { media_type: "image/png".to_owned(), bytes: depth.to_png() };
+        Some(Self {
+            sensor: frame.sensor,
+            image_size: depth.size(),
+            depth_encoding,
+            detection: None,
+            depth: Some(Arc::new(depth)),
+            image,
+        })
+    }
+}
+
 impl SeenFrame {
     /// What the session observes of it.
     pub(super) fn to_camera_frame(&self) -> CameraFrame {

@@ -4,7 +4,7 @@ use crate::calibration::result::Calibration;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn, estimate_so_far};
 use crate::calibration::scene::correspondence::SceneImage;
 use crate::calibration::scene::so_far::{SceneSoFar, scene_so_far};
-use crate::calibration::scene::{SceneCalibration, SceneOptions, calibrate_scene};
+use crate::calibration::scene::{SceneDepth, SceneOptions, calibrate_scene};
 use crate::calibration::session::camera::CameraPart;
 use crate::calibration::session::{Action, Session};
 use crate::calibration::target::CalibrationTarget;
@@ -135,8 +135,8 @@ pub(super) struct SolveJob {
 pub(super) enum SolveInput {
     /// Of a board.
     Board(Box<InstrumentObservations>),
-    /// Of a scene.
-    Scene(Vec<SceneImage>),
+    /// Of a scene, with depth where the camera measures it.
+    Scene(Vec<SceneImage>, Option<Box<SceneDepth>>),
 }
 
 impl SolveJob {
@@ -157,14 +157,19 @@ impl SolveJob {
             SolveInput::Board(observations) => {
                 calibration::solve(observations, &options).map_err(|error| error.to_string())
             }
-            SolveInput::Scene(images) => {
+            SolveInput::Scene(images, depth) => {
                 let options = SceneOptions {
                     lens: self.lens,
                     interrupt: self.interrupt.clone(),
                     ..SceneOptions::default()
                 };
-                let solved = calibrate_scene(images, &options);
-                solved.map(SceneCalibration::into_calibration).map_err(|error| error.to_string())
+                let solved =
+                    calibrate_scene(images, &options).map_err(|error| error.to_string())?;
+                let solved = match depth {
+                    Some(depth) => solved.in_meters(depth),
+                    None => solved,
+                };
+                Ok(solved.into_calibration())
             }
         })??;
         let session = Some(self.session.clone());

@@ -4,9 +4,11 @@
 use std::path::Path;
 use std::sync::OnceLock;
 
+use plumb::document::pose::PoseDocument;
 use plumb::geometry::pose::Pose;
 use serde_json::{Value, json};
 
+use crate::program::plumb;
 use crate::room::{RoomCamera, camera, rendered};
 use crate::served::{Events, Served};
 
@@ -256,4 +258,51 @@ fn a_scene_has_no_other_fields() {
     let refused = served.post("/v1/cameras/front/sessions", &request);
     assert_eq!(refused.status, 422);
     assert!(refused.text().contains("target.cols"), "{}", refused.text());
+}
+
+/// A rendered room before a small color camera and a depth camera.
+const ROOM: &str = r#"
+seed = 33
+frames = 9
+fps = 5
+[camera]
+width = 320
+height = 240
+[depth]
+error = 0.0
+[scene]
+world = "room"
+"#;
+
+#[test]
+fn a_scene_before_a_depth_camera_has_lengths_in_meters() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    std::fs::write(at("room.toml"), ROOM).unwrap();
+    let rendered = plumb(["simulate", "--config", &at("room.toml"), "--out", &at("room.mcap")]);
+    assert_eq!(rendered.code, Some(0), "{rendered:?}");
+    let source =
+        format!("{{ kind = \"recording\", path = {:?}, pace = \"fastest\" }}", at("room.mcap"));
+    let config = format!("[[camera]]\nname = \"front\"\nsource = {source}\n");
+    let served = Served::start(folder.path(), &config);
+    let request = json!({"target": {"kind": "scene"}, "lens": "brown"});
+    let calibration = calibration_of(&served, &calibrate(&served, &request));
+    assert_eq!(calibration["scene_unit"], "m", "{}", calibration["verdict"]);
+    let std = calibration["scene_scale"]["relative_std"].as_f64().unwrap();
+    let truth: Value =
+        serde_json::from_slice(&std::fs::read(at("room.truth.json")).unwrap()).unwrap();
+    let pose = |of: &Value| -> Pose {
+        let document: PoseDocument = serde_json::from_value(of.clone()).unwrap();
+        Pose::try_from(&document).unwrap()
+    };
+    let views = calibration["sensors"]["color"]["views"].as_array().unwrap();
+    let frame = |view: &Value| view["name"].as_str().unwrap().parse::<usize>().unwrap();
+    let (first, last) = (&views[0], &views[views.len() - 1]);
+    let [length, exact] = [
+        [first, last].map(|view| pose(&view["camera_from_scene"])),
+        [first, last].map(|view| pose(&truth["frames"][frame(view)]["camera_from_scene"])),
+    ]
+    .map(|[first, last]| (first.inverse().translation() - last.inverse().translation()).norm());
+    let off = length / exact - 1.0;
+    assert!(off.abs() < 3.0 * std && off.abs() < 0.02, "{off} ± {std}");
 }
