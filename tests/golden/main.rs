@@ -25,6 +25,7 @@ mod rgbd_wrong;
 mod rig;
 mod rig_of_devices;
 mod running_estimate;
+mod scene_depth;
 mod seeded_camera;
 mod seeded_rgbd;
 #[path = "../system/shared_data.rs"]

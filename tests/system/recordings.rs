@@ -31,7 +31,9 @@ fn every_recording_is_whole_small_and_has_its_truth() {
     let megabytes = |name: &str| fs::metadata(recordings().join(name)).unwrap().len() as f64 / 1e6;
     assert!(megabytes("walk.mcap") + megabytes("hard.mcap") < 8.0);
     assert!(megabytes("rgbd.mcap") < 12.0);
-    for (name, sensors) in [("walk.mcap", 1), ("hard.mcap", 1), ("rgbd.mcap", 3)] {
+    assert!(megabytes("room.mcap") < 4.0);
+    for (name, sensors) in [("walk.mcap", 1), ("hard.mcap", 1), ("rgbd.mcap", 3), ("room.mcap", 2)]
+    {
         let path = recordings().join(name);
         let sets = frame_sets(&path);
         let record = metadata(&path, RECORD).unwrap().unwrap();
@@ -57,7 +59,7 @@ fn every_recording_is_whole_small_and_has_its_truth() {
 #[test]
 fn a_scene_gives_its_recording_to_the_byte() {
     let folder = tempfile::tempdir().unwrap();
-    for name in ["walk", "hard", "rgbd"] {
+    for name in ["walk", "hard", "rgbd", "room"] {
         let scene = fs::read_to_string(recordings().join(format!("{name}.toml"))).unwrap();
         let short: Vec<&str> = scene
             .lines()
