@@ -132,34 +132,45 @@ fn descend<G: EpipolarGeometry>(start: G, pairs: &[PointPair], weights: &[f64]) 
     best
 }
 
+/// The cost with its normal equations over the degrees of freedom. They are summed over the nine
+/// elements of the matrix, in which residuals are linear in the same way for every geometry.
 fn equations(
     geometry: &impl EpipolarGeometry,
     pairs: &[PointPair],
     weights: &[f64],
 ) -> (f64, DMatrix<f64>, DVector<f64>) {
     let (f, tangents) = (geometry.matrix(), geometry.tangents());
-    let size = tangents.len();
-    let (mut cost, mut normal) = (0.0, DMatrix::zeros(size, size));
-    let (mut gradient, mut row) = (DVector::zeros(size), DVector::zeros(size));
+    let mut cost = 0.0;
+    let (mut normal, mut gradient) = ([[0.0; 9]; 9], [0.0; 9]);
     for (pair, weight) in pairs.iter().zip(weights).filter(|(_, weight)| **weight > 0.0) {
         let [first, second] = pair.homogeneous();
-        let (in_second, in_first) = (f * first, f.tr_mul(&second));
-        let squares = in_second.xy().norm_squared() + in_first.xy().norm_squared();
+        let in_plane = |line: Vector3<f64>| Vector3::new(line.x, line.y, 0.0);
+        let (in_second, in_first) = (in_plane(f * first), in_plane(f.tr_mul(&second)));
+        let squares = in_second.norm_squared() + in_first.norm_squared();
         if !(squares > 0.0) {
             continue;
         }
-        let (root, error) = (squares.sqrt(), second.dot(&in_second));
-        let residual = error / root;
-        for (value, tangent) in row.iter_mut().zip(&tangents) {
-            let (by_second, by_first) = (tangent * first, tangent.tr_mul(&second));
-            let slope = in_second.xy().dot(&by_second.xy()) + in_first.xy().dot(&by_first.xy());
-            *value = (second.dot(&by_second) - residual * slope / root) / root;
+        let root = squares.sqrt();
+        let residual = second.dot(&(f * first)) / root;
+        // Of the error, and of the root that it is divided by.
+        let by_error = (second - in_second * (residual / root)) / root;
+        let by_root = second * (-residual / squares);
+        let by_element = by_error * first.transpose() + by_root * in_first.transpose();
+        let by_element = by_element.as_slice();
+        for (i, (row, own)) in normal.iter_mut().zip(by_element).enumerate() {
+            let weighted = weight * own;
+            gradient[i] += weighted * residual;
+            for (sum, other) in row.iter_mut().zip(&by_element[..=i]) {
+                *sum += weighted * other;
+            }
         }
         cost += weight * residual * residual;
-        normal.ger(*weight, &row, &row, 1.0);
-        gradient.axpy(weight * residual, &row, 1.0);
     }
-    (cost, normal, gradient)
+    let elements = tangents.iter().flat_map(|tangent| tangent.iter().copied());
+    let by_freedom = DMatrix::from_iterator(9, tangents.len(), elements);
+    let normal = DMatrix::from_fn(9, 9, |i, j| normal[i.max(j)][i.min(j)]);
+    let gradient = DVector::from_column_slice(&gradient);
+    (cost, by_freedom.tr_mul(&(normal * &by_freedom)), by_freedom.tr_mul(&gradient))
 }
 
 fn axes() -> [Matrix3<f64>; 3] {
