@@ -2,9 +2,9 @@
 
     PLUMB=target/release/plumb target/venv/bin/python tests/torture/soak.py --minutes 120
 
-Two recordings and two simulators; each session collects for 20 s, is stopped and solved, and its calibration is asked for and all but
-the newest 20 are deleted; sessions are pruned by the daemon; a preview and the events are read beside. Each minute it takes down what
-the process holds. The slopes are of the last three quarters, when caches and the store are full.
+Two recordings and two simulators; each session collects for 20 s, is stopped and solved, and its calibration is asked for. Nothing is
+approved, and all but the newest 20 sessions are deleted, with their calibrations: what is approved is kept for ever. Previews and events
+are read beside. Each minute it takes down what the process holds. The slopes are of the last half, when caches and the store are full.
 """
 
 import argparse
@@ -21,8 +21,8 @@ import plumbd
 from plumbd import ROOT, TARGET, Plumbd
 
 SECONDS_OF_A_SESSION = 20
-CALIBRATIONS = 20
-CONFIG = "keep_sessions = 40"
+KEPT = 20
+CONFIG = "[calibration]\nauto_approve = false"
 CAMERAS = f"""
 [[camera]]
 name = "front"
@@ -44,7 +44,7 @@ class Counts:
     def __init__(self):
         self.lock = threading.Lock()
         self.sessions, self.solved, self.refused, self.bad = 0, 0, 0, []
-        self.calibrations = []
+        self.kept = []
 
 
 def rounds(daemon, camera, until, counts):
@@ -69,15 +69,15 @@ def rounds(daemon, camera, until, counts):
             counts.sessions += 1
             if document["state"] == "finished":
                 counts.solved += 1
-                counts.calibrations.append(document["calibration"])
                 if daemon.ask(f"/v1/calibrations/{document['calibration']}")[0] != 200:
                     counts.bad.append(f"{camera}: no calibration {document['calibration']}")
             else:
                 counts.refused += 1
-            old = counts.calibrations[:-CALIBRATIONS]
-            counts.calibrations = counts.calibrations[-CALIBRATIONS:]
-        for calibration in old:
-            daemon.ask(f"/v1/calibrations/{calibration}", method="DELETE")
+            counts.kept.append((path, document["calibration"]))
+            old, counts.kept = counts.kept[:-KEPT], counts.kept[-KEPT:]
+        for path, calibration in old:
+            gone = [f"{path}?purge=true", *([f"/v1/calibrations/{calibration}"] if calibration else [])]
+            counts.bad += [f"DELETE {one}: {status}" for one in gone if (status := daemon.ask(one, method="DELETE")[0]) >= 300]
 
 
 def watch(daemon, path, until):
@@ -102,8 +102,8 @@ def held(daemon):
 
 
 def slope(rows, column):
-    """Of a line through the last three quarters, an hour."""
-    rows = rows[len(rows) // 4:]
+    """Of a line through the last half, an hour."""
+    rows = rows[len(rows) // 2:]
     hours = [row[0] / 3600 for row in rows]
     values = [row[1 + column] for row in rows]
     mean_t, mean_v = sum(hours) / len(hours), sum(values) / len(values)
