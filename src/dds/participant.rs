@@ -177,7 +177,12 @@ impl Participant {
         let topic = self.topic(name, dds_names, qos)?;
         let writer = self.publisher.create_datawriter_no_key(&topic, Some(qos.clone()));
         let writer = writer.map_err(|error| refused(name, &error))?;
-        Ok(TopicWriter { name: name.to_owned(), writer, readers: AtomicI32::new(0) })
+        Ok(TopicWriter {
+            name: name.to_owned(),
+            writer,
+            readers: AtomicI32::new(0),
+            reached: Mutex::default(),
+        })
     }
 
     fn topic(

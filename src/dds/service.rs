@@ -5,20 +5,27 @@
 //! DDS's names the request's sample in the reply's inline QoS (OMG DDS-RPC, "enhanced"). Which one
 //! the other side speaks is in the first two bytes of its identity: DDS's number of the vendor.
 
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
 use std::task::Waker;
+use std::time::{Duration, Instant};
 
 use rustdds::{RTPSEntity, SampleIdentity, WriteOptionsBuilder};
 
 use crate::dds::DdsError;
 use crate::dds::participant::Participant;
 use crate::dds::raw::HEAD;
-use crate::dds::reader::{ReaderChange, TopicReader};
-use crate::dds::writer::{Durability, TopicWriter};
+use crate::dds::reader::{ReaderChange, Received, TopicReader};
+use crate::dds::writer::{Durability, PREFIX, TopicWriter};
 
 /// Eclipse Cyclone DDS, in the DDS foundation's list of vendors.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
 /// What Cyclone's middleware puts before the content.
 const CYCLONE_HEADER: usize = 16;
+/// How long a request waits for its client to be found by the topic of replies. DDS finds the two
+/// topics one after the other, and a reply that is sent before is lost: ROS 2's own middlewares wait
+/// too.
+const DISCOVERY: Duration = Duration::from_secs(1);
 
 /// A request that came in.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,6 +49,16 @@ pub struct Reply {
 pub struct ServiceServer {
     requests: TopicReader,
     replies: TopicWriter,
+    held: Mutex<VecDeque<HeldRequest>>,
+}
+
+/// A request whose client may not be reached yet.
+#[derive(Debug)]
+struct HeldRequest {
+    request: Request,
+    /// The participant that the client is of.
+    client: [u8; PREFIX],
+    since: Instant,
 }
 
 impl ServiceServer {
@@ -54,29 +71,28 @@ impl ServiceServer {
         let [request, reply] = names(name, type_name);
         let requests = participant.reader(name, request, &qos)?;
         let replies = participant.writer(name, reply, &qos)?;
-        Ok(Self { requests, replies })
+        Ok(Self { requests, replies, held: Mutex::default() })
     }
 
-    /// Wakes `waker` once when a request comes.
+    /// Wakes `waker` once when a request comes; one that is held is not reported again.
     pub fn wake(&self, waker: &Waker) {
         self.requests.wake(waker);
     }
 
-    /// The next request that has come.
+    /// The next request that has come and whose client can be reached, or after a second whose
+    /// client cannot.
     pub fn take(&self) -> Option<Request> {
-        let sample = self.requests.take()?;
-        let identity = sample.replies_to.unwrap_or(sample.identity);
-        // Fast DDS names its own reader and leaves the number out.
-        let identity = match i64::from(identity.sequence_number) > 0 {
-            true => identity,
-            false => {
-                SampleIdentity { sequence_number: sample.identity.sequence_number, ..identity }
-            }
+        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = Instant::now();
+        while let Some(sample) = self.requests.take() {
+            let Some(client) = sample.writer.first_chunk().copied() else { continue };
+            held.extend(request_of(sample).map(|request| HeldRequest { request, client, since }));
+        }
+        let may_go = |held: &HeldRequest| {
+            self.replies.has_reader_of(held.client) || held.since.elapsed() > DISCOVERY
         };
-        let is_cyclone = sample.writer[..2] == CYCLONE;
-        let (header, bytes) =
-            if is_cyclone { without_header(sample.bytes)? } else { (None, sample.bytes) };
-        Some(Request { bytes, header, identity })
+        let next = held.iter().position(may_go)?;
+        held.remove(next).map(|held| held.request)
     }
 
     /// Answers `request` with a message.
@@ -183,6 +199,20 @@ impl ServiceClient {
         }
         None
     }
+}
+
+/// What a sample asks; `None` for one that is too short.
+fn request_of(sample: Received) -> Option<Request> {
+    let identity = sample.replies_to.unwrap_or(sample.identity);
+    // Fast DDS names its own reader and leaves the number out.
+    let identity = match i64::from(identity.sequence_number) > 0 {
+        true => identity,
+        false => SampleIdentity { sequence_number: sample.identity.sequence_number, ..identity },
+    };
+    let is_cyclone = sample.writer[..2] == CYCLONE;
+    let (header, bytes) =
+        if is_cyclone { without_header(sample.bytes)? } else { (None, sample.bytes) };
+    Some(Request { bytes, header, identity })
 }
 
 /// DDS's names of the two topics and their types.

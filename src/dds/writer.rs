@@ -1,6 +1,7 @@
 //! What goes out on a topic.
 
 use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rustdds::no_key::DataWriter;
 use rustdds::policy::{Durability as DdsDurability, History, Reliability};
@@ -43,11 +44,17 @@ impl Durability {
     }
 }
 
+/// What the identities of one participant's readers and writers begin with, in bytes (OMG
+/// DDSI-RTPS 2.5, 8.2.4.1).
+pub(super) const PREFIX: usize = 12;
+
 /// A publisher of a topic.
 pub struct TopicWriter {
     pub(super) name: String,
     pub(super) writer: DataWriter<RawMessage, AsItIs>,
     pub(super) readers: AtomicI32,
+    /// The participants of the readers it has found, one entry for each reader.
+    pub(super) reached: Mutex<Vec<[u8; PREFIX]>>,
 }
 
 impl std::fmt::Debug for TopicWriter {
@@ -68,11 +75,24 @@ impl TopicWriter {
     /// How many readers it has found.
     pub fn readers(&self) -> i32 {
         while let Some(status) = self.writer.try_recv_status() {
-            if let DataWriterStatus::PublicationMatched { current, .. } = status {
+            if let DataWriterStatus::PublicationMatched { current, reader, .. } = status {
                 self.readers.store(current.count(), Ordering::Relaxed);
+                let Some(prefix) = reader.to_bytes().first_chunk().copied() else { continue };
+                let mut reached = self.reached.lock().unwrap_or_else(PoisonError::into_inner);
+                if current.count_change() > 0 {
+                    reached.push(prefix);
+                } else if let Some(gone) = reached.iter().position(|known| *known == prefix) {
+                    reached.swap_remove(gone);
+                }
             }
         }
         self.readers.load(Ordering::Relaxed)
+    }
+
+    /// Whether it has found a reader of this participant.
+    pub(super) fn has_reader_of(&self, participant: [u8; PREFIX]) -> bool {
+        self.readers();
+        self.reached.lock().unwrap_or_else(PoisonError::into_inner).contains(&participant)
     }
 
     pub(super) fn send_with(

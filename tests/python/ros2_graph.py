@@ -210,6 +210,12 @@ class Subscriber:
         self.reader = DataReader(participant, self.topic, qos=qos(**how))
         self.waiting = ReadCondition(self.reader, SampleState.Any | ViewState.Any | InstanceState.Any)
 
+    def wait_for_writer(self):
+        self.reader.set_status_mask(DDSStatus.SubscriptionMatched)
+        while not self.reader.get_matched_publications():
+            wait(self.participant, self.reader, f"a writer of {self.name}")
+            self.reader.take_status()
+
     def take(self):
         """The next message; waits for it."""
         end = time.monotonic() + PATIENCE_S
@@ -239,7 +245,9 @@ class Client:
         self.count = 0
 
     def call(self, request):
+        """Waits for the service as ROS 2 does: until both of its topics are found here."""
         self.requests.wait_for_reader()
+        self.replies.wait_for_writer()
         self.count += 1
         request.client, request.count = 0x1234567890ABCDEF, self.count
         self.requests.send(request)

@@ -69,7 +69,7 @@ class Plumbd:
         try:
             with urllib.request.urlopen(request, timeout=timeout) as answer:
                 read = answer.read()
-                return answer.status, json.loads(read) if "json" in answer.headers["content-type"] else read
+                return answer.status, json.loads(read) if "json" in (answer.headers["content-type"] or "") else read
         except urllib.error.HTTPError as error:
             return error.code, error.read().decode()
         except (OSError, ValueError):
