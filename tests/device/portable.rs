@@ -142,6 +142,16 @@ pub fn a_stalled_camera_holds_one_thread() -> String {
 /// Two cameras at once, one that another program has, a format that nokhwa cannot ask for, and the
 /// listing.
 pub fn two_cameras_and_one_in_use() -> String {
+    let native = |number| {
+        let mode = ModeRequest { format: Some("GREY".to_owned()), ..ModeRequest::default() };
+        uvc::camera(UvcOptions {
+            selector: Selector::Index(number),
+            mode,
+            backend: Backend::Native,
+        })
+    };
+    // Left at a format that nokhwa does not know.
+    native(0).open().unwrap().next_frame(PATIENCE).unwrap();
     let camera = |number| portable(Selector::Index(number), "YUYV", (640, 360));
     let (mut first, mut second) = (camera(0).open().unwrap(), camera(1).open().unwrap());
     for _ in 0..3 {
@@ -167,12 +177,7 @@ pub fn two_cameras_and_one_in_use() -> String {
     let gray = refusal(&mut *portable(Selector::Index(1), "GREY", (640, 360)));
     assert!(matches!(gray, CaptureError::Failed { .. }), "{gray}");
     assert!(gray.to_string().contains("no format GREY; through nokhwa it offers"), "{gray}");
-    let native = UvcOptions {
-        selector: Selector::Index(1),
-        mode: ModeRequest { format: Some("GREY".to_owned()), ..ModeRequest::default() },
-        backend: Backend::Native,
-    };
-    uvc::camera(native).open().unwrap().next_frame(PATIENCE).unwrap();
+    native(1).open().unwrap().next_frame(PATIENCE).unwrap();
 
     let plumb = env!("CARGO_BIN_EXE_plumb");
     let output = Command::new(plumb).args(["devices", "--json"]).output().unwrap();

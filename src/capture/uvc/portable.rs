@@ -17,6 +17,8 @@ use crate::capture::device_list::{DeviceListing, ListedDevice};
 use crate::capture::host_clock::now;
 use crate::capture::mode::ModeRequest;
 use crate::capture::uvc::options::{Selector, UvcOptions};
+#[cfg(target_os = "linux")]
+use crate::capture::uvc::portable_mode::KNOWN_ON_LINUX;
 use crate::capture::uvc::portable_mode::{ALL, choose, in_words, pixel_format};
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
@@ -147,6 +149,11 @@ impl Waiting {
     /// it lists: nokhwa's own choice takes one format only.
     fn open(&self, index: CameraIndex) -> Result<Camera, CaptureError> {
         let lost = |error: NokhwaError| lost(&self.name, meaning(&error));
+        // It opens no camera that stands at a format it does not know, as another program left it.
+        #[cfg(target_os = "linux")]
+        if let Ok(number) = index.as_index() {
+            v4l2::set_to_one_of(number, &KNOWN_ON_LINUX);
+        }
         let any = RequestedFormat::with_formats(RequestedFormatType::None, &ALL);
         let mut camera = Camera::new(index, any).map_err(lost)?;
         let offered = camera.compatible_camera_formats().map_err(lost)?;

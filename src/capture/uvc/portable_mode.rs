@@ -29,6 +29,10 @@ pub(super) const ALL: [FrameFormat; 6] = {
     all
 };
 
+/// Those that nokhwa 0.10 knows on Linux, where it calls gray images by a code that no driver uses.
+#[cfg(target_os = "linux")]
+pub(super) const KNOWN_ON_LINUX: [&str; 5] = ["NV12", "YUYV", "RGB3", "BGR3", "MJPG"];
+
 /// How frames of this format are passed on.
 pub(super) fn pixel_format(format: FrameFormat) -> Option<PixelFormat> {
     FORMATS.iter().find(|(known, ..)| *known == format).map(|(.., pixels)| *pixels)

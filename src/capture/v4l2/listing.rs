@@ -3,12 +3,19 @@
 #[cfg(feature = "nokhwa")]
 use std::path::PathBuf;
 
+#[cfg(feature = "nokhwa")]
+use v4l::video::Capture;
+
 use crate::capture::device_list::{DeviceListing, ListedDevice};
+#[cfg(feature = "nokhwa")]
+use crate::capture::mode::ModeRequest;
 use crate::capture::v4l2::camera::open_device;
 use crate::capture::v4l2::controls::Controls;
 use crate::capture::v4l2::device_node::{DeviceNode, kernel_has_video, video_nodes};
 use crate::capture::v4l2::holder::holders_of;
 use crate::capture::v4l2::{kernel, mode};
+#[cfg(feature = "nokhwa")]
+use crate::geometry::pixel::ImageSize;
 
 /// Every Linux video device that gives images. Each is opened for a moment, which disturbs no
 /// stream.
@@ -31,6 +38,25 @@ pub(in crate::capture) fn may_give_images(number: u32) -> bool {
         return true;
     };
     kernel::capability(&opened).is_ok_and(|capability| capability.streams_video())
+}
+
+/// Sets `/dev/video{number}` to the first of `formats` (four-character codes) that it has, unless it
+/// stands at one of them already. What fails is left to whoever opens it then.
+#[cfg(feature = "nokhwa")]
+pub(in crate::capture) fn set_to_one_of(number: u32, formats: &[&str]) {
+    let Ok(device) = open_device(&PathBuf::from(format!("/dev/video{number}"))) else { return };
+    let Ok(present) = device.format() else { return };
+    let is_known = |code: &str| formats.contains(&code);
+    if present.fourcc.str().is_ok_and(is_known) {
+        return;
+    }
+    let offered = mode::offered(&device);
+    if let Some(format) = offered.into_iter().find(|format| is_known(&format.name)) {
+        let size = Some(ImageSize::new(present.width, present.height));
+        let request = ModeRequest { size, format: Some(format.name), fps: None };
+        // Refused, it stays as it is, and opening says why.
+        let _ = mode::set_mode(&device, &request);
+    }
 }
 
 /// One node; `None` for those that give metadata, take output, or do something else altogether.

@@ -25,4 +25,4 @@ mod source;
 pub use camera::{V4l2Camera, V4l2Options};
 pub use listing::list_devices;
 #[cfg(feature = "nokhwa")]
-pub(in crate::capture) use listing::may_give_images;
+pub(in crate::capture) use listing::{may_give_images, set_to_one_of};
