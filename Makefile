@@ -21,7 +21,7 @@ demo:
 	/usr/bin/python3 demo/calibrate.py target/release/plumb
 
 # Everything that must hold. One build serves the unit tests, the system tests, and the checks that run the same binary.
-test: lint rust-test examples python-test page-test device-test realsense-test
+test: lint elsewhere rust-test examples python-test page-test device-test realsense-test
 
 rust-test:
 	$(PACKAGES) build test
@@ -71,7 +71,7 @@ torture: $(VENV)/installed
 	$(TESTED) --no-run
 	PLUMB=target/debug/plumb timeout --kill-after=10 1800 $(VENV)/bin/python tests/torture/torture.py
 
-# That it compiles for macOS and Windows.
+# That it compiles for macOS and Windows; says so where rustup cannot get their standard libraries.
 elsewhere:
 	$(PACKAGES) build
 	tests/setup/check-elsewhere

@@ -2,9 +2,9 @@
 //! left behind when its camera never answers again.
 
 use std::convert::Infallible;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
@@ -27,9 +27,11 @@ use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::jpeg_length;
 
-/// How long a camera may take to open, and an earlier wait for a frame to end.
+/// How long a camera may take to open.
 const OPENING: Duration = Duration::from_secs(10);
-const ENDING: Duration = Duration::from_secs(2);
+/// How long a wait for a frame may take to end once nobody wants the frame: it ends with the frame,
+/// and cameras give several a second.
+const ENDING: Duration = Duration::from_secs(1);
 /// Frames between the waiting thread and the reader; more would only be old ones.
 const QUEUE: usize = 2;
 
@@ -38,8 +40,7 @@ const QUEUE: usize = 2;
 pub(super) struct PortableCamera {
     options: UvcOptions,
     next_sequence: Arc<AtomicU64>,
-    /// Closed when the thread that waits for the camera has ended.
-    last_wait: Option<Receiver<Infallible>>,
+    last_wait: Option<Wait>,
 }
 
 impl PortableCamera {
@@ -51,11 +52,9 @@ impl PortableCamera {
     /// A camera that stopped answering holds its thread: no second one is begun, so that a camera
     /// never has more than one.
     fn end_last_wait(&mut self, name: &str) -> Result<(), CaptureError> {
-        let Some(last) = self.last_wait.take() else { return Ok(()) };
-        if last.recv_timeout(ENDING) != Err(RecvTimeoutError::Timeout) {
+        if self.last_wait.as_ref().is_none_or(Wait::ends) {
             return Ok(());
         }
-        self.last_wait = Some(last);
         let reason = "it still does not answer; unplug it and plug it in again".to_owned();
         Err(lost(name, reason))
     }
@@ -84,12 +83,26 @@ impl SourceOpener for PortableCamera {
         started.map_err(|error| CaptureError::Failed {
             reason: format!("no thread for {name}: {error}"),
         })?;
-        self.last_wait = Some(ended);
+        let wait = Wait(Arc::new(Mutex::new(ended)));
+        self.last_wait = Some(wait.clone());
         let silent = |_| lost(&name, "it does not open within 10 s; plug it in again".to_owned());
         let mode = opening.recv_timeout(OPENING).map_err(silent)??;
         let words = in_words(mode, &self.options.mode);
         let next_sequence = Arc::clone(&self.next_sequence);
-        Ok(Box::new(PortableSource { name, mode, words, received, shared, next_sequence }))
+        Ok(Box::new(PortableSource { name, mode, words, received, shared, wait, next_sequence }))
+    }
+}
+
+/// The thread that waits for a camera: a channel that closes when it has ended, and with it the
+/// camera is free.
+#[derive(Debug, Clone)]
+struct Wait(Arc<Mutex<Receiver<Infallible>>>);
+
+impl Wait {
+    /// Whether it ends in time.
+    fn ends(&self) -> bool {
+        let ended = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        ended.recv_timeout(ENDING) != Err(RecvTimeoutError::Timeout)
     }
 }
 
@@ -178,6 +191,7 @@ struct PortableSource {
     words: String,
     received: Receiver<Result<Frame, CaptureError>>,
     shared: Arc<SharedFrames>,
+    wait: Wait,
     next_sequence: Arc<AtomicU64>,
 }
 
@@ -217,6 +231,8 @@ impl FrameSource for PortableSource {
 impl Drop for PortableSource {
     fn drop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
+        // Whoever opens the camera next finds it free, but for one that does not answer.
+        self.wait.ends();
     }
 }
 
