@@ -52,7 +52,7 @@ page-test: $(VENV)/installed
 # Real cameras: a small machine with a real V4L2 stack. Says so where none can be made.
 device-test: $(VENV)/installed
 	cargo test $(FEATURES) --test device --no-run
-	timeout --kill-after=10 600 cargo test $(FEATURES) --test device
+	timeout --kill-after=10 900 cargo test $(FEATURES) --test device
 
 # The RealSense library itself, on recordings: a real one, and one that it makes.
 realsense-test: $(VENV)/installed

@@ -146,7 +146,9 @@ run() {
   command_file "$out" "${modules[@]+"${modules[@]}"}" -- "$@"
   if [ -n "$unit" ]; then
     units "$out" "$unit"
-    init="small_machine.systemd systemd.show_status=no systemd.mask=tmp.mount systemd.condition-needs-update=0"
+    # /tmp stays as it is: the program may lie there.
+    init="small_machine.systemd systemd.show_status=no systemd.condition-needs-update=0"
+    init="$init systemd.mask=tmp.mount systemd.mask=systemd-tmpfiles-setup.service"
   fi
   timeout -k 5 "$seconds" qemu-system-x86_64 -M pc -accel tcg,thread=multi -cpu max -m "${SMALL_MACHINE_MB:-1024}" -smp 2 \
     -kernel "$HOME_DIR/vmlinuz" -initrd "$HOME_DIR/initramfs" \
