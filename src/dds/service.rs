@@ -80,16 +80,19 @@ impl ServiceServer {
     }
 
     /// The next request that has come and whose client can be reached, or after a second whose
-    /// client cannot.
-    pub fn take(&self) -> Option<Request> {
+    /// client cannot. `now` is the time of the call.
+    pub fn take(&self, now: Instant) -> Option<Request> {
         let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        let since = Instant::now();
         while let Some(sample) = self.requests.take() {
             let Some(client) = sample.writer.first_chunk().copied() else { continue };
-            held.extend(request_of(sample).map(|request| HeldRequest { request, client, since }));
+            held.extend(request_of(sample).map(|request| HeldRequest {
+                request,
+                client,
+                since: now,
+            }));
         }
         let may_go = |held: &HeldRequest| {
-            self.replies.has_reader_of(held.client) || held.since.elapsed() > DISCOVERY
+            self.replies.has_reader_of(held.client) || now.duration_since(held.since) > DISCOVERY
         };
         let next = held.iter().position(may_go)?;
         held.remove(next).map(|held| held.request)

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::task::{Wake, Waker};
 use std::time::Duration;
+use std::time::Instant;
 
 use tokio::sync::{Notify, mpsc, watch};
 
@@ -283,11 +284,11 @@ impl GraphTask {
     async fn serve(&mut self, ended: &mpsc::Sender<Ended>) {
         let names: Vec<String> = self.topics.keys().cloned().collect();
         for name in names {
-            while let Some(request) = self.topics[&name].start.take() {
+            while let Some(request) = self.topics[&name].start.take(Instant::now()) {
                 let (started, words) = self.start(&name).await;
                 warn(self.topics[&name].start.reply(&request, reply(started, &words)));
             }
-            while let Some(request) = self.topics[&name].stop.take() {
+            while let Some(request) = self.topics[&name].stop.take(Instant::now()) {
                 self.stop(&name, request, ended).await;
             }
         }
