@@ -132,7 +132,7 @@ cameras = ["left", "right"]
     assert!(grown_kb < FLAT_KB, "{grown_kb} kB more while a camera is gone");
 
     let again = of(1, "frames_seen");
-    let _right = plug_in(slides("rig-right.mcap"));
+    let right = plug_in(slides("rig-right.mcap"));
     daemon.wait_for_state("right", "streaming");
     daemon.wait_for("frames of both", || (of(1, "frames_seen") > again).then_some(()));
     for (name, camera) in [("left", 0), ("right", 1)] {
@@ -155,6 +155,8 @@ cameras = ["left", "right"]
     let length_m = (0..3).map(|k| component(k).powi(2)).sum::<f64>().sqrt();
     let true_m = baseline_m();
     assert!((length_m - true_m).abs() < 0.002, "{length_m} m where {true_m} m is true");
+    // Before its camera.
+    drop((daemon, right));
     format!(
         "{}; {grown_kb} kB more meanwhile; cameras {length_m:.5} m ({true_m:.5})",
         lost["reason"]

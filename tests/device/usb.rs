@@ -119,6 +119,6 @@ pub fn a_usb_camera_streams_holds_still_and_comes_back() -> String {
     listed();
     let mut source = opener.open().unwrap();
     source.next_frame(PATIENCE).unwrap();
-    drop(again);
+    drop((source, again));
     format!("MJPG and YUYV as shown; {moved}; {error}; {absent}")
 }

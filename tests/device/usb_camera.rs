@@ -44,6 +44,11 @@ pub struct CameraModel {
 }
 
 /// A camera that is plugged in; unplugged with this value.
+///
+/// What is about to close the camera must be gone before: vhci-hcd of Linux 6.1 loses a transfer
+/// that it has not sent yet when its unlinking and the end of the connection meet, and
+/// `VIDIOC_STREAMOFF` then waits for that transfer for ever. A stream that goes on is stopped by
+/// the driver itself, in order.
 pub struct UsbCamera(UnixStream);
 
 impl UsbCamera {
