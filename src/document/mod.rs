@@ -31,6 +31,7 @@ pub mod session_member;
 pub mod session_progress;
 pub mod target;
 pub mod target_file;
+pub mod target_in_view;
 pub mod time;
 pub mod truth;
 pub mod uncertainty;

@@ -30,6 +30,7 @@ mod serve;
 mod sessions;
 mod shared;
 mod solve;
+mod target;
 pub mod tls;
 pub mod tokens;
 mod uncertainty;

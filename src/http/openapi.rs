@@ -6,7 +6,7 @@ use utoipa::{Modify, OpenApi};
 
 use crate::http::{
     board, calibrations, cameras, events, focus, frames, health, recordings, rigs, sessions, solve,
-    uncertainty, views,
+    target, uncertainty, views,
 };
 
 #[derive(OpenApi)]
@@ -25,6 +25,7 @@ use crate::http::{
         frames::frame,
         frames::preview,
         focus::focus,
+        target::in_view,
         rigs::list,
         rigs::one,
         rigs::start,

@@ -15,7 +15,7 @@ use crate::http::problem::Problem;
 use crate::http::shared::Shared;
 use crate::http::{
     board, calibrations, cameras, events, focus, frames, gate, health, openapi, page, recordings,
-    rigs, sessions, solve, uncertainty, views,
+    rigs, sessions, solve, target, uncertainty, views,
 };
 
 pub(super) fn router(shared: Arc<Shared>) -> Router {
@@ -30,6 +30,7 @@ pub(super) fn router(shared: Arc<Shared>) -> Router {
         .route("/v1/cameras/{camera}/frame.jpg", get(frames::frame))
         .route("/v1/cameras/{camera}/preview.mjpg", get(frames::preview))
         .route("/v1/cameras/{camera}/focus", get(focus::focus))
+        .route("/v1/cameras/{camera}/target", get(target::in_view))
         .route("/v1/cameras/{camera}/sessions", post(sessions::start))
         .route("/v1/cameras/{camera}/calibration", get(calibrations::current))
         .route("/v1/cameras/{camera}/calibrations", get(calibrations::history))

@@ -7,6 +7,9 @@ use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 use tokio::sync::watch;
 
 use crate::calibration::session_record::SessionRecord;
+use crate::imaging::decode;
+use crate::imaging::frame::SensorKind;
+use crate::imaging::gray::GrayImage;
 use crate::pipeline::camera_status::{CameraState, CameraStatus};
 use crate::pipeline::clock::utc_now_ns;
 use crate::pipeline::event::{CalibrationEvent, EventKind, EventLog, EventStream};
@@ -326,6 +329,26 @@ impl Fleet {
     /// # Errors
     /// [`PreviewError`].
     pub fn newest_frame(&self, name: &str, drawing: Drawing) -> Result<EncodedFrame, PreviewError> {
+        let (camera, live) = self.newest(name)?;
+        Ok(camera.preview.encoded(&live, drawing, &camera.preview_state())?.0)
+    }
+
+    /// A camera's newest image in which a board can be seen, as luma; blocks while it is decoded.
+    ///
+    /// # Errors
+    /// [`PreviewError`].
+    pub fn newest_luma(&self, name: &str) -> Result<GrayImage, PreviewError> {
+        let (_, live) = self.newest(name)?;
+        let kinds = [SensorKind::Color, SensorKind::Infrared];
+        let frame = kinds.into_iter().find_map(|sensor| live.frame_set.frame(sensor));
+        let (camera, sensor) = (name.to_owned(), SensorKind::Color);
+        let frame = frame.ok_or(PreviewError::UnknownSensor { camera, sensor })?;
+        let mut image = GrayImage::default();
+        decode::luma(frame, &mut image)?;
+        Ok(image)
+    }
+
+    fn newest(&self, name: &str) -> Result<(Arc<LiveCamera>, Arc<LiveFrame>), PreviewError> {
         let camera = self.link(name)?;
         let newest = camera.frames.borrow().clone();
         let live = newest.ok_or_else(|| {
@@ -333,7 +356,7 @@ impl Fleet {
             let (camera, reason) = (name.to_owned(), status.reason.clone());
             PreviewError::NoFrame { camera, state: status.state, reason }
         })?;
-        Ok(camera.preview.encoded(&live, drawing, &camera.preview_state())?.0)
+        Ok((camera, live))
     }
 
     /// The events after `last_seen`; from now on, when `None`.

@@ -138,6 +138,22 @@ def test_the_keyboard_is_enough_and_errors_are_shown(daemon, browser):
     assert browser.find_element(By.ID, "start-form").is_displayed(), "one can begin again at once"
 
 
+def test_the_board_in_view_fills_the_form(daemon, browser):
+    browser.get(daemon)
+    said = browser.find_element(By.ID, "seen-target")
+
+    def named(_):
+        # The board is not whole in every frame.
+        shown(browser, "detect-target").click()
+        wait(browser, lambda b: b.find_element(By.ID, "detect-target").is_enabled())
+        return "9x6" in said.text
+
+    wait(browser, named)
+    values = [browser.find_element(By.ID, name).get_attribute("value") for name in ("kind", "cols", "rows")]
+    assert values == ["chessboard", "9", "6"]
+    assert browser.switch_to.active_element == browser.find_element(By.ID, "square"), "what no image shows is asked for"
+
+
 def test_a_narrow_screen_shows_everything_without_scrolling_sideways(daemon, browser):
     browser.execute_cdp_cmd(
         "Emulation.setDeviceMetricsOverride", {"width": 360, "height": 740, "deviceScaleFactor": 2, "mobile": True}

@@ -158,3 +158,43 @@ fn a_session_counts_and_reports_each_reason_by_its_own_name() {
         assert!(count.parse::<u64>().unwrap() > 0, "{kind}: {count}");
     }
 }
+
+/// A whole chessboard of whatever size is named; part of one, or none, never is.
+#[test]
+fn a_chessboard_that_nobody_described_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let straight = |corners, square_px| Straight { corners, square_px, ..Straight::WHOLE };
+    let whole = [((4, 3), 30.0), ((7, 5), 24.0), ((9, 6), 22.0), ((12, 8), 18.0), ((17, 12), 12.0)];
+    let mut images: Vec<_> = whole
+        .map(|(size, px)| (straight(size, px), Some(json!([size.0, size.1]))))
+        .into_iter()
+        .collect();
+    // Beyond the image's right border.
+    images.push((straight((12, 6), 24.0), None));
+    images.push((straight((0, 0), 90.0), None));
+    let write = |(k, (image, _)): (usize, &(Straight, _))| {
+        let path = folder.path().join(format!("{k}.pgm"));
+        std::fs::write(&path, image.pgm()).unwrap();
+        path.display().to_string()
+    };
+    let paths: Vec<String> = images.iter().enumerate().map(write).collect();
+    let options = ["detect", "--target", "auto", "--json"].map(str::to_owned);
+    let finished = plumb(options.into_iter().chain(paths));
+    assert_eq!(finished.code, Some(0), "{}", finished.stderr);
+    let lines: Vec<Value> =
+        finished.stdout.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), images.len());
+    for (line, (_, size)) in lines.iter().zip(&images) {
+        match size {
+            Some(size) => {
+                assert_eq!(
+                    json!([line["target"]["cols"], line["target"]["rows"]]),
+                    *size,
+                    "{line}"
+                );
+                assert_eq!(line["target"]["kind"], "chessboard", "{line}");
+            }
+            None => assert_eq!((&line["found"], &line["target"]), (&json!(false), &json!(null))),
+        }
+    }
+}

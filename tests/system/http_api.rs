@@ -93,6 +93,26 @@ fn the_daemon_reports_its_state() {
     }
 }
 
+/// Nothing is known of the board: what is seen says it.
+#[test]
+fn the_board_in_view_is_named() {
+    let (_folder, served) = started();
+    let mut events = served.events("?camera=front", None);
+    let seen = std::iter::repeat_with(|| {
+        events.until(|event| event.name == "frame");
+        served.get("/v1/cameras/front/target")
+    });
+    let found = seen.take(60).map(|answer| {
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        answer.json()
+    });
+    let document = found.into_iter().find(|document| document["found"] == true).unwrap();
+    assert_eq!(document["target"], json!({"kind": "chessboard", "cols": 9, "rows": 6}));
+    assert_eq!(document["name"], "chessboard of 9x6 inner corners");
+    assert_eq!((&document["corners"], &document["reason"]), (&json!(54), &json!(null)));
+    is_problem(&served.get("/v1/cameras/rear/target"), 404);
+}
+
 #[test]
 fn without_a_delivering_camera_it_is_alive_but_not_ready() {
     let folder = tempfile::tempdir().unwrap();

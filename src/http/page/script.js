@@ -667,6 +667,27 @@ function targetOf(form) {
   return { ...size, square_m: side };
 }
 
+// Fills in what an image shows of a board; lengths are measured.
+function fillTarget(target) {
+  $("kind").value = target.kind;
+  showKind();
+  for (const id of ["cols", "rows", "dictionary", "spacing", "family", "first_id"]) if (id in target) $(id).value = target[id];
+  if (target.marker_ratio && $("square").value) $("marker").value = +(target.marker_ratio * $("square").value).toFixed(2);
+  $("square").focus();
+}
+
+$("detect-target").addEventListener("click", () => press($("detect-target"), "start-error", async () => {
+  say("seen-target", "Searching…");
+  try {
+    const seen = await ask(at`/v1/cameras/${rig ? rig.cameras[0] : camera.name}/target`);
+    say("seen-target", seen.found ? `${seen.name}. Measure and write in its lengths.` : seen.reason);
+    if (seen.found) fillTarget(seen.target);
+  } catch (error) {
+    say("seen-target", "");
+    throw error;
+  }
+}));
+
 $("start-form").addEventListener("submit", (event) => {
   event.preventDefault();
   const form = { kind: $("kind").value, cols: $("cols").value, rows: $("rows").value, square: $("square").value, lens: $("lens").value, finish: $("finish").checked, goal: $("goal").value };
