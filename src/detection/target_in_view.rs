@@ -82,9 +82,8 @@ fn ends_in_view(image: GrayView<'_>, found: &Detection) -> bool {
         let within = |at: f64, size: usize| at >= 0.0 && at <= size as f64 - 1.0;
         within(x, image.width()) && within(y, image.height())
     };
-    let row_ends = (0..rows).all(|row| {
-        inside(at(0, row), at(1, row)) && inside(at(cols - 1, row), at(cols - 2, row))
-    });
+    let row_ends = (0..rows)
+        .all(|row| inside(at(0, row), at(1, row)) && inside(at(cols - 1, row), at(cols - 2, row)));
     row_ends
         && (0..cols).all(|col| {
             inside(at(col, 0), at(col, 1)) && inside(at(col, rows - 1), at(col, rows - 2))

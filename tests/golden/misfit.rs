@@ -9,6 +9,7 @@ use plumb::estimation::uncertainty::{
 };
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pose::Pose;
+use rand::RngExt;
 use rand_distr::{Distribution, Normal};
 
 use crate::seeded_camera::SeededCamera;
@@ -126,6 +127,45 @@ fn an_uneven_board_is_named_and_no_rolling_shutter() {
             shape.unevenness_std_m
         );
         assert!(!says(&solved, "rolling shutter"), "seed {seed}: {:?}", solved.verdict);
+    }
+}
+
+/// Whoever projects the measured board by the lens and the poses that are stated finds the residuals
+/// that are stated.
+#[test]
+fn what_is_stated_of_a_badly_printed_board_reprojects() {
+    let camera = SeededCamera::ordinary();
+    let mut rng = SeededCamera::rng(230);
+    let poses = camera.poses(12, &mut rng);
+    let mut problem = camera.problem(&poses, &mut rng);
+    let count = problem.views[0].correspondences.len();
+    let printed: Vec<[f64; 2]> =
+        (0..count).map(|_| [0, 1].map(|_| 0.3e-3 * rng.random::<f64>())).collect();
+    for (view, pose) in problem.views.iter_mut().zip(&poses) {
+        for (corner, [x, y]) in view.correspondences.iter_mut().zip(&printed) {
+            let mut point = corner.point_in_board;
+            (point.x, point.y) = (point.x + x, point.y + y);
+            let [stated, printed] = [corner.point_in_board, point]
+                .map(|p| camera.lens.pixel_from_point(&(*pose * p)).unwrap());
+            corner.pixel.x += printed.x - stated.x;
+            corner.pixel.y += printed.y - stated.y;
+        }
+    }
+    let estimate = solve_views(&problem, &brown()).unwrap().estimate;
+    let shape = estimate.board_shape.as_ref().unwrap();
+    assert!(shape.unevenness_m > 0.08e-3, "{} m", shape.unevenness_m);
+    for (view, found) in problem.views.iter().zip(&estimate.views) {
+        let pose = found.camera_from_board.unwrap();
+        for (corner, residual) in view.correspondences.iter().zip(&found.residuals_px) {
+            let stated = corner.point_in_board;
+            let place = shape.points.iter().position(|p| (p - stated).norm() < 1e-9).unwrap();
+            let point = stated + shape.offsets_m[place];
+            let projected = estimate.lens.pixel_from_point(&(pose * point)).unwrap();
+            let off = [corner.pixel.x - projected.x, corner.pixel.y - projected.y];
+            for (off, residual) in off.into_iter().zip(residual) {
+                assert!((off - residual).abs() < 1e-6, "{off} px, {residual} px are stated");
+            }
+        }
     }
 }
 

@@ -49,7 +49,7 @@ impl EffectSearch {
             weight_of_views: weight,
             pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),
             shape_covariance: shape_covariance * factor,
-            state: self.state,
+            state: self.state.with_rigid_part_in_poses(&basis),
             variances: self.variances,
             basis: (*basis).clone(),
         })

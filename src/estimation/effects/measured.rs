@@ -14,13 +14,8 @@ impl MeasuredBoard {
         }
         let basis = &effects.basis;
         let coefficients = &effects.state.shape;
-        let mut offsets = basis.offsets(coefficients);
+        let offsets = basis.offsets(coefficients);
         let rigid = rigid_and_scale(&basis.points);
-        let stacked = DMatrix::from_fn(2 * offsets.len(), 1, |k, _| offsets[k / 2][k % 2]);
-        let rest = &stacked - &rigid * (rigid.transpose() * &stacked);
-        for (k, offset) in offsets.iter_mut().enumerate() {
-            (offset.x, offset.y) = (rest[2 * k], rest[2 * k + 1]);
-        }
         let std_m = standard_deviations(effects, &rigid);
         let count = offsets.len() as f64;
         let mean_square = offsets.iter().map(Vector3::norm_squared).sum::<f64>() / count;

@@ -1,11 +1,12 @@
 //! Values of all parameters with the board's shape and each view's motion.
 
-use nalgebra::{Point3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, Vector6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::effect::Effect;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::geometry::pixel::Pixel;
+use crate::geometry::pose::Pose;
 
 /// The observations, and what of them is modelled.
 #[derive(Clone, Copy)]
@@ -80,6 +81,50 @@ impl EffectsState {
             }
         }
         seen
+    }
+
+    /// The same with the rigid motion and the scale that the points' own offsets have in common
+    /// given to the poses: neither is a shape. Of an offset and a pose that cancel only the prior
+    /// sees anything, so steps end before the offsets are free of it.
+    pub(super) fn with_rigid_part_in_poses(mut self, basis: &BoardBasis) -> Self {
+        let own = &mut self.shape[basis.smooth_len()..];
+        if !basis.has_own {
+            return self;
+        }
+        let count = basis.points.len() as f64;
+        let planar = |k: usize| Vector2::new(basis.points[k].x, basis.points[k].y);
+        let center = (0..basis.points.len()).map(planar).sum::<Vector2<f64>>() / count;
+        let (mut translation, mut along, mut across, mut square) =
+            (Vector2::zeros(), 0.0, 0.0, 0.0);
+        for (k, offset) in own.chunks_exact(2).enumerate() {
+            let (arm, offset) = (planar(k) - center, Vector2::new(offset[0], offset[1]));
+            translation += offset / count;
+            along += arm.dot(&offset);
+            across += arm.perp(&offset);
+            square += arm.norm_squared();
+        }
+        let (scale, angle) = (along / square, across / square);
+        for (k, offset) in own.chunks_exact_mut(2).enumerate() {
+            let arm = planar(k) - center;
+            let rigid = translation + scale * arm + angle * Vector2::new(-arm.y, arm.x);
+            offset[0] -= rigid.x;
+            offset[1] -= rigid.y;
+        }
+        // x of the old shape is translation + center + (1 + scale) R (x' - center) of the new one;
+        // distances from the camera are in units of the scale.
+        let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
+        let center = Vector3::new(center.x, center.y, 0.0);
+        let translation = Vector3::new(translation.x, translation.y, 0.0);
+        for pose in &mut self.fixed.rig_from_board {
+            let moved =
+                (pose.rotation() * (center + translation) + pose.translation()) / (1.0 + scale);
+            let rotation = pose.rotation() * rotation;
+            *pose = Pose::new(rotation, moved - rotation * center);
+        }
+        for motion in &mut self.motions {
+            motion.fixed_rows_mut::<3>(3).apply(|v| *v /= 1.0 + scale);
+        }
+        self
     }
 
     /// Takes an effect out.
