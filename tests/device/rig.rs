@@ -22,8 +22,9 @@ const LOOPBACK: &str = "/dev/video20";
 /// Two cameras that nothing synchronizes take images within half of 1/15 s of each other: the same
 /// frame set.
 const FPS: u32 = 15;
-/// How long each image is shown: nine frames, as a board that is held still.
-const SHOWN: Duration = Duration::from_millis(600);
+/// How long each image is shown, as a board that is held still: 18 frames, of which a busy host may
+/// lose most. Shorter than its delays, frames of different images would be taken for simultaneous.
+const SHOWN: Duration = Duration::from_millis(1200);
 /// Views of both cameras that determine where they are.
 const ENOUGH_VIEWS: u64 = 3;
 /// Frames of the camera that is still there, while the other one is gone.
