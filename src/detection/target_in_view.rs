@@ -10,8 +10,8 @@ use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
 /// Sizes that are searched for one after the other, until what is seen in place of one of them is
-/// named. A grid is grown two squares beyond the board that is searched for, and where it is as
-/// large as that its own size stays unknown; a much larger one finds its parts missing.
+/// named. A grid is grown two squares beyond the board that is searched for, so that one search
+/// names boards up to about that size.
 const SEARCHED: [BoardSize; 4] = [
     BoardSize { cols: 12, rows: 11 },
     BoardSize { cols: 9, rows: 8 },
