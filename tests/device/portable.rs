@@ -9,13 +9,14 @@ use plumb::capture::mode::ModeRequest;
 use plumb::capture::uvc::{self, Backend, Selector, UvcOptions};
 use plumb::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, SourceOpener};
 use plumb::geometry::pixel::ImageSize;
+use plumb::imaging::frame::PixelFormat;
 use plumb::imaging::gray::GrayImage;
 use serde_json::Value;
 
 use crate::guest::{PATIENCE, VIVID, footprint, frames_until_error, luma_of};
 use crate::loopback::yuyv_of;
 use crate::usb::{SERIAL, listed};
-use crate::usb_camera::{CameraModel, UsbCamera, VideoFormat};
+use crate::usb_camera::{CameraModel, UsbCamera};
 use crate::walk::WALK;
 
 /// As `uvcvideo` names the camera of `usb_camera`.
@@ -63,26 +64,26 @@ fn plug_in(shutter: &Arc<Shutter>) -> UsbCamera {
     let plugged = UsbCamera::plug_in(model, move |image| {
         shutter.wait_until_open();
         let frame = walk.next_frame(Duration::ZERO).unwrap().frames.remove(0);
-        match image {
-            VideoFormat::Mjpg => frame.bytes.to_vec(),
-            VideoFormat::Yuyv => yuyv_of(&frame, &mut luma),
-        }
+        image.of(&frame, &mut luma)
     });
     listed();
     plugged
 }
 
-/// MJPG and YUYV as shown; unplugged, absent, plugged in again.
+/// MJPG, YUYV and GREY as shown; unplugged, absent, plugged in again.
 pub fn frames_are_those_that_were_shown() -> String {
     let shutter = Arc::default();
     let plugged = plug_in(&shutter);
     let replay = ReplayOptions { pace: Pace::Fastest, ..ReplayOptions::default() };
     let mut walk = Replay::open(Path::new(WALK), &replay).unwrap();
     let shown: Vec<_> = std::iter::from_fn(|| walk.next_frame(Duration::ZERO).ok()).collect();
-    let mut yuyv = named("YUYV").open().unwrap();
-    let seen = luma_of(&yuyv.next_frame(PATIENCE).unwrap());
-    assert!(shown.iter().any(|set| luma_of(set).pixels() == seen.pixels()), "YUYV");
-    drop(yuyv);
+    for format in ["YUYV", "GREY"] {
+        let mut source = named(format).open().unwrap();
+        let mode = source.description().mode.unwrap();
+        assert!(mode.ends_with(&format!("640x480 {format} at 5 frames a second")), "{mode}");
+        let seen = luma_of(&source.next_frame(PATIENCE).unwrap());
+        assert!(shown.iter().any(|set| luma_of(set).pixels() == seen.pixels()), "{format}");
+    }
 
     let mut opener = named("MJPG");
     let mut source = opener.open().unwrap();
@@ -109,7 +110,7 @@ pub fn frames_are_those_that_were_shown() -> String {
         std::iter::repeat_with(|| opener.open()).take(10).find_map(Result::ok).unwrap();
     source.next_frame(PATIENCE).unwrap();
     drop((source, again));
-    format!("MJPG and YUYV as shown; {unplugged}; {absent}")
+    format!("MJPG, YUYV and GREY as shown; {unplugged}; {absent}")
 }
 
 /// A camera that stops answering holds one thread, however often it is opened, and gives frames
@@ -142,8 +143,8 @@ pub fn a_stalled_camera_holds_one_thread() -> String {
     format!("{threads} threads before and after; {refused}")
 }
 
-/// Two cameras at once, one that another program has, a format that nokhwa cannot ask for, and the
-/// listing.
+/// Two cameras at once, one that another program has, gray images, a format that nokhwa does not
+/// know, and the listing.
 pub fn two_cameras_and_one_in_use() -> String {
     let native = |number| {
         let mode = ModeRequest { format: Some("GREY".to_owned()), ..ModeRequest::default() };
@@ -177,9 +178,13 @@ pub fn two_cameras_and_one_in_use() -> String {
     holder.wait().unwrap();
     waiting.open().unwrap().next_frame(PATIENCE).unwrap();
 
-    let gray = refusal(&mut *portable(Selector::Index(1), "GREY", (640, 360)));
-    assert!(matches!(gray, CaptureError::Failed { .. }), "{gray}");
-    assert!(gray.to_string().contains("no format GREY; through nokhwa it offers"), "{gray}");
+    let mut gray = portable(Selector::Index(1), "GREY", (640, 360)).open().unwrap();
+    let frame = gray.next_frame(PATIENCE).unwrap().frames.remove(0);
+    assert_eq!((frame.size, frame.format), (ImageSize::new(640, 360), PixelFormat::Mono8));
+    drop(gray);
+    let deep = refusal(&mut *portable(Selector::Index(1), "Y16", (640, 360)));
+    assert!(matches!(deep, CaptureError::Failed { .. }), "{deep}");
+    assert!(deep.to_string().contains("no format Y16; through nokhwa it offers GREY"), "{deep}");
     native(1).open().unwrap().next_frame(PATIENCE).unwrap();
 
     let plumb = env!("CARGO_BIN_EXE_plumb");
@@ -193,5 +198,5 @@ pub fn two_cameras_and_one_in_use() -> String {
     };
     let vivid = |names: Vec<String>| names.iter().filter(|name| name.contains("vivid")).count();
     assert_eq!((vivid(names("v4l2")), vivid(names("uvc"))), (2, 2), "{document}");
-    format!("{busy}; {gray}")
+    format!("{busy}; {deep}")
 }

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use crate::daemon::Daemon;
 use crate::loopback::{Screen, yuyv_of};
 use crate::usb::{SERIAL, listed};
-use crate::usb_camera::{CameraModel, UsbCamera, VideoFormat};
+use crate::usb_camera::{CameraModel, UsbCamera};
 
 const LOOPBACK: &str = "/dev/video20";
 /// Two cameras that nothing synchronizes take images within half of 1/15 s of each other: the same
@@ -83,10 +83,7 @@ impl Drop for LoopbackCamera {
 fn plug_in(slides: Slides) -> UsbCamera {
     let mut luma = GrayImage::default();
     let model = CameraModel { serial: SERIAL, size: [640, 480], fps: FPS };
-    let camera = UsbCamera::plug_in(model, move |format| match format {
-        VideoFormat::Mjpg => slides.now().bytes.to_vec(),
-        VideoFormat::Yuyv => yuyv_of(slides.now(), &mut luma),
-    });
+    let camera = UsbCamera::plug_in(model, move |format| format.of(slides.now(), &mut luma));
     listed();
     camera
 }

@@ -16,6 +16,12 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use plumb::imaging::decode;
+use plumb::imaging::frame::Frame;
+use plumb::imaging::gray::GrayImage;
+
+use crate::loopback::yuyv_of;
+
 const BUS: &str = "/sys/devices/platform/vhci_hcd.0";
 const PORT: u32 = 0;
 const HIGH_SPEED: u32 = 3;
@@ -33,6 +39,21 @@ const PAYLOAD: usize = 32 * 512;
 pub enum VideoFormat {
     Mjpg,
     Yuyv,
+    Gray,
+}
+
+impl VideoFormat {
+    /// A frame of a recording of JPEG images, in this format.
+    pub fn of(self, frame: &Frame, luma: &mut GrayImage) -> Vec<u8> {
+        match self {
+            Self::Mjpg => frame.bytes.to_vec(),
+            Self::Yuyv => yuyv_of(frame, luma),
+            Self::Gray => {
+                decode::luma(frame, luma).unwrap();
+                luma.pixels().to_vec()
+            }
+        }
+    }
 }
 
 /// What the camera is.
@@ -301,10 +322,13 @@ impl Controls {
         match code {
             0x01 => {
                 let format = *data.get(2)?;
-                self.probe = probe_of(format.clamp(1, 2), self.size, self.fps);
+                self.probe = probe_of(format.clamp(1, 3), self.size, self.fps);
                 if selector == 2 {
-                    self.streams =
-                        Some(if format == 2 { VideoFormat::Yuyv } else { VideoFormat::Mjpg });
+                    self.streams = Some(match format {
+                        2 => VideoFormat::Yuyv,
+                        3 => VideoFormat::Gray,
+                        _ => VideoFormat::Mjpg,
+                    });
                 }
                 Some(Vec::new())
             }
@@ -339,8 +363,8 @@ fn interval(fps: u32) -> [u8; 4] {
     (10_000_000 / fps).to_le_bytes()
 }
 
-fn frame_bytes([width, height]: [u16; 2]) -> [u8; 4] {
-    (u32::from(width) * u32::from(height) * 2).to_le_bytes()
+fn frame_bytes([width, height]: [u16; 2], bytes_per_pixel: u32) -> [u8; 4] {
+    (u32::from(width) * u32::from(height) * bytes_per_pixel).to_le_bytes()
 }
 
 fn probe_of(format: u8, size: [u16; 2], fps: u32) -> [u8; 26] {
@@ -348,7 +372,8 @@ fn probe_of(format: u8, size: [u16; 2], fps: u32) -> [u8; 26] {
     probe[2] = format;
     probe[3] = 1;
     probe[4..8].copy_from_slice(&interval(fps));
-    probe[18..22].copy_from_slice(&frame_bytes(size));
+    let bytes_per_pixel = if format == 3 { 1 } else { 2 };
+    probe[18..22].copy_from_slice(&frame_bytes(size, bytes_per_pixel));
     probe[22..26].copy_from_slice(&(PAYLOAD as u32).to_le_bytes());
     probe
 }
@@ -357,25 +382,30 @@ fn device_descriptor() -> Vec<u8> {
     vec![18, 1, 0, 2, 0xef, 2, 1, 64, 0x6b, 0x1d, 0x02, 0x01, 0, 1, 1, 2, 3, 1]
 }
 
-/// One camera terminal, one output, one streaming interface with MJPG and YUY2 over one bulk
-/// endpoint.
+/// One camera terminal, one output, one streaming interface with MJPG, YUY2 and Y800 (which Linux
+/// calls GREY) over one bulk endpoint.
 fn configuration_descriptor(model: &CameraModel) -> Vec<u8> {
     let mut control = vec![13, 0x24, 1, 0, 1, 40, 0, 0x80, 0x8d, 0x5b, 0, 1, 1];
     control.extend([18, 0x24, 2, 1, 0x01, 0x02, 0, 0, 0, 0, 0, 0, 0, 0, 3, 0x2a, 0, 0x02]);
     control.extend([9, 0x24, 3, 2, 0x01, 0x01, 0, 1, 0]);
     let mut formats = vec![11, 0x24, 6, 1, 1, 1, 1, 0, 0, 0, 0];
-    formats.extend(frame_descriptor(7, model));
+    formats.extend(frame_descriptor(7, model, 2));
     formats.extend([6, 0x24, 0x0d, 1, 1, 4]);
-    formats.extend([27, 0x24, 4, 2, 1]);
-    formats.extend(b"YUY2\0\0\x10\0\x80\0\0\xaa\0\x38\x9b\x71");
-    formats.extend([16, 1, 0, 0, 0, 0]);
-    formats.extend(frame_descriptor(5, model));
-    formats.extend([6, 0x24, 0x0d, 1, 1, 4]);
+    for (index, code, bytes_per_pixel) in [(2, b"YUY2", 2), (3, b"Y800", 1)] {
+        formats.extend([27, 0x24, 4, index, 1]);
+        formats.extend(code);
+        formats.extend(b"\0\0\x10\0\x80\0\0\xaa\0\x38\x9b\x71");
+        formats.extend([8 * bytes_per_pixel as u8, 1, 0, 0, 0, 0]);
+        formats.extend(frame_descriptor(5, model, bytes_per_pixel));
+        formats.extend([6, 0x24, 0x0d, 1, 1, 4]);
+    }
     let mut body = vec![8, 11, 0, 2, 14, 3, 0, 0];
     body.extend([9, 4, 0, 0, 0, 14, 1, 0, 0]);
     body.extend(control);
     body.extend([9, 4, 1, 0, 1, 14, 2, 0, 0]);
-    body.extend([15, 0x24, 1, 2, 15 + formats.len() as u8, 0, 0x81, 0, 2, 0, 0, 0, 1, 0, 0]);
+    let header = 13 + 3;
+    let [low, high] = (header + formats.len() as u16).to_le_bytes();
+    body.extend([header as u8, 0x24, 1, 3, low, high, 0x81, 0, 2, 0, 0, 0, 1, 0, 0, 0]);
     body.extend(formats);
     body.extend([7, 5, 0x81, 2, 0, 2, 0]);
     let mut whole = vec![9, 2];
@@ -385,12 +415,12 @@ fn configuration_descriptor(model: &CameraModel) -> Vec<u8> {
     whole
 }
 
-fn frame_descriptor(kind: u8, model: &CameraModel) -> Vec<u8> {
+fn frame_descriptor(kind: u8, model: &CameraModel, bytes_per_pixel: u32) -> Vec<u8> {
     let mut frame = vec![30, 0x24, kind, 1, 0];
     model.size.iter().for_each(|side| frame.extend(side.to_le_bytes()));
     frame.extend(10_000_000_u32.to_le_bytes());
     frame.extend(100_000_000_u32.to_le_bytes());
-    frame.extend(frame_bytes(model.size));
+    frame.extend(frame_bytes(model.size, bytes_per_pixel));
     frame.extend(interval(model.fps));
     frame.push(1);
     frame.extend(interval(model.fps));

@@ -11,6 +11,8 @@ use std::time::Duration;
 use nokhwa::utils::{
     ApiBackend, CameraFormat, CameraIndex, CameraInfo, RequestedFormat, RequestedFormatType,
 };
+#[cfg(target_os = "linux")]
+use nokhwa::utils::{FrameFormat, Resolution};
 use nokhwa::{Buffer, Camera, NokhwaError};
 
 use crate::capture::device_list::{DeviceListing, ListedDevice};
@@ -19,10 +21,11 @@ use crate::capture::mode::ModeRequest;
 use crate::capture::uvc::options::{Selector, UvcOptions};
 #[cfg(target_os = "linux")]
 use crate::capture::uvc::portable_mode::KNOWN_ON_LINUX;
-use crate::capture::uvc::portable_mode::{ALL, choose, in_words, pixel_format};
+use crate::capture::uvc::portable_mode::{ALL, NATIVE, choose, in_words, pixel_format, size_of};
 #[cfg(target_os = "linux")]
 use crate::capture::v4l2;
 use crate::capture::{CaptureError, FrameSource, Losses, SourceDescription, SourceOpener};
+#[cfg(target_os = "linux")]
 use crate::geometry::pixel::ImageSize;
 use crate::imaging::frame::{Frame, FrameSet, PixelFormat, SensorKind};
 use crate::imaging::jpeg_length;
@@ -125,19 +128,19 @@ struct Waiting {
 
 impl Waiting {
     fn run(self, index: CameraIndex, opened: &SyncSender<Result<CameraFormat, CaptureError>>) {
-        let mut camera = match self.open(index) {
-            Ok(camera) => camera,
+        let (mut camera, mode) = match self.open(index) {
+            Ok(opened) => opened,
             Err(error) => {
                 // Whoever asked may have stopped waiting.
                 let _ = opened.send(Err(error));
                 return;
             }
         };
-        let _ = opened.send(Ok(camera.camera_format()));
+        let _ = opened.send(Ok(mode));
         while !self.shared.stop.load(Ordering::Relaxed) {
             let outcome = camera.frame().map_err(|error| lost(&self.name, meaning(&error)));
             let last = outcome.is_err();
-            let frame = match outcome.map(|buffer| frame_of(&buffer)) {
+            let frame = match outcome.map(|buffer| frame_of(&buffer, mode)) {
                 Ok(None) => {
                     self.shared.damaged.fetch_add(1, Ordering::Relaxed);
                     continue;
@@ -160,27 +163,35 @@ impl Waiting {
 
     /// Opens the camera with the first mode that it has, then sets the mode that is wanted of those
     /// it lists: nokhwa's own choice takes one format only.
-    fn open(&self, index: CameraIndex) -> Result<Camera, CaptureError> {
+    fn open(&self, index: CameraIndex) -> Result<(Camera, CameraFormat), CaptureError> {
         let lost = |error: NokhwaError| lost(&self.name, meaning(&error));
         // It opens no camera that stands at a format it does not know, as another program left it.
         #[cfg(target_os = "linux")]
-        if let Ok(number) = index.as_index() {
-            v4l2::set_to_one_of(number, &KNOWN_ON_LINUX);
-        }
+        let number = index.as_index().map_err(lost)?;
+        #[cfg(target_os = "linux")]
+        v4l2::set_to_one_of(number, &KNOWN_ON_LINUX);
         let any = RequestedFormat::with_formats(RequestedFormatType::None, &ALL);
         let mut camera = Camera::new(index, any).map_err(lost)?;
-        let offered = camera.compatible_camera_formats().map_err(lost)?;
+        let mut offered = camera.compatible_camera_formats().map_err(lost)?;
+        #[cfg(target_os = "linux")]
+        offered.extend(v4l2::gray_modes(number).into_iter().map(gray));
         let mode = choose(&offered, &self.mode).map_err(|problem| CaptureError::Failed {
             reason: format!("{}: {problem}", self.name),
         })?;
-        if camera.camera_format() != mode {
-            let exactly = RequestedFormatType::Exact(mode);
-            let formats = [mode.format()];
-            let request = RequestedFormat::with_formats(exactly, &formats);
-            camera.set_camera_requset(request).map_err(lost)?;
+        match mode.format() {
+            #[cfg(target_os = "linux")]
+            FrameFormat::GRAY => v4l2::set_gray(number, size_of(mode), mode.frame_rate())
+                .map_err(|error| self::lost(&self.name, format!("no gray images: {error}")))?,
+            _ if camera.camera_format() == mode => {}
+            format => {
+                let exactly = RequestedFormatType::Exact(mode);
+                let formats = [format];
+                let request = RequestedFormat::with_formats(exactly, &formats);
+                camera.set_camera_requset(request).map_err(lost)?;
+            }
         }
         camera.open_stream().map_err(lost)?;
-        Ok(camera)
+        Ok((camera, mode))
     }
 }
 
@@ -286,13 +297,13 @@ fn find(selector: &Selector) -> Result<CameraInfo, CaptureError> {
     cameras.into_iter().find(meant).ok_or_else(|| lost(&wanted, absent()))
 }
 
-/// A buffer as a frame; `None` when it holds less than it should, or a format that is not read. On
-/// Linux nokhwa hands over the driver's whole buffer: a JPEG is followed by what earlier, larger
-/// ones left there.
-fn frame_of(buffer: &Buffer) -> Option<Frame> {
-    let format = pixel_format(buffer.source_frame_format())?;
-    let resolution = buffer.resolution();
-    let size = ImageSize::new(resolution.width(), resolution.height());
+/// A buffer as a frame of the mode that was set; `None` when it holds less than it should, or a
+/// format that is not read. On Linux nokhwa hands over the driver's whole buffer: a JPEG is followed
+/// by what earlier, larger ones left there. What it says of the buffer is not read: it does not know
+/// gray images there.
+fn frame_of(buffer: &Buffer, mode: CameraFormat) -> Option<Frame> {
+    let format = pixel_format(mode.format())?;
+    let size = size_of(mode);
     let stride = format.bytes_per_pixel().unwrap_or(0) * size.width as usize;
     let bytes = buffer.buffer();
     let length = match format {
@@ -302,6 +313,12 @@ fn frame_of(buffer: &Buffer) -> Option<Frame> {
     };
     let bytes = Arc::from(bytes.get(..length)?);
     Some(Frame { sensor: SensorKind::Color, size, format, stride, bytes })
+}
+
+/// A mode of gray images, of this size and rate.
+#[cfg(target_os = "linux")]
+fn gray((size, fps): (ImageSize, u32)) -> CameraFormat {
+    CameraFormat::new(Resolution::new(size.width, size.height), FrameFormat::GRAY, fps)
 }
 
 fn lost(device: &str, reason: String) -> CaptureError {
@@ -317,6 +334,10 @@ fn meaning(error: &NokhwaError) -> String {
     }
     if has("No such device") || has("No such file") {
         return "it was unplugged".to_owned();
+    }
+    // As the library writes it.
+    if has("Failed to Fufill") {
+        return format!("nokhwa knows none of its formats{NATIVE}");
     }
     words
 }

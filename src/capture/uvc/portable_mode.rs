@@ -29,7 +29,8 @@ pub(super) const ALL: [FrameFormat; 6] = {
     all
 };
 
-/// Those that nokhwa 0.10 knows on Linux, where it calls gray images by a code that no driver uses.
+/// Those that nokhwa 0.10 can set on Linux. Gray images it knows there by a code that no driver has;
+/// they are set beside it.
 #[cfg(target_os = "linux")]
 pub(super) const KNOWN_ON_LINUX: [&str; 5] = ["NV12", "YUYV", "RGB3", "BGR3", "MJPG"];
 
@@ -99,10 +100,12 @@ pub(super) fn choose(
     })
 }
 
-/// nokhwa 0.10 knows gray images by a code that no Linux driver uses.
-const NATIVE: &str = if cfg!(target_os = "linux") { "; write backend = \"native\"" } else { "" };
+/// What to do where nokhwa lacks a format.
+pub(super) const NATIVE: &str =
+    if cfg!(target_os = "linux") { "; write backend = \"native\"" } else { "" };
 
-fn size_of(mode: CameraFormat) -> ImageSize {
+/// The image size of a mode.
+pub(super) fn size_of(mode: CameraFormat) -> ImageSize {
     ImageSize::new(mode.width(), mode.height())
 }
 

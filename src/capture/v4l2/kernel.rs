@@ -6,11 +6,21 @@
 use std::ffi::c_void;
 use std::io;
 use std::mem;
+use std::os::fd::RawFd;
 
 use v4l::Device;
 use v4l::v4l_sys::{v4l2_capability, v4l2_control, v4l2_query_ext_ctrl};
+#[cfg(feature = "nokhwa")]
+use v4l::v4l_sys::{v4l2_format, v4l2_streamparm};
 use v4l::v4l2;
 use v4l::v4l2::vidioc;
+#[cfg(feature = "nokhwa")]
+use v4l::video::capture::Parameters;
+#[cfg(feature = "nokhwa")]
+use v4l::{Format, FourCC, buffer};
+
+#[cfg(feature = "nokhwa")]
+use crate::geometry::pixel::ImageSize;
 
 const NEXT_CONTROL: u32 = 0x8000_0000;
 const CAP_VIDEO_CAPTURE: u32 = 0x0000_0001;
@@ -119,6 +129,28 @@ pub(super) fn set_control_value(device: &Device, id: u32, value: i32) -> io::Res
     call(device, vidioc::VIDIOC_S_CTRL, &mut v4l2_control { id, value })
 }
 
+/// Sets the format of an open descriptor, and gives the one it has then.
+#[cfg(feature = "nokhwa")]
+pub(super) fn set_format(descriptor: RawFd, size: ImageSize, code: FourCC) -> io::Result<Format> {
+    // SAFETY: all zeros is a valid `v4l2_format`: it is integers, and a union of structures of them.
+    let mut argument: v4l2_format = unsafe { mem::zeroed() };
+    argument.type_ = buffer::Type::VideoCapture as u32;
+    argument.fmt.pix = Format::new(size.width, size.height, code).into();
+    call_descriptor(descriptor, vidioc::VIDIOC_S_FMT, &mut argument)?;
+    // SAFETY: `pix` is the union's member for this type, and any bytes are integers.
+    Ok(Format::from(unsafe { argument.fmt.pix }))
+}
+
+/// Sets the rate of an open descriptor, frames a second.
+#[cfg(feature = "nokhwa")]
+pub(super) fn set_rate(descriptor: RawFd, fps: u32) -> io::Result<()> {
+    // SAFETY: all zeros is a valid `v4l2_streamparm`, as for `v4l2_format`.
+    let mut argument: v4l2_streamparm = unsafe { mem::zeroed() };
+    argument.type_ = buffer::Type::VideoCapture as u32;
+    argument.parm.capture = Parameters::with_fps(fps).into();
+    call_descriptor(descriptor, vidioc::VIDIOC_S_PARM, &mut argument)
+}
+
 fn control_kind(code: u32) -> Option<ControlKind> {
     match code {
         1 => Some(ControlKind::Integer),
@@ -128,16 +160,24 @@ fn control_kind(code: u32) -> Option<ControlKind> {
     }
 }
 
+/// One ioctl on an open device.
+fn call<T>(device: &Device, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
+    call_descriptor(device.handle().fd(), request, argument)
+}
+
 /// One ioctl; again when a signal came between. `argument` must be of the type that `request` is
 /// for.
-fn call<T>(device: &Device, request: vidioc::_IOC_TYPE, argument: &mut T) -> io::Result<()> {
-    let handle = device.handle();
+fn call_descriptor<T>(
+    descriptor: RawFd,
+    request: vidioc::_IOC_TYPE,
+    argument: &mut T,
+) -> io::Result<()> {
     loop {
-        // SAFETY: the descriptor is open as long as `device` is; every caller in this file passes
-        // the structure that its request is defined for, exclusively borrowed, so the kernel writes
-        // inside it and nowhere else.
+        // SAFETY: every caller in this file passes the structure that its request is defined for,
+        // exclusively borrowed, so the kernel writes inside it and nowhere else; a descriptor that
+        // is closed or is no video device is refused.
         let outcome = unsafe {
-            v4l2::ioctl(handle.fd(), request, std::ptr::from_mut(argument).cast::<c_void>())
+            v4l2::ioctl(descriptor, request, std::ptr::from_mut(argument).cast::<c_void>())
         };
         match outcome {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
