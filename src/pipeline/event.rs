@@ -44,6 +44,17 @@ pub enum EventKind {
 }
 
 impl EventKind {
+    /// A session as it stands, but for the maps of its estimates: an event does not say them, and
+    /// two thousand that are remembered would hold 40 MB of them.
+    pub(super) fn session(record: &SessionRecord) -> Self {
+        let mut record = record.clone();
+        let of_members = record.members.iter_mut().map(|member| &mut member.estimate);
+        for estimate in of_members.chain([&mut record.estimate]).flatten() {
+            estimate.uncertainty_map = None;
+        }
+        Self::Session(Box::new(record))
+    }
+
     /// Its name on the wire.
     pub fn name(&self) -> &'static str {
         match self {
@@ -261,6 +272,11 @@ impl EventStream {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::calibration::session_record::{RunningEstimate, SessionMember};
+    use crate::estimation::uncertainty::{PixelGrid, UncertaintyMap};
+    use crate::geometry::lens::{Lens, LensModel};
+    use crate::geometry::pixel::ImageSize;
+    use crate::pipeline::scripted::request;
 
     fn frame(sequence: u64) -> EventKind {
         EventKind::Frame(FrameEvent {
@@ -277,6 +293,34 @@ mod tests {
 
     fn ids(stream: &mut EventStream) -> Vec<u64> {
         std::iter::from_fn(|| stream.next_remembered()).map(|event| event.id).collect()
+    }
+
+    #[test]
+    fn a_session_is_remembered_without_maps() {
+        let lens = Lens::from_parameters(LensModel::Pinhole, &[500.0, 500.0, 320.0, 240.0, 0.0]);
+        let grid = PixelGrid { size: ImageSize::new(640, 480), cols: 2, rows: 2 };
+        let map = UncertaintyMap {
+            grid,
+            std_px: vec![None; 4],
+            square_px2: vec![None; 4],
+            covariance_px2: vec![None; 4],
+            weights: vec![0.0; 4],
+        };
+        let estimate = RunningEstimate {
+            lens: lens.unwrap(),
+            rms_px: 0.1,
+            uncertainty_px: ProjectionUncertainty { center: 0.1, median: 0.2, worst: 0.3 },
+            uncertainty_map: Some(Arc::new(map)),
+            views: 5,
+        };
+        let mut record = SessionRecord::begin("1", "rig", request(), 0);
+        let member = SessionMember::begin("left");
+        record.members = vec![SessionMember { estimate: Some(estimate.clone()), ..member }];
+        record.estimate = Some(estimate);
+        let EventKind::Session(said) = EventKind::session(&record) else { panic!("a session") };
+        record.members[0].estimate.as_mut().unwrap().uncertainty_map = None;
+        record.estimate.as_mut().unwrap().uncertainty_map = None;
+        assert_eq!(*said, record);
     }
 
     #[test]

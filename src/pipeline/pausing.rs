@@ -249,8 +249,9 @@ impl SessionThread {
             && shown.id == record.id
         {
             let paused = SessionRecord { reason: Some(reason), ..shown.as_ref().clone() };
-            self.instrument.session.send_replace(Some(Arc::new(paused.clone())));
-            self.instrument.publish(EventKind::Session(Box::new(paused)));
+            let event = EventKind::session(&paused);
+            self.instrument.session.send_replace(Some(Arc::new(paused)));
+            self.instrument.publish(event);
         }
     }
 

@@ -299,7 +299,7 @@ impl SessionThread {
     /// Announces the session as it stands.
     pub(super) fn publish_session(&self) {
         if let Some(session) = self.session.as_ref().filter(|_| self.unstored.is_none()) {
-            self.instrument.publish(EventKind::Session(Box::new(session.record().clone())));
+            self.instrument.publish(EventKind::session(session.record()));
         }
     }
 
