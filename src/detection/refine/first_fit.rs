@@ -12,7 +12,7 @@ use crate::imaging::gray::GrayView;
 
 /// What neighboring corners have in common. The last three are in units of half the difference of
 /// the quadrants' means, which blur makes smaller than that of black and white.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct Before {
     blur_px: f64,
     /// The model's amplitude, without its sign.
@@ -33,17 +33,33 @@ impl Refiner {
         self.fitted.clear();
         self.noise.clear();
         self.scatter.clear();
-        let mut before = Before::TYPICAL;
+        let (mut before, mut clear) = (Before::TYPICAL, Before::TYPICAL);
         for corner in corners {
-            let fitted = self
-                .fit_alone(image, corner, &before)
-                .filter(|fitted| fitted.may_be_corner(corner, &self.thresholds));
+            let mut fitted = self.fit_from(image, corner, &before);
+            // What was fitted to an occluder is no start for the corners after it.
+            if fitted.is_none() && before != clear {
+                fitted = self.fit_from(image, corner, &clear);
+            }
             if let Some(fitted) = &fitted {
                 before = self.as_before(fitted);
+                if fitted.inlier_ratio > self.thresholds.clear_inliers {
+                    clear = before;
+                }
                 self.noise.take(fitted.fit.residuals.flat, fitted.window.bin);
             }
             self.fitted.push(fitted);
         }
+    }
+
+    /// The first fit of a corner, if it may be the requested one.
+    fn fit_from(
+        &mut self,
+        image: GrayView<'_>,
+        corner: &GridCorner,
+        before: &Before,
+    ) -> Option<Fitted> {
+        self.fit_alone(image, corner, before)
+            .filter(|fitted| fitted.may_be_corner(corner, &self.thresholds))
     }
 
     /// The first fit of a corner: in a small window, whose size follows the blur and which moves
