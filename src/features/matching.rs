@@ -2,6 +2,7 @@
 //! than any second (Lowe 2004, section 7.1).
 
 use crate::features::descriptor::{Descriptor, LENGTH, UNIT};
+use crate::features::products::{Block, LANES, Multiply, Plain, ROWS, Row, blocks, row};
 
 /// A feature of one image and the feature of another that shows the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -20,43 +21,32 @@ const RATIO: f32 = 0.8;
 /// the ratio: a Euclidean distance of 0.7 at unit length, as COLMAP takes it.
 const LEAST_PRODUCT: f32 = 1.0 - 0.7 * 0.7 / 2.0;
 
-/// Columns of descriptors that are multiplied together.
-const LANES: usize = 16;
-/// Rows of descriptors that are multiplied together.
-const ROWS: usize = 6;
-
-/// Descriptors laid out for products: blocks of `LANES` descriptors, number by number.
+/// Descriptors laid out for products, alone and in blocks.
 #[derive(Debug, Clone)]
 pub struct DescriptorTable {
     len: usize,
-    rows: Vec<[f32; LENGTH]>,
-    blocks: Vec<[[f32; LANES]; LENGTH]>,
+    rows: Vec<Row>,
+    blocks: Vec<Block>,
 }
 
 impl DescriptorTable {
     /// Of `descriptors`, in their order.
     pub fn new(descriptors: &[Descriptor]) -> Self {
-        let mut rows: Vec<[f32; LENGTH]> =
-            descriptors.iter().map(|descriptor| descriptor.0.map(f32::from)).collect();
-        let mut blocks = vec![[[0.0; LANES]; LENGTH]; rows.len().div_ceil(LANES)];
-        for (k, row) in rows.iter().enumerate() {
-            for (number, value) in row.iter().enumerate() {
-                blocks[k / LANES][number][k % LANES] = *value;
-            }
-        }
-        rows.resize(rows.len().next_multiple_of(ROWS), [0.0; LENGTH]);
+        let mut rows: Vec<Row> = descriptors.iter().map(row).collect();
+        let blocks = blocks(&rows);
+        rows.resize(rows.len().next_multiple_of(ROWS), [[0; 2]; LENGTH / 2]);
         Self { len: descriptors.len(), rows, blocks }
     }
 }
 
 /// The matches between two images, by the first image's index. The products of descriptors are
-/// whole numbers below 2²⁴, so that they are exact in any order.
+/// whole numbers below 2²⁴, so that they are exact in any order, and as floats.
 pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> Vec<Match> {
-    let nearest = pulp::Arch::new().dispatch(Search { first, second });
+    let nearest = search(first, second);
     let mut matches = Vec::new();
     for (index, row) in nearest.rows.iter().enumerate().take(first.len) {
-        let distance = |product: f32| (2.0 - 2.0 * product / (UNIT * UNIT)).max(0.0);
-        let is_near = row.best >= LEAST_PRODUCT * UNIT * UNIT;
+        let distance = |product: i32| (2.0 - 2.0 * product as f32 / (UNIT * UNIT)).max(0.0);
+        let is_near = row.best as f32 >= LEAST_PRODUCT * UNIT * UNIT;
         let is_distinct = distance(row.best) < RATIO * RATIO * distance(row.second);
         let is_mutual = nearest.column_rows.get(row.column) == Some(&(index as u32));
         if is_near && is_distinct && is_mutual {
@@ -69,14 +59,23 @@ pub fn match_descriptors(first: &DescriptorTable, second: &DescriptorTable) -> V
 /// The greatest products of a row of the table of products.
 #[derive(Debug, Clone, Copy)]
 struct Nearest {
-    best: f32,
-    second: f32,
+    best: i32,
+    second: i32,
     column: usize,
 }
 
-struct Search<'a> {
+struct Search<'a, M> {
     first: &'a DescriptorTable,
     second: &'a DescriptorTable,
+    multiply: M,
+}
+
+fn search(first: &DescriptorTable, second: &DescriptorTable) -> Found {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(v3) = pulp::x86::V3::try_new() {
+        return v3.vectorize(Search { first, second, multiply: v3 });
+    }
+    pulp::Arch::new().dispatch(Search { first, second, multiply: Plain })
 }
 
 struct Found {
@@ -90,27 +89,27 @@ const CACHED_BLOCKS: usize = 4;
 
 #[derive(Clone, Copy)]
 struct Lanes {
-    best: [f32; LANES],
-    second: [f32; LANES],
+    best: [i32; LANES],
+    second: [i32; LANES],
     block: [u32; LANES],
 }
 
-impl pulp::NullaryFnOnce for Search<'_> {
+impl<M: Multiply> pulp::NullaryFnOnce for Search<'_, M> {
     type Output = Found;
 
     #[inline(always)]
     fn call(self) -> Found {
-        let Self { first, second } = self;
-        let nothing = Lanes { best: [-1.0; LANES], second: [-1.0; LANES], block: [0; LANES] };
+        let Self { first, second, multiply } = self;
+        let nothing = Lanes { best: [-1; LANES], second: [-1; LANES], block: [0; LANES] };
         let mut lanes = vec![nothing; first.rows.len()];
-        let mut column_best = vec![[-1.0_f32; LANES]; second.blocks.len()];
+        let mut column_best = vec![[-1_i32; LANES]; second.blocks.len()];
         let mut column_rows = vec![[0_u32; LANES]; second.blocks.len()];
         for start in (0..second.blocks.len()).step_by(CACHED_BLOCKS) {
             let end = (start + CACHED_BLOCKS).min(second.blocks.len());
             for (quad, rows) in first.rows.chunks_exact(ROWS).enumerate() {
-                let rows: [&[f32; LENGTH]; ROWS] = std::array::from_fn(|k| &rows[k]);
+                let rows: [&Row; ROWS] = std::array::from_fn(|k| &rows[k]);
                 for block in start..end {
-                    let products = multiply(rows, &second.blocks[block]);
+                    let products = multiply.products(rows, &second.blocks[block]);
                     for (k, products) in products.iter().enumerate() {
                         let row = quad * ROWS + k;
                         let lanes = &mut lanes[row];
@@ -135,24 +134,9 @@ impl pulp::NullaryFnOnce for Search<'_> {
     }
 }
 
-#[inline(always)]
-fn multiply(rows: [&[f32; LENGTH]; ROWS], block: &[[f32; LANES]; LENGTH]) -> [[f32; LANES]; ROWS] {
-    let mut products = [[0.0_f32; LANES]; ROWS];
-    for number in 0..LENGTH {
-        let values = &block[number];
-        for k in 0..ROWS {
-            let factor = rows[k][number];
-            for j in 0..LANES {
-                products[k][j] = factor.mul_add(values[j], products[k][j]);
-            }
-        }
-    }
-    products
-}
-
 /// The best and second best over all lanes; what fills the last block up is skipped.
 fn nearest(lanes: &Lanes, len: usize) -> Nearest {
-    let mut nearest = Nearest { best: -1.0, second: -1.0, column: usize::MAX };
+    let mut nearest = Nearest { best: -1, second: -1, column: usize::MAX };
     for j in 0..LANES {
         let column = lanes.block[j] as usize * LANES + j;
         if column >= len {

@@ -19,5 +19,6 @@ pub mod matching;
 mod orientation;
 pub mod patch;
 mod plane;
+mod products;
 mod scale_space;
 pub mod tracks;
