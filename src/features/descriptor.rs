@@ -29,7 +29,8 @@ pub struct Descriptor(pub [u8; LENGTH]);
 /// Places with one more on each side, which takes what falls outside.
 const PADDED: usize = PLACES + 2;
 
-type Histogram = [[[f32; DIRECTIONS]; PADDED]; PADDED];
+/// By place, row by row.
+type Histogram = [[f32; DIRECTIONS]; PADDED * PADDED];
 
 /// The descriptor of `extremum` seen along `angle`.
 pub(super) fn describe(gradients: &Gradients, extremum: &Extremum, angle: f64) -> Descriptor {
@@ -37,7 +38,7 @@ pub(super) fn describe(gradients: &Gradients, extremum: &Extremum, angle: f64) -
         pulp::Arch::new().dispatch(Accumulate { gradients, extremum, angle: angle as f32 });
     let mut histogram = [0.0_f32; LENGTH];
     for (place, into) in histogram.chunks_exact_mut(DIRECTIONS).enumerate() {
-        into.copy_from_slice(&padded[1 + place / PLACES][1 + place % PLACES]);
+        into.copy_from_slice(&padded[(1 + place / PLACES) * PADDED + 1 + place % PLACES]);
     }
     let norm = |values: &[f32]| values.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-12);
     let length = norm(&histogram);
@@ -51,6 +52,9 @@ struct Accumulate<'a> {
     extremum: &'a Extremum,
     angle: f32,
 }
+
+/// Pixels of a row whose places are found together.
+const LANES: usize = Gradients::PADDING;
 
 impl pulp::NullaryFnOnce for Accumulate<'_> {
     type Output = Histogram;
@@ -66,35 +70,145 @@ impl pulp::NullaryFnOnce for Accumulate<'_> {
             let from = (center - radius).ceil().max(1.0) as usize;
             from..((center + radius).max(0.0) as usize + 1).min(limit.saturating_sub(1))
         };
-        // Places are numbered by their middles, from the padding on.
-        let (half, first) = (PLACES as f32 * 0.5, PLACES as f32 * 0.5 + 0.5);
         let columns = range(center_x, gradients.width);
-        let mut histogram = [[[0.0; DIRECTIONS]; PADDED]; PADDED];
+        let mut histogram = [[0.0; DIRECTIONS]; PADDED * PADDED];
         for y in range(center_y, gradients.height) {
             let dy = y as f32 - center_y;
-            let start = y * gradients.width;
-            let row = &gradients.values[start..start + gradients.width];
-            for x in columns.clone() {
-                let dx = x as f32 - center_x;
-                let (u, v) = (cos * dx + sin * dy, cos * dy - sin * dx);
-                let (column, row_place) = (u + first, v + first);
-                let inside = column > 0.0
-                    && row_place > 0.0
-                    && column < (PADDED - 1) as f32
-                    && row_place < (PADDED - 1) as f32;
-                if !inside {
-                    continue;
+            let (left, right) = span(cos, sin, dy);
+            let from = columns.start.max((center_x + left).max(0.0) as usize);
+            let end = columns.end.min((center_x + right).max(0.0) as usize + 2);
+            for start in (from..end).step_by(LANES) {
+                let at = y * gradients.width + start;
+                let Some(lengths) = gradients.lengths[at..].first_chunk() else { continue };
+                let Some(directions) = gradients.directions[at..].first_chunk() else { continue };
+                let shares = Shares::of(lengths, directions, angle, |k| {
+                    let dx = (start as i32 + k as i32) as f32 - center_x;
+                    [cos * dx + sin * dy, cos * dy - sin * dx]
+                });
+                for k in 0..LANES.min(end - start) {
+                    shares.add(k, &mut histogram);
                 }
-                let [length, direction] = row[x];
-                let weight = length * falloff((u * u + v * v) / (half * half));
-                let relative = direction - angle;
-                let relative = if relative < 0.0 { relative + TAU } else { relative };
-                let relative = relative * (DIRECTIONS as f32 / TAU);
-                spread(&mut histogram, [row_place, column, relative], weight);
             }
         }
         histogram
     }
+}
+
+/// From where to where the places are in a row that is `dy` below the keypoint, in pixels from it;
+/// `cos` and `sin` in places a pixel.
+#[inline(always)]
+fn span(cos: f32, sin: f32, dy: f32) -> (f32, f32) {
+    // A little more, since these are rounded.
+    let half = (PLACES as f32 + 1.0) * 0.5 + 1e-4;
+    let within = |slope: f32, offset: f32| {
+        let (a, b) = ((-half - offset) / slope, (half - offset) / slope);
+        (a.min(b), a.max(b))
+    };
+    let (u, v) = (within(cos, sin * dy), within(-sin, cos * dy));
+    (u.0.max(v.0), u.1.min(v.1))
+}
+
+/// Which places the pixels of a part of a row belong to, and how much.
+struct Shares {
+    /// 1 within the places, 0 outside.
+    inside: [u32; LANES],
+    /// The nearest place above and left.
+    place: [u32; LANES],
+    /// The nearest direction below.
+    direction: [u32; LANES],
+    /// How far on the way to the next direction.
+    beyond: [f32; LANES],
+    /// What the nearest two by two places get, row by row.
+    parts: [[f32; LANES]; 4],
+}
+
+impl Shares {
+    /// Of gradients with these lengths and directions; `at` gives where each is, in places from
+    /// the keypoint.
+    #[inline(always)]
+    fn of(
+        lengths: &[f32; LANES],
+        directions: &[f32; LANES],
+        angle: f32,
+        at: impl Fn(usize) -> [f32; 2],
+    ) -> Self {
+        let (inside, place, direction) = ([0; LANES], [0; LANES], [0; LANES]);
+        let (beyond, parts) = ([0.0; LANES], [[0.0; LANES]; 4]);
+        let mut shares = Self { inside, place, direction, beyond, parts };
+        // Places are numbered by their middles, from the padding on.
+        let (half, first) = (PLACES as f32 * 0.5, PLACES as f32 * 0.5 + 0.5);
+        let end = (PADDED - 1) as f32;
+        for k in 0..LANES {
+            let [u, v] = at(k);
+            let (column, row) = (u + first, v + first);
+            let inside = (column > 0.0) & (row > 0.0) & (column < end) & (row < end);
+            shares.inside[k] = u32::from(inside);
+            let weight = lengths[k] * falloff((u * u + v * v) / (half * half));
+            let relative = directions[k] - angle;
+            let relative = if relative < 0.0 { relative + TAU } else { relative };
+            let relative = relative * (DIRECTIONS as f32 / TAU);
+            let (whole_row, whole_column) = (floor(row), floor(column));
+            let direction = floor(relative);
+            shares.place[k] = whole(whole_row * PADDED as f32 + whole_column);
+            shares.direction[k] = whole(direction);
+            shares.beyond[k] = relative - direction;
+            let (r, c) = (row - whole_row, column - whole_column);
+            let (near, far) = (weight * (1.0 - r), weight * r);
+            shares.parts[0][k] = near * (1.0 - c);
+            shares.parts[1][k] = near * c;
+            shares.parts[2][k] = far * (1.0 - c);
+            shares.parts[3][k] = far * c;
+        }
+        shares
+    }
+
+    /// Adds those of pixel `k`.
+    #[inline(always)]
+    fn add(&self, k: usize, histogram: &mut Histogram) {
+        if self.inside[k] == 0 {
+            return;
+        }
+        let (here, d) = (self.direction[k] as usize, self.beyond[k]);
+        let (here, next) = (&ONLY[here % DIRECTIONS], &ONLY[(here + 1) % DIRECTIONS]);
+        let mut directions = [0.0; DIRECTIONS];
+        for n in 0..DIRECTIONS {
+            directions[n] = here[n] * (1.0 - d) + next[n] * d;
+        }
+        let first = (self.place[k] as usize).min(PADDED * (PADDED - 1) - 2);
+        for (place, parts) in [0, 1, PADDED, PADDED + 1].into_iter().zip(&self.parts) {
+            let place = &mut histogram[first + place];
+            for n in 0..DIRECTIONS {
+                place[n] += parts[k] * directions[n];
+            }
+        }
+    }
+}
+
+/// 1 in one direction.
+const ONLY: [[f32; DIRECTIONS]; DIRECTIONS] = {
+    let mut only = [[0.0; DIRECTIONS]; DIRECTIONS];
+    let mut k = 0;
+    while k < DIRECTIONS {
+        only[k][k] = 1.0;
+        k += 1;
+    }
+    only
+};
+
+/// Added to a number between 0 and 2²², this rounds it to a whole one.
+const ROUNDING: f32 = 8_388_608.0;
+
+/// The next whole number below, of numbers between 0 and 2²², without a call.
+#[inline(always)]
+fn floor(x: f32) -> f32 {
+    let rounded = (x + ROUNDING) - ROUNDING;
+    if rounded > x { rounded - 1.0 } else { rounded }
+}
+
+/// A whole number between 0 and 255 as an integer, without a call.
+#[inline(always)]
+fn whole(x: f32) -> u32 {
+    (x + ROUNDING).to_bits() & 0xff
 }
 
 /// exp(−t / 2), the Gaussian as wide as half the window, as (1 − t / 16)⁸: within 0.04 where the
@@ -104,22 +218,4 @@ fn falloff(t: f32) -> f32 {
     let quarter = 1.0 - t * 0.0625;
     let squared = quarter * quarter;
     (squared * squared) * (squared * squared)
-}
-
-/// Adds `weight` to the two nearest rows, columns and directions, by how near they are; rows and
-/// columns from 0 to below [`PADDED`] − 1, directions from 0.
-#[inline(always)]
-fn spread(into: &mut Histogram, [row, column, direction]: [f32; 3], weight: f32) {
-    let (first_row, first_column) = (row as usize, column as usize);
-    let (r, c) = (row - first_row as f32, column - first_column as f32);
-    let whole = direction as usize;
-    let d = direction - whole as f32;
-    let (here, next) = (whole % DIRECTIONS, (whole + 1) % DIRECTIONS);
-    for (row, part) in [(first_row, weight * (1.0 - r)), (first_row + 1, weight * r)] {
-        for (column, part) in [(first_column, part * (1.0 - c)), (first_column + 1, part * c)] {
-            let place = &mut into[row.min(PADDED - 1)][column.min(PADDED - 1)];
-            place[here] += part * (1.0 - d);
-            place[next] += part * d;
-        }
-    }
 }

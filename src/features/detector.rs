@@ -44,7 +44,7 @@ pub fn find_features(image: GrayView<'_>, options: &FeatureOptions) -> Features 
     let mut kept: Vec<Octave> = Vec::new();
     for (k, octave) in octaves.enumerate() {
         found.extend(extrema(&octave).into_iter().map(|extremum| (extremum, k)));
-        kept.push(Octave { differences: Vec::new(), ..octave });
+        kept.push(octave);
     }
     let pixel = |(extremum, octave): &(Extremum, usize)| {
         let Octave { spacing_px, offset_px, .. } = kept[*octave];
@@ -53,6 +53,7 @@ pub fn find_features(image: GrayView<'_>, options: &FeatureOptions) -> Features 
     let order = spread_over_image(&found, image, pixel);
     let chosen = &order[..order.len().min(options.max_features)];
     let mut described: Vec<(usize, Keypoint, Descriptor)> = Vec::new();
+    let mut gradients = Gradients::default();
     for (k, octave) in kept.iter().enumerate() {
         for level in 1..=SCALES {
             let here = |index: usize| {
@@ -63,7 +64,7 @@ pub fn find_features(image: GrayView<'_>, options: &FeatureOptions) -> Features 
             if ranks.is_empty() {
                 continue;
             }
-            let gradients = Gradients::of(&octave.gaussians[level]);
+            gradients.fill(&octave.gaussians[level]);
             for rank in ranks {
                 let extremum = &found[chosen[rank]].0;
                 for angle in orientations(&gradients, extremum) {

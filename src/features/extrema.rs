@@ -37,34 +37,101 @@ impl Extremum {
 
 /// The extrema of one octave, by scale and then row by row.
 pub(super) fn extrema(octave: &Octave) -> Vec<Extremum> {
-    let mut found = Vec::new();
-    let planes = &octave.differences;
-    let (width, height) = (planes[0].width, planes[0].height);
-    for level in 1..=SCALES {
-        for y in BORDER..height.saturating_sub(BORDER) {
-            let row = planes[level].row(y);
-            let inner = row.iter().enumerate().take(width.saturating_sub(BORDER)).skip(BORDER);
-            for (x, value) in inner {
-                if value.abs() < 0.8 * LEAST_CONTRAST || !is_extremum(planes, [x, y, level]) {
-                    continue;
+    let candidates = pulp::Arch::new().dispatch(Scan { planes: &octave.gaussians });
+    let candidates = candidates.iter().flatten();
+    candidates.filter_map(|at| refined(&octave.gaussians, *at)).collect()
+}
+
+/// Pixels that are tested together.
+const LANES: usize = 16;
+
+/// The differences of neighboring planes in three rows: that of `planes[level]` in row `y` is
+/// `[level][y % 3]`, with [`LANES`] more at the end.
+type DifferenceRows = Vec<[Vec<f32>; 3]>;
+
+struct Scan<'a> {
+    planes: &'a [Plane],
+}
+
+impl pulp::NullaryFnOnce for Scan<'_> {
+    /// By level: x, y, level of the pixels that are above or below all their neighbors.
+    type Output = [Vec<[usize; 3]>; SCALES];
+
+    #[inline(always)]
+    fn call(self) -> Self::Output {
+        let (width, height) = (self.planes[0].width, self.planes[0].height);
+        let mut found: Self::Output = Default::default();
+        let mut rows: DifferenceRows =
+            vec![std::array::from_fn(|_| vec![0.0; width + LANES]); self.planes.len() - 1];
+        for below in (BORDER - 1)..(height + 1).saturating_sub(BORDER) {
+            for (planes, rows) in self.planes.windows(2).zip(&mut rows) {
+                let pairs = planes[1].row(below).iter().zip(planes[0].row(below));
+                for (value, (wide, narrow)) in rows[below % 3].iter_mut().zip(pairs) {
+                    *value = wide - narrow;
                 }
-                found.extend(refined(planes, [x, y, level]));
+            }
+            let y = below - 1;
+            if y < BORDER {
+                continue;
+            }
+            for (level, found) in (1..).zip(&mut found) {
+                scan_row(&rows, [y, level], width.saturating_sub(BORDER), found);
+            }
+        }
+        found
+    }
+}
+
+#[inline(always)]
+fn scan_row(
+    rows: &DifferenceRows,
+    [y, level]: [usize; 2],
+    end: usize,
+    found: &mut Vec<[usize; 3]>,
+) {
+    let of = |level: usize, y: usize, x: usize| -> &[f32; LANES] {
+        rows[level][y % 3][x..].first_chunk().unwrap_or(&[0.0; LANES])
+    };
+    for start in (BORDER..end).step_by(LANES) {
+        // Most pixels are neither above nor below their nearest neighbors.
+        let values = of(level, y, start);
+        let nearest = [
+            of(level, y, start - 1),
+            of(level, y, start + 1),
+            of(level, y - 1, start),
+            of(level, y + 1, start),
+            of(level - 1, y, start),
+            of(level + 1, y, start),
+        ];
+        let mut any = [false; LANES];
+        for k in 0..LANES {
+            let (mut high, mut low) = (nearest[0][k], nearest[0][k]);
+            for other in &nearest[1..] {
+                high = if other[k] > high { other[k] } else { high };
+                low = if other[k] < low { other[k] } else { low };
+            }
+            any[k] = (values[k] >= high) | (values[k] <= low);
+        }
+        for (x, any) in (start..end).zip(any) {
+            if any && is_extremum(rows, [x, y, level]) {
+                found.push([x, y, level]);
             }
         }
     }
-    found
 }
 
-fn is_extremum(planes: &[Plane], [x, y, level]: [usize; 3]) -> bool {
-    let value = planes[level].at(x, y);
+#[inline(always)]
+fn is_extremum(rows: &DifferenceRows, [x, y, level]: [usize; 3]) -> bool {
+    let value = rows[level][y % 3][x];
+    if value.abs() < 0.8 * LEAST_CONTRAST {
+        return false;
+    }
     // A bright and a dark extremum alike: compare with the sign taken off.
     let sign = value.signum();
     let value = value * sign;
-    [level, level - 1, level + 1].into_iter().all(|plane| {
-        (y - 1..=y + 1).all(|row| {
-            let around = &planes[plane].row(row)[x - 1..=x + 1];
-            around.iter().all(|other| other * sign <= value)
-        })
+    rows[level - 1..=level + 1].iter().all(|rows| {
+        // All three rows, in whichever order they are.
+        rows.iter().all(|row| row[x - 1..=x + 1].iter().all(|other| other * sign <= value))
     })
 }
 
@@ -75,7 +142,8 @@ fn refined(planes: &[Plane], at: [usize; 3]) -> Option<Extremum> {
     for _ in 0..MAX_STEPS {
         let d = |dx: i64, dy: i64, dl: i64| {
             let at = |a: usize, b: i64| (a as i64 + b) as usize;
-            f64::from(planes[at(level, dl)].at(at(x, dx), at(y, dy)))
+            let (x, y, level) = (at(x, dx), at(y, dy), at(level, dl));
+            f64::from(planes[level + 1].at(x, y) - planes[level].at(x, y))
         };
         let center = d(0, 0, 0);
         let gradient = 0.5

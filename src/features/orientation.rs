@@ -17,26 +17,34 @@ const PEAK: f32 = 0.8;
 /// Directions of one keypoint at most: a third one hardly ever matches.
 const MAX_DIRECTIONS: usize = 2;
 
-/// Length and direction (0 to 2π) of the luma gradient at each pixel, 0 at the border.
+/// Length and direction (0 to 2π) of the luma gradient at each pixel; anything at the border.
+#[derive(Default)]
 pub(super) struct Gradients {
     pub width: usize,
     pub height: usize,
-    /// Length, direction.
-    pub values: Vec<[f32; 2]>,
+    /// Row by row, and [`Self::PADDING`] more, as are the directions.
+    pub lengths: Vec<f32>,
+    /// In the same order.
+    pub directions: Vec<f32>,
 }
 
 impl Gradients {
-    pub fn of(plane: &Plane) -> Self {
-        let (width, height) = (plane.width, plane.height);
-        let mut values = vec![[0.0; 2]; width * height];
-        pulp::Arch::new().dispatch(Fill { plane, values: &mut values });
-        Self { width, height, values }
+    /// How many pixels can be read from any one on.
+    pub const PADDING: usize = 16;
+
+    /// Takes those of `plane`.
+    pub fn fill(&mut self, plane: &Plane) {
+        (self.width, self.height) = (plane.width, plane.height);
+        let len = plane.values.len() + Self::PADDING;
+        self.lengths.resize(len, 0.0);
+        self.directions.resize(len, 0.0);
+        pulp::Arch::new().dispatch(Fill { plane, gradients: self });
     }
 }
 
 struct Fill<'a> {
     plane: &'a Plane,
-    values: &'a mut [[f32; 2]],
+    gradients: &'a mut Gradients,
 }
 
 impl pulp::NullaryFnOnce for Fill<'_> {
@@ -48,12 +56,14 @@ impl pulp::NullaryFnOnce for Fill<'_> {
         for y in 1..self.plane.height.saturating_sub(1) {
             let (above, row, below) =
                 (self.plane.row(y - 1), self.plane.row(y), self.plane.row(y + 1));
-            let out = &mut self.values[y * width + 1..(y + 1) * width - 1];
+            let inner = y * width + 1..(y + 1) * width - 1;
+            let lengths = self.gradients.lengths[inner.clone()].iter_mut();
+            let out = lengths.zip(&mut self.gradients.directions[inner]);
             let sides = row[..width - 2].iter().zip(&row[2..]);
             let ends = above[1..].iter().zip(&below[1..]);
-            for ((out, (left, right)), (up, down)) in out.iter_mut().zip(sides).zip(ends) {
+            for (((length, angle), (left, right)), (up, down)) in out.zip(sides).zip(ends) {
                 let (dx, dy) = (right - left, down - up);
-                *out = [(dx * dx + dy * dy).sqrt(), direction(dy, dx)];
+                (*length, *angle) = ((dx * dx + dy * dy).sqrt(), direction(dy, dx));
             }
         }
     }
@@ -79,15 +89,18 @@ pub(super) fn orientations(gradients: &Gradients, extremum: &Extremum) -> Vec<f6
     let radius = (3.0 * sigma).round();
     let range = |center: f64, limit: usize| {
         let from = (center - radius).max(1.0) as usize;
-        from..=((center + radius) as usize).min(limit.saturating_sub(2))
+        from..((center + radius) as usize + 1).min(limit.saturating_sub(1)).max(from)
     };
     let mut histogram = [0.0_f32; BINS];
     let factor = (-0.5 / (sigma * sigma)) as f32;
+    let columns = range(extremum.x, gradients.width);
     for y in range(extremum.y, gradients.height) {
         let dy = y as f32 - extremum.y as f32;
-        for x in range(extremum.x, gradients.width) {
-            let dx = x as f32 - extremum.x as f32;
-            let [length, angle] = gradients.values[y * gradients.width + x];
+        let start = y * gradients.width;
+        let row = start + columns.start..start + columns.end;
+        let row = gradients.lengths[row.clone()].iter().zip(&gradients.directions[row]);
+        for (k, (length, angle)) in row.enumerate() {
+            let dx = (columns.start + k) as f32 - extremum.x as f32;
             let bin = (angle * (BINS as f32 / TAU) + 0.5) as usize % BINS;
             histogram[bin] += length * ((dx * dx + dy * dy) * factor).exp();
         }

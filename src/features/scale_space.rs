@@ -23,15 +23,13 @@ pub(super) const LONGEST_SIDE: usize = 2400;
 /// An octave whose shorter side is below this has no room for a descriptor.
 const SHORTEST_SIDE: usize = 24;
 
-/// One octave: SCALES + 3 planes, each blurred 2^(1/SCALES) times as much as the one before, and
-/// their differences.
+/// One octave: SCALES + 3 planes, each blurred 2^(1/SCALES) times as much as the one before.
 pub(super) struct Octave {
     /// Pixel (x, y) of a plane is pixel (x, y) · spacing + offset of the image.
     pub spacing_px: f64,
     /// See `spacing_px`.
     pub offset_px: f64,
     pub gaussians: Vec<Plane>,
-    pub differences: Vec<Plane>,
 }
 
 /// The blur of plane `k` of an octave, in its own pixels.
@@ -80,17 +78,11 @@ impl Iterator for Octaves {
             let (from, to) = (sigma(k as f64 - 1.0), sigma(k as f64));
             gaussians.push(gaussians[k - 1].blurred((to * to - from * from).sqrt()));
         }
-        let difference = |pair: &[Plane]| Plane {
-            values: pair[1].values.iter().zip(&pair[0].values).map(|(b, a)| b - a).collect(),
-            width: pair[0].width,
-            height: pair[0].height,
-        };
-        let differences = gaussians.windows(2).map(difference).collect();
         let half = gaussians[SCALES].halved();
         if half.width.min(half.height) >= SHORTEST_SIDE {
             self.next = Some((half, 2.0 * spacing_px, offset_px));
         }
-        Some(Octave { spacing_px, offset_px, gaussians, differences })
+        Some(Octave { spacing_px, offset_px, gaussians })
     }
 }
 
