@@ -79,28 +79,41 @@ impl pulp::NullaryFnOnce for Blur<'_> {
         for (y, out) in into.values.chunks_exact_mut(width).enumerate() {
             // Down the columns first, a whole row at a time, into the padded row.
             let middle = &mut padded[radius..radius + width];
-            for (sum, value) in middle.iter_mut().zip(source.row(y)) {
-                *sum = kernel[0] * value;
-            }
-            for (k, weight) in kernel.iter().enumerate().skip(1) {
-                let above = source.row(y.saturating_sub(k));
-                let below = source.row((y + k).min(height - 1));
-                for ((sum, a), b) in middle.iter_mut().zip(above).zip(below) {
-                    *sum += weight * (a + b);
-                }
-            }
+            let above = |k: usize| source.row(y.saturating_sub(k));
+            let below = |k: usize| source.row((y + k).min(height - 1));
+            sums(kernel, above, below, middle);
             let (first, last) = (padded[radius], padded[radius + width - 1]);
             padded[..radius].fill(first);
             padded[radius + width..].fill(last);
-            for (sum, value) in out.iter_mut().zip(&padded[radius..]) {
-                *sum = kernel[0] * value;
-            }
-            for (k, weight) in kernel.iter().enumerate().skip(1) {
-                let (left, right) = (&padded[radius - k..], &padded[radius + k..]);
-                for ((sum, a), b) in out.iter_mut().zip(left).zip(right) {
-                    *sum += weight * (a + b);
-                }
-            }
+            sums(kernel, |k| &padded[radius - k..], |k| &padded[radius + k..], out);
+        }
+    }
+}
+
+/// The sums of what is `k` pixels before and behind, each with the kernel's weight.
+#[inline(always)]
+fn sums<'a>(
+    kernel: &[f32],
+    before: impl Fn(usize) -> &'a [f32],
+    behind: impl Fn(usize) -> &'a [f32],
+    out: &mut [f32],
+) {
+    for (sum, value) in out.iter_mut().zip(before(0)) {
+        *sum = kernel[0] * value;
+    }
+    let mut k = 1;
+    // Two weights at a time: each sum is read and written half as often.
+    while let Some([weight, next]) = kernel.get(k..k + 2) {
+        let near = before(k).iter().zip(behind(k));
+        let far = before(k + 1).iter().zip(behind(k + 1));
+        for ((sum, (a, b)), (c, d)) in out.iter_mut().zip(near).zip(far) {
+            *sum = (*sum + weight * (a + b)) + next * (c + d);
+        }
+        k += 2;
+    }
+    if let Some(weight) = kernel.get(k) {
+        for ((sum, a), b) in out.iter_mut().zip(before(k)).zip(behind(k)) {
+            *sum += weight * (a + b);
         }
     }
 }
