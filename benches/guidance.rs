@@ -2,12 +2,12 @@
 //!
 //!     cargo bench --bench guidance -- [SEEDS] [FIRST] ["IMAGES*.jpg:COLSxROWS" "IMAGES*.jpg:TARGET.json" …]
 //!
-//! Times one decision (which view to ask for next) on one core for three lenses; runs SEEDS
-//! sessions (9 unless said, from seed FIRST, 1000 unless said; three lenses, three boards) for each
-//! operator until the worst projection uncertainty in the image reaches its goal; and replays pools
-//! of photographs: how many images each order needs for 1.2 times the uncertainty of all of them,
-//! in the order of `plumb calibrate --order` and in 200 random ones. With 0 for SEEDS there are
-//! only the pools.
+//! Times one decision (which view to ask for next, of one camera and of two) on one core for three
+//! lenses; runs SEEDS sessions (9 unless said, from seed FIRST, 1000 unless said; three lenses,
+//! three boards) for each operator until the worst projection uncertainty in the image reaches its
+//! goal; and replays pools of photographs: how many images each order needs for 1.2 times the
+//! uncertainty of all of them, in the order of `plumb calibrate --order` and in 200 random ones.
+//! With 0 for SEEDS there are only the pools.
 
 #![expect(
     clippy::print_stdout,
@@ -22,10 +22,13 @@ use std::time::Instant;
 use plumb::calibration::information::candidate_views::{BoardPoints, CandidateSpace, Holding};
 use plumb::calibration::information::corner_noise::CornerNoise;
 use plumb::calibration::information::lens_information::LensInformation;
+use plumb::calibration::information::next_shared_view::suggest_shared_view;
 use plumb::calibration::information::next_view::suggest_view;
+use plumb::calibration::information::pair_information::PairInformation;
 use plumb::calibration::information::pool::Pool;
 use plumb::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
-use plumb::calibration::information::view_information::view_information;
+use plumb::calibration::information::transfer_goal::TransferGoal;
+use plumb::calibration::information::view_information::{ViewNormal, view_information};
 use plumb::calibration::view::{FrameFacts, View, target_as_seen};
 use plumb::cli::simulate::operated::{OperatedOutcome, OperatedSession, OperatorName, summary};
 use plumb::detection::board_detection::DetectOptions;
@@ -36,6 +39,7 @@ use plumb::estimation::problem::CameraProblem;
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::{Lens, LensModel};
 use plumb::geometry::pixel::ImageSize;
+use plumb::geometry::pose::Pose;
 use plumb::geometry::target::Target;
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -53,6 +57,7 @@ fn main() {
     if seeds > 0 {
         for (setting, lens) in [(0, None), (2, None), (1, Some(rational()))] {
             decision(setting, lens);
+            shared_decision(setting, lens);
         }
         operators(first, seeds);
     }
@@ -87,21 +92,75 @@ fn decision(seed: u64, lens: Option<Lens>) {
     }
     let goal = ProjectionGoal::new(&lens, session.size, GoalFigure::Worst);
     let from = Some(&views[7].camera_from_board);
+    let what = format!("one decision after {} views, {}", views.len(), lens.model().name());
+    timed(&what, || {
+        black_box(suggest_view(&known, &goal, &space, (from, Some(0.5 * GOAL_PX))));
+    });
+}
+
+/// One decision which view two cameras should share, 12 cm from each other, with 25 views of each
+/// of which both see up to 25; and what these views say of both, summed up anew.
+fn shared_decision(seed: u64, lens: Option<Lens>) {
+    let session = OperatedSession::of_seed(seed, OperatorName::Follows, (GOAL_PX, true));
+    let lens = lens.unwrap_or(session.lens);
+    let (board, noise) = (BoardPoints::of_chessboard(&session.board), CornerNoise::default());
+    let space = CandidateSpace {
+        lens: &lens,
+        size: session.size,
+        board: &board,
+        noise: &noise,
+        base: nalgebra::UnitQuaternion::identity(),
+    };
+    let b_from_a = Pose::from_axis_angle(
+        nalgebra::Vector3::new(0.0, -0.1, 0.0),
+        nalgebra::Vector3::new(-0.12, 0.0, 0.0),
+    );
+    let prior = LensInformation::prior(lens, session.size);
+    let normals: Vec<[ViewNormal; 2]> = (0..400)
+        .filter_map(|k| {
+            let holding = Holding::of_sequence(k);
+            let own = space.view(&holding)?;
+            let other = space.view_at(&holding, b_from_a * own.camera_from_board)?;
+            Some(
+                [own, other]
+                    .map(|view| ViewNormal::of(&lens, &view.camera_from_board, &view.corners)),
+            )
+        })
+        .take(25)
+        .collect();
+    let sum = || {
+        let mut known = PairInformation::of_lenses([&prior, &prior], b_from_a);
+        for [own, other] in &normals {
+            let view = known.of_view([own, other]).unwrap();
+            known.matrix += view;
+        }
+        known
+    };
+    let known = sum();
+    let images = [(&lens, session.size), (&lens, session.size)];
+    let goal = TransferGoal::new(&known, images, (0.6, GoalFigure::Worst)).unwrap();
+    let name = lens.model().name();
+    timed(&format!("summing up {} shared views, {name}", normals.len()), || {
+        black_box(sum());
+    });
+    timed(&format!("one shared decision after {} views, {name}", normals.len()), || {
+        let open = (None, Some(0.5 * GOAL_PX));
+        black_box(suggest_shared_view(&known, &goal, [&space, &space], open));
+    });
+}
+
+fn timed(what: &str, mut once: impl FnMut()) {
     let mut times_ms: Vec<f64> = (0..50)
         .map(|_| {
             let started = Instant::now();
-            black_box(suggest_view(&known, &goal, &space, (from, Some(0.5 * GOAL_PX))));
+            once();
             started.elapsed().as_secs_f64() * 1e3
         })
         .collect();
     times_ms.sort_unstable_by(f64::total_cmp);
     println!(
-        "one decision after {} views, {}: fastest {:.1} ms, median {:.1} ms, slowest {:.1} ms",
-        views.len(),
-        lens.model().name(),
-        times_ms[0],
-        times_ms[25],
-        times_ms[49]
+        "{what}: fastest {:.1} ms, median {:.1} ms, slowest {:.1} ms",
+        times_ms[0], times_ms[25], times_ms[49]
     );
 }
 

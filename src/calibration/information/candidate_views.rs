@@ -215,7 +215,17 @@ pub fn base_rotation(camera_from_board: &Pose) -> UnitQuaternion<f64> {
 impl CandidateSpace<'_> {
     /// The view of a board held so; `None` where the detector would not see all of it.
     pub fn view(&self, holding: &Holding) -> Option<CandidateView> {
-        let camera_from_board = self.place(holding)?;
+        self.seen(holding, self.place(holding)?)
+    }
+
+    /// The view of a board at `camera_from_board`, which another camera sees held as `holding`;
+    /// `None` where the detector would not see all of it.
+    pub fn view_at(&self, holding: &Holding, camera_from_board: Pose) -> Option<CandidateView> {
+        let [low, high] = self.bounding_box(&camera_from_board)?;
+        self.is_inside([low, high]).then(|| self.seen(holding, camera_from_board)).flatten()
+    }
+
+    fn seen(&self, holding: &Holding, camera_from_board: Pose) -> Option<CandidateView> {
         let step = self.board.points.len().div_ceil(MOST_CORNERS).max(1);
         let each = (self.board.points.iter().step_by(step).count() as f64
             / self.board.points.len() as f64)
@@ -280,16 +290,14 @@ impl CandidateSpace<'_> {
                 distance_m *= 1.2;
                 continue;
             };
-            let box_px = [high.x - low.x, high.y - low.y];
-            let over_px = box_px.map(|px| if self.board.has_markers { OVERHANG * px } else { 0.0 });
+            let (box_px, over_px) = ([high.x - low.x, high.y - low.y], self.over_px([low, high]));
             let rooms = [width - 1.0 - box_px[0], height - 1.0 - box_px[1]];
             let rooms = [0, 1].map(|axis| rooms[axis] + 2.0 * (over_px[axis] - BORDER_PX));
             if rooms[0] < 0.0 || rooms[1] < 0.0 {
                 distance_m *= 1.12;
                 continue;
             }
-            let over = [-low.x, -low.y, high.x - width + 1.0, high.y - height + 1.0];
-            if (0..4).all(|side| over[side] <= over_px[side % 2]) {
+            if self.is_inside([low, high]) {
                 inside = Some(camera_from_board);
             }
             let moved = [
@@ -302,6 +310,19 @@ impl CandidateSpace<'_> {
             target = Pixel::new(target.x + moved[0], target.y + moved[1]);
         }
         inside
+    }
+
+    /// By how much a board with this box may be cut off at the image's rim, across and down.
+    fn over_px(&self, [low, high]: [Pixel; 2]) -> [f64; 2] {
+        [high.x - low.x, high.y - low.y]
+            .map(|px| if self.board.has_markers { OVERHANG * px } else { 0.0 })
+    }
+
+    fn is_inside(&self, [low, high]: [Pixel; 2]) -> bool {
+        let [width, height] = [self.size.width, self.size.height].map(f64::from);
+        let over = [-low.x, -low.y, high.x - width + 1.0, high.y - height + 1.0];
+        let over_px = self.over_px([low, high]);
+        (0..4).all(|side| over[side] <= over_px[side % 2])
     }
 
     /// How likely a board that is aimed there is seen whole, where it has to be: hands end a

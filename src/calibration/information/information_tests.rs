@@ -20,19 +20,19 @@ use crate::geometry::lens::{Lens, LensModel};
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::geometry::pose::Pose;
 
-const SIZE: ImageSize = ImageSize::new(640, 480);
+pub(super) const SIZE: ImageSize = ImageSize::new(640, 480);
 
-fn lens() -> Lens {
+pub(super) fn lens() -> Lens {
     let parameters = [560.0, 555.0, 328.0, 235.0, 0.0, -0.22, 0.11, 0.0008, -0.0005, -0.02];
     Lens::from_parameters(LensModel::Brown, &parameters).unwrap()
 }
 
-fn fisheye() -> Lens {
+pub(super) fn fisheye() -> Lens {
     let parameters = [215.0, 214.0, 322.0, 236.0, 0.0, -0.012, -0.004, 0.002, -0.0006];
     Lens::from_parameters(LensModel::KannalaBrandt, &parameters).unwrap()
 }
 
-fn board() -> Chessboard {
+pub(super) fn board() -> Chessboard {
     Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.03).unwrap()
 }
 
@@ -51,7 +51,7 @@ fn poses(lens: &Lens, indices: impl Iterator<Item = usize>) -> Vec<Pose> {
 }
 
 /// Numbers of unit variance that follow from `seed`: sums of twelve uniform ones.
-fn noise(seed: &mut u64) -> f64 {
+pub(super) fn noise(seed: &mut u64) -> f64 {
     let mut uniform = || {
         *seed =
             seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);

@@ -105,7 +105,7 @@ fn spread_out(lens: &Lens, free: &[usize], of_free: &DMatrix<f64>) -> Option<DMa
 }
 
 /// The inverse of a symmetric matrix whose parameters differ by orders of magnitude.
-fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+pub fn inverse(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let scale = matrix.diagonal().map(|v| 1.0 / v.max(f64::MIN_POSITIVE).sqrt());
     let scaled = |m: &DMatrix<f64>| {
         DMatrix::from_fn(m.nrows(), m.ncols(), |i, j| m[(i, j)] * scale[i] * scale[j])

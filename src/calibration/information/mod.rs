@@ -22,17 +22,27 @@
 //! | which of them to ask for, and how many more it takes | [`next_view`] |
 //! | how to get there, in words | [`movement`] |
 //! | what a session's views have taught so far, frame by frame | [`teaching`] |
+//! | what shared views say of two cameras and their relative pose | [`pair_information`] |
+//! | how uncertain it is where one camera sees what another sees | [`transfer_goal`] |
+//! | which view to ask for that both see | [`next_shared_view`] |
+//! | what a session's views have taught of two cameras together | [`pair_teaching`] |
 //! | which images of a pool to take | [`pool`] |
 
 pub mod candidate_views;
 pub mod corner_noise;
 pub mod lens_information;
 pub mod movement;
+pub mod next_shared_view;
 pub mod next_view;
+pub mod pair_information;
+pub mod pair_teaching;
 pub mod pool;
 pub mod projection_goal;
 pub mod teaching;
+pub mod transfer_goal;
 pub mod view_information;
 
 #[cfg(test)]
 mod information_tests;
+#[cfg(test)]
+mod pair_tests;

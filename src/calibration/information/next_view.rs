@@ -25,6 +25,8 @@ pub struct SuggestedView {
     pub expected_uncertainty_px: f64,
     /// By how much the goal's criterion would fall, as [`ProjectionGoal::drop`] has it.
     pub drop: f64,
+    /// What it would add to what is known of the lens.
+    pub information: DMatrix<f64>,
     /// How many more views reach the goal: as few as this if each is as suggested, as many as that
     /// if each teaches half as much. `None` without a goal.
     pub views_to_go: Option<[u32; 2]>,
@@ -36,15 +38,15 @@ const CANDIDATES: usize = 112;
 const IN_CORNERS: usize = 24;
 const REFINED: [(usize, f64); 2] = [(12, 0.12), (12, 0.05)];
 /// Candidates whose drop of the goal is at least this part of the best one's are as good.
-const AS_GOOD: f64 = 0.9;
+pub(super) const AS_GOOD: f64 = 0.9;
 /// A hand carries a board by half its distance, or rotates it by a radian, in the same time.
 const EFFORT_PER_DISTANCE: f64 = 2.0;
 /// Of so many candidates the coming views are taken in counting them.
 const SHORTLIST: usize = 12;
 /// So many views are gone through one by one; beyond, information grows by as much with each.
-const COUNTED: u32 = 12;
+pub(super) const COUNTED: u32 = 12;
 /// What a view teaches that is not held as suggested, relative to one that is.
-const HALF_AS_MUCH: f64 = 0.5;
+pub(super) const HALF_AS_MUCH: f64 = 0.5;
 
 struct ScoredView {
     view: CandidateView,
@@ -98,6 +100,7 @@ pub fn suggest_view(
         uncertainty_px: goal.figure_px(&now)?,
         expected_uncertainty_px: goal.figure_px(&after)?,
         drop: goal.drop(&now, &after),
+        information: chosen.information.clone(),
         views_to_go,
     })
 }
@@ -137,9 +140,15 @@ fn views_to_go(
         figures.push(after_px);
         known = after;
     }
-    let [middle, last] =
-        [figures[figures.len() / 2], figures[figures.len() - 1]].map(|f| f.powi(-2));
-    let each = (last - middle) / (figures.len() - 1 - figures.len() / 2) as f64;
+    COUNTED + more_views(&figures, goal_px)
+}
+
+/// How many more views reach the goal if information grows by as much with each as it did lately;
+/// `figures_px` are those after each view so far.
+pub(super) fn more_views(figures_px: &[f64], goal_px: f64) -> u32 {
+    let middle = figures_px.len() / 2;
+    let [before, last] = [figures_px[middle], figures_px[figures_px.len() - 1]].map(|f| f.powi(-2));
+    let each = (last - before) / (figures_px.len() - 1 - middle) as f64;
     let more = (goal_px.powi(-2) - last) / each;
-    COUNTED + if more.is_finite() { more.ceil().clamp(1.0, 1e6) as u32 } else { 1_000_000 }
+    if more.is_finite() { more.ceil().clamp(1.0, 1e6) as u32 } else { 1_000_000 }
 }

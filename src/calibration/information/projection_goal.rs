@@ -64,13 +64,8 @@ impl ProjectionGoal {
         match self.figure {
             GoalFigure::Median => Some(map.median_and_worst()?.0),
             GoalFigure::Worst => {
-                let worst = map.median_and_worst()?.1;
-                let seen = || map.std_px.iter().flatten().map(|std| (std / worst).powi(POWER));
-                Some(
-                    worst
-                        * (seen().sum::<f64>() / seen().count() as f64)
-                            .powf(1.0 / f64::from(POWER)),
-                )
+                map.median_and_worst()?;
+                Some(power_mean(&map.std_px.iter().flatten().copied().collect::<Vec<_>>()))
             }
         }
     }
@@ -103,4 +98,11 @@ impl ProjectionGoal {
     pub fn near(&self, now: &UncertaintyMap) -> Option<CompensatedSamples> {
         self.samples.compensated_as(now)
     }
+}
+
+/// The power mean of uncertainties that is near the worst of them.
+pub(super) fn power_mean(std_px: &[f64]) -> f64 {
+    let worst = std_px.iter().copied().fold(0.0, f64::max);
+    let sum: f64 = std_px.iter().map(|std| (std / worst).powi(POWER)).sum();
+    worst * (sum / std_px.len() as f64).powf(1.0 / f64::from(POWER))
 }

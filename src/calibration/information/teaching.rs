@@ -16,7 +16,7 @@ use crate::calibration::information::corner_noise::{CornerNoise, NoiseSample, si
 use crate::calibration::information::lens_information::LensInformation;
 use crate::calibration::information::next_view::{SuggestedView, effort, suggest_view};
 use crate::calibration::information::projection_goal::{GoalFigure, ProjectionGoal};
-use crate::calibration::information::view_information::{WeightedCorner, view_information};
+use crate::calibration::information::view_information::{ViewNormal, WeightedCorner};
 use crate::calibration::placement::NOMINAL_FOCAL;
 use crate::estimation::board_pose::board_poses;
 use crate::estimation::camera::{CameraEstimate, CameraOptions, CameraStart, calibrate_camera};
@@ -54,6 +54,7 @@ pub struct TaughtView {
     blur_px: f64,
     /// Where the board is, under the present lens.
     pub camera_from_board: Pose,
+    normal: ViewNormal,
     information: DMatrix<f64>,
 }
 
@@ -103,6 +104,43 @@ impl Teaching {
     /// The lens, as far as it is known.
     pub fn lens(&self) -> &Lens {
         &self.known.lens
+    }
+
+    /// What is known of the lens.
+    pub fn known(&self) -> &LensInformation {
+        &self.known
+    }
+
+    /// The size of its images.
+    pub fn size(&self) -> ImageSize {
+        self.size
+    }
+
+    /// Which figure of the uncertainty is to fall.
+    pub fn figure(&self) -> GoalFigure {
+        self.goal.figure()
+    }
+
+    /// A view to ask for that was not found by [`Self::suggest`]: `normal` is what it would say.
+    pub fn suggested(
+        &self,
+        camera_from_board: Pose,
+        normal: &ViewNormal,
+        views_to_go: Option<[u32; 2]>,
+    ) -> Option<SuggestedView> {
+        let information = normal.lens_information(&self.known.free)?;
+        let now = self.now.as_ref()?;
+        let after = self.goal.map(&self.known.covariance_with(&information)?)?;
+        let noise = self.corner_noise();
+        Some(SuggestedView {
+            camera_from_board,
+            outline_px: self.space(&noise).outline_px(&camera_from_board)?,
+            uncertainty_px: self.goal.figure_px(now)?,
+            expected_uncertainty_px: self.goal.figure_px(&after)?,
+            drop: self.goal.drop(now, &after),
+            information,
+            views_to_go,
+        })
     }
 
     /// Whether the lens was estimated, and is not the nominal one.
@@ -224,9 +262,9 @@ impl Teaching {
                 std_px: self.noise.of(corner.std_px),
             })
             .collect();
-        let information =
-            view_information(self.lens(), &self.known.free, &camera_from_board, &corners)?;
-        Some(TaughtView { number, seen, blur_px, camera_from_board, information })
+        let normal = ViewNormal::of(self.lens(), &camera_from_board, &corners);
+        let information = normal.lens_information(&self.known.free)?;
+        Some(TaughtView { number, seen, blur_px, camera_from_board, normal, information })
     }
 
     fn noise_sample(&self, view: &TaughtView) -> Option<NoiseSample> {
@@ -283,6 +321,16 @@ impl Teaching {
 }
 
 impl TaughtView {
+    /// Its normal matrix.
+    pub fn normal(&self) -> &ViewNormal {
+        &self.normal
+    }
+
+    /// What it says of the lens.
+    pub fn information(&self) -> &DMatrix<f64> {
+        &self.information
+    }
+
     /// The same as the `number`-th view.
     #[must_use]
     pub fn numbered(self, number: u32) -> Self {
