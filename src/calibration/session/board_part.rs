@@ -3,6 +3,7 @@
 
 use crate::calibration::admission::{AdmissionOptions, Rejection, SeenBefore, admit};
 use crate::calibration::coverage::Coverage;
+use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::projection_goal::GoalFigure;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
 use crate::calibration::placement::Placement;
@@ -40,6 +41,14 @@ pub struct BoardPart {
     placements: Vec<Placement>,
     /// What the views teach; `None` before the first frame gives the image's size.
     teaching: Option<Teaching>,
+    /// The newest frame's, if it shows the board.
+    newest: Option<TaughtView>,
+    /// When that frame was taken.
+    newest_ns: i64,
+    /// The view that teaches this camera most; what is asked for unless the rig needs another.
+    own: Option<SuggestedView>,
+    /// Another one is asked for.
+    asked_to_share: bool,
     advice: Advice,
     before: Option<SeenBefore>,
     approach: Approach,
@@ -77,6 +86,10 @@ impl BoardPart {
             views: Vec::new(),
             placements: Vec::new(),
             teaching: None,
+            newest: None,
+            newest_ns: 0,
+            own: None,
+            asked_to_share: false,
             advice: Advice::default(),
             before: None,
             approach: Approach::default(),
@@ -121,6 +134,44 @@ impl BoardPart {
         self.estimating
     }
 
+    /// What its views teach; `None` before the first frame.
+    pub(super) fn teaching(&self) -> Option<&Teaching> {
+        self.teaching.as_ref()
+    }
+
+    /// What the newest frame would teach, or taught; `None` if it does not show the board.
+    pub(super) fn newest(&self) -> Option<&TaughtView> {
+        self.newest.as_ref()
+    }
+
+    /// What a view must teach to be kept, as [`AdmissionOptions::worth`].
+    pub(super) fn worth(&self) -> f64 {
+        self.options.worth
+    }
+
+    /// The view that teaches this camera most.
+    pub(super) fn own_suggestion(&self) -> Option<&SuggestedView> {
+        self.own.as_ref()
+    }
+
+    /// Asks for this view in place of its own suggestion; `None` for that.
+    pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
+        if shared.is_some() || self.asked_to_share {
+            self.asked_to_share = shared.is_some();
+            self.advice.renew(shared.or_else(|| self.own.clone()));
+            let camera_from_board = self.newest.as_ref().map(|newest| newest.camera_from_board);
+            self.advise(self.newest_ns, camera_from_board.as_ref());
+        }
+    }
+
+    /// How many times greater than its views let expect the solve finds the uncertainty, at least
+    /// once: it may know of more that widens it, as the board's shape or the shutter.
+    pub(super) fn harder(&self) -> f64 {
+        let expected_px = self.teaching.as_ref().and_then(Teaching::uncertainty_px);
+        let found = self.summary.estimate.as_ref().zip(expected_px);
+        found.map_or(1.0, |(estimate, px)| (estimate.uncertainty_px.median / px).max(1.0))
+    }
+
     /// Whether it has the views that a lens needs.
     pub(super) fn has_enough(&self) -> bool {
         self.views.len() >= LEAST_VIEWS
@@ -138,6 +189,8 @@ impl BoardPart {
         self.prepare(seen.frame.image_size);
         let taught = seen.board().and_then(|found| self.taught(&seen.frame, found));
         let camera_from_board = taught.as_ref().map(|taught| taught.camera_from_board);
+        self.newest.clone_from(&taught);
+        self.newest_ns = seen.frame.time_ns();
         let admission = self.admit(seen, taught);
         self.obstacle.note(&admission);
         if let Err(rejection) = &admission {
@@ -248,7 +301,8 @@ impl BoardPart {
             let figure =
                 if self.goal_px.is_some() { GoalFigure::Median } else { GoalFigure::Worst };
             let teaching = Teaching::new(&self.target, size, (self.lens, figure));
-            self.advice.renew(teaching.suggest(self.goal_px));
+            self.own = teaching.suggest(self.goal_px);
+            self.advice.renew(self.own.clone());
             self.teaching = Some(teaching);
         }
     }
@@ -361,12 +415,10 @@ impl BoardPart {
         if let Some(taught) = taught {
             teaching.add(taught);
         }
-        // The solve may know of more that makes the goal harder: the board's shape, the shutter.
-        let harder = |estimate: &crate::calibration::session_record::RunningEstimate| {
-            Some(teaching.uncertainty_px()? / estimate.uncertainty_px.median)
-        };
-        let harder = self.summary.estimate.as_ref().and_then(harder).unwrap_or(1.0);
-        self.advice.renew(teaching.suggest(self.goal_px.map(|goal_px| goal_px * harder.min(1.0))));
+        let goal_px = self.goal_px.map(|goal_px| goal_px / self.harder());
+        self.own = self.teaching.as_ref().and_then(|teaching| teaching.suggest(goal_px));
+        self.asked_to_share = false;
+        self.advice.renew(self.own.clone());
     }
 
     fn add(

@@ -1,6 +1,7 @@
 //! What one camera of an instrument has gathered in a session, of a board or of a scene.
 
 use crate::calibration::admission::{AdmissionOptions, Rejection};
+use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::placement::Placement;
 use crate::calibration::running_estimate::{EstimateSoFar, GoingOn};
 use crate::calibration::scene::correspondence::SceneImage;
@@ -50,10 +51,18 @@ impl CameraPart {
         }
     }
 
-    fn board(&self) -> Option<&BoardPart> {
+    /// The part, of a session with a board.
+    pub(super) fn board(&self) -> Option<&BoardPart> {
         match self {
             Self::Board(board) => Some(board),
             Self::Scene(_) => None,
+        }
+    }
+
+    /// Asks for this view in place of the one that teaches its own lens most; `None` for that.
+    pub(super) fn ask_for(&mut self, shared: Option<SuggestedView>) {
+        if let Self::Board(board) = self {
+            board.ask_for(shared);
         }
     }
 

@@ -23,7 +23,7 @@ pub struct KeptSoFar {
 struct KeptOfCamera {
     image_size: Option<ImageSize>,
     placements: Vec<Placement>,
-    /// Those of views that another camera shares; `None` if they are enough.
+    /// Those of views that another camera shares; `None` of an instrument that is one camera.
     shared: Option<Vec<Placement>>,
 }
 
@@ -35,7 +35,7 @@ impl KeptSoFar {
             Some(KeptOfCamera {
                 image_size: part.image_size(),
                 placements: part.placements().to_vec(),
-                shared: session.wanted_shared(place),
+                shared: session.shared_placements(place),
             })
         };
         Self { cameras: (0..).map_while(of_camera).collect() }

@@ -4,8 +4,9 @@
 //!
 //! A single camera is an instrument of one. Each camera keeps the views that teach something of its
 //! own lens; with each of them, the other cameras that see the board in that frame set keep theirs
-//! too, new to them or not: it says where they are. A view is shared only if the board hardly moved
-//! between the two images.
+//! too, new to them or not: it says where they are. What two cameras see together is also kept for
+//! what it teaches of both (`pairs`). A view is shared only if the board hardly moved between the
+//! two images.
 //!
 //! It reads no clock and starts no thread: time comes inside frames and requests. Which views are
 //! kept depends on the frames alone; only reaching an uncertainty goal depends on when estimates
@@ -18,6 +19,7 @@ mod board_part;
 pub mod camera;
 mod ending;
 pub mod gate;
+mod pairs;
 mod progress;
 mod scene_part;
 mod sharing;
@@ -35,6 +37,7 @@ pub use crate::calibration::session::action::{
 };
 use crate::calibration::session::camera::CameraPart;
 pub use crate::calibration::session::ending::{LEAST_VIEWS, SessionOver};
+use crate::calibration::session::pairs::Pairs;
 use crate::calibration::session::sharing::{Sharing, next_step};
 use crate::calibration::session::together::Together;
 use crate::calibration::session_record::{
@@ -49,6 +52,7 @@ pub struct Session {
     record: SessionRecord,
     cameras: Vec<CameraPart>,
     together: Together,
+    pairs: Pairs,
     kept: Vec<KeptView>,
     /// Numbers are never used twice, whatever became of the views that had them.
     next_number: u32,
@@ -74,6 +78,7 @@ impl Session {
         let mut session = Self {
             together: Together::new(cameras_of.len()),
             cameras: cameras_of,
+            pairs: Pairs::default(),
             other_collecting_s: record.collecting_s,
             record,
             kept: Vec::new(),
@@ -131,6 +136,7 @@ impl Session {
 
     /// What to do first with its views back.
     fn resumed(&mut self) -> Vec<Action> {
+        self.pair_up();
         self.renew(self.is_rig());
         let mut actions = vec![Action::Announce];
         match self.record.state {
@@ -183,6 +189,9 @@ impl Session {
             .map(|(camera, seen)| Some(camera.observe(seen.as_ref()?)))
             .collect();
         let kept = self.keep(frame_set, &mut admissions);
+        if !kept.is_empty() {
+            self.pair_up();
+        }
         let grown = |camera: usize| kept.iter().any(|kept| kept.camera == camera);
         let mut actions = self.request_estimates(grown);
         let before = self.record.guidance.clone();
@@ -320,9 +329,46 @@ impl Session {
         Sharing { cameras: &self.cameras, kept: &self.kept }
     }
 
-    /// How the board was held in a camera's shared views, where a rig needs more of them.
-    fn wanted_shared(&self, camera: usize) -> Option<Vec<Placement>> {
-        self.sharing().wanted(camera).filter(|_| self.is_rig())
+    /// How the board was held in the shared views of a rig's camera: held otherwise it may be kept
+    /// for what it teaches of two cameras together.
+    fn shared_placements(&self, camera: usize) -> Option<Vec<Placement>> {
+        self.is_rig().then(|| self.sharing().placements(camera))
+    }
+
+    /// Takes in what the kept views say of the cameras two and two, and asks for the next view.
+    fn pair_up(&mut self) {
+        if self.cameras.len() < 2 || self.record.state != SessionState::Collecting {
+            return;
+        }
+        let goal_px = self.record.request.finish.and_then(|finish| finish.uncertainty_px);
+        self.pairs = Pairs::of(&self.cameras, &self.kept, goal_px);
+        for (place, part) in self.cameras.iter_mut().enumerate() {
+            let asked = part.board().and_then(|part| self.pairs.asked_of(place, part));
+            part.ask_for(asked);
+        }
+    }
+
+    /// Whether this camera and another one see together what teaches more of both.
+    fn teaches_a_pair(
+        &self,
+        (frame_set, usable): (&[Option<CameraFrame>], &[bool]),
+        first: usize,
+        together: impl Fn(usize, usize) -> bool,
+    ) -> bool {
+        self.pairs.second_of(first).any(|second| {
+            let pair = [first, second];
+            let is_new = |camera: usize| {
+                let seen = frame_set[camera].as_ref();
+                seen.is_some_and(|seen| self.sharing().is_held_anew(camera, seen))
+            };
+            let parts = pair.map(|camera| self.cameras[camera].board());
+            let [Some(a), Some(b)] = parts else { return false };
+            let (Some(of_a), Some(of_b)) = (a.newest(), b.newest()) else { return false };
+            pair.iter().all(|camera| usable[*camera])
+                && together(first, second)
+                && pair.into_iter().any(is_new)
+                && self.pairs.is_worth_keeping(pair, [of_a, of_b], a.worth())
+        })
     }
 
     fn is_rig(&self) -> bool {
@@ -347,6 +393,7 @@ impl Session {
             .map(|camera| {
                 matches!(admissions[camera], Some(Ok(_)))
                     || self.sharing().is_new((frame_set, &usable), camera, together)
+                    || self.teaches_a_pair((frame_set, &usable), camera, together)
             })
             .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {
@@ -416,7 +463,11 @@ impl Session {
         let Some(finish) = self.record.request.finish else { return Vec::new() };
         let shared = |member: &SessionMember| member.views_shared as usize >= LEAST_VIEWS;
         let placed = self.record.members.iter().all(shared);
-        let reached = || self.cameras.iter().all(|camera| camera.reaches(&finish));
+        let known_together = |goal_px| self.pairs.reach(&self.cameras, goal_px);
+        let reached = || {
+            self.cameras.iter().all(|camera| camera.reaches(&finish))
+                && finish.uncertainty_px.is_none_or(known_together)
+        };
         if !(self.record.is_time_up() || (placed && reached())) {
             return Vec::new();
         }
@@ -452,7 +503,20 @@ impl Session {
             members.iter().filter(|_| all_estimated).filter_map(|member| member.estimate.as_ref());
         record.estimate = estimates.max_by(|a, b| median(a).total_cmp(&median(b))).cloned();
         if record.state == SessionState::Collecting {
-            record.guidance = Guidance { message: next_step(&members), ..Guidance::default() };
+            // In the image of a camera that sees the board, if one of them does.
+            let sees = |camera: usize| {
+                self.cameras[camera].board().is_some_and(|part| part.newest().is_some())
+            };
+            let asked = self.pairs.asked();
+            let asked = asked.map(|[a, b]| if !sees(a) && sees(b) { [b, a] } else { [a, b] });
+            let (expected_uncertainty_px, views_to_go) =
+                self.pairs.figures(members.iter().map(|member| &member.guidance));
+            record.guidance = Guidance {
+                message: next_step(&members, asked),
+                expected_uncertainty_px,
+                views_to_go,
+                ..Guidance::default()
+            };
         }
         record.members = members;
     }

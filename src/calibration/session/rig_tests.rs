@@ -1,12 +1,19 @@
 //! A rig's session against seeded frame sets: what is kept together, what is not, how it ends.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 
 use super::*;
 use crate::calibration::placement::tests::{SIZE, detection_at};
+use crate::calibration::running_estimate::estimate_so_far;
 use crate::calibration::session_record::{Finish, SessionRequest};
+use crate::calibration::view::target_as_seen;
+use crate::estimation::problem::CameraProblem;
 use crate::estimation::problem::LensChoice;
 use crate::geometry::board::{BoardSize, Chessboard};
+use crate::geometry::camera_matrix::CameraMatrix;
+use crate::geometry::lens::{Lens, LensModel};
+use crate::geometry::pixel::Pixel;
+use crate::geometry::pose::Pose;
 
 const NOW_NS: i64 = 9_000_000_000;
 
@@ -131,4 +138,150 @@ fn a_session_goes_on_with_its_stored_views() {
         assert_eq!(resumed.view(kept), session.view(kept));
     }
     assert!(actions.contains(&Action::Estimate(1)));
+}
+
+fn right_from_left() -> Pose {
+    Pose::from_axis_angle(Vector3::new(0.01, -0.12, 0.02), Vector3::new(-0.1, 0.005, 0.01))
+}
+
+fn true_lens() -> Lens {
+    Lens::pinhole(CameraMatrix { fx: 576.0, fy: 576.0, cx: 319.5, cy: 239.5, skew: 0.0 })
+}
+
+/// What a camera sees of a board: corners are off by up to 0.2 px, by 0.1 px in the root mean
+/// square.
+fn seen_at(camera_from_board: &Pose, seed: &mut u64) -> Detection {
+    let mut found = detection_at(Vector3::new(0.0, 0.0, 0.5), Vector3::zeros());
+    let mut noise = || {
+        *seed =
+            seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        0.35 * ((*seed >> 11) as f64 / (1_u64 << 53) as f64 - 0.5)
+    };
+    for corner in &mut found.corners {
+        let (col, row) = (f64::from(corner.index.col), f64::from(corner.index.row));
+        let point = Point3::new(0.025 * col, 0.025 * row, 0.0);
+        let pixel = true_lens().pixel_from_point(&(*camera_from_board * point)).unwrap();
+        corner.pixel = Pixel::new(pixel.x + noise(), pixel.y + noise());
+        corner.std_px = 0.1;
+    }
+    found
+}
+
+/// The `k`-th of many placements.
+fn placement(k: usize) -> Pose {
+    let part = |at: usize| (0.5 + [0.819, 0.671, 0.550, 0.450, 0.369][at] * (k as f64 + 1.0)) % 1.0;
+    let tilt = Vector3::new(part(0) - 0.5, part(1) - 0.5, 0.4 * (part(2) - 0.5)) * 1.3;
+    let at = Vector3::new(0.12 * (part(3) - 0.5), 0.1 * (part(4) - 0.5), 0.4 + 0.15 * part(2));
+    let rotation = nalgebra::UnitQuaternion::from_scaled_axis(tilt);
+    Pose::new(rotation, at - rotation * Vector3::new(0.1, 0.0625, 0.0))
+}
+
+/// Performs what a session asks for but to solve: whether it asked for that.
+fn perform(session: &mut Session, actions: &[Action]) -> bool {
+    let mut open = actions.to_vec();
+    let mut solves = false;
+    while let Some(action) = open.pop() {
+        solves |= action == Action::Solve;
+        let Action::Estimate(place) = action else { continue };
+        let part = session.camera(place).unwrap();
+        let target: crate::geometry::target::Target =
+            Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap().into();
+        let target = target_as_seen(&target, part.views());
+        let views = part.views().iter().map(|view| view.to_board_view(&target)).collect();
+        let problem = CameraProblem { image_size: SIZE, views };
+        let lens = LensChoice::Model(LensModel::Radial);
+        let estimate = estimate_so_far(&problem, lens, part.going_on()).ok();
+        open.extend(session.estimated(place, estimate));
+    }
+    solves
+}
+
+fn pair_session(finish: Option<Finish>) -> Session {
+    let target = Chessboard::new(BoardSize::new(9, 6).unwrap(), 0.025).unwrap();
+    let lens = LensChoice::Model(LensModel::Radial);
+    let request = SessionRequest { target: target.into(), lens, finish, given: Vec::new() };
+    Session::begin(
+        SessionRecord::begin("01", "pair", request, 1_000_000_000),
+        &["left".to_owned(), "right".to_owned()],
+        &AdmissionOptions::default(),
+    )
+}
+
+/// Two cameras before a board that is carried about, each frame set a second after the other.
+struct Shown {
+    session: Session,
+    seed: u64,
+    time_ms: i64,
+    solves: bool,
+}
+
+impl Shown {
+    /// Thirty views of either camera alone, and three of a board far away that both see, which say
+    /// little of where the second camera is.
+    fn gathered(goal_px: f64) -> Self {
+        let finish = Finish { uncertainty_px: Some(goal_px), ..Finish::default() };
+        let session = pair_session(Some(finish));
+        let mut shown = Self { session, seed: 5, time_ms: 0, solves: false };
+        for k in 0..30 {
+            shown.show([Some(placement(k)), None]);
+            shown.show([None, Some(placement(k + 40))]);
+        }
+        for k in 0..3 {
+            let rotation = nalgebra::UnitQuaternion::from_scaled_axis(Vector3::new(0.3, 0.1, 0.0));
+            let at = Vector3::new(0.6 + 0.15 * f64::from(k), 0.0, 3.0);
+            let left = Pose::new(rotation, at - rotation * Vector3::new(0.1, 0.0625, 0.0));
+            shown.show([Some(left), Some(right_from_left() * left)]);
+        }
+        shown
+    }
+
+    fn show(&mut self, camera_from_board: [Option<Pose>; 2]) {
+        self.time_ms += 1000;
+        let frames = camera_from_board.map(|pose| {
+            let none = Err(Rejection::Partial { seen: 40, expected: 54 });
+            let seen = pose.map_or(none, |pose| Ok(seen_at(&pose, &mut self.seed).into()));
+            Some(CameraFrame { frame: frame(self.time_ms), seen })
+        });
+        let observed = self.session.observe(&frames).unwrap();
+        self.solves |= perform(&mut self.session, &observed.actions);
+    }
+
+    /// How far the less known of both lenses is known, and both cameras together.
+    fn uncertainty_px(&self) -> [f64; 2] {
+        let members = self.session.record().members.iter();
+        let medians = members.map(|it| it.estimate.as_ref().unwrap().uncertainty_px.median);
+        [medians.fold(0.0, f64::max), self.session.pairs.links[0].teaching.uncertainty_px()]
+    }
+}
+
+#[test]
+fn cameras_that_know_themselves_are_asked_for_what_both_see_until_they_know_each_other() {
+    let [own_px, together_px] = Shown::gathered(1e-6).uncertainty_px();
+    eprintln!("each by itself {own_px:.4} px, both together {together_px:.4} px");
+    assert!(together_px > 1.3 * own_px, "{own_px}, {together_px}");
+    // Between what each camera is known to and what both are known to.
+    let mut shown = Shown::gathered((own_px * together_px).sqrt());
+    assert!(!shown.solves);
+    assert!(shown.session.record().members.iter().all(|member| member.views_shared >= 3));
+    let mut more = 0;
+    while !shown.solves {
+        let record = shown.session.record();
+        let guidance = &record.guidance;
+        let asked = "where left and right both see it, in the image of left: ";
+        assert!(guidance.message.starts_with(asked), "{}", guidance.message);
+        assert!(guidance.views_to_go.is_some_and(|[few, many]| few <= many));
+        assert!(guidance.expected_uncertainty_px.is_some_and(|px| px < together_px));
+        let [left, right] =
+            [0, 1].map(|place| record.members[place].guidance.camera_from_board.unwrap());
+        let truth = right_from_left() * left;
+        // The same place before both, as far as they know each other.
+        assert!(truth.angle_to(&right) < 0.05, "{truth:?}, {right:?}");
+        assert!((truth.translation() - right.translation()).norm() < 0.1);
+        let kept = shown.session.kept().len();
+        shown.show([Some(left), Some(truth)]);
+        assert_eq!(shown.session.kept().len(), kept + 2, "what is asked for is kept");
+        more += 1;
+        assert!(more < 40, "{:?}", shown.uncertainty_px());
+    }
+    eprintln!("{more} shared views more: {:.4} px", shown.uncertainty_px()[1]);
 }

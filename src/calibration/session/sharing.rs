@@ -26,12 +26,22 @@ impl<'a> Sharing<'a> {
         })
     }
 
-    /// How the board was held in them, where the camera should share more.
-    pub(super) fn wanted(self, camera: usize) -> Option<Vec<Placement>> {
-        let part = self.cameras.get(camera)?;
-        let placement = |view: &KeptView| part.placements().get(view.view as usize).copied();
-        let shared: Vec<Placement> = self.views(camera).filter_map(placement).collect();
-        (shared.len() < WANTED).then_some(shared)
+    /// How the board was held in them.
+    pub(super) fn placements(self, camera: usize) -> Vec<Placement> {
+        let placements = self.cameras.get(camera).map_or(&[][..], CameraPart::placements);
+        let placement = |view: &KeptView| placements.get(view.view as usize).copied();
+        self.views(camera).filter_map(placement).collect()
+    }
+
+    /// The same, where the camera should share more.
+    fn wanted(self, camera: usize) -> Option<Vec<Placement>> {
+        Some(self.placements(camera)).filter(|shared| shared.len() < WANTED)
+    }
+
+    /// Whether the board is held before a camera as in none of its shared views.
+    pub(super) fn is_held_anew(self, camera: usize, seen: &CameraFrame) -> bool {
+        let (frame, Some(detection)) = (&seen.frame, seen.board()) else { return false };
+        self.cameras[camera].is_new_among(&self.placements(camera), frame, detection)
     }
 
     /// Whether a camera sees what none of its shared views shows, and another camera sees it
@@ -54,14 +64,23 @@ impl<'a> Sharing<'a> {
     }
 }
 
-/// What to do next for the camera that lacks most.
-pub(super) fn next_step(members: &[SessionMember]) -> String {
-    let is_isolated =
-        |member: &&SessionMember| member.views_kept > 2 && (member.views_shared as usize) < WANTED;
-    if let Some(isolated) = members.iter().find(is_isolated) {
+/// What to do next for the camera that lacks most; `asked` are two that a view is asked for that
+/// both see, the one first whose image the board is to be moved in.
+pub(super) fn next_step(members: &[SessionMember], asked: Option<[usize; 2]>) -> String {
+    let is_isolated = |(place, member): &(usize, &SessionMember)| {
+        let is_asked = asked.is_some_and(|asked| asked.contains(place));
+        member.views_kept > 2 && (member.views_shared as usize) < WANTED && !is_asked
+    };
+    if let Some((_, isolated)) = members.iter().enumerate().find(is_isolated) {
         return format!(
             "hold the board still where {} and another camera see all of it",
             isolated.camera
+        );
+    }
+    if let Some([first, other]) = asked.map(|asked| asked.map(|place| &members[place])) {
+        return format!(
+            "where {} and {} both see it, in the image of {}: {}",
+            first.camera, other.camera, first.camera, first.guidance.message
         );
     }
     let open = members.iter().filter(|member| !member.guidance.message.is_empty());

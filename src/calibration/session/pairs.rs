@@ -1,0 +1,165 @@
+//! What the cameras of a rig know of each other, two and two, and the view to ask for that two of
+//! them see.
+//!
+//! The cameras are joined as a tree: each one to that of those before it from which it is known
+//! best. What its other pairs say of it is left out, so that it is known rather better than stated.
+
+use crate::calibration::guidance::Guidance;
+use crate::calibration::information::next_shared_view::SharedView;
+use crate::calibration::information::next_view::SuggestedView;
+use crate::calibration::information::pair_teaching::PairTeaching;
+use crate::calibration::information::teaching::{TaughtView, Teaching};
+use crate::calibration::session::action::KeptView;
+use crate::calibration::session::board_part::BoardPart;
+use crate::calibration::session::camera::CameraPart;
+
+/// Two cameras that share views.
+#[derive(Debug, Clone)]
+pub(super) struct Link {
+    cameras: [usize; 2],
+    pub(super) teaching: PairTeaching,
+}
+
+/// The view that lowers the greatest uncertainty between two cameras most.
+#[derive(Debug, Clone)]
+struct NextShared {
+    cameras: [usize; 2],
+    view: SharedView,
+    /// Nothing else teaches the rig as much.
+    is_asked_for: bool,
+}
+
+/// A rig's cameras, two and two.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Pairs {
+    pub(super) links: Vec<Link>,
+    next: Option<NextShared>,
+    /// Every camera is joined to the first.
+    is_whole: bool,
+}
+
+impl Pairs {
+    /// What `cameras` know of each other from the views that were `kept`, with the figure to reach.
+    pub(super) fn of(cameras: &[CameraPart], kept: &[KeptView], goal_px: Option<f64>) -> Self {
+        let mut links: Vec<Link> = Vec::new();
+        let all = (0..cameras.len()).flat_map(|b| (0..b).map(move |a| [a, b]));
+        let mut open: Vec<Link> = all
+            .filter_map(|pair| {
+                let teaching = PairTeaching::of(teachings(cameras, pair)?, &shared(kept, pair))?;
+                Some(Link { cameras: pair, teaching })
+            })
+            .collect();
+        let mut joined = vec![false; cameras.len()];
+        if let Some(first) = joined.first_mut() {
+            *first = true;
+        }
+        while let Some(best) = (open.iter().enumerate())
+            .filter(|(_, link)| joined[link.cameras[0]] != joined[link.cameras[1]])
+            .min_by(|a, b| a.1.teaching.uncertainty_px().total_cmp(&b.1.teaching.uncertainty_px()))
+            .map(|(at, _)| at)
+        {
+            let link = open.swap_remove(best);
+            link.cameras.iter().for_each(|camera| joined[*camera] = true);
+            links.push(link);
+        }
+        let next = next_shared(&links, cameras, goal_px);
+        let is_whole = joined.iter().all(|joined| *joined);
+        Self { links, next, is_whole }
+    }
+
+    /// Whether every camera is known from another one to `goal_px`: a pair's uncertainty counts as
+    /// many times as the solve finds its cameras' own to be greater than expected.
+    pub(super) fn reach(&self, cameras: &[CameraPart], goal_px: f64) -> bool {
+        let reaches = |link: &Link| {
+            let harder = link.cameras.iter().filter_map(|at| Some(cameras[*at].board()?.harder()));
+            link.teaching.uncertainty_px() * harder.fold(1.0, f64::max) <= goal_px
+        };
+        cameras.len() < 2 || (self.is_whole && self.links.iter().all(reaches))
+    }
+
+    /// The cameras that this one is the first of two of.
+    pub(super) fn second_of(&self, first: usize) -> impl Iterator<Item = usize> {
+        let links = self.links.iter().filter(move |link| link.cameras[0] == first);
+        links.map(|link| link.cameras[1])
+    }
+
+    /// Whether a view that two cameras see is worth keeping for what it teaches of both together:
+    /// at least `worth` of half of what the views that they share taught on average.
+    pub(super) fn is_worth_keeping(
+        &self,
+        pair: [usize; 2],
+        views: [&TaughtView; 2],
+        worth: f64,
+    ) -> bool {
+        self.links.iter().filter(|link| link.cameras == pair).any(|link| {
+            let share = 0.5 * worth / link.teaching.shared().max(1) as f64;
+            link.teaching.gain(views) >= share
+        })
+    }
+
+    /// The two cameras that are asked for a view that both see.
+    pub(super) fn asked(&self) -> Option<[usize; 2]> {
+        self.next.as_ref().filter(|next| next.is_asked_for).map(|next| next.cameras)
+    }
+
+    /// What one camera is asked for of a view that it shares.
+    pub(super) fn asked_of(&self, camera: usize, part: &BoardPart) -> Option<SuggestedView> {
+        let next = self.next.as_ref().filter(|next| next.is_asked_for)?;
+        let at = next.cameras.iter().position(|asked| *asked == camera)?;
+        let views_to_go = part.own_suggestion().and_then(|own| own.views_to_go);
+        let view = &next.view;
+        part.teaching()?.suggested(view.camera_from_board[at], &view.normals[at], views_to_go)
+    }
+
+    /// The figure after the view that is asked for, and how many views the rig takes, of which
+    /// `members` is what each camera's own guidance says; neither where nobody knows.
+    pub(super) fn figures<'a>(
+        &self,
+        members: impl Iterator<Item = &'a Guidance>,
+    ) -> (Option<f64>, Option<[u32; 2]>) {
+        let Some(next) = &self.next else { return (None, None) };
+        let expected = next.is_asked_for.then_some(next.view.expected_uncertainty_px);
+        let most = |one: [u32; 2], other: [u32; 2]| [one[0].max(other[0]), one[1].max(other[1])];
+        let of_pair = next.view.views_to_go.filter(|_| self.is_whole);
+        let views_to_go = members.fold(of_pair, |so_far, guidance| {
+            so_far.zip(guidance.views_to_go).map(|(one, other)| most(one, other))
+        });
+        (expected, views_to_go)
+    }
+}
+
+fn teachings(cameras: &[CameraPart], pair: [usize; 2]) -> Option<[&Teaching; 2]> {
+    let teaching = |camera: usize| cameras.get(camera)?.board()?.teaching();
+    Some([teaching(pair[0])?, teaching(pair[1])?])
+}
+
+/// The views of frame sets that both cameras have a view of, as their numbers in each.
+fn shared(kept: &[KeptView], [a, b]: [usize; 2]) -> Vec<[u32; 2]> {
+    let of_a = kept.iter().filter(|view| view.camera == a);
+    of_a.filter_map(|own| {
+        let is_other = |other: &&KeptView| other.camera == b && other.frame_set == own.frame_set;
+        Some([own.view, kept.iter().find(is_other)?.view])
+    })
+    .collect()
+}
+
+/// The shared view that lowers the greatest uncertainty between two cameras most. It is asked for
+/// where that uncertainty is at least that of the lenses, and no view of one of them alone lowers
+/// it as much.
+fn next_shared(links: &[Link], cameras: &[CameraPart], goal_px: Option<f64>) -> Option<NextShared> {
+    let uncertainty_px = |link: &&Link| link.teaching.uncertainty_px();
+    let weakest = links.iter().max_by(|a, b| uncertainty_px(a).total_cmp(&uncertainty_px(b)))?;
+    let parts = [cameras[weakest.cameras[0]].board()?, cameras[weakest.cameras[1]].board()?];
+    let view = weakest.teaching.suggest(teachings(cameras, weakest.cameras)?, goal_px)?;
+    let is_least_known = parts.iter().all(|part| {
+        let own_px = part.teaching().and_then(Teaching::uncertainty_px);
+        own_px.is_some_and(|own_px| own_px <= weakest.teaching.uncertainty_px())
+    });
+    let alone = |(at, part): (usize, &&BoardPart)| {
+        let own = part.own_suggestion();
+        own.map_or(0.0, |own| weakest.teaching.drop_of_one(at, &own.information))
+    };
+    let is_asked_for =
+        is_least_known && parts.iter().enumerate().all(|each| alone(each) <= view.drop);
+    Some(NextShared { cameras: weakest.cameras, view, is_asked_for })
+}
