@@ -39,7 +39,7 @@ const REFINED: [(usize, f64); 2] = [(8, 0.12), (8, 0.05)];
 /// Of so many candidates the coming views are taken in counting them, one after another.
 const SHORTLIST: usize = 6;
 
-struct ScoredView {
+struct ScoredSharedView {
     /// Which camera's image the board is placed in.
     camera: usize,
     views: [CandidateView; 2],
@@ -60,7 +60,7 @@ pub fn suggest_shared_view(
     let now = goal.std_px(&known.matrix)?;
     let now_px = goal.criterion_px(&now);
     let drop = |after: &[f64]| 1.0 - goal.criterion_px(after) / now_px;
-    let score = |camera: usize, holding: &Holding| -> Option<ScoredView> {
+    let score = |camera: usize, holding: &Holding| -> Option<ScoredSharedView> {
         let own = spaces[camera].view(holding)?;
         let other_from_camera = [known.b_from_a, known.b_from_a.inverse()][camera];
         let place = other_from_camera * own.camera_from_board;
@@ -72,9 +72,9 @@ pub fn suggest_shared_view(
         let information = known.of_view([&normals[0], &normals[1]])?;
         let after = goal.std_px(&(&known.matrix + &information))?;
         let score = views[0].likely.min(views[1].likely) * drop(&after);
-        Some(ScoredView { camera, views, normals, information, score })
+        Some(ScoredSharedView { camera, views, normals, information, score })
     };
-    let mut scored: Vec<ScoredView> = Vec::new();
+    let mut scored: Vec<ScoredSharedView> = Vec::new();
     for camera in 0..2 {
         scored.extend(
             (0..CANDIDATES).filter_map(|index| score(camera, &Holding::of_sequence(index))),
@@ -91,7 +91,7 @@ pub fn suggest_shared_view(
     let least = AS_GOOD * scored.first()?.score;
     let as_good = scored.iter().take_while(|scored| scored.score >= least);
     let middle = spaces[0].board.middle();
-    let effort = |scored: &ScoredView| {
+    let effort = |scored: &ScoredSharedView| {
         from.map_or(0.0, |from| effort(from, &scored.views[0].camera_from_board, middle))
     };
     let chosen = as_good.min_by(|a, b| effort(a).total_cmp(&effort(b)))?;

@@ -34,12 +34,12 @@ impl PairTeaching {
         };
         let views: Vec<[&TaughtView; 2]> =
             shared.iter().filter_map(|[a, b]| Some([view(0, *a)?, view(1, *b)?])).collect();
-        let places: Vec<Pose> = views
+        let b_from_a: Vec<Pose> = views
             .iter()
             .map(|[a, b]| b.camera_from_board * a.camera_from_board.inverse())
             .collect();
         let lenses = [cameras[0].known(), cameras[1].known()];
-        let mut known = PairInformation::of_lenses(lenses, median_pose(&places)?);
+        let mut known = PairInformation::of_lenses(lenses, median_pose(&b_from_a)?);
         for [a, b] in &views {
             let beyond =
                 known.beyond([a.normal(), b.normal()], [a.information(), b.information()])?;

@@ -101,10 +101,12 @@ fn what_a_shared_view_says_is_that_of_numeric_derivatives() {
                 let of_board = &steps[count..];
                 let step = |at| Vector3::new(of_board[at], of_board[at + 1], of_board[at + 2]);
                 let a_from_board = stepped(a_from_board, [step(0), step(3)]);
-                let pixels = |k: usize, pose: Pose| {
+                let pixels = |k: usize, camera_from_board: Pose| {
                     let lens = lenses[k];
                     corners().into_iter().flat_map(move |corner| {
-                        let pixel = lens.pixel_from_point(&(pose * corner.point_in_board)).unwrap();
+                        let pixel = lens
+                            .pixel_from_point(&(camera_from_board * corner.point_in_board))
+                            .unwrap();
                         [pixel.x / NOISE_PX, pixel.y / NOISE_PX]
                     })
                 };

@@ -26,8 +26,8 @@ const COLUMNS: u32 = 7;
 const LEAST_SEEN: usize = 4;
 
 impl TransferGoal {
-    /// The `figure` of the pixels of the first camera whose points at `distance_m` the second one sees. `None`
-    /// where it sees none of them.
+    /// The `figure` of the pixels of the first camera whose points at `distance_m` the second one
+    /// sees. `None` where it sees none of them.
     pub fn new(
         information: &PairInformation,
         cameras: [(&Lens, ImageSize); 2],
@@ -35,9 +35,9 @@ impl TransferGoal {
     ) -> Option<Self> {
         let grid = PixelGrid::over(cameras[0].1, COLUMNS);
         let lenses = cameras.map(|(lens, _)| lens);
-        let transfer = |pixel| Transfer::of(information, lenses, (pixel, distance_m));
-        let all: Vec<Transfer> = grid.pixels().filter_map(transfer).collect();
-        let seen: Vec<&Transfer> =
+        let transfer = |pixel| TransferredPixel::of(information, lenses, (pixel, distance_m));
+        let all: Vec<TransferredPixel> = grid.pixels().filter_map(transfer).collect();
+        let seen: Vec<&TransferredPixel> =
             all.iter().filter(|transfer| cameras[1].1.contains(transfer.pixel)).collect();
         let taken = if seen.len() < LEAST_SEEN { all.iter().collect() } else { seen };
         let free = &information.free;
@@ -92,13 +92,13 @@ impl TransferGoal {
 }
 
 /// One pixel of a in b.
-struct Transfer {
+struct TransferredPixel {
     pixel: Pixel,
     by_lenses: [SMatrix<f64, 2, MAX_PARAMETERS>; 2],
     by_place: SMatrix<f64, 2, 6>,
 }
 
-impl Transfer {
+impl TransferredPixel {
     /// At `distance_m` from a, along the pixel's ray.
     fn of(
         information: &PairInformation,
