@@ -342,12 +342,11 @@ impl EliminatedPoint {
         for (a, (start, block)) in self.by_pose.iter().enumerate() {
             let carried = block * self.inverse;
             let pose_gradient = carried * self.gradient;
-            let with_lens = carried * self.by_lens.transpose();
-            for i in 0..6 {
-                gradient[start + i] -= pose_gradient[i];
-                for j in 0..lens {
-                    matrix[(start + i, j)] -= with_lens[(i, j)];
-                }
+            let mut own_gradient = gradient.fixed_rows_mut::<6>(*start);
+            own_gradient -= pose_gradient;
+            for j in 0..lens {
+                let mut view = matrix.fixed_view_mut::<6, 1>(*start, j);
+                view -= carried * self.by_lens.row(j).transpose();
             }
             // Observations are by camera: earlier ones have smaller numbers.
             for (other, other_block) in &self.by_pose[..=a] {
