@@ -141,7 +141,11 @@ pub(crate) fn assemble(
     let variance_inflation = of_lens.factor;
     let variance = noise2 * variance_inflation;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
-    let lens_covariance = &spread * of_lens.covariance * spread.transpose();
+    let mut lens_covariance = &spread * of_lens.covariance * spread.transpose();
+    if let Some(doubt) = fit.effects.as_ref().and_then(|effects| effects.doubt.as_ref()) {
+        // How views differ has the shutter's part in it.
+        lens_covariance += doubt * doubt.transpose() * (1.0 - of_lens.weight);
+    }
     let of_lens = unit.view((at.lens_at, at.lens_at), (free, free));
     for axis in [0, 1] {
         // Exact corners must not make a lens known that a hundredth of a pixel would leave open.

@@ -26,8 +26,9 @@ use crate::estimation::robust_fit::ROUNDING;
 const MIN_VIEWS: usize = 5;
 
 /// Squares of steps within this many standard deviations of what corners by themselves make are
-/// chance: of a sum of a few dozen squares, three or four times in a thousand.
-const CHANCE: f64 = 3.0;
+/// chance. Beyond, where it is chance seven times in a hundred, the spread of the views is not wrong
+/// either, and little of it counts; not to see that views differ would leave a covariance too small.
+const CHANCE: f64 = 1.5;
 
 /// This many standard deviations beyond chance, the clustered covariance and the model's count the
 /// same.

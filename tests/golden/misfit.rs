@@ -171,14 +171,19 @@ fn what_is_stated_of_a_badly_printed_board_reprojects() {
 
 #[test]
 fn a_right_model_is_not_accused() {
+    // Chance makes views seem to differ seven times in a hundred, and then hardly.
+    let mut widened = 0;
     for seed in 0..30 {
         let camera = SeededCamera::ordinary();
         let mut rng = SeededCamera::rng(300 + seed);
         let poses = camera.poses(8 + seed as usize, &mut rng);
         let solved = solve_views(&camera.problem(&poses, &mut rng), &brown()).unwrap();
         assert!(!says(&solved, "does not fit"), "seed {seed}: {:?}", solved.verdict);
-        assert_eq!(solved.estimate.variance_inflation, 1.0, "seed {seed}");
+        let factor = solved.estimate.variance_inflation;
+        assert!(factor < 1.25, "seed {seed}: variances are {factor} times as large");
+        widened += i32::from(factor > 1.0);
     }
+    assert!(widened <= 6, "{widened} of 30");
 }
 
 /// Rounding errors say nothing of the model, even where they are smooth.

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use plumb::calibration::solve::solve_views;
+use plumb::calibration::solve::{SolvedCamera, solve_views};
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
 use plumb::detection::detector::Detector;
 use plumb::estimation::camera::CameraOptions;
-use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::estimation::problem::{BoardView, CameraProblem, LensChoice};
 use plumb::geometry::board::{BoardSize, Chessboard};
 use plumb::geometry::lens::LensModel;
 use plumb::geometry::pixel::{ImageSize, Pixel};
@@ -15,6 +15,9 @@ use plumb::imaging::decode::luma;
 use plumb::imaging::frame::SensorKind;
 use plumb::imaging::gray::GrayImage;
 use plumb::imaging::image_file::frame_from_file;
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
 
 use crate::shared_data::shared_data;
 
@@ -100,37 +103,40 @@ fn every_board_in_a_full_fisheye_is_found_whole() {
     assert_all_whole("boofcv-fisheye-chess", 26, "4x6");
 }
 
-/// The spread of the estimates without one view after the other is what the stated deviations mean.
-#[test]
-fn stated_deviations_are_those_of_leaving_views_out() {
-    let Some(paths) = images("opencv-samples", 28) else { return };
+/// The views of the right camera of OpenCV's samples; `None` where there are none.
+fn right_views() -> Option<Vec<BoardView>> {
+    let paths = images("opencv-samples", 28)?;
     let board = Chessboard::new("9x6".parse().unwrap(), 0.03).unwrap();
     let mut detector = Detector::new(board.size);
     let is_right = |path: &&PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         name.starts_with("right0") || name.starts_with("right1")
     };
-    let views: Vec<_> = paths
-        .iter()
-        .filter(is_right)
-        .map(|path| {
-            let detection = search(&mut detector, path, false).unwrap();
-            let frame = FrameFacts {
-                sequence: 0,
-                name: Some(path.display().to_string()),
-                host_time_ns: 0,
-                device_time_ns: None,
-                image_size: ImageSize::new(640, 480),
-            };
-            View { number: 0, frame, detection }.to_board_view(&board.into())
-        })
-        .collect();
+    let view = |path: &PathBuf| {
+        let detection = search(&mut detector, path, false).unwrap();
+        let frame = FrameFacts {
+            sequence: 0,
+            name: Some(path.display().to_string()),
+            host_time_ns: 0,
+            device_time_ns: None,
+            image_size: ImageSize::new(640, 480),
+        };
+        View { number: 0, frame, detection }.to_board_view(&board.into())
+    };
+    Some(paths.iter().filter(is_right).map(view).collect())
+}
+
+fn solved(views: Vec<BoardView>) -> SolvedCamera {
     let lens = LensChoice::Model(LensModel::Brown);
     let options = CameraOptions { lens, ..CameraOptions::default() };
-    let solved = |views: Vec<_>| {
-        let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
-        solve_views(&problem, &options).unwrap()
-    };
+    let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
+    solve_views(&problem, &options).unwrap()
+}
+
+/// The spread of the estimates without one view after the other is what the stated deviations mean.
+#[test]
+fn stated_deviations_are_those_of_leaving_views_out() {
+    let Some(views) = right_views() else { return };
     let whole = solved(views.clone());
     let left_out: Vec<Vec<f64>> = (0..views.len())
         .map(|out| {
@@ -147,6 +153,33 @@ fn stated_deviations_are_those_of_leaving_views_out() {
         assert!((0.7..1.4).contains(&ratio), "parameter {k}: {ratio}");
     }
     assert!(!whole.verdict.reasons.iter().any(|reason| reason.contains("does not fit")));
+}
+
+/// Six or seven views hardly show whether rows were read one after another: what that would change
+/// is in their deviations.
+#[test]
+fn halves_of_few_views_agree_within_their_deviations() {
+    let Some(views) = right_views() else { return };
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let (mut square, mut count) = (0.0, 0.0);
+    for _ in 0..12 {
+        let mut order: Vec<usize> = (0..views.len()).collect();
+        order.shuffle(&mut rng);
+        let (first, second) = order.split_at(views.len() / 2);
+        let [a, b] = [first, second].map(|half| {
+            let mut half = half.to_vec();
+            half.sort_unstable();
+            solved(half.into_iter().map(|k| views[k].clone()).collect()).estimate
+        });
+        let (a_std, b_std) = (a.lens_std(), b.lens_std());
+        let differences = a.lens.parameters().into_iter().zip(b.lens.parameters());
+        for (k, (of_a, of_b)) in differences.take(4).enumerate() {
+            square += ((of_a - of_b) / a_std[k].hypot(b_std[k])).powi(2);
+            count += 1.0;
+        }
+    }
+    let ratio = (square / count).sqrt();
+    assert!((0.5..1.4).contains(&ratio), "{ratio}");
 }
 
 /// Some are as sharp as pixels can show, with edges midway between two rows of them.

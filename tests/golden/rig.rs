@@ -175,6 +175,8 @@ fn what_moves_whole_views_of_one_sensor_is_in_the_rig_s_uncertainty() {
 
 #[test]
 fn a_right_rig_is_not_accused() {
+    // Chance makes views seem to differ seven times in a hundred, and then hardly.
+    let mut widened = 0;
     for seed in 300..310 {
         let (problem, _) = stereo(20, seed);
         let estimate = calibrate_rig(&problem).unwrap();
@@ -183,8 +185,10 @@ fn a_right_rig_is_not_accused() {
             estimate.cameras[1].variance_inflation,
             estimate.places[1].variance_inflation,
         ];
-        assert_eq!(factors, [1.0; 3], "seed {seed}");
+        assert!(factors.iter().all(|factor| *factor < 1.25), "seed {seed}: {factors:?}");
+        widened += factors.iter().filter(|factor| **factor > 1.0).count();
     }
+    assert!(widened <= 6, "{widened} of 30");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::rc::Rc;
 
-use nalgebra::{Vector3, Vector6};
+use nalgebra::{DVector, Vector3, Vector6};
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::board_basis::BoardBasis;
@@ -72,7 +72,7 @@ pub(crate) fn fit_effects(
         by_columns: None,
         moves: true,
     };
-    let mut walk: Option<EffectSearch> = None;
+    let (mut walk, mut doubt) = (None::<EffectSearch>, None);
     for round in 0..MAX_ROUNDS {
         if good.len() < MIN_VIEWS {
             return None;
@@ -85,9 +85,14 @@ pub(crate) fn fit_effects(
         };
         let mut next = next.settled(scene, wanted)?;
         let doubtful = round == 0 && !wanted.motion_for_certain && next.moves();
-        if doubtful && next.is_no_shutter(scene, width)? {
-            let wanted = Wanted { motion: false, ..wanted };
-            next = start(wanted)?.settled(scene, wanted)?;
+        if doubtful {
+            let by_rows = next.read_by_rows(scene, width)?;
+            if !by_rows.is_shown {
+                let wanted = Wanted { motion: false, ..wanted };
+                let still = start(wanted)?.settled(scene, wanted)?;
+                doubt = Some(next.lens_beside(&still) * by_rows.probability.sqrt());
+                next = still;
+            }
         }
         let residuals = std::mem::take(&mut next.system.residuals);
         walk = Some(next);
@@ -101,7 +106,7 @@ pub(crate) fn fit_effects(
     let walk = walk?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
-    Some((found, corners))
+    Some((EffectsFit { doubt, ..found }, corners))
 }
 
 /// The walk. What is not in the model has no unknowns.
@@ -174,6 +179,13 @@ impl EffectSearch {
             }
             steps = MAX_STEPS;
         }
+    }
+
+    /// By how much the parameters of its lens exceed those of another walk.
+    fn lens_beside(&self, other: &Self) -> DVector<f64> {
+        let [own, other] =
+            [self, other].map(|walk| walk.state.fixed.lenses[0].parameters().to_vec());
+        DVector::from_vec(own) - DVector::from_vec(other)
     }
 
     /// The same with corners chosen anew.
