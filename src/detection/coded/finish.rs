@@ -36,6 +36,7 @@ impl TargetDetector {
             return None;
         }
         self.refine(image, label);
+        self.drop_displaced();
         if !self.drop_misplaced(self.thresholds.marker_corners.most_refined_off) {
             return None;
         }
@@ -158,6 +159,25 @@ impl TargetDetector {
                 None => self.grid.set(col, row, Node { tight: true, ..node }),
             }
         }
+    }
+
+    /// Drops crossings that were not refined and lie farther from where their neighbors put them
+    /// than their standard deviation lets expect: an occluder's edge passes for one of theirs.
+    fn drop_displaced(&mut self) {
+        let limits = self.thresholds.marker_corners;
+        let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
+        let mut is_displaced = |(i, j): (i32, i32)| {
+            let pixel = self.grid.pixel(i, j)?;
+            let (expected, _) = self.growth.expect(&self.sheets, &self.grid, (i, j))?;
+            let curved = expect_curved(&self.sheets, &self.grid, (i, j));
+            let off_px = |expected: Vec2| (pixel - expected).amax();
+            let off_px = curved.map_or(f32::MAX, off_px).min(off_px(expected));
+            (off_px > most_px).then_some((i, j))
+        };
+        let unrefined = self.guesses.iter().zip(&self.refined).filter(|(_, it)| it.is_none());
+        let displaced: Vec<(i32, i32)> =
+            unrefined.filter_map(|(it, _)| is_displaced((it.index.col, it.index.row))).collect();
+        displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
     }
 
     fn detection(&self, label: BoardLabel) -> TargetDetection {

@@ -115,5 +115,7 @@ thresholds! {
         standing_score: f32 = 0.65, "correlation", ThresholdOrigin::Swept;
         /// Its standard deviation.
         standing_std_px: f64 = 0.5, "px", ThresholdOrigin::Derived("the crossing is known to its pixel");
+        /// Farthest that it may lie from where its neighbors put it.
+        most_standing_off: f64 = 3.0, "standard deviations", ThresholdOrigin::Derived("chance, three times in a thousand");
     }
 }
