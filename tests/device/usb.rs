@@ -10,7 +10,6 @@ use plumb::capture::{CaptureError, FrameSource, Pace, Replay, ReplayOptions, Sou
 use plumb::imaging::gray::GrayImage;
 
 use crate::guest::{PATIENCE, camera, frames_until_error, luma_of, press};
-use crate::loopback::yuyv_of;
 use crate::usb_camera::{CameraModel, UsbCamera};
 use crate::walk::WALK;
 
