@@ -8,6 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use plumb::geometry::pixel::ImageSize;
+use plumb::imaging::decode::encode_jpeg;
 use plumb::imaging::frame::Frame;
 use plumb::imaging::gray::GrayImage;
 use plumb::recording::{ReadOptions, Recording};
@@ -22,9 +23,12 @@ const LOOPBACK: &str = "/dev/video20";
 /// Two cameras that nothing synchronizes take images within half of 1/15 s of each other: the same
 /// frame set.
 const FPS: u32 = 15;
-/// How long each image is shown, as a board that is held still: 37 frames, of which a busy host may
-/// lose most. Shorter than its delays, frames of different images would be taken for simultaneous.
-const SHOWN: Duration = Duration::from_millis(2500);
+/// How long each image is shown, as a board that is held still: 24 frames, of which a busy host may
+/// lose most.
+const SHOWN: Duration = Duration::from_millis(1600);
+/// How long nothing is shown before it. A busy host delays one camera's images longer than the
+/// other's: delayed by less than this, images of two slides are never taken for simultaneous.
+const BLANK: Duration = Duration::from_millis(900);
 /// Views of both cameras that determine where they are.
 const ENOUGH_VIEWS: u64 = 3;
 /// Frames of the camera that is still there, while the other one is gone.
@@ -32,9 +36,11 @@ const WITHOUT: u64 = 30;
 /// 30 frames of 640x480 that were kept with their pixels would be 9 MB.
 const FLAT_KB: u64 = 8_000;
 
-/// The images of a recording, of which every camera shows the same one at the same time.
+/// The images of a recording, of which every camera shows the same one at the same time, with
+/// nothing between them.
 struct Slides {
     frames: Vec<Frame>,
+    blank: Frame,
     began: Instant,
 }
 
@@ -43,14 +49,22 @@ impl Slides {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings").join(name);
         let mut recording = Recording::open(&path, &ReadOptions::default()).unwrap();
         let next = || recording.next_frame_set().unwrap();
-        let frames = std::iter::from_fn(next).map(|mut set| set.frames.remove(0)).collect();
-        Self { frames, began }
+        let frames: Vec<Frame> =
+            std::iter::from_fn(next).map(|mut set| set.frames.remove(0)).collect();
+        let ImageSize { width, height } = frames[0].size;
+        let [width, height] = [width, height].map(|side| side as usize);
+        let gray = GrayImage::from_pixels(width, height, vec![128; width * height]).unwrap();
+        let blank = Frame { bytes: encode_jpeg(gray.view(), 90).into(), ..frames[0].clone() };
+        Self { frames, blank, began }
     }
 
     /// What is shown now.
     fn now(&self) -> &Frame {
-        let slide = self.began.elapsed().as_millis() / SHOWN.as_millis();
-        &self.frames[slide as usize % self.frames.len()]
+        let (shown_ms, period_ms) = (self.began.elapsed().as_millis(), (BLANK + SHOWN).as_millis());
+        if shown_ms % period_ms < BLANK.as_millis() {
+            return &self.blank;
+        }
+        &self.frames[(shown_ms / period_ms) as usize % self.frames.len()]
     }
 }
 
