@@ -56,8 +56,8 @@ fn main() {
     let (seeds, first) = (numbers.next().unwrap_or(9), numbers.next().unwrap_or(1000));
     if seeds > 0 {
         for (setting, lens) in [(0, None), (2, None), (1, Some(rational()))] {
-            decision(setting, lens);
-            shared_decision(setting, lens);
+            in_setting(setting, lens, decision);
+            in_setting(setting, lens, shared_decision);
         }
         operators(first, seeds);
     }
@@ -70,8 +70,8 @@ fn rational() -> Lens {
     Lens::from_parameters(LensModel::Rational, &parameters).unwrap()
 }
 
-/// One decision after 25 views in the setting of a seed, or with another lens in it.
-fn decision(seed: u64, lens: Option<Lens>) {
+/// The views that can be asked for in the setting of a seed, or with another lens in it.
+fn in_setting(seed: u64, lens: Option<Lens>, then: fn(&CandidateSpace<'_>)) {
     let session = OperatedSession::of_seed(seed, OperatorName::Follows, (GOAL_PX, true));
     let lens = lens.unwrap_or(session.lens);
     let (board, noise) = (BoardPoints::of_chessboard(&session.board), CornerNoise::default());
@@ -82,40 +82,37 @@ fn decision(seed: u64, lens: Option<Lens>) {
         noise: &noise,
         base: nalgebra::UnitQuaternion::identity(),
     };
+    then(&space);
+}
+
+/// One decision after 25 views.
+fn decision(space: &CandidateSpace<'_>) {
+    let (lens, size) = (*space.lens, space.size);
     let views: Vec<_> =
         (0..400).filter_map(|k| space.view(&Holding::of_sequence(k))).take(25).collect();
-    let mut known = LensInformation::prior(lens, session.size);
+    let mut known = LensInformation::prior(lens, size);
     for view in &views {
         let free = known.free.clone();
         let taught = view_information(&lens, &free, &view.camera_from_board, &view.corners);
         known = known.with(&taught.unwrap());
     }
-    let goal = ProjectionGoal::new(&lens, session.size, GoalFigure::Worst);
+    let goal = ProjectionGoal::new(&lens, size, GoalFigure::Worst);
     let from = Some(&views[7].camera_from_board);
     let what = format!("one decision after {} views, {}", views.len(), lens.model().name());
     timed(&what, || {
-        black_box(suggest_view(&known, &goal, &space, (from, Some(0.5 * GOAL_PX))));
+        black_box(suggest_view(&known, &goal, space, (from, Some(0.5 * GOAL_PX))));
     });
 }
 
 /// One decision which view two cameras should share, 12 cm from each other, with 25 views of each
 /// of which both see up to 25; and what these views say of both, summed up anew.
-fn shared_decision(seed: u64, lens: Option<Lens>) {
-    let session = OperatedSession::of_seed(seed, OperatorName::Follows, (GOAL_PX, true));
-    let lens = lens.unwrap_or(session.lens);
-    let (board, noise) = (BoardPoints::of_chessboard(&session.board), CornerNoise::default());
-    let space = CandidateSpace {
-        lens: &lens,
-        size: session.size,
-        board: &board,
-        noise: &noise,
-        base: nalgebra::UnitQuaternion::identity(),
-    };
+fn shared_decision(space: &CandidateSpace<'_>) {
+    let (lens, size) = (*space.lens, space.size);
     let b_from_a = Pose::from_axis_angle(
         nalgebra::Vector3::new(0.0, -0.1, 0.0),
         nalgebra::Vector3::new(-0.12, 0.0, 0.0),
     );
-    let prior = LensInformation::prior(lens, session.size);
+    let prior = LensInformation::prior(lens, size);
     let normals: Vec<[ViewNormal; 2]> = (0..400)
         .filter_map(|k| {
             let holding = Holding::of_sequence(k);
@@ -137,7 +134,7 @@ fn shared_decision(seed: u64, lens: Option<Lens>) {
         known
     };
     let known = sum();
-    let images = [(&lens, session.size), (&lens, session.size)];
+    let images = [(&lens, size), (&lens, size)];
     let goal = TransferGoal::new(&known, images, (0.6, GoalFigure::Worst)).unwrap();
     let name = lens.model().name();
     timed(&format!("summing up {} shared views, {name}", normals.len()), || {
@@ -145,7 +142,7 @@ fn shared_decision(seed: u64, lens: Option<Lens>) {
     });
     timed(&format!("one shared decision after {} views, {name}", normals.len()), || {
         let open = (None, Some(0.5 * GOAL_PX));
-        black_box(suggest_shared_view(&known, &goal, [&space, &space], open));
+        black_box(suggest_shared_view(&known, &goal, [space, space], open));
     });
 }
 

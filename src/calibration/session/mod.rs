@@ -337,38 +337,11 @@ impl Session {
 
     /// Takes in what the kept views say of the cameras two and two, and asks for the next view.
     fn pair_up(&mut self) {
-        if self.cameras.len() < 2 || self.record.state != SessionState::Collecting {
-            return;
+        if self.cameras.len() > 1 && self.record.state == SessionState::Collecting {
+            let goal_px = self.record.request.finish.and_then(|finish| finish.uncertainty_px);
+            self.pairs = Pairs::of(&self.cameras, &self.kept, goal_px);
+            self.pairs.ask(&mut self.cameras);
         }
-        let goal_px = self.record.request.finish.and_then(|finish| finish.uncertainty_px);
-        self.pairs = Pairs::of(&self.cameras, &self.kept, goal_px);
-        for (place, part) in self.cameras.iter_mut().enumerate() {
-            let asked = part.board().and_then(|part| self.pairs.asked_of(place, part));
-            part.ask_for(asked);
-        }
-    }
-
-    /// Whether this camera and another one see together what teaches more of both.
-    fn teaches_a_pair(
-        &self,
-        (frame_set, usable): (&[Option<CameraFrame>], &[bool]),
-        first: usize,
-        together: impl Fn(usize, usize) -> bool,
-    ) -> bool {
-        self.pairs.second_of(first).any(|second| {
-            let pair = [first, second];
-            let is_new = |camera: usize| {
-                let seen = frame_set[camera].as_ref();
-                seen.is_some_and(|seen| self.sharing().is_held_anew(camera, seen))
-            };
-            let parts = pair.map(|camera| self.cameras[camera].board());
-            let [Some(a), Some(b)] = parts else { return false };
-            let (Some(of_a), Some(of_b)) = (a.newest(), b.newest()) else { return false };
-            pair.iter().all(|camera| usable[*camera])
-                && together(first, second)
-                && pair.into_iter().any(is_new)
-                && self.pairs.is_worth_keeping(pair, [of_a, of_b], a.worth())
-        })
     }
 
     fn is_rig(&self) -> bool {
@@ -393,7 +366,7 @@ impl Session {
             .map(|camera| {
                 matches!(admissions[camera], Some(Ok(_)))
                     || self.sharing().is_new((frame_set, &usable), camera, together)
-                    || self.teaches_a_pair((frame_set, &usable), camera, together)
+                    || self.pairs.are_taught(self.sharing(), (frame_set, &usable), camera, together)
             })
             .collect();
         for first in (0..is_new.len()).filter(|camera| is_new[*camera]) {

@@ -9,9 +9,10 @@ use crate::calibration::information::next_shared_view::SharedView;
 use crate::calibration::information::next_view::SuggestedView;
 use crate::calibration::information::pair_teaching::PairTeaching;
 use crate::calibration::information::teaching::{TaughtView, Teaching};
-use crate::calibration::session::action::KeptView;
+use crate::calibration::session::action::{CameraFrame, KeptView};
 use crate::calibration::session::board_part::BoardPart;
 use crate::calibration::session::camera::CameraPart;
+use crate::calibration::session::sharing::Sharing;
 
 /// Two cameras that share views.
 #[derive(Debug, Clone)]
@@ -77,20 +78,49 @@ impl Pairs {
         cameras.len() < 2 || (self.is_whole && self.links.iter().all(reaches))
     }
 
+    /// Asks each camera for its part of the view that two should share, and those that are not
+    /// asked for one for their own again.
+    pub(super) fn ask(&self, cameras: &mut [CameraPart]) {
+        for (place, part) in cameras.iter_mut().enumerate() {
+            let asked = part.board().and_then(|part| self.asked_of(place, part));
+            part.ask_for(asked);
+        }
+    }
+
+    /// Whether this camera and another one see together what teaches more of both, of the `usable`
+    /// of a frame set.
+    pub(super) fn are_taught(
+        &self,
+        sharing: Sharing<'_>,
+        (frame_set, usable): (&[Option<CameraFrame>], &[bool]),
+        first: usize,
+        together: impl Fn(usize, usize) -> bool,
+    ) -> bool {
+        self.second_of(first).any(|second| {
+            let pair = [first, second];
+            let is_new = |camera: usize| {
+                let seen = frame_set[camera].as_ref();
+                seen.is_some_and(|seen| sharing.is_held_anew(camera, seen))
+            };
+            let parts = pair.map(|camera| sharing.cameras[camera].board());
+            let [Some(a), Some(b)] = parts else { return false };
+            let (Some(of_a), Some(of_b)) = (a.newest(), b.newest()) else { return false };
+            pair.iter().all(|camera| usable[*camera])
+                && together(first, second)
+                && pair.into_iter().any(is_new)
+                && self.is_worth_keeping(pair, [of_a, of_b], a.worth())
+        })
+    }
+
     /// The cameras that this one is the first of two of.
-    pub(super) fn second_of(&self, first: usize) -> impl Iterator<Item = usize> {
+    fn second_of(&self, first: usize) -> impl Iterator<Item = usize> {
         let links = self.links.iter().filter(move |link| link.cameras[0] == first);
         links.map(|link| link.cameras[1])
     }
 
     /// Whether a view that two cameras see is worth keeping for what it teaches of both together:
     /// at least `worth` of half of what the views that they share taught on average.
-    pub(super) fn is_worth_keeping(
-        &self,
-        pair: [usize; 2],
-        views: [&TaughtView; 2],
-        worth: f64,
-    ) -> bool {
+    fn is_worth_keeping(&self, pair: [usize; 2], views: [&TaughtView; 2], worth: f64) -> bool {
         self.links.iter().filter(|link| link.cameras == pair).any(|link| {
             let share = 0.5 * worth / link.teaching.shared().max(1) as f64;
             link.teaching.gain(views) >= share
@@ -103,7 +133,7 @@ impl Pairs {
     }
 
     /// What one camera is asked for of a view that it shares.
-    pub(super) fn asked_of(&self, camera: usize, part: &BoardPart) -> Option<SuggestedView> {
+    fn asked_of(&self, camera: usize, part: &BoardPart) -> Option<SuggestedView> {
         let next = self.next.as_ref().filter(|next| next.is_asked_for)?;
         let at = next.cameras.iter().position(|asked| *asked == camera)?;
         let views_to_go = part.own_suggestion().and_then(|own| own.views_to_go);
