@@ -65,7 +65,7 @@ const POLE_STEPS: u32 = 400;
 
 /// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
 /// from its minimum.
-const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
+pub(crate) const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
 /// Views used in the comparison at most; more do not separate the models further.
 const MAX_VIEWS: usize = 100;
@@ -169,20 +169,32 @@ impl<'a> Trial<'a> {
         gain > 0.0 && moved() > if gain > HELD_OUT { MOVED } else { MOVED_FAR }
     }
 
-    /// How far its projections are from those of `other` at most, in its own standard deviations at
-    /// that pixel.
     fn moves_projections_of(&self, other: &Lens) -> Option<f64> {
-        let own = projection_uncertainty(
-            self.fit.lens(),
-            self.covariance.as_ref()?,
-            self.grid,
-            Distance::Infinity,
-        )?;
-        let moved = projection_difference(self.fit.lens(), other, self.grid, &own.weights);
-        let pairs =
-            moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
-        Some(pairs.map(|([x, y], own)| f64::sqrt((x * x + y * y) / own)).fold(0.0, f64::max))
+        moves_projections((self.fit.lens(), self.covariance.as_ref()?), other, self.grid)
     }
+}
+
+/// Whether a fit moves the projections of a smaller model's lens far enough to be worth more, if
+/// held-out views agree: without, they need not be asked.
+pub(crate) fn may_be_worth_more(fit: &CameraFit, smaller: &Lens, grid: PixelGrid) -> bool {
+    let moved = fit
+        .lens_covariance()
+        .and_then(|covariance| moves_projections((fit.lens(), &covariance), smaller, grid));
+    moved.is_some_and(|moved| moved > MOVED)
+}
+
+/// How far the projections of a lens are from those of `other` at most, in its own standard
+/// deviations at that pixel.
+fn moves_projections(
+    (lens, covariance): (&Lens, &DMatrix<f64>),
+    other: &Lens,
+    grid: PixelGrid,
+) -> Option<f64> {
+    let own = projection_uncertainty(lens, covariance, grid, Distance::Infinity)?;
+    let moved = projection_difference(lens, other, grid, &own.weights);
+    let pairs =
+        moved.iter().zip(&own.square_px2).filter_map(|(moved, own)| Some(((*moved)?, (*own)?)));
+    Some(pairs.map(|([x, y], own)| f64::sqrt((x * x + y * y) / own)).fold(0.0, f64::max))
 }
 
 /// The mean per view of how much smaller `larger_model` is than `smaller_model`, in standard errors

@@ -3,11 +3,15 @@
 //! along.
 
 use crate::estimation::camera_estimate::CameraEstimate;
-use crate::estimation::camera_fit::{CameraFit, fit_camera};
+use crate::estimation::camera_fit::{CameraFit, fit_camera_until};
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, has_pole};
+use crate::estimation::lens_choice::{
+    COLUMNS, COMPARED, Trial, compared_views, has_pole, may_be_worth_more,
+};
 use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
+use crate::estimation::robust::Loss;
+use crate::estimation::robust_fit::{RobustFit, SETTLED};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
@@ -44,7 +48,7 @@ impl LensMisfit {
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }
-        let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
+        let mut fitted = |model| fit_camera_until(COMPARED, &mut prepared, model, options).ok();
         let own = fitted(stated)?;
         let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
         let mut larger: Vec<CameraFit> =
@@ -61,12 +65,14 @@ impl LensMisfit {
         // A model may be so far off that it predicts some view not at all.
         let of_own = trial(&own);
         let held_out_px = |trial: &Trial<'_>| trial.rms_px(observations, &views);
-        let trials = larger.iter().filter_map(trial);
+        let may_be =
+            |larger: &&CameraFit| of_own.is_none() || may_be_worth_more(larger, own.lens(), grid);
+        let trials = larger.iter().filter(may_be).filter_map(trial);
         let better =
             trials.filter(|larger| of_own.as_ref().is_none_or(|own| larger.is_worth_more(own)));
         let best = better.min_by(|a, b| held_out_px(a).total_cmp(&held_out_px(b)))?;
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
-        let full = with_effects(best.fit.clone(), problem.image_size, options);
+        let full = with_effects(settled(best.fit), problem.image_size, options);
         let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
             beyond_effects((fit, &full), views, grid)?
         } else {
@@ -76,6 +82,13 @@ impl LensMisfit {
         let widening = widening(estimate, full.lens(), grid)?;
         Some(Self { model, held_out_rms_px, fx, widening })
     }
+}
+
+/// A fit at its minimum.
+fn settled(fit: &CameraFit) -> CameraFit {
+    let CameraFit { layout, observations, robust, .. } = fit;
+    let minimum = robust.minimum.clone().descend(layout, observations, Loss::Squares, SETTLED);
+    CameraFit { robust: RobustFit { minimum, ..*robust }, ..fit.clone() }
 }
 
 /// The held-out errors of a lens and of a larger one, in pixels, each with the board's shape and
