@@ -142,7 +142,7 @@ pub(crate) fn assemble(
     let variance = noise2 * variance_inflation;
     let (spread, free) = (at.lens.spread(&lens), at.lens.free.len());
     let mut lens_covariance = &spread * of_lens.covariance * spread.transpose();
-    if let Some(doubt) = fit.effects.as_ref().and_then(|effects| effects.doubt.as_ref()) {
+    if let Some(doubt) = &fit.shutter_doubt {
         // How views differ has the shutter's part in it.
         lens_covariance += doubt * doubt.transpose() * (1.0 - of_lens.weight);
     }

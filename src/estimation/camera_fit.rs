@@ -1,6 +1,6 @@
 //! One lens model fitted to the views of one camera, and which views were used.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 
 use crate::estimation::effects::effects_fit::EffectsFit;
 use crate::estimation::error::EstimationError;
@@ -23,6 +23,9 @@ pub(crate) struct CameraFit {
     pub(crate) faults: Vec<Option<ViewFault>>,
     /// What was found beyond lens and poses; `observations` are then where it puts them.
     pub(crate) effects: Option<EffectsFit>,
+    /// Where a rolling shutter is likely but not shown: by how much the lens's parameters would be
+    /// others with it, times the root of how likely it is.
+    pub(crate) shutter_doubt: Option<DVector<f64>>,
 }
 
 /// Views used to compare views with each other, at most: with this many, differences are visible.
@@ -35,7 +38,7 @@ impl CameraFit {
         observations: Vec<BoardObservation>,
         faults: Vec<Option<ViewFault>>,
     ) -> Self {
-        Self { layout, robust, observations, faults, effects: None }
+        Self { layout, robust, observations, faults, effects: None, shutter_doubt: None }
     }
 
     pub(crate) fn lens(&self) -> &Lens {

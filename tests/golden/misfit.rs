@@ -2,8 +2,8 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use plumb::calibration::solve::{SolvedCamera, solve_views};
-use plumb::estimation::camera::CameraOptions;
-use plumb::estimation::problem::{CameraProblem, LensChoice};
+use plumb::estimation::camera::{CameraOptions, calibrate_camera};
+use plumb::estimation::problem::{CameraProblem, LensChoice, Shutter};
 use plumb::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
 };
@@ -64,6 +64,33 @@ fn a_rolling_shutter_is_named() {
         named += usize::from(says(&solved, "rolling shutter"));
     }
     assert!(named >= 6, "named in {named} of 8");
+}
+
+#[test]
+fn a_shutter_in_doubt_widens_the_deviations_of_a_flat_board() {
+    let still = brown().as_stated();
+    let may_roll = CameraOptions { shutter: Shutter::Auto, ..still.clone() };
+    let (mut in_doubt, mut observed) = (0, [0.0; 2]);
+    for seed in 0..60 {
+        let (camera, problem) = rolling(8, 300 + seed, (0.0004, 0.0012));
+        let [with, without] =
+            [&may_roll, &still].map(|options| calibrate_camera(&problem, options).unwrap());
+        let [std, std_alone] =
+            [&with, &without].map(|estimate| estimate.lens_covariance[(0, 0)].sqrt());
+        if with.lens == without.lens && std != std_alone {
+            assert!(std > std_alone, "seed {seed}: {std} px, without {std_alone} px");
+            in_doubt += 1;
+            let off = with.lens.matrix.fx - camera.lens.matrix.fx;
+            observed[0] += (off / std).powi(2);
+            observed[1] += (off / std_alone).powi(2);
+        }
+    }
+    let z = observed.map(|sum| f64::sqrt(sum / f64::from(in_doubt)));
+    assert!(in_doubt >= 30, "in doubt in {in_doubt} of 60");
+    assert!(
+        (0.75..1.2).contains(&z[0]),
+        "rms of errors over deviations, with the doubt, without: {z:?}"
+    );
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use crate::estimation::camera_fit::CameraFit;
 use crate::estimation::effects::effect::Wanted;
-use crate::estimation::effects::fit::fit_effects;
+use crate::estimation::effects::effects_fit::EffectsFit;
+use crate::estimation::effects::fit::{Corners, Effects, fit_effects};
 use crate::estimation::joint::minimize::Minimum;
 use crate::estimation::problem::{BoardShape, CameraOptions, Shutter};
 use crate::estimation::robust::Loss;
@@ -20,12 +21,22 @@ pub(crate) fn with_effects(fit: CameraFit, size: ImageSize, options: &CameraOpti
     if fit.is_exact() || fit.layout.sensors.len() > 1 || !(wanted.shape || wanted.motion) {
         return fit;
     }
-    carried_on(&fit, [size.width, size.height].map(f64::from), wanted).unwrap_or(fit)
+    let Some(Effects { found, shutter_doubt }) =
+        fit_effects(&fit, [size.width, size.height].map(f64::from), wanted)
+    else {
+        return fit;
+    };
+    let with = found.and_then(|found| carried_on(&fit, size, found));
+    CameraFit { shutter_doubt, ..with.unwrap_or(fit) }
 }
 
-fn carried_on(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> Option<CameraFit> {
-    let (found, corners) = fit_effects(plain, size, wanted)?;
-    let mut observations = found.moved_observations(&plain.layout, &corners.observations, size[1]);
+fn carried_on(
+    plain: &CameraFit,
+    size: ImageSize,
+    (found, corners): (EffectsFit, Corners),
+) -> Option<CameraFit> {
+    let rows = f64::from(size.height);
+    let mut observations = found.moved_observations(&plain.layout, &corners.observations, rows);
     for (observation, fault) in observations.iter_mut().zip(&corners.faults) {
         if fault.is_some() {
             observation.used.fill(false);

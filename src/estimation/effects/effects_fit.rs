@@ -1,6 +1,6 @@
 //! What was found beyond lens and poses.
 
-use nalgebra::{DMatrix, DVector, Matrix6};
+use nalgebra::{DMatrix, Matrix6};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::evidence::Variances;
@@ -17,9 +17,6 @@ pub(crate) struct EffectsFit {
     pub(crate) noise_square: f64,
     /// Covariance of the lens's free parameters, everything else marginalized.
     pub(crate) lens_covariance: DMatrix<f64>,
-    /// Where a rolling shutter is likely but not shown: by how much the lens's parameters would be
-    /// others with it, times the root of how likely it is.
-    pub(crate) doubt: Option<DVector<f64>>,
     /// How many times larger variances are than if each corner erred by itself.
     pub(crate) inflation: f64,
     /// What part of `lens_covariance` is how views differ, from 0 to below 1.

@@ -45,7 +45,6 @@ impl EffectSearch {
             lens_covariance: DMatrix::from_fn(lens, lens, |i, j| {
                 covariance[(i, j)] * scale[i] * scale[j]
             }),
-            doubt: None,
             inflation: factor,
             weight_of_views: weight,
             pose_covariances: pose_covariances(&self.system, &posterior, scene.observations.len()),

@@ -15,6 +15,7 @@ use crate::estimation::effects::system::System;
 use crate::estimation::joint::{BoardObservation, State};
 use crate::estimation::robust_fit::{LIMIT, ROUNDING, scale_of, select};
 use crate::estimation::view_fault::ViewFault;
+use crate::geometry::lens::Lens;
 use crate::geometry::pose::pose_step;
 
 /// What the board's shape, or its motion, must raise the logarithm of the evidence by to be in the
@@ -40,19 +41,23 @@ pub(crate) struct Corners {
     pub(crate) limit: f64,
 }
 
+/// What the views say beyond lens and poses.
+pub(crate) struct Effects {
+    /// `None` where they show nothing.
+    pub(crate) found: Option<(EffectsFit, Corners)>,
+    /// As [`CameraFit::shutter_doubt`].
+    pub(crate) shutter_doubt: Option<DVector<f64>>,
+}
+
 /// Fewer views than this determine nothing beyond lens and poses.
 const MIN_VIEWS: usize = 3;
 
 /// Rounds of choosing corners anew.
 const MAX_ROUNDS: usize = 4;
 
-/// Estimates effects, starting from a plain fit of one camera. `None` where there are none, or the
-/// views do not determine them.
-pub(crate) fn fit_effects(
-    plain: &CameraFit,
-    size: [f64; 2],
-    wanted: Wanted,
-) -> Option<(EffectsFit, Corners)> {
+/// Estimates effects, starting from a plain fit of one camera. `None` where nothing hints at any, or
+/// the views do not determine them.
+pub(crate) fn fit_effects(plain: &CameraFit, size: [f64; 2], wanted: Wanted) -> Option<Effects> {
     let [width, rows] = size;
     let wanted = hints::plausible(plain, size, wanted)?;
     let basis = BoardBasis::of(&plain.observations, true)?;
@@ -72,7 +77,7 @@ pub(crate) fn fit_effects(
         by_columns: None,
         moves: true,
     };
-    let (mut walk, mut doubt) = (None::<EffectSearch>, None);
+    let (mut walk, mut shutter_doubt) = (None::<EffectSearch>, None);
     for round in 0..MAX_ROUNDS {
         if good.len() < MIN_VIEWS {
             return None;
@@ -89,8 +94,12 @@ pub(crate) fn fit_effects(
             let by_rows = next.read_by_rows(scene, width)?;
             if !by_rows.is_shown {
                 let wanted = Wanted { motion: false, ..wanted };
-                let still = start(wanted)?.settled(scene, wanted)?;
-                doubt = Some(next.lens_beside(&still) * by_rows.probability.sqrt());
+                let still = start(wanted).and_then(|walk| walk.settled(scene, wanted));
+                let lens = still.as_ref().map_or(plain.lens(), EffectSearch::lens);
+                shutter_doubt = Some(next.lens_beside(lens) * by_rows.probability.sqrt());
+                let Some(still) = still else {
+                    return Some(Effects { found: None, shutter_doubt });
+                };
                 next = still;
             }
         }
@@ -106,7 +115,7 @@ pub(crate) fn fit_effects(
     let walk = walk?;
     let scene = Scene { observations: &corners.observations, good: &good, ..whole };
     let found = walk.finished(scene)?;
-    Some((EffectsFit { doubt, ..found }, corners))
+    Some(Effects { found: Some((found, corners)), shutter_doubt })
 }
 
 /// The walk. What is not in the model has no unknowns.
@@ -181,10 +190,13 @@ impl EffectSearch {
         }
     }
 
-    /// By how much the parameters of its lens exceed those of another walk.
-    fn lens_beside(&self, other: &Self) -> DVector<f64> {
-        let [own, other] =
-            [self, other].map(|walk| walk.state.fixed.lenses[0].parameters().to_vec());
+    fn lens(&self) -> &Lens {
+        &self.state.fixed.lenses[0]
+    }
+
+    /// By how much the parameters of its lens exceed those of another lens.
+    fn lens_beside(&self, other: &Lens) -> DVector<f64> {
+        let [own, other] = [self.lens(), other].map(|lens| lens.parameters().to_vec());
         DVector::from_vec(own) - DVector::from_vec(other)
     }
 
