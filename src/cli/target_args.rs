@@ -51,7 +51,7 @@ pub struct ShapeOrSceneArgs {
     target: Option<PathBuf>,
     /// Use what the images show of a static scene with texture, taken from different places, in
     /// place of a board.
-    #[arg(long, conflicts_with_all = ["board", "target"])]
+    #[arg(long, conflicts_with_all = ["board", "target", "allow_partial"])]
     scene: bool,
 }
 

@@ -137,7 +137,8 @@ impl TargetDetector {
         }
         let corners = self.guesses.iter().map(|it| (it.index.col, it.index.row)).collect();
         let mut print = LabeledPrint::new(&self.sheets, label, &mut self.grid, corners);
-        self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
+        let by_print =
+            self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
         let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
         stds.sort_unstable_by(f64::total_cmp);
         let most_std_px = limits.suspect_stds * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
@@ -155,7 +156,9 @@ impl TargetDetector {
                     let tight = refined.std_px > most_std_px;
                     self.grid.set(col, row, Node { pixel, tight, ..node });
                 }
-                None if node.score < limits.standing_score => self.grid.remove(col, row),
+                None if by_print || node.score < limits.standing_score => {
+                    self.grid.remove(col, row);
+                }
                 None => self.grid.set(col, row, Node { tight: true, ..node }),
             }
         }

@@ -12,7 +12,7 @@
 //! | reading | `reading` | how well each marker cell agrees with each code |
 //! | labels | `labels` | the place in the board that most cells agree on, far more than with any other |
 //! | ends | `ends` | which of two places it is, where only the board's ends distinguish them |
-//! | print | `print` | what the markers add to the image near each crossing, for the refinement |
+//! | print | `print`, `curved_chart` | what the markers add to the image near each crossing, for the refinement |
 //! | detector | `detector`, `finish` | levels, completion by the labeled board, refinement |
 //! | recognition | `recognition` | which board it is, where none was asked for |
 //!
@@ -21,6 +21,7 @@
 
 pub mod answer;
 mod chart;
+mod curved_chart;
 pub mod detector;
 mod ends;
 mod finish;

@@ -1,8 +1,7 @@
 //! The print of a labeled board, as the refinement of its corners wants it.
 
-use nalgebra::{Matrix3, Vector3};
-
-use crate::detection::coded::chart::{Chart, ChartPair};
+use crate::detection::coded::chart::ChartPair;
+use crate::detection::coded::curved_chart::CurvedChart;
 use crate::detection::coded::labels::{BoardLabel, cell_in_sheet};
 use crate::detection::coded::sheet::{Sheet, Sheets};
 use crate::detection::grid::{Grid, Node};
@@ -10,17 +9,22 @@ use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::print::BoardPrint;
 use crate::geometry::pixel::Pixel;
 
+/// Parts of an interval that are none.
+const NO_WIDTH: f64 = 1e-6;
+
 /// A board whose label is known.
 pub(super) struct LabeledPrint<'a> {
     sheets: &'a Sheets,
     sheet: &'a Sheet,
     label: BoardLabel,
     grid: &'a mut Grid,
+    /// Where edges may lie in an interval between two lines, as parts of it, in order.
+    edges: Vec<f64>,
     pairs: Vec<ChartPair>,
     /// The grid's indices of the corners in the order in which they are refined.
     corners: Vec<(i32, i32)>,
-    /// For each corner the homography from the image to the lattice near it.
-    charts: Vec<Option<Matrix3<f64>>>,
+    /// For each corner, from the image to the lattice near it.
+    charts: Vec<Option<CurvedChart>>,
 }
 
 impl<'a> LabeledPrint<'a> {
@@ -32,7 +36,8 @@ impl<'a> LabeledPrint<'a> {
         corners: Vec<(i32, i32)>,
     ) -> Self {
         let sheet = &sheets.ways[label.way];
-        Self { sheets, sheet, label, grid, pairs: Vec::new(), corners, charts: Vec::new() }
+        let edges = edges_of(sheets, sheet);
+        Self { sheets, sheet, label, grid, edges, pairs: Vec::new(), corners, charts: Vec::new() }
     }
 
     /// Whether the print is bright at a place of the lattice.
@@ -64,6 +69,15 @@ impl<'a> LabeledPrint<'a> {
         }
     }
 
+    /// The next place after `x` where an edge may lie.
+    fn next_edge(&self, x: f64) -> f64 {
+        let (i, part) = self.cell(x);
+        let width = f64::from(self.sheets.widths[usize::from(i.rem_euclid(2) == 1)]);
+        let ahead = self.edges.iter().find(|edge| **edge > part + NO_WIDTH);
+        // Beyond the last edge of an interval lies the first of the next one.
+        x + (ahead.unwrap_or(&(1.0 + NO_WIDTH)) - part).max(NO_WIDTH) * width
+    }
+
     /// The interval between lines in which a place lies, and how far along it, 0 to 1.
     fn cell(&self, x: f64) -> (i32, f64) {
         let [wide, narrow] = self.sheets.widths.map(f64::from);
@@ -75,8 +89,19 @@ impl<'a> LabeledPrint<'a> {
     }
 }
 
+/// Where edges may lie in an interval between two lines, as parts of it, in order.
+fn edges_of(sheets: &Sheets, sheet: &Sheet) -> Vec<f64> {
+    let (inset, margin) = (f64::from(sheet.inset), f64::from(sheets.margin));
+    let bits =
+        (0..=sheets.bits).map(|bit| inset + (1.0 - 2.0 * inset) * bit as f64 / sheets.bits as f64);
+    let mut edges: Vec<f64> = bits.chain([margin, 1.0 - margin, 1.0]).collect();
+    edges.retain(|part| *part > 0.0);
+    edges.sort_unstable_by(f64::total_cmp);
+    edges
+}
+
 impl BoardPrint for LabeledPrint<'_> {
-    fn place(&mut self, corners: &[Option<Pixel>]) {
+    fn put(&mut self, corners: &[Option<Pixel>]) {
         for (&(i, j), corner) in self.corners.iter().zip(corners) {
             if let (Some(node), Some(corner)) = (self.grid.get(i, j), corner) {
                 let pixel = Vec2::new(corner.x as f32, corner.y as f32);
@@ -85,24 +110,42 @@ impl BoardPrint for LabeledPrint<'_> {
         }
         let Self { sheets, grid, pairs, corners, charts, .. } = self;
         charts.clear();
-        charts.extend(
-            corners
-                .iter()
-                .map(|&at| Chart::near(grid, sheets, at, None, pairs)?.matrix().try_inverse()),
-        );
+        charts.extend(corners.iter().map(|&at| CurvedChart::near(grid, sheets, at, pairs)));
     }
 
-    fn near(&self, corner: usize, [px, py]: [f64; 2]) -> Option<[f32; 2]> {
-        let chart = self.charts.get(corner)?.as_ref()?;
-        let (i, j) = self.corners[corner];
-        let place = chart * Vector3::new(px, py, 1.0);
-        let (x, y) = (place.x / place.z, place.y / place.z);
-        let (from_x, from_y) =
-            (x - f64::from(self.sheets.line(i)), y - f64::from(self.sheets.line(j)));
-        let own = self.grid.polarity(i, j) > 0.0;
-        let alone = (from_x * from_y > 0.0) == own;
+    fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]> {
+        Some(self.charts.get(corner)?.as_ref()?.place(pixel))
+    }
+
+    fn mean(&self, corner: usize, [x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> [f32; 2] {
         let sign = |bright: bool| if bright { 1.0 } else { -1.0 };
-        Some([sign(self.is_bright(x, y)), sign(alone)])
+        let mut sum = 0.0;
+        let mut top = y - half_y;
+        while top < y + half_y {
+            let bottom = self.next_edge(top).min(y + half_y);
+            let mut left = x - half_x;
+            while left < x + half_x {
+                let right = self.next_edge(left).min(x + half_x);
+                let bright = self.is_bright((left + right) / 2.0, (top + bottom) / 2.0);
+                sum += sign(bright) * (right - left) * (bottom - top);
+                left = right;
+            }
+            top = bottom;
+        }
+        let full = sum / (4.0 * half_x * half_y);
+        let (i, j) = self.corners[corner];
+        let beyond = |at: f64, line: i32, half: f64| {
+            ((at - f64::from(self.sheets.line(line))) / half).clamp(-1.0, 1.0)
+        };
+        let own = sign(self.grid.polarity(i, j) > 0.0);
+        let alone = own * beyond(x, i, half_x) * beyond(y, j, half_y);
+        [full as f32, alone as f32]
+    }
+
+    fn expected(&self, corner: usize) -> Option<[f64; 2]> {
+        let (i, j) = *self.corners.get(corner)?;
+        let place = [self.sheets.line(i), self.sheets.line(j)].map(f64::from);
+        self.charts.get(corner)?.as_ref()?.pixel(place)
     }
 
     fn room(&self) -> f64 {

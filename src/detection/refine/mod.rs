@@ -8,6 +8,7 @@
 //! | fit | `fit`, `normal_equations`, `elimination` | weighted least squares, robust against outliers |
 //! | two fits | `first_fit`, `second_fit`, `fitted` | each corner by itself, then with what the board knows; whether it is a corner |
 //! | print | `print`, `printed` | takes off the window what is printed beside the two edges, where blur brings it in |
+//! | alignment | `aligned`, `alignment` | where blur runs edges into each other: moves the whole print until it is most like the image |
 //! | shading | `shading` | takes off light that changes over a corner's window |
 //! | board | `lattice`, `field`, `noise` | what all corners estimate together: the curvature of the edges, the change of light, the noise |
 //! | standard deviation | `corner_std`, `halves`, `scatter`, `misfit`, `straightness` | the fit's own, times one factor for each sign of a larger error: edge halves differ, one corner fits worse than the others, corners leave their lines |
@@ -17,6 +18,8 @@
 //! what all large windows together say of the curvature beyond that. `README.md` beside this file
 //! has the measurements.
 
+mod aligned;
+mod alignment;
 mod beside;
 mod corner_model;
 mod corner_std;

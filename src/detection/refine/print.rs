@@ -15,12 +15,20 @@ use crate::geometry::pixel::Pixel;
 /// The print of a board in an image.
 pub trait BoardPrint {
     /// Moves the print to where its corners are, in the order in which they are refined.
-    fn place(&mut self, corners: &[Option<Pixel>]);
+    fn put(&mut self, corners: &[Option<Pixel>]);
 
-    /// The print near the corner of this number, at a position in the image in pixels, 1 where it
-    /// is white and −1 where it is black: as it is, and as the two edges through the corner alone
-    /// would have it. `None` where that is not known.
-    fn near(&self, corner: usize, pixel: [f64; 2]) -> Option<[f32; 2]>;
+    /// The place in the print of a position in the image in pixels, near the corner of this number.
+    /// `None` where that is not known.
+    fn place_of(&self, corner: usize, pixel: [f64; 2]) -> Option<[f64; 2]>;
+
+    /// The mean of the print near the corner of this number over a rectangle about `place` that
+    /// reaches `half` to each side, 1 where all is white and −1 where all is black: as it is, and as
+    /// the two edges through the corner alone would have it.
+    fn mean(&self, corner: usize, place: [f64; 2], half: [f64; 2]) -> [f32; 2];
+
+    /// Where the print has the corner of this number, in the image in pixels. `None` where that is not
+    /// known.
+    fn expected(&self, corner: usize) -> Option<[f64; 2]>;
 
     /// How far from a corner its edges are the only ones, as a part of the way to its neighbors.
     fn room(&self) -> f64;
@@ -31,9 +39,11 @@ pub trait BoardPrint {
 const DISTURBS: f64 = 5.0;
 /// Standard deviations of the blur beyond which nothing of an edge is rendered.
 const KERNEL_REACH: f64 = 3.0;
-/// Points per sample and axis at which the print is read: fewer where blur hides the difference.
-const POINTS: [usize; 2] = [2, 3];
-const COVERED: f64 = 1.2;
+/// Means of the print that differ by less are the same.
+const SAME: f32 = 1e-3;
+/// What any blur of a width reaches, in widths: three standard deviations of a round one that is
+/// e^0.7 times as wide; the half way of a motion is at most 2.4 widths, and e^0.7 times that.
+const ANY_REACH: f64 = 7.0;
 /// Largest half width of a rendered patch, in samples: twice that of the window of a second fit.
 const MOST_REACH: i64 = 28;
 
@@ -58,6 +68,12 @@ impl PrintBlur {
         Self { sigma_px, line_px: [0.0; 2] }
     }
 
+    /// The root of the mean variance across two edges at a right angle, in pixels.
+    pub fn width_px(&self) -> f64 {
+        let [x, y] = self.line_px;
+        (self.sigma_px * self.sigma_px + (x * x + y * y) / 6.0).sqrt()
+    }
+
     /// A motion in the direction `angle` that has `share` of the variance across two edges at a
     /// right angle, which together are 2·`blur_px`².
     fn moving(blur_px: f64, angle: f64, share: f64) -> Self {
@@ -67,6 +83,38 @@ impl PrintBlur {
         let sigma_px = ((1.0 - share) * variance / 2.0).sqrt().max(SHARPEST_PX);
         let (sin, cos) = angle.sin_cos();
         Self { sigma_px, line_px: [half * cos, half * sin] }
+    }
+
+    /// How far it reaches, in samples of `bin` pixels.
+    fn reach(self, bin: usize) -> i64 {
+        let bin = bin as f64;
+        line_reach(self.line_px.map(|v| v / bin)) + kernel_radius(self.sigma_px / bin)
+    }
+
+    /// The same in an image `factor` times as large.
+    fn scaled(self, factor: f64) -> Self {
+        Self { sigma_px: factor * self.sigma_px, line_px: self.line_px.map(|v| factor * v) }
+    }
+
+    /// The width of least `misfit`, by the golden section.
+    pub fn best_width(self, misfit: &mut dyn FnMut(Self) -> f64) -> Self {
+        let golden = (5_f64.sqrt() - 1.0) / 2.0;
+        let mut at = |log: f64| misfit(self.scaled(log.exp()));
+        let (mut low, mut high) = (-WIDTHS, WIDTHS);
+        let mut inner = [high - golden * (high - low), low + golden * (high - low)];
+        let mut found = inner.map(&mut at);
+        for _ in 0..SECTIONS {
+            if found[0] < found[1] {
+                high = inner[1];
+                inner = [high - golden * (high - low), inner[0]];
+                found = [at(inner[0]), found[0]];
+            } else {
+                low = inner[0];
+                inner = [inner[1], low + golden * (high - low)];
+                found = [found[1], at(inner[1])];
+            }
+        }
+        self.scaled(((low + high) / 2.0).exp())
     }
 
     /// The blur of least `misfit`, of those with the variance of `blur_px` across edges at a right
@@ -98,6 +146,10 @@ const ANGLES: usize = 12;
 /// The part of the variance that is motion's: first, and then.
 const FIRST_SHARE: f64 = 0.9;
 const SHARES: [f64; 6] = [0.5, 0.7, 0.8, 0.85, 0.94, 0.97];
+/// The natural logarithm of the most that a width is wrong by, and the sections until it is known
+/// to 1 %.
+const WIDTHS: f64 = 0.35;
+const SECTIONS: usize = 8;
 /// Motion must leave less than this part of what a round blur leaves.
 const MOVES: f64 = 0.8;
 /// No lens with its pixels is sharper, in pixels.
@@ -111,11 +163,13 @@ const POWERS: [f64; 2] = [0.7, 3.0];
 pub(super) struct PrintPatch {
     /// Half width, in samples.
     reach: i64,
-    /// Half of the way of the motion, in samples.
-    line: [f64; 2],
     /// From the window's origin to the patch's middle, in samples.
     offset: [f64; 2],
-    /// The print as it is and as two edges alone, row by row.
+    /// The print as it is and as two edges alone, row by row, `margin` samples wider to each side
+    /// than the patch.
+    read: [Vec<f32>; 2],
+    margin: i64,
+    /// The same blurred, within `reach`.
     layers: [Vec<f32>; 2],
     passed: Vec<f32>,
     kernel: Vec<f32>,
@@ -131,20 +185,63 @@ impl PrintPatch {
         window: &Window,
         blur: PrintBlur,
     ) -> bool {
+        let margin = blur.reach(window.bin);
+        let disturbed = self.read(print, corner, window, margin);
+        disturbed && self.blurred(blur, window)
+    }
+
+    /// The same wherever anything is printed.
+    pub fn draw(
+        &mut self,
+        print: &dyn BoardPrint,
+        corner: usize,
+        window: &Window,
+        blur: PrintBlur,
+    ) {
+        let margin = blur.reach(window.bin);
+        self.read(print, corner, window, margin);
+        self.blurred(blur, window);
+    }
+
+    /// Reads the print as far around as any blur in [`PrintBlur::best`] of the width of `blur`
+    /// reaches, for [`Self::blurred`].
+    pub fn read_for_any(
+        &mut self,
+        print: &dyn BoardPrint,
+        corner: usize,
+        window: &Window,
+        blur: PrintBlur,
+    ) {
+        let margin = (ANY_REACH * blur.width_px() / window.bin as f64).ceil() as i64;
+        self.read(print, corner, window, margin);
+    }
+
+    /// Blurs what was read in the samples of `window`. False where the blur reaches farther than
+    /// that.
+    pub fn blurred(&mut self, blur: PrintBlur, window: &Window) -> bool {
         let bin = window.bin as f64;
-        let half = (bin - 1.0) / 2.0;
-        self.offset = window.origin.map(|o| ((o - half).round() + half - o) / bin);
-        let reach = [0, 1].map(|k| {
-            window.extent[0] * window.axes[0][k].abs() + window.extent[1] * window.axes[1][k].abs()
-        });
-        self.reach = ((reach[0].max(reach[1]) / bin).ceil() as i64 + 1).min(MOST_REACH);
-        self.line = blur.line_px.map(|v| v / bin);
-        self.fill_kernel(blur.sigma_px / bin);
-        let disturbed = self.read(print, corner, window, blur.sigma_px / bin);
-        if disturbed {
-            self.blur();
+        if blur.reach(window.bin) > self.margin {
+            return false;
         }
-        disturbed
+        self.fill_kernel(blur.sigma_px / bin);
+        self.blur(blur.line_px.map(|v| v / bin));
+        true
+    }
+
+    /// Half its width, in samples.
+    pub fn reach(&self) -> i64 {
+        self.reach
+    }
+
+    /// From the window's origin to its middle, in samples.
+    pub fn offset(&self) -> [f64; 2] {
+        self.offset
+    }
+
+    /// The whole print, so many samples right of and below the middle.
+    pub fn full(&self, i: i64, j: i64) -> f64 {
+        let side = 2 * self.reach + 1;
+        f64::from(self.layers[0][((j + self.reach) * side + i + self.reach) as usize])
     }
 
     /// Takes off `samples`, which are those of the rendered window, what the corner's two edges do
@@ -186,60 +283,76 @@ impl PrintPatch {
         inside.then(|| [self.layers[0][at], self.layers[1][at]])
     }
 
-    /// By how many samples motion reaches to each side.
-    fn line_reach(&self) -> i64 {
-        self.line[0].abs().max(self.line[1].abs()).ceil() as i64
-    }
-
     fn fill_kernel(&mut self, sigma: f64) {
-        let radius = (KERNEL_REACH * sigma).ceil().max(1.0) as i64;
+        let radius = kernel_radius(sigma);
         self.kernel.clear();
         let weight = |k: i64| (-0.5 * (k as f64 / sigma.max(0.2)).powi(2)).exp();
         let total: f64 = (-radius..=radius).map(weight).sum();
         self.kernel.extend((-radius..=radius).map(|k| (weight(k) / total) as f32));
     }
 
-    /// Reads the print at all samples and as far around them as blur reaches.
-    fn read(&mut self, print: &dyn BoardPrint, corner: usize, window: &Window, sigma: f64) -> bool {
-        let around = self.reach + self.line_reach() + (self.kernel.len() / 2) as i64;
-        let points = if sigma > COVERED { POINTS[0] } else { POINTS[1] };
+    /// Reads the print at all samples of `window` and `margin` around them. Whether other edges than
+    /// the corner's two are printed there.
+    fn read(
+        &mut self,
+        print: &dyn BoardPrint,
+        corner: usize,
+        window: &Window,
+        margin: i64,
+    ) -> bool {
         let bin = window.bin as f64;
-        let step = 1.0 / points as f64;
-        let share = (step * step) as f32;
+        let half = (bin - 1.0) / 2.0;
+        self.offset = window.origin.map(|o| ((o - half).round() + half - o) / bin);
+        let reach = [0, 1].map(|k| {
+            window.extent[0] * window.axes[0][k].abs() + window.extent[1] * window.axes[1][k].abs()
+        });
+        self.reach = ((reach[0].max(reach[1]) / bin).ceil() as i64 + 1).min(MOST_REACH);
+        self.margin = margin;
+        let around = self.reach + margin;
+        self.read.iter_mut().for_each(Vec::clear);
+        let place_of = |i: f64, j: f64| {
+            let pixel = [i + self.offset[0], j + self.offset[1]];
+            print.place_of(corner, [0, 1].map(|k| window.origin[k] + bin * pixel[k]))
+        };
+        let ends =
+            [place_of(-0.5, 0.0), place_of(0.5, 0.0), place_of(0.0, -0.5), place_of(0.0, 0.5)];
+        let [Some(left), Some(right), Some(above), Some(below)] = ends else {
+            let side = (2 * around + 1) as usize;
+            self.read.iter_mut().for_each(|layer| layer.resize(side * side, 0.0));
+            return false;
+        };
+        // A sample is the mean over a square of the image; one along the print's axes that is as
+        // wide has the same mean and variances.
+        let half = [0, 1].map(|k| {
+            let [across, down] = [right[k] - left[k], below[k] - above[k]];
+            (across * across + down * down).sqrt() / 2.0
+        });
         let mut disturbed = false;
-        self.layers.iter_mut().for_each(Vec::clear);
         for j in -around..=around {
             for i in -around..=around {
-                let mut sums = [0.0_f32; 2];
-                for k in 0..points * points {
-                    let sub = [k % points, k / points].map(|k| (k as f64 + 0.5) * step - 0.5);
-                    let pixel = [
-                        window.origin[0] + bin * (i as f64 + self.offset[0] + sub[0]),
-                        window.origin[1] + bin * (j as f64 + self.offset[1] + sub[1]),
-                    ];
-                    if let Some([full, alone]) = print.near(corner, pixel) {
-                        disturbed |= full != alone;
-                        sums = [sums[0] + full, sums[1] + alone];
-                    }
-                }
-                self.layers[0].push(sums[0] * share);
-                self.layers[1].push(sums[1] * share);
+                let place = place_of(i as f64, j as f64);
+                let [full, alone] = place.map_or([0.0; 2], |place| print.mean(corner, place, half));
+                disturbed |= (full - alone).abs() > SAME;
+                self.read[0].push(full);
+                self.read[1].push(alone);
             }
         }
         disturbed
     }
 
     /// Blurs both layers, and leaves what lies within reach.
-    fn blur(&mut self) {
-        let margin = self.line_reach() as usize;
-        let Self { reach, layers, passed, kernel, line, .. } = self;
+    fn blur(&mut self, line: [f64; 2]) {
+        let moved = line_reach(line) as usize;
+        let Self { reach, margin, read, layers, passed, kernel, .. } = self;
         let side = 2 * *reach as usize + 1;
-        let inner = side + 2 * margin;
+        let inner = side + 2 * moved;
         let outer = inner + kernel.len() - 1;
-        for layer in layers {
+        let wide = side + 2 * *margin as usize;
+        let first = (wide - outer) / 2;
+        for (read, layer) in read.iter().zip(layers) {
             passed.clear();
-            for row in layer.chunks_exact(outer) {
-                passed.extend(row.windows(kernel.len()).map(|seen| {
+            for row in read.chunks_exact(wide).skip(first).take(outer) {
+                passed.extend(row[first..first + outer].windows(kernel.len()).map(|seen| {
                     seen.iter()
                         .zip(kernel.iter())
                         .map(|(value, weight)| value * weight)
@@ -254,11 +367,21 @@ impl PrintPatch {
                     sums.iter_mut().zip(from).for_each(|(sum, value)| *sum += weight * value);
                 }
             }
-            if margin > 0 {
-                move_along(layer, passed, (side, margin), *line);
+            if moved > 0 {
+                move_along(layer, passed, (side, moved), line);
             }
         }
     }
+}
+
+/// By how many samples a motion to both ends of `line` reaches to each side.
+fn line_reach(line: [f64; 2]) -> i64 {
+    line[0].abs().max(line[1].abs()).ceil() as i64
+}
+
+/// Half the width of a Gaussian's kernel.
+fn kernel_radius(sigma: f64) -> i64 {
+    (KERNEL_REACH * sigma).ceil().max(1.0) as i64
 }
 
 /// Averages `layer`, `side` samples and a margin wide, along `line` to both sides; what lies within

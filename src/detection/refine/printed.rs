@@ -15,12 +15,12 @@ impl Refiner {
     /// Where blur brings other edges of the print into the corners' windows: fits that take them
     /// off, each with what the one before it says of blur, black and white. `None` where it does
     /// not.
-    pub(super) fn fit_printed<'a>(
+    pub(super) fn fit_printed(
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
-        print: &'a mut dyn BoardPrint,
-    ) -> Option<Nearby<'a>> {
+        print: &mut dyn BoardPrint,
+    ) -> Option<(PrintBlur, f64)> {
         let blur_px = self.median_blur_px()?;
         let disturbed = corners
             .iter()
@@ -53,14 +53,14 @@ impl Refiner {
             power = self.median_power()?;
             blur = self.blur_as_seen(image, &*print, power)?;
         }
-        Some(Nearby { print: &*print, blur, power })
+        Some((blur, power))
     }
 
-    fn place(&mut self, print: &mut dyn BoardPrint) {
+    pub(super) fn place(&mut self, print: &mut dyn BoardPrint) {
         self.placed.clear();
         let center = |known: &Option<Known>| known.map(|it| Pixel::new(it.at[0], it.at[1]));
         self.placed.extend(self.known.iter().map(center));
-        print.place(&self.placed);
+        print.put(&self.placed);
     }
 
     /// Median width of the blur at the corners.

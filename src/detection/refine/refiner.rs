@@ -1,6 +1,7 @@
 //! The refinement of a board's corners: two fits of each, compared and combined over the board.
 
-use crate::detection::refine::beside::Beside;
+use crate::detection::refine::alignment::AlignedSamples;
+use crate::detection::refine::beside::{Beside, Nearby};
 use crate::detection::refine::corner_model::{CornerModel, length};
 use crate::detection::refine::corner_std::CornerStd;
 use crate::detection::refine::fit::{FitOptions, fit};
@@ -49,6 +50,7 @@ pub struct Refiner {
     /// Variances of the first fits' positions.
     variances_px2: Vec<f64>,
     pub(super) patch: PrintPatch,
+    pub(super) aligned: AlignedSamples,
     /// Where the corners are by now.
     pub(super) placed: Vec<Option<Pixel>>,
     /// Widths of the blur at the corners.
@@ -83,21 +85,39 @@ impl Refiner {
         self.refine_printed(image, corners, None, refined);
     }
 
-    /// The same of a board on which more is printed than its corners' edges.
+    /// The same of a board on which more is printed than its corners' edges. True where blur runs
+    /// those into each other so much that corners are where the whole print is most like the image:
+    /// where it is not, there is no corner to be seen.
     pub fn refine_printed(
         &mut self,
         image: GrayView<'_>,
         corners: &[GridCorner],
         print: Option<&mut dyn BoardPrint>,
         refined: &mut Vec<Option<RefinedCorner>>,
-    ) {
+    ) -> bool {
         self.fit_each(image, corners);
         self.compare_fits();
         self.lattice.fill(corners, &self.known);
         if print.is_none() {
             self.shaded.fill(false);
         }
-        let nearby = print.and_then(|print| self.fit_printed(image, corners, print));
+        let mut print = print;
+        let blur = print.as_deref_mut().and_then(|it| self.fit_printed(image, corners, it));
+        let nearby =
+            print.as_deref().zip(blur).map(|(print, (blur, power))| Nearby { print, blur, power });
+        self.fit_edges(image, corners, nearby, refined);
+        let (Some(print), Some(blur)) = (print, blur) else { return false };
+        self.align_print(image, corners, (print, blur), refined)
+    }
+
+    /// The second fits of all corners, and what the board says of them.
+    fn fit_edges(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        nearby: Option<Nearby<'_>>,
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) {
         let noise = self.noise.of_pixels();
         let fitted = std::mem::take(&mut self.fitted);
         refined.clear();
@@ -171,7 +191,7 @@ impl Refiner {
 
     /// Sets each corner's standard deviation to the product of its factors; a corner that fits far
     /// worse than the others becomes `None`.
-    fn set_stds(&mut self, refined: &mut [Option<RefinedCorner>]) {
+    pub(super) fn set_stds(&mut self, refined: &mut [Option<RefinedCorner>]) {
         self.misfit_factors.clear();
         self.misfit_factors.extend(self.misfit.std_factors());
         let scatter = self.scatter.std_factor(&self.misfit_factors);

@@ -85,5 +85,14 @@ thresholds! {
         compared_corners: usize = 6, "corners", ThresholdOrigin::Swept;
         /// Fits with other print removed before the last one: each improves black, white and blur.
         print_rounds: usize = 2, "fits", ThresholdOrigin::Swept;
+        /// Most alignments of all corners with the print: in each it is where the one before put
+        /// them. They end where corners rest.
+        aligned_rounds: usize = 8, "alignments", ThresholdOrigin::Derived("corners rest after three or four: it bounds the time");
+        /// Where the weight of an alignment's window has fallen to exp(−2).
+        aligned_reach: f64 = 3.5, "blur widths", ThresholdOrigin::Swept;
+        /// Least blur that an alignment's window is made for.
+        least_aligned_blur_px: f64 = 2.0, "px", ThresholdOrigin::Derived("a window of 15 pixels: ten for each unknown");
+        /// Blur above which samples of an alignment are sums of 2×2 pixels.
+        coarse_blur_px: f64 = 3.0, "px", ThresholdOrigin::Derived("a sample is then narrower than the blur");
     }
 }

@@ -1,0 +1,235 @@
+//! The corners of a board whose edges blur runs into each other: each is where the print around it
+//! is most like the image (`alignment`), and the print is where all of them put it.
+
+use crate::detection::refine::alignment::{Alignment, PrintLight};
+use crate::detection::refine::beside::Nearby;
+use crate::detection::refine::corner_model::length;
+use crate::detection::refine::grid_corner::GridCorner;
+use crate::detection::refine::lattice::{Known, axes_of};
+use crate::detection::refine::misfit::Quality;
+use crate::detection::refine::print::{BoardPrint, PrintBlur, PrintPatch};
+use crate::detection::refine::refined_corner::RefinedCorner;
+use crate::detection::refine::refiner::Refiner;
+use crate::detection::refine::window::Window;
+use crate::detection::thresholds::refinement::RefinementThresholds;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// Alignments after which the blur is estimated again: the first one starts from fits of edges.
+const BLUR_ROUNDS: usize = 2;
+/// See [`Refiner::rests`].
+const RESTS: f64 = 0.01;
+/// Mean square of what cannot be aligned: it is not like the print.
+const NO_PRINT: f64 = 1e6;
+
+/// An alignment in its window.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Aligned {
+    window: Window,
+    fit: Alignment,
+    blur_px: f64,
+}
+
+impl Refiner {
+    /// Replaces `refined` by where the print is most like the image, from where corners are known by
+    /// now, if that is more certain for more than half of `corners`. Whether it is.
+    pub(super) fn align_print(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        (print, (mut blur, power)): (&mut dyn BoardPrint, (PrintBlur, f64)),
+        refined: &mut Vec<Option<RefinedCorner>>,
+    ) -> bool {
+        let mut aligned: Vec<Option<Aligned>> = Vec::with_capacity(corners.len());
+        for round in 0..self.thresholds.aligned_rounds {
+            self.place(print);
+            aligned.clear();
+            for (slot, corner) in corners.iter().enumerate() {
+                let nearby = Nearby { print: &*print, blur, power };
+                let found = self.align_corner(image, (slot, corner), nearby);
+                aligned.push(found.filter(|it| it.is_corner(corner, &self.thresholds)));
+            }
+            self.know_aligned(&aligned);
+            self.lattice.fill(corners, &self.known);
+            if round < BLUR_ROUNDS {
+                blur = self.aligned_blur(image, corners, Nearby { print: &*print, blur, power });
+            } else if self.rests(&aligned) {
+                break;
+            }
+        }
+        let by_edges = std::mem::take(refined);
+        self.scatter.clear();
+        self.straightness.clear();
+        self.shapes.clear();
+        for (aligned, corner) in aligned.iter().zip(corners) {
+            self.shapes.push(aligned.as_ref().map_or([1.0, 0.0, 1.0], Aligned::shape));
+            if let (Some(aligned), Some(axes)) = (aligned, axes_of(corner)) {
+                let reach_px = aligned.window.extent[0];
+                self.straightness.note_window(axes.map(|axis| reach_px / length(axis)));
+            }
+            refined.push(aligned.as_ref().map(Aligned::refined));
+        }
+        self.set_stds(refined);
+        let std_px = |it: &Option<RefinedCorner>| it.map_or(f64::INFINITY, |it| it.std_px);
+        let better =
+            by_edges.iter().zip(&*refined).filter(|(edges, it)| std_px(it) < std_px(edges));
+        let is_better = 2 * better.count() > corners.len();
+        if !is_better {
+            *refined = by_edges;
+        }
+        is_better
+    }
+
+    /// Whether `aligned` moved no corner from where it was put before by more than chance does:
+    /// whether the mean square of their moves is a hundredth of that of their deviations.
+    fn rests(&self, aligned: &[Option<Aligned>]) -> bool {
+        let (mut moves, mut variances) = (0.0, 0.0);
+        for (aligned, placed) in aligned.iter().zip(&self.placed) {
+            let (Some(aligned), Some(placed)) = (aligned, placed) else { continue };
+            let refined = aligned.refined();
+            moves += refined.pixel.distance_px(*placed).powi(2);
+            variances += 2.0 * refined.std_px.powi(2);
+        }
+        moves < RESTS * variances
+    }
+
+    /// Takes what alignments say of the corners: those that fit as well as the others.
+    fn know_aligned(&mut self, aligned: &[Option<Aligned>]) {
+        self.misfit.clear();
+        aligned.iter().for_each(|it| self.misfit.take(it.as_ref().map(Aligned::quality)));
+        for ((known, aligned), fits) in self.known.iter_mut().zip(aligned).zip(self.misfit.fits()) {
+            let along = known.map_or([[1.0, 0.0], [0.0, 1.0]], |known| known.along);
+            *known = aligned.filter(|_| fits).map(|aligned| Known {
+                at: aligned.center(),
+                along,
+                white: aligned.fit.grays[1].max(1.0).ln(),
+            });
+        }
+    }
+
+    /// The blur with which the print is most like the image at some of the known corners.
+    fn aligned_blur(
+        &mut self,
+        image: GrayView<'_>,
+        corners: &[GridCorner],
+        Nearby { print, blur, power }: Nearby<'_>,
+    ) -> PrintBlur {
+        let known = corners.iter().enumerate().filter(|(slot, _)| self.known[*slot].is_some());
+        let known: Vec<(usize, &GridCorner)> = known.collect();
+        let every = (known.len() / self.thresholds.compared_corners).max(1);
+        let compared = known.iter().step_by(every).filter_map(|&(slot, corner)| {
+            let (window, light) =
+                self.surroundings(corner, print.expected(slot)?, (blur, power))?;
+            let mut patch = PrintPatch::default();
+            patch.read_for_any(print, slot, &window, blur);
+            Some((patch, window, light))
+        });
+        let mut compared: Vec<(PrintPatch, Window, PrintLight)> = compared.collect();
+        let samples = &mut self.aligned;
+        let mut misfit = |blur: PrintBlur| -> f64 {
+            let each = compared.iter_mut().map(|(patch, window, light)| {
+                let fit = patch.blurred(blur, window).then(|| {
+                    samples.gather(image, (patch, window), light);
+                    samples.align(light)
+                });
+                fit.flatten().map_or(NO_PRINT, |fit| fit.mean_square)
+            });
+            each.sum()
+        };
+        let best = blur.best_width(&mut misfit);
+        if best.width_px() < self.thresholds.least_motion_px {
+            return best;
+        }
+        PrintBlur::best(best.width_px(), &mut misfit).best_width(&mut misfit)
+    }
+
+    fn align_corner(
+        &mut self,
+        image: GrayView<'_>,
+        (slot, corner): (usize, &GridCorner),
+        Nearby { print, blur, power }: Nearby<'_>,
+    ) -> Option<Aligned> {
+        let (window, light) = self.surroundings(corner, print.expected(slot)?, (blur, power))?;
+        self.patch.draw(print, slot, &window, blur);
+        let inside = self.aligned.gather(image, (&self.patch, &window), &light);
+        let fit = self.aligned.align(&light).filter(|_| inside > self.thresholds.least_inside)?;
+        Some(Aligned { window, fit, blur_px: blur.width_px() })
+    }
+
+    /// The window of `corner` about `origin`, and what is known of the light there.
+    fn surroundings(
+        &mut self,
+        corner: &GridCorner,
+        origin: [f64; 2],
+        (blur, power): (PrintBlur, f64),
+    ) -> Option<(Window, PrintLight)> {
+        let limits = &self.thresholds;
+        let blur_px = blur.width_px();
+        let reach_px = limits.aligned_reach * blur_px.max(limits.least_aligned_blur_px);
+        let window = Window {
+            origin,
+            axes: [[1.0, 0.0], [0.0, 1.0]],
+            extent: [reach_px; 2],
+            strip_px: f64::INFINITY,
+            bin: if blur_px > limits.coarse_blur_px { 2 } else { 1 },
+        };
+        let bin = window.bin as f64;
+        let known = self.lattice.surroundings(corner.index, axes_of(corner)?);
+        let light = PrintLight {
+            power,
+            noise: self.noise.of_pixels().map(|std| std / bin),
+            gradient: known.light_gradient.map(|g| g * bin),
+            tolerance: (
+                limits.second_tolerance_stds,
+                [limits.second_tolerance + limits.patient_tolerance, limits.second_tolerance],
+            ),
+        };
+        Some((window, light))
+    }
+}
+
+impl Aligned {
+    fn center(&self) -> [f64; 2] {
+        [0, 1].map(|k| self.window.origin[k] + self.window.bin as f64 * self.fit.shift[k])
+    }
+
+    /// Whether it is accepted, as a fit of two edges would be.
+    fn is_corner(&self, corner: &GridCorner, limits: &RefinementThresholds) -> bool {
+        let Some(axes) = axes_of(corner) else { return false };
+        let cell = axes.map(length).into_iter().fold(f64::INFINITY, f64::min);
+        let [x, y] = self.center();
+        let moved = length([x - corner.pixel.x, y - corner.pixel.y]);
+        let amplitude = (self.fit.grays[1] - self.fit.grays[0]) / 2.0;
+        moved
+            < (limits.most_moved * cell)
+                .min(f64::max(limits.always_moved_px, limits.always_moved * cell))
+            && amplitude > limits.least_amplitude
+            && self.fit.inlier_ratio > limits.least_inliers
+            && self.fit.last_step < limits.most_step
+    }
+
+    fn quality(&self) -> Quality {
+        Quality {
+            mean_square: self.fit.mean_square,
+            inlier_ratio: self.fit.inlier_ratio,
+            samples: self.fit.samples,
+        }
+    }
+
+    fn shape(&self) -> [f64; 3] {
+        let [xx, xy, yy] = self.fit.covariance;
+        [xx, xy, yy].map(|v| v / ((xx + yy) / 2.0))
+    }
+
+    fn refined(&self) -> RefinedCorner {
+        let [x, y] = self.center();
+        let [xx, _, yy] = self.fit.covariance;
+        let std = ((xx + yy) / 2.0 * self.fit.mean_square).sqrt();
+        RefinedCorner {
+            pixel: Pixel::new(x, y),
+            std_px: std * self.window.bin as f64,
+            blur_px: self.blur_px,
+            contrast: self.fit.grays[1] - self.fit.grays[0],
+        }
+    }
+}

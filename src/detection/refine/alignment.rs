@@ -1,0 +1,264 @@
+//! A corner's position by everything that is printed around it: the print is rendered where the
+//! board's other corners put it, and moved until it is most like the image.
+//!
+//! Where blur runs a corner's edges into the next ones, little is left to say how wide the blur is,
+//! how bright black and white are and how each edge runs, beside where the corner is. But blur and
+//! gamma are the board's, and how the print lies around a corner is known from its neighbors: a
+//! corner's own are its position, its black and its white. Those four are fitted by weighted linear
+//! least squares, in light (gray values to a power), where blur is linear (B. D. Lucas and T.
+//! Kanade: An iterative image registration technique, 1981).
+
+use nalgebra::{Matrix4, Vector4};
+
+use crate::detection::refine::print::PrintPatch;
+use crate::detection::refine::window::Window;
+use crate::imaging::gray::GrayView;
+
+/// Linearizations: the first ones with more tolerance. They end where a step is below this, in
+/// samples: the next one would be as far below it.
+const ITERATIONS: usize = 5;
+const PATIENT: usize = 2;
+const ENOUGH: f64 = 0.01;
+/// The darkest gray level, and half the lightest difference between two.
+const DARKEST: f64 = 1.0;
+/// Least sum of weights, in samples, that determines the four unknowns.
+const LEAST_SAMPLES: f64 = 12.0;
+
+/// What is known beforehand of how an image shows the print around a corner.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct PrintLight {
+    /// Gray values to this power are in proportion to light.
+    pub power: f64,
+    /// Standard deviation of a sample in gray levels, where the print is black and where it is
+    /// white.
+    pub noise: [f64; 2],
+    /// Relative change of gray values per sample.
+    pub gradient: [f64; 2],
+    /// Residuals of this many standard deviations of the noise, and this part of the contrast, are
+    /// as likely outliers; the part is the first of two at first.
+    pub tolerance: (f64, [f64; 2]),
+}
+
+/// A corner as the print around it shows it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Alignment {
+    /// By how much the print is to be moved, in samples.
+    pub shift: [f64; 2],
+    /// Covariance of `shift` per unit of noise: xx, xy, yy, in squared samples.
+    pub covariance: [f64; 3],
+    /// Mean square of the residuals in units of the noise, corrected for the unknowns.
+    pub mean_square: f64,
+    /// Sum of the samples' weights.
+    pub samples: f64,
+    /// The share of it that agrees with the print.
+    pub inlier_ratio: f64,
+    /// Black and white, in gray levels.
+    pub grays: [f64; 2],
+    /// By how much the last step changed `shift`, in samples.
+    pub last_step: f64,
+}
+
+/// The samples that are compared with a rendered print.
+#[derive(Debug, Default)]
+pub(super) struct AlignedSamples {
+    samples: Vec<AlignedSample>,
+}
+
+/// One sample of the image, and the print there.
+#[derive(Debug, Clone, Copy)]
+struct AlignedSample {
+    gray: f64,
+    light: f64,
+    /// The print, −1 … 1, and its change per sample.
+    print: f64,
+    slope: [f64; 2],
+    /// How much more light there is than at the window's origin.
+    lit: f64,
+    /// The window's weight.
+    weight: f64,
+}
+
+impl AlignedSamples {
+    /// Gathers what `image` shows where `patch` is rendered in `window`, weighted by a Gaussian
+    /// whose standard deviation is half of the window's extent. The part of its weight inside the
+    /// image.
+    pub fn gather(
+        &mut self,
+        image: GrayView<'_>,
+        (patch, window): (&PrintPatch, &Window),
+        light: &PrintLight,
+    ) -> f64 {
+        let bin = window.bin;
+        let spread = window.extent[0] / bin as f64 / 2.0;
+        let half = (bin as f64 - 1.0) / 2.0;
+        let offset = patch.offset();
+        let reach = patch.reach() - 1;
+        let (mut all, mut inside) = (0.0, 0.0);
+        self.samples.clear();
+        for j in -reach..=reach {
+            for i in -reach..=reach {
+                let at = [i as f64 + offset[0], j as f64 + offset[1]];
+                let weight = (-0.5 * (at[0] * at[0] + at[1] * at[1]) / (spread * spread)).exp();
+                all += weight;
+                let first = [0, 1].map(|k| window.origin[k] + bin as f64 * at[k] - half);
+                let Some(gray) = mean_of(image, first, bin) else { continue };
+                inside += weight;
+                let lit =
+                    1.0 + light.power * (light.gradient[0] * at[0] + light.gradient[1] * at[1]);
+                self.samples.push(AlignedSample {
+                    gray,
+                    light: gray.max(DARKEST).powf(light.power),
+                    print: patch.full(i, j),
+                    slope: [
+                        (patch.full(i + 1, j) - patch.full(i - 1, j)) / 2.0,
+                        (patch.full(i, j + 1) - patch.full(i, j - 1)) / 2.0,
+                    ],
+                    lit: lit.clamp(0.1, 10.0),
+                    weight,
+                });
+            }
+        }
+        inside / all
+    }
+
+    /// The shift of the print, black and white that are most like the gathered samples. `None`
+    /// where they do not determine them, or white is not brighter than black.
+    pub fn align(&self, light: &PrintLight) -> Option<Alignment> {
+        let mut found: Option<(Vector4<f64>, Alignment)> = None;
+        for iteration in 0..ITERATIONS {
+            let part = light.tolerance.1[usize::from(iteration >= PATIENT)];
+            let before = found.as_ref().map(|(unknowns, it)| (unknowns, it.grays));
+            let (unknowns, aligned) = self.step(light, part, before)?;
+            let last = found.map_or([0.0; 2], |(_, it)| it.shift);
+            let moved = [aligned.shift[0] - last[0], aligned.shift[1] - last[1]];
+            let last_step = (moved[0] * moved[0] + moved[1] * moved[1]).sqrt();
+            found = Some((unknowns, Alignment { last_step, ..aligned }));
+            if iteration >= PATIENT && last_step < ENOUGH {
+                break;
+            }
+        }
+        found.map(|(_, aligned)| aligned)
+    }
+
+    /// Weighted least squares with the weights that the unknowns `before` give.
+    fn step(
+        &self,
+        light: &PrintLight,
+        part: f64,
+        before: Option<(&Vector4<f64>, [f64; 2])>,
+    ) -> Option<(Vector4<f64>, Alignment)> {
+        let mut sums = AlignmentSums::default();
+        for sample in &self.samples {
+            let row = sample.row();
+            let (noise, trust) = match before {
+                None => (light.noise_of_light(sample.gray, 0.0), 1.0),
+                Some((unknowns, [black, white])) => {
+                    let predicted = row.dot(unknowns).max(0.0).powf(1.0 / light.power);
+                    let (most, noise) = (light.tolerance.0, light.noise_of_gray(sample.print));
+                    let tolerance = most * noise + part * (white - black) / 2.0;
+                    let off = (sample.gray - predicted) / tolerance;
+                    let trust = 1.0 / (1.0 + off * off);
+                    (light.noise_of_light(predicted, sample.print), trust * trust)
+                }
+            };
+            sums.add(&row, sample.light, (sample.weight, trust), noise);
+        }
+        if sums.trusted < LEAST_SAMPLES {
+            return None;
+        }
+        let inverse = sums.normal.try_inverse()?;
+        let unknowns = inverse * sums.right;
+        let contrast = unknowns[1];
+        let grays = [unknowns[0] - contrast, unknowns[0] + contrast]
+            .map(|light_there| light_there.max(0.0).powf(1.0 / light.power));
+        if !(contrast > 0.0 && grays[1].is_finite()) {
+            return None;
+        }
+        let spread = inverse * sums.squared * inverse / (contrast * contrast);
+        let squares = sums.squares - unknowns.dot(&sums.right);
+        let free = sums.trusted - (inverse * sums.squared).trace();
+        let noise = light.noise[0].max(light.noise[1]);
+        let tolerance = light.tolerance.0 * noise + part * (grays[1] - grays[0]) / 2.0;
+        let loss = 4.0 * noise * noise / (tolerance * tolerance);
+        let aligned = Alignment {
+            shift: [unknowns[2] / contrast, unknowns[3] / contrast],
+            covariance: [spread[(2, 2)], spread[(2, 3)], spread[(3, 3)]],
+            mean_square: squares.max(0.0) / free.max(1.0) * (1.0 + loss),
+            samples: sums.trusted,
+            inlier_ratio: sums.trusted / sums.weights,
+            grays,
+            last_step: 0.0,
+        };
+        Some((unknowns, aligned))
+    }
+}
+
+impl AlignedSample {
+    /// The derivatives of its light by the mean of black and white, half their difference, and that
+    /// times the two shifts.
+    fn row(&self) -> Vector4<f64> {
+        let [x, y] = self.slope;
+        Vector4::new(1.0, self.print, -x, -y) * self.lit
+    }
+}
+
+impl PrintLight {
+    /// Standard deviation of a sample in gray levels where the print is so bright.
+    fn noise_of_gray(&self, print: f64) -> f64 {
+        let [black, white] = self.noise;
+        (black + white) / 2.0 + (white - black) / 2.0 * print.clamp(-1.0, 1.0)
+    }
+
+    /// The same in units of light, at this gray value.
+    fn noise_of_light(&self, gray: f64, print: f64) -> f64 {
+        let slope = self.power * gray.max(DARKEST).powf(self.power - 1.0);
+        self.noise_of_gray(print) * slope
+    }
+}
+
+/// The sums of a linearization.
+#[derive(Default)]
+struct AlignmentSums {
+    normal: Matrix4<f64>,
+    right: Vector4<f64>,
+    /// As `normal`, with the squares of the weights.
+    squared: Matrix4<f64>,
+    /// Of the samples' squares.
+    squares: f64,
+    /// Of the weights, and of those of what is trusted.
+    weights: f64,
+    trusted: f64,
+}
+
+impl AlignmentSums {
+    fn add(&mut self, row: &Vector4<f64>, light: f64, (weight, trust): (f64, f64), noise: f64) {
+        let trusted = weight * trust;
+        let certainty = trusted / (noise * noise);
+        let outer = row * row.transpose();
+        self.normal += outer * certainty;
+        self.squared += outer * (certainty * trusted);
+        self.right += row * (light * certainty);
+        self.squares += light * light * certainty;
+        self.weights += weight;
+        self.trusted += trusted;
+    }
+}
+
+/// The mean of `bin` × `bin` pixels from `first` on; `None` where they are not in the image.
+fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize) -> Option<f64> {
+    let [x, y] = first.map(|v| v.round());
+    if x < 0.0 || y < 0.0 {
+        return None;
+    }
+    let (x, y) = (x as usize, y as usize);
+    if x + bin > image.width() || y + bin > image.height() {
+        return None;
+    }
+    let rows = (y..y + bin).map(|row| &image.row(row)[x..x + bin]);
+    let sum: u32 = rows.flatten().map(|&pixel| u32::from(pixel)).sum();
+    Some(f64::from(sum) / (bin * bin) as f64)
+}
+
+#[cfg(test)]
+#[path = "alignment_tests.rs"]
+mod tests;
