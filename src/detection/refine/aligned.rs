@@ -190,7 +190,7 @@ impl Refiner {
 
 impl Aligned {
     fn center(&self) -> [f64; 2] {
-        [0, 1].map(|k| self.window.origin[k] + self.window.bin as f64 * self.fit.shift[k])
+        [0, 1].map(|k| self.window.origin[k] + self.window.bin as f64 * self.fit.offset[k])
     }
 
     /// Whether it is accepted, as a fit of two edges would be.

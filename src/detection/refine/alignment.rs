@@ -43,8 +43,8 @@ pub(super) struct PrintLight {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Alignment {
     /// By how much the print is to be moved, in samples.
-    pub shift: [f64; 2],
-    /// Covariance of `shift` per unit of noise: xx, xy, yy, in squared samples.
+    pub offset: [f64; 2],
+    /// Covariance of `offset` per unit of noise: xx, xy, yy, in squared samples.
     pub covariance: [f64; 3],
     /// Mean square of the residuals in units of the noise, corrected for the unknowns.
     pub mean_square: f64,
@@ -54,7 +54,7 @@ pub(super) struct Alignment {
     pub inlier_ratio: f64,
     /// Black and white, in gray levels.
     pub grays: [f64; 2],
-    /// By how much the last step changed `shift`, in samples.
+    /// By how much the last step changed `offset`, in samples.
     pub last_step: f64,
 }
 
@@ -121,7 +121,7 @@ impl AlignedSamples {
         inside / all
     }
 
-    /// The shift of the print, black and white that are most like the gathered samples. `None`
+    /// The offset of the print, black and white that are most like the gathered samples. `None`
     /// where they do not determine them, or white is not brighter than black.
     pub fn align(&self, light: &PrintLight) -> Option<Alignment> {
         let mut found: Option<(Vector4<f64>, Alignment)> = None;
@@ -129,8 +129,8 @@ impl AlignedSamples {
             let part = light.tolerance.1[usize::from(iteration >= PATIENT)];
             let before = found.as_ref().map(|(unknowns, it)| (unknowns, it.grays));
             let (unknowns, aligned) = self.step(light, part, before)?;
-            let last = found.map_or([0.0; 2], |(_, it)| it.shift);
-            let moved = [aligned.shift[0] - last[0], aligned.shift[1] - last[1]];
+            let last = found.map_or([0.0; 2], |(_, it)| it.offset);
+            let moved = [aligned.offset[0] - last[0], aligned.offset[1] - last[1]];
             let last_step = (moved[0] * moved[0] + moved[1] * moved[1]).sqrt();
             found = Some((unknowns, Alignment { last_step, ..aligned }));
             if iteration >= PATIENT && last_step < ENOUGH {
@@ -181,7 +181,7 @@ impl AlignedSamples {
         let tolerance = light.tolerance.0 * noise + part * (grays[1] - grays[0]) / 2.0;
         let loss = 4.0 * noise * noise / (tolerance * tolerance);
         let aligned = Alignment {
-            shift: [unknowns[2] / contrast, unknowns[3] / contrast],
+            offset: [unknowns[2] / contrast, unknowns[3] / contrast],
             covariance: [spread[(2, 2)], spread[(2, 3)], spread[(3, 3)]],
             mean_square: squares.max(0.0) / free.max(1.0) * (1.0 + loss),
             samples: sums.trusted,
@@ -195,7 +195,7 @@ impl AlignedSamples {
 
 impl AlignedSample {
     /// The derivatives of its light by the mean of black and white, half their difference, and that
-    /// times the two shifts.
+    /// times the two offsets.
     fn row(&self) -> Vector4<f64> {
         let [x, y] = self.slope;
         Vector4::new(1.0, self.print, -x, -y) * self.lit

@@ -106,7 +106,7 @@ fn a_corner_among_others_is_found_as_exactly_as_it_says() {
         // Where it lies is known to two tenths of a pixel.
         let placed = [0, 1].map(|k| truth[k] + 0.1 * normal(&mut rng));
         let found = aligned(&image, placed);
-        let off = [0, 1].map(|k| placed[k] + found.shift[k] - truth[k]);
+        let off = [0, 1].map(|k| placed[k] + found.offset[k] - truth[k]);
         sum = [sum[0] + off[0], sum[1] + off[1]];
         squares += off[0] * off[0] + off[1] * off[1];
         predicted += (found.covariance[0] + found.covariance[2]) * found.mean_square;
@@ -131,7 +131,7 @@ fn an_occluder_is_seen_in_the_residuals() {
         }
     }
     let found = aligned(&image, truth);
-    let off = found.shift[0].hypot(found.shift[1]);
+    let off = found.offset[0].hypot(found.offset[1]);
     assert!(found.inlier_ratio < 0.9 || found.mean_square > 2.0, "{found:?}");
     assert!(off < 1.0, "{found:?}");
 }
