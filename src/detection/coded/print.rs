@@ -12,6 +12,11 @@ use crate::geometry::pixel::Pixel;
 /// Parts of an interval that are none.
 const NO_WIDTH: f64 = 1e-6;
 
+/// Intervals between lines beyond which no print is rendered, and half the widest sample, in
+/// intervals: near the horizon of a chart both are without bounds.
+const FAR: f64 = 1000.0;
+const WIDE: f64 = 2.0;
+
 /// A board whose label is known.
 pub(super) struct LabeledPrint<'a> {
     sheets: &'a Sheets,
@@ -118,6 +123,10 @@ impl BoardPrint for LabeledPrint<'_> {
     }
 
     fn mean(&self, corner: usize, [x, y]: [f64; 2], [half_x, half_y]: [f64; 2]) -> [f32; 2] {
+        let is_far = |at: f64, half: f64| !(at.abs() < FAR && half < WIDE);
+        if is_far(x, half_x) || is_far(y, half_y) {
+            return [0.0; 2];
+        }
         let sign = |bright: bool| if bright { 1.0 } else { -1.0 };
         let mut sum = 0.0;
         let mut top = y - half_y;

@@ -246,7 +246,7 @@ impl AlignmentSums {
 
 /// The mean of `bin` × `bin` pixels from `first` on; `None` where they are not in the image.
 fn mean_of(image: GrayView<'_>, first: [f64; 2], bin: usize) -> Option<f64> {
-    let [x, y] = first.map(|v| v.round());
+    let [x, y] = first.map(f64::round);
     if x < 0.0 || y < 0.0 {
         return None;
     }
