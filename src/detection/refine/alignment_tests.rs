@@ -110,7 +110,7 @@ fn a_corner_among_others_is_found_as_exactly_as_it_says() {
         sum = [sum[0] + off[0], sum[1] + off[1]];
         squares += off[0] * off[0] + off[1] * off[1];
         predicted += (found.covariance[0] + found.covariance[2]) * found.mean_square;
-        assert!(found.inlier_ratio > 0.95, "{found:?}");
+        assert!(found.inlier_ratio > 0.9, "{found:?}");
     }
     let rms = (squares / IMAGES as f64).sqrt();
     let ratio = (squares / predicted).sqrt();
