@@ -19,7 +19,8 @@ const TERMS: usize = 6;
 /// Crossings from which on a quadratic form is fitted: twice its terms.
 const ENOUGH_PAIRS: usize = 2 * TERMS;
 
-/// Newton's steps, and the distance over which the chart's slope is taken.
+/// Newton's steps: each leaves the square of what was left. And the pixels over which the chart's
+/// slope is taken: over half of one it is straight.
 const STEPS: usize = 3;
 const HALF_PX: f64 = 0.5;
 

@@ -17,9 +17,10 @@ use crate::imaging::gray::GrayView;
 
 /// Alignments after which the blur is estimated again: the first one starts from fits of edges.
 const BLUR_ROUNDS: usize = 2;
-/// See [`Refiner::rests`].
+/// Corners rest where the mean square of their moves is below this part of their variance: a tenth
+/// of a standard deviation adds half a percent to it.
 const RESTS: f64 = 0.01;
-/// Mean square of what cannot be aligned: it is not like the print.
+/// Mean square, in units of the noise, of what cannot be aligned: above that of any print that can.
 const NO_PRINT: f64 = 1e6;
 
 /// An alignment in its window.
@@ -173,6 +174,9 @@ impl Refiner {
             strip_px: f64::INFINITY,
             bin: if blur_px > limits.coarse_blur_px { 2 } else { 1 },
         };
+        if !blur.can_be_rendered(window.bin) {
+            return None;
+        }
         let bin = window.bin as f64;
         let known = self.lattice.surroundings(corner.index, axes_of(corner)?);
         let light = PrintLight {

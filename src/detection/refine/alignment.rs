@@ -14,14 +14,15 @@ use crate::detection::refine::print::PrintPatch;
 use crate::detection::refine::window::Window;
 use crate::imaging::gray::GrayView;
 
-/// Linearizations: the first ones with more tolerance. They end where a step is below this, in
-/// samples: the next one would be as far below it.
+/// Most linearizations, and how many of them have more tolerance. They end where a step is below a
+/// hundredth of a sample: convergence is quadratic, so the next one would be its square.
 const ITERATIONS: usize = 5;
 const PATIENT: usize = 2;
 const ENOUGH: f64 = 0.01;
-/// The darkest gray level, and half the lightest difference between two.
+/// The darkest gray level of which a power is taken: one step of eight bits. At 0 a power's slope
+/// is 0, and the noise of light with it.
 const DARKEST: f64 = 1.0;
-/// Least sum of weights, in samples, that determines the four unknowns.
+/// Least sum of weights, in samples: three for each of the four unknowns.
 const LEAST_SAMPLES: f64 = 12.0;
 
 /// What is known beforehand of how an image shows the print around a corner.
