@@ -1,7 +1,7 @@
 //! The depth sensor's part of a calibration: lens, correction, and how much is left of error and
 //! noise, by distance.
 
-use crate::calibration::result::{Grade, Verdict};
+use crate::calibration::result::verdict::{Grade, Verdict};
 use crate::estimation::depth_error::{JudgedTile, held_out_residuals};
 use crate::estimation::rgbd::RgbdEstimate;
 use crate::geometry::depth_camera::DepthCamera;

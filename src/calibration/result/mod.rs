@@ -1,7 +1,7 @@
 //! The result: an immutable calibration with its uncertainty, checks and verdict. It holds a list
 //! of sensors, whatever the instrument: one camera, a depth camera, a rig.
 
-mod verdict;
+pub mod verdict;
 
 use nalgebra::{Matrix6, Vector3};
 
