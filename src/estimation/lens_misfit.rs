@@ -3,15 +3,11 @@
 //! along.
 
 use crate::estimation::camera_estimate::CameraEstimate;
-use crate::estimation::camera_fit::{CameraFit, fit_camera_until};
+use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::{
-    COLUMNS, COMPARED, Trial, compared_views, has_pole, may_be_worth_more,
-};
+use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, has_pole, may_be_worth_more};
 use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
-use crate::estimation::robust::Loss;
-use crate::estimation::robust_fit::{RobustFit, SETTLED};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{
     Distance, PixelGrid, projection_difference, projection_uncertainty,
@@ -48,7 +44,9 @@ impl LensMisfit {
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }
-        let mut fitted = |model| fit_camera_until(COMPARED, &mut prepared, model, options).ok();
+        // At their minima: fits that end before keep an ill-determined lens near where it began, and
+        // a larger model then predicts no better.
+        let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
         let own = fitted(stated)?;
         let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);
         let mut larger: Vec<CameraFit> =
@@ -72,7 +70,7 @@ impl LensMisfit {
             trials.filter(|larger| of_own.as_ref().is_none_or(|own| larger.is_worth_more(own)));
         let best = better.min_by(|a, b| held_out_px(a).total_cmp(&held_out_px(b)))?;
         let plain_px = [of_own.as_ref().map(held_out_px), Some(held_out_px(&best))];
-        let full = with_effects(settled(best.fit), problem.image_size, options);
+        let full = with_effects(best.fit.clone(), problem.image_size, options);
         let held_out_rms_px = if fit.effects.is_some() || full.effects.is_some() {
             beyond_effects((fit, &full), views, grid)?
         } else {
@@ -82,13 +80,6 @@ impl LensMisfit {
         let widening = widening(estimate, full.lens(), grid)?;
         Some(Self { model, held_out_rms_px, fx, widening })
     }
-}
-
-/// A fit at its minimum.
-fn settled(fit: &CameraFit) -> CameraFit {
-    let CameraFit { layout, observations, robust, .. } = fit;
-    let minimum = robust.minimum.clone().descend(layout, observations, Loss::Squares, SETTLED);
-    CameraFit { robust: RobustFit { minimum, ..*robust }, ..fit.clone() }
 }
 
 /// The held-out errors of a lens and of a larger one, in pixels, each with the board's shape and

@@ -13,6 +13,7 @@ mod estimation;
 mod fisheye_boards;
 mod lens_choice;
 mod misfit;
+mod nearly_equal_views;
 mod occluders;
 mod photographs;
 mod predicted_scatter;
