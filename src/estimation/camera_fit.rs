@@ -8,7 +8,7 @@ use crate::estimation::joint::minimize::{Minimum, Stop};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::problem::CameraOptions;
 use crate::estimation::robust::{Loss, median_scale};
-use crate::estimation::robust_fit::{ROUNDING, RobustFit, SETTLED, robust_fit};
+use crate::estimation::robust_fit::{ROUNDING, RobustFit, robust_fit};
 use crate::estimation::start::{self, Prepared};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::lens::{Lens, LensModel};
@@ -109,16 +109,6 @@ pub(crate) fn fit_camera(
     model: LensModel,
     options: &CameraOptions,
 ) -> Result<CameraFit, EstimationError> {
-    fit_camera_until(SETTLED, prepared, model, options)
-}
-
-/// As [`fit_camera`], no nearer to the minimum than `stop`.
-pub(crate) fn fit_camera_until(
-    stop: Stop,
-    prepared: &mut Prepared,
-    model: LensModel,
-    options: &CameraOptions,
-) -> Result<CameraFit, EstimationError> {
     options.interrupt.check()?;
     prepared.interrupt = options.interrupt.clone();
     let (free_lens, given) = FreeLens::from_options(model, options)?;
@@ -132,21 +122,21 @@ pub(crate) fn fit_camera_until(
     }
     .ok_or(EstimationError::NoFit)?;
     given.apply(&mut state.lenses[0]).ok_or(EstimationError::NoFit)?;
-    fit_from(prepared, state, (free_lens, needed), stop)
+    fit_from(prepared, state, free_lens, needed)
 }
 
 /// Fits on from a state; then decides again about every view.
 fn fit_from(
     prepared: &Prepared,
     state: State,
-    (free_lens, needed): (FreeLens, usize),
-    stop: Stop,
+    free_lens: FreeLens,
+    needed: usize,
 ) -> Result<CameraFit, EstimationError> {
     let layout = Layout::new(vec![free_lens], None).ended_by(&prepared.interrupt);
     let mut observations = prepared.observations.clone();
     let mut faults = prepared.faults();
     let fit = |start, observations: &mut _, faults: &mut _| {
-        robust_fit(&layout, start, (observations, faults), stop)
+        robust_fit(&layout, start, observations, faults)
     };
     let mut robust = fit(state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
     enough_views(prepared, &faults, needed)?;

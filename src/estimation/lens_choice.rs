@@ -65,7 +65,7 @@ const POLE_STEPS: u32 = 400;
 
 /// A fit of some views is good enough for a comparison, or for halves, at 0.03 standard deviations
 /// from its minimum.
-pub(crate) const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
+const COMPARED: Stop = Stop { max_steps: 50, decrease: 1e-3, part: 0.0, lambda: 0.0 };
 
 /// Views used in the comparison at most; more do not separate the models further.
 const MAX_VIEWS: usize = 100;

@@ -44,8 +44,8 @@ impl LensMisfit {
         if let Some(board) = &options.measured_board {
             prepared.place_on(board).ok()?;
         }
-        // At their minima: fits that end before keep an ill-determined lens near where it began, and
-        // a larger model then predicts no better.
+        // At their minima: of fits that ended at 0.03 standard deviations no larger model was worth
+        // more on nearly equal views, where brown's focal length was off by four of its own.
         let mut fitted = |model| fit_camera(&mut prepared, model, options).ok();
         let own = fitted(stated)?;
         let is_larger = |model: &LensModel| model.facts().auto_place > Some(place);

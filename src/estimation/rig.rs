@@ -11,7 +11,7 @@ use crate::estimation::error::EstimationError;
 use crate::estimation::joint::{BoardObservation, Layout, State};
 use crate::estimation::lens_choice::choose_lens;
 use crate::estimation::problem::{BoardView, CameraOptions, CameraProblem, LensChoice, check};
-use crate::estimation::robust_fit::{SETTLED, robust_fit};
+use crate::estimation::robust_fit::robust_fit;
 use crate::estimation::start::{Prepared, mean_point};
 use crate::estimation::view_fault::ViewFault;
 use crate::geometry::median::median_pose;
@@ -166,8 +166,8 @@ fn fit_jointly(
     let lenses = alone.iter().map(|(_, fit)| fit.layout.sensors[0].lens.clone()).collect();
     let layout = Layout::new(lenses, alone[0].1.layout.warp.map(|(_, extent)| extent))
         .ended_by(&alone[0].1.layout.interrupt);
-    let robust = robust_fit(&layout, state, (&mut observations, &mut faults), SETTLED)
-        .ok_or(EstimationError::NoFit)?;
+    let robust =
+        robust_fit(&layout, state, &mut observations, &mut faults).ok_or(EstimationError::NoFit)?;
     Ok(CameraFit::new(layout, robust, observations, faults))
 }
 

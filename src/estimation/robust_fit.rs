@@ -20,9 +20,6 @@ const FEW: f64 = 0.005;
 /// closed form is near, and more costs a step of its own.
 const ROUGH: Stop = Stop { max_steps: 50, decrease: 0.0, part: 0.02, lambda: 1e-4 };
 
-/// Of plain least squares over the inliers: the start is near.
-pub(crate) const SETTLED: Stop = Stop { max_steps: 50, decrease: 1e-6, part: 0.0, lambda: 0.0 };
-
 /// A view with a smaller share of inliers has wrong labels, rather than some wrong corners.
 const MIN_USED: f64 = 0.6;
 
@@ -39,13 +36,13 @@ pub(crate) struct RobustFit {
 }
 
 /// Fits from `start`; chooses `used` of the observations whose `faults` entry is `None`, and adds
-/// the faults of views that have too few good corners. The last steps end by `stop`. `None` where
-/// nothing can be projected or everything was rejected.
+/// the faults of views that have too few good corners. `None` where nothing can be projected or
+/// everything was rejected.
 pub(crate) fn robust_fit(
     layout: &Layout,
     start: State,
-    (observations, faults): (&mut [BoardObservation], &mut [Option<ViewFault>]),
-    stop: Stop,
+    observations: &mut [BoardObservation],
+    faults: &mut [Option<ViewFault>],
 ) -> Option<RobustFit> {
     let at_start: Vec<Vec<[f64; 2]>> =
         observations.iter().map(|observation| start.residuals(layout, observation)).collect();
@@ -88,7 +85,8 @@ pub(crate) fn robust_fit(
             minimum = Minimum::start(layout, minimum.state, observations, Loss::Squares)?;
         }
         loss = Loss::Squares;
-        minimum = minimum.descend(layout, observations, loss, stop);
+        minimum =
+            minimum.descend(layout, observations, loss, Stop { lambda: 0.0, ..Stop::default() });
         scale = scale_of(observations, &minimum.equations.residuals).max(ROUNDING);
     }
     let anything = observations.iter().any(|observation| observation.used.contains(&true));
