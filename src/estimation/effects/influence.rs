@@ -7,7 +7,7 @@ use nalgebra::{Cholesky, DMatrix, DMatrixView, DVector, Dyn, Vector6};
 
 use crate::estimation::clustered_covariance::Influence;
 use crate::estimation::effects::state::{EffectsState, Scene};
-use crate::estimation::effects::system::ViewColumns;
+use crate::estimation::effects::view_columns::ViewColumns;
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::robust::Loss;
 

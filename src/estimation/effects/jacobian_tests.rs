@@ -1,11 +1,12 @@
 //! The columns of one view against numeric differences of its residuals: lens, smooth shapes,
 //! motion, pose, and each corner's own offset.
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{DMatrix, Matrix6xX, Point3, UnitQuaternion, Vector3};
 
 use crate::estimation::effects::board_basis::BoardBasis;
 use crate::estimation::effects::state::{EffectsState, Scene};
-use crate::estimation::effects::system::{System, ViewColumns};
+use crate::estimation::effects::system::System;
+use crate::estimation::effects::view_columns::ViewColumns;
 use crate::estimation::joint::linearize::{Columns, LocalEquations, linearize_observation};
 use crate::estimation::joint::{BoardObservation, FreeLens, Layout, State};
 use crate::estimation::robust::Loss;
@@ -154,4 +155,55 @@ fn columns_are_the_derivatives_of_the_residuals() {
             assert_agrees(&world, of, &column, &format!("corner {corner}, axis {axis}"));
         }
     }
+}
+
+/// The equations, which come from sums over the points, against products of the columns of the
+/// Jacobian, the pose eliminated.
+#[test]
+fn equations_are_the_products_of_the_columns() {
+    let world = World::new();
+    let scene = world.scene();
+    let offsets = world.basis.offsets(&world.state.shape);
+    let seen = world.state.moved_observation(scene, &offsets, 0);
+    let (mut columns, mut local) = (Columns::default(), LocalEquations::default());
+    let mut residuals = vec![[0.0; 2]; 30];
+    let results = (residuals.as_mut_slice(), &mut local);
+    let at = (scene.layout, &world.state.fixed);
+    assert!(linearize_observation(at, &seen, Loss::Squares, &mut columns, results));
+    let rotation = world.state.fixed.rig_from_board[0].rotation_matrix();
+    let (view, mut values) = (ViewColumns::of(scene, &seen, 0), Vec::new());
+    let in_plane = view.fill(&rotation, &seen, columns.values(), &mut values);
+    let dense = DMatrix::from_column_slice(view.rows, view.count(), &values);
+    let mut globals = DMatrix::zeros(view.rows, scene.global_len());
+    globals.columns_mut(0, view.motion()).copy_from(&dense.columns(0, view.motion()));
+    for (corner, point) in view.own().iter().enumerate() {
+        for (axis, by) in in_plane.iter().enumerate() {
+            for row in [corner, corner + view.rows / 2] {
+                globals[(row, view.motion() + 2 * point + axis)] = by[row];
+            }
+        }
+    }
+    let pose = dense.columns(view.pose(), 6);
+    let square = (pose.transpose() * pose).cholesky().expect("a pose that is determined");
+    let without_pose = |of: DMatrix<f64>| &of - pose * square.solve(&(pose.transpose() * &of));
+    let motion = without_pose(dense.columns(view.motion(), 6).into_owned());
+    let residual = without_pose(dense.columns(view.residual(), 1).into_owned());
+    let globals = without_pose(globals);
+    let system = System::at(scene, &world.state).expect("a system");
+    let agree = |name: &str, found: DMatrix<f64>, of: [&DMatrix<f64>; 2], lower: bool| {
+        let expected = of[0].transpose() * of[1];
+        let of_column = |of: &DMatrix<f64>, k: usize| of.column(k).norm().max(1e-12);
+        for (i, j) in (0..found.nrows()).flat_map(|i| (0..found.ncols()).map(move |j| (i, j))) {
+            let off = (found[(i, j)] - expected[(i, j)]).abs();
+            let allowed = 1e-7 * of_column(of[0], i) * of_column(of[1], j);
+            assert!(off <= allowed || (lower && i < j), "{name} {i}, {j}: {off}");
+        }
+    };
+    let part = &system.views[0];
+    let dynamic = |of: &Matrix6xX<f64>| DMatrix::from_column_slice(6, of.ncols(), of.as_slice());
+    let column = |of: &[f64]| DMatrix::from_column_slice(of.len(), 1, of);
+    agree("global", system.global.clone(), [&globals, &globals], true);
+    agree("gradient", column(system.gradient.as_slice()), [&globals, &residual], false);
+    agree("coupling", dynamic(&part.motion_coupling), [&motion, &globals], false);
+    agree("motion gradient", column(part.motion_gradient.as_slice()), [&motion, &residual], false);
 }

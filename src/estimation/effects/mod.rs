@@ -9,6 +9,8 @@
 //! | which shapes a board can have | `board_basis` |
 //! | values of everything | `state` |
 //! | normal equations, poses eliminated | `system` |
+//! | products with the board's shape | `shape_products` |
+//! | one view's Jacobian, dense | `view_columns` |
 //! | posterior and variances | `evidence` |
 //! | the walk to the minimum, and which effects stay | `fit` |
 //! | covariances at the end | `finish` |
@@ -31,6 +33,8 @@ mod influence;
 #[cfg(test)]
 mod jacobian_tests;
 mod measured;
+mod shape_products;
 mod shutter;
 pub(crate) mod state;
 mod system;
+mod view_columns;

@@ -5,11 +5,11 @@
 //! of its pose, which are eliminated here, and six of its motion while it was read, which are kept
 //! because their variance is still to be estimated.
 
-use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
+use nalgebra::{DMatrix, DMatrixView, DVector, Matrix6, Matrix6xX, Vector3, Vector6};
 
 use crate::estimation::effects::dense::take_square_from_lower;
+use crate::estimation::effects::shape_products::{PointProducts, SeenPoints, by_board_axes};
 use crate::estimation::effects::state::{EffectsState, Scene, read_out_times};
-use crate::estimation::joint::BoardObservation;
 use crate::estimation::joint::linearize::{
     Columns, LocalEquations, linearize_observation, multiply,
 };
@@ -55,57 +55,96 @@ struct Room {
     values: Vec<f64>,
 }
 
+/// Products of the columns of one view: lens, pose, residual, motion.
+struct ViewProducts {
+    observation: usize,
+    products: LocalEquations,
+}
+
 impl System {
     /// `None` where an inlier cannot be projected, or an interrupt was requested.
     pub(super) fn at(scene: Scene<'_>, state: &EffectsState) -> Option<Self> {
-        let globals = scene.global_len();
+        let (lens, globals) = (scene.layout.len, scene.global_len());
         let mut system = Self {
             cost: 0.0,
             residual_count: 0,
             global: DMatrix::zeros(globals, globals),
             gradient: DVector::zeros(globals),
             views: Vec::with_capacity(scene.good.len()),
-            own_scores: vec![[0.0; 4]; scene.basis.points.len()],
+            own_scores: Vec::new(),
             residuals: scene.observations.iter().map(|o| vec![[0.0; 2]; o.points.len()]).collect(),
         };
         let offsets = scene.basis.offsets(&state.shape);
+        let number = (scene.good.len(), scene.moves);
+        let mut points = PointProducts::none(scene.basis.points.len(), lens, number);
         let mut room = Room::default();
+        let mut views = Vec::with_capacity(scene.good.len());
         for observation in scene.good {
             if scene.layout.interrupt.is_requested() {
                 return None;
             }
-            system.add_view(scene, (state, &offsets), *observation, &mut room)?;
+            let at = (state, offsets.as_slice(), *observation);
+            views.push(system.add_view(scene, at, (&mut points, views.len()), &mut room)?);
+        }
+        points.add_to(scene.basis, (&mut system.global, &mut system.gradient));
+        system.own_scores = points.own_scores();
+        let coupling = points.coupling(scene.basis);
+        let columns = if scene.moves { 12 } else { 6 };
+        for (k, view) in views.iter().enumerate() {
+            let coupling = coupling.columns(k * columns, columns);
+            system.views.push(ViewPart::of(view, lens, coupling)?);
         }
         system.eliminate_poses();
         Some(system)
     }
 
+    /// Adds one view's residuals, its points' products, and what it says of the lens.
     fn add_view(
         &mut self,
         scene: Scene<'_>,
-        (state, offsets): (&EffectsState, &[Vector3<f64>]),
-        index: usize,
+        (state, offsets, observation): (&EffectsState, &[Vector3<f64>], usize),
+        (points, number): (&mut PointProducts, usize),
         room: &mut Room,
-    ) -> Option<()> {
-        let seen = state.moved_observation(scene, offsets, index);
-        let results = (self.residuals[index].as_mut_slice(), &mut room.local);
+    ) -> Option<ViewProducts> {
+        let seen = state.moved_observation(scene, offsets, observation);
+        let results = (self.residuals[observation].as_mut_slice(), &mut room.local);
         let at = (scene.layout, &state.fixed);
         if !linearize_observation(at, &seen, Loss::Squares, &mut room.columns, results) {
             return None;
         }
         self.cost += room.local.cost;
         self.residual_count += 2 * seen.used.iter().filter(|used| **used).count();
+        let (plain, lens) = (room.columns.values(), scene.layout.len);
+        let rows = plain.len() / (lens + 7);
         let rotation = state.fixed.rig_from_board[seen.frame_set].rotation_matrix();
-        let columns = ViewColumns::of(scene, &seen, index);
-        let in_plane = columns.fill(&rotation, &seen, room.columns.values(), &mut room.values);
-        multiply(&room.values, columns.count(), &mut room.local);
-        columns.add_scores(&room.values, &in_plane, &mut self.own_scores);
-        self.views.push(columns.add_to(
-            (&mut self.global, &mut self.gradient),
-            (&room.local, &room.values, &in_plane),
-            index,
-        )?);
-        Some(())
+        let by = by_board_axes(&rotation, &plain[lens * rows..]);
+        let translation = if scene.moves { read_out_times(&seen, scene) } else { Vec::new() };
+        let lever = 1.0 / scene.basis.half_extent[0].hypot(scene.basis.half_extent[1]);
+        let rotation: Vec<f64> = translation.iter().map(|time| time * lever).collect();
+        let times = [rotation.as_slice(), &translation];
+        let point_of = &scene.basis.point_of[observation];
+        points.add(number, &SeenPoints { by, plain, point_of, times });
+        if scene.moves {
+            room.values.clear();
+            room.values.extend_from_slice(plain);
+            room.values.resize((lens + 13) * rows, 0.0);
+            let (plain, motion) = room.values.split_at_mut((lens + 7) * rows);
+            let pose = plain[lens * rows..].chunks_exact(rows);
+            for (k, (column, pose)) in motion.chunks_exact_mut(rows).zip(pose).enumerate() {
+                for (half, pose) in column.chunks_exact_mut(rows / 2).zip(pose.chunks(rows / 2)) {
+                    let timed = pose.iter().zip(times[k / 3]);
+                    half.iter_mut().zip(timed).for_each(|(to, (by, time))| *to = by * time);
+                }
+            }
+            multiply(&room.values, lens + 13, &mut room.local);
+        }
+        for i in 0..lens {
+            self.gradient[i] += room.local.product(i, lens + 6);
+            for j in i..lens {
+                self.global[(j, i)] += room.local.product(i, j);
+            }
+        }
+        Some(ViewProducts { observation, products: std::mem::take(&mut room.local) })
     }
 
     /// Takes from the global block what the poses explain, all views in one product.
@@ -121,6 +160,46 @@ impl System {
 }
 
 impl ViewPart {
+    /// From the products of its columns, and its coupling with the shape (shape × pose and motion).
+    fn of(view: &ViewProducts, lens: usize, shape: DMatrixView<'_, f64>) -> Option<Self> {
+        let (pose, residual, motion) = (lens, lens + 6, lens + 7);
+        let product = |i: usize, j: usize| view.products.product(i, j);
+        let block = |a: usize, b: usize| Matrix6::from_fn(|i, j| product(a + i, b + j));
+        let gradient = |at: usize| Vector6::from_fn(|k, _| product(at + k, residual));
+        let globals = lens + shape.nrows();
+        let coupling = |at: usize, first: usize| {
+            let mut coupling = Matrix6xX::zeros(globals);
+            for k in 0..6 {
+                (0..lens).for_each(|i| coupling[(k, i)] = product(i, at + k));
+                let shape = shape.column(first + k);
+                shape.iter().enumerate().for_each(|(i, value)| coupling[(k, lens + i)] = *value);
+            }
+            coupling
+        };
+        let pose_factor = block(pose, pose).cholesky()?.unpack();
+        let half_gradient = pose_factor.solve_lower_triangular(&gradient(pose))?;
+        let half = pose_factor.solve_lower_triangular(&coupling(pose, 0))?;
+        let mut part = Self {
+            observation: view.observation,
+            pose_factor,
+            half,
+            half_motion: Matrix6::zeros(),
+            half_gradient,
+            motion: Matrix6::zeros(),
+            motion_coupling: Matrix6xX::zeros(0),
+            motion_gradient: Vector6::zeros(),
+        };
+        if shape.ncols() > 6 {
+            let half_motion = pose_factor.solve_lower_triangular(&block(pose, motion))?;
+            let mut motion_coupling = coupling(motion, 6);
+            motion_coupling.gemm(-1.0, &half_motion.transpose(), &part.half, 1.0);
+            part.motion = block(motion, motion) - half_motion.transpose() * half_motion;
+            part.motion_gradient = gradient(motion) - half_motion.transpose() * part.half_gradient;
+            (part.half_motion, part.motion_coupling) = (half_motion, motion_coupling);
+        }
+        Some(part)
+    }
+
     /// By how much its pose alone can lower the cost.
     pub(super) fn pose_decrease(&self) -> f64 {
         self.half_gradient.norm_squared()
@@ -138,223 +217,5 @@ impl ViewPart {
         let inverse = self.pose_factor.try_inverse()?;
         let up = inverse.transpose();
         Some((-(up * &self.half), -(up * self.half_motion), up * inverse))
-    }
-}
-
-/// Where the columns of one view's Jacobian lie: lens, smooth shapes, motion, pose, residual; each
-/// all corners' x, then all corners' y.
-pub(super) struct ViewColumns<'a> {
-    scene: Scene<'a>,
-    lens: usize,
-    smooth: usize,
-    pub(super) rows: usize,
-    point_of: &'a [usize],
-}
-
-impl<'a> ViewColumns<'a> {
-    pub(super) fn of(scene: Scene<'a>, seen: &BoardObservation, index: usize) -> Self {
-        Self {
-            scene,
-            lens: scene.layout.len,
-            smooth: scene.basis.smooth_len(),
-            rows: 2 * seen.points.len().max(1).next_multiple_of(8),
-            point_of: &scene.basis.point_of[index],
-        }
-    }
-
-    pub(super) fn motion(&self) -> usize {
-        self.lens + self.smooth
-    }
-
-    pub(super) fn pose(&self) -> usize {
-        self.motion() + if self.scene.moves { 6 } else { 0 }
-    }
-
-    pub(super) fn residual(&self) -> usize {
-        self.pose() + 6
-    }
-
-    pub(super) fn count(&self) -> usize {
-        self.residual() + 1
-    }
-
-    /// How many globals there are.
-    pub(super) fn globals(&self) -> usize {
-        self.scene.global_len()
-    }
-
-    /// The points that have offsets of their own, corner by corner.
-    pub(super) fn own(&self) -> &'a [usize] {
-        if self.scene.basis.has_own { self.point_of } else { &[] }
-    }
-
-    /// Fills `values` from the columns (lens, pose, residual) of the plain problem; answers the
-    /// derivatives by a movement along the board's x and y.
-    pub(super) fn fill(
-        &self,
-        camera_from_board: &nalgebra::Matrix3<f64>,
-        seen: &BoardObservation,
-        plain: &[f64],
-        values: &mut Vec<f64>,
-    ) -> [Vec<f64>; 2] {
-        let (rows, half) = (self.rows, self.rows / 2);
-        let basis = self.scene.basis;
-        values.clear();
-        values.resize(self.count() * rows, 0.0);
-        values[..self.lens * rows].copy_from_slice(&plain[..self.lens * rows]);
-        values[self.pose() * rows..].copy_from_slice(&plain[self.lens * rows..]);
-        let pose = &plain[self.lens * rows..];
-        let [by_x, by_y, by_z] = [0, 1, 2].map(|axis| -> Vec<f64> {
-            let by = |row: usize| {
-                (0..3).map(|k| camera_from_board[(k, axis)] * pose[(3 + k) * rows + row]).sum()
-            };
-            (0..rows).map(by).collect()
-        });
-        let (heights, stretches) = values[self.lens * rows..][..self.smooth * rows]
-            .split_at_mut(basis.heights.len() * rows);
-        for (column, (_, height)) in heights.chunks_exact_mut(rows).zip(&basis.heights) {
-            for (corner, point) in self.point_of.iter().enumerate() {
-                for row in [corner, corner + half] {
-                    column[row] = by_z[row] * height[*point];
-                }
-            }
-        }
-        for (column, stretch) in stretches.chunks_exact_mut(rows).zip(&basis.stretches) {
-            for (corner, point) in self.point_of.iter().enumerate() {
-                let [x, y] = stretch[*point];
-                for row in [corner, corner + half] {
-                    column[row] = by_x[row] * x + by_y[row] * y;
-                }
-            }
-        }
-        let times = read_out_times(seen, self.scene);
-        let lever = 1.0 / basis.half_extent[0].hypot(basis.half_extent[1]);
-        for column in 0..self.pose() - self.motion() {
-            let unit = if column < 3 { lever } else { 1.0 };
-            for (corner, time) in times.iter().enumerate() {
-                for row in [corner, corner + half] {
-                    values[(self.motion() + column) * rows + row] =
-                        pose[column * rows + row] * time * unit;
-                }
-            }
-        }
-        [by_x, by_y]
-    }
-
-    /// Adds what the view says of each point's own offset.
-    fn add_scores(&self, values: &[f64], in_plane: &[Vec<f64>; 2], scores: &mut [[f64; 4]]) {
-        let residual = &values[self.residual() * self.rows..];
-        for (corner, point) in self.point_of.iter().enumerate() {
-            for row in [corner, corner + self.rows / 2] {
-                for (axis, by) in in_plane.iter().enumerate() {
-                    scores[*point][axis] += by[row] * residual[row];
-                    scores[*point][2 + axis] += by[row] * by[row];
-                }
-            }
-        }
-    }
-
-    /// Adds the view to the global equations, its pose not yet eliminated.
-    fn add_to(
-        &self,
-        (global, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
-        (local, values, in_plane): (&LocalEquations, &[f64], &[Vec<f64>; 2]),
-        observation: usize,
-    ) -> Option<ViewPart> {
-        let (dense, residual) = (self.motion(), self.residual());
-        let block = |a: usize, b: usize| Matrix6::from_fn(|i, j| local.product(a + i, b + j));
-        let mut coupling = Matrix6xX::zeros(gradient.len());
-        let moving = if self.scene.moves { gradient.len() } else { 0 };
-        let mut motion_coupling = Matrix6xX::zeros(moving);
-        for i in 0..dense {
-            gradient[i] += local.product(i, residual);
-            for j in i..dense {
-                global[(j, i)] += local.product(i, j);
-            }
-            for k in 0..6 {
-                coupling[(k, i)] = local.product(i, self.pose() + k);
-                if self.scene.moves {
-                    motion_coupling[(k, i)] = local.product(i, self.motion() + k);
-                }
-            }
-        }
-        for axis in 0..2 {
-            self.add_own(axis, (global, gradient), (values, in_plane));
-            self.couple_own(axis, self.pose(), (values, in_plane), &mut coupling);
-            if self.scene.moves {
-                self.couple_own(axis, self.motion(), (values, in_plane), &mut motion_coupling);
-            }
-        }
-        let pose_factor = block(self.pose(), self.pose()).cholesky()?.unpack();
-        let half_gradient = pose_factor.solve_lower_triangular(&Vector6::from_fn(|k, _| {
-            local.product(self.pose() + k, residual)
-        }))?;
-        let half = pose_factor.solve_lower_triangular(&coupling)?;
-        let (mut half_motion, mut motion) = (Matrix6::zeros(), Matrix6::zeros());
-        let mut motion_gradient = Vector6::zeros();
-        if self.scene.moves {
-            half_motion = pose_factor.solve_lower_triangular(&block(self.pose(), self.motion()))?;
-            motion_coupling.gemm(-1.0, &half_motion.transpose(), &half, 1.0);
-            motion = block(self.motion(), self.motion()) - half_motion.transpose() * half_motion;
-            motion_gradient = Vector6::from_fn(|k, _| local.product(self.motion() + k, residual))
-                - half_motion.transpose() * half_gradient;
-        }
-        Some(ViewPart {
-            observation,
-            pose_factor,
-            motion,
-            half,
-            half_motion,
-            half_gradient,
-            motion_coupling,
-            motion_gradient,
-        })
-    }
-
-    /// Adds what the points' own offsets along one axis add.
-    fn add_own(
-        &self,
-        axis: usize,
-        (global, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
-        (values, in_plane): (&[f64], &[Vec<f64>; 2]),
-    ) {
-        let (dense, half) = (self.motion(), self.rows / 2);
-        let residual = &values[self.residual() * self.rows..][..self.rows];
-        let by = &in_plane[axis];
-        for (i, column) in values.chunks_exact(self.rows).take(dense).enumerate() {
-            let mut target = global.column_mut(i);
-            for (corner, point) in self.own().iter().enumerate() {
-                target[dense + 2 * point + axis] +=
-                    by[corner] * column[corner] + by[corner + half] * column[corner + half];
-            }
-        }
-        for (corner, point) in self.own().iter().enumerate() {
-            let at = dense + 2 * point + axis;
-            gradient[at] +=
-                by[corner] * residual[corner] + by[corner + half] * residual[corner + half];
-            for other in axis..2 {
-                let with = &in_plane[other];
-                global[(dense + 2 * point + other, at)] +=
-                    by[corner] * with[corner] + by[corner + half] * with[corner + half];
-            }
-        }
-    }
-
-    /// Couples the points' own offsets along one axis with the six columns at `first`.
-    fn couple_own(
-        &self,
-        axis: usize,
-        first: usize,
-        (values, in_plane): (&[f64], &[Vec<f64>; 2]),
-        coupling: &mut Matrix6xX<f64>,
-    ) {
-        let (dense, half) = (self.motion(), self.rows / 2);
-        let by = &in_plane[axis];
-        for (k, column) in values[first * self.rows..].chunks_exact(self.rows).take(6).enumerate() {
-            for (corner, point) in self.own().iter().enumerate() {
-                coupling[(k, dense + 2 * point + axis)] =
-                    by[corner] * column[corner] + by[corner + half] * column[corner + half];
-            }
-        }
     }
 }
