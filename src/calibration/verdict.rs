@@ -6,6 +6,7 @@ use crate::calibration::rounded::value_with_std;
 use crate::estimation::camera::{CameraEstimate, CameraOptions};
 use crate::estimation::known_together::known_only_together;
 use crate::estimation::lens_misfit::LensMisfit;
+use crate::estimation::lens_pole::has_pole;
 use crate::estimation::model_check::ModelCheck;
 use crate::estimation::uncertainty::UncertaintyMap;
 
@@ -46,6 +47,7 @@ pub(crate) fn judge(
     findings.extend(misfit(estimate, check));
     findings.extend(bent_board(check));
     findings.extend(too_simple_lens(estimate, check));
+    findings.extend(canceling_coefficients(estimate, uncertainty));
     let factor = if findings.is_empty() { 1.0 } else { estimate.variance_inflation.sqrt() };
     findings.extend(self::uncertainty(uncertainty, factor));
     findings.extend(rejected_views(estimate));
@@ -216,6 +218,19 @@ fn too_simple_lens(estimate: &CameraEstimate, check: &ModelCheck) -> Option<(Gra
         reason += &format!("; uncertainties are {widening:.1} times as large for it");
     }
     Some((Grade::Usable, reason))
+}
+
+fn canceling_coefficients(
+    estimate: &CameraEstimate,
+    map: Option<&UncertaintyMap>,
+) -> Option<(Grade, String)> {
+    has_pole(&estimate.lens, map?.grid.size).then(|| {
+        let model = estimate.lens.model();
+        let reason = format!(
+            "the coefficients of the {model} lens cancel but for a kink inside the image, which no lens has: these views do not determine so many; use brown, or let the model be chosen (auto)"
+        );
+        (Grade::Poor, reason)
+    })
 }
 
 fn bent_board(check: &ModelCheck) -> Option<(Grade, String)> {

@@ -6,7 +6,8 @@ use crate::estimation::camera_estimate::CameraEstimate;
 use crate::estimation::camera_fit::{CameraFit, fit_camera};
 use crate::estimation::effects::apply::with_effects;
 use crate::estimation::joint::BoardObservation;
-use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, has_pole, may_be_worth_more};
+use crate::estimation::lens_choice::{COLUMNS, Trial, compared_views, may_be_worth_more};
+use crate::estimation::lens_pole::has_pole;
 use crate::estimation::problem::{CameraOptions, CameraProblem, LensChoice};
 use crate::estimation::start::Prepared;
 use crate::estimation::uncertainty::{

@@ -34,6 +34,7 @@ mod joint;
 pub mod known_together;
 pub mod lens_choice;
 pub mod lens_misfit;
+pub(crate) mod lens_pole;
 pub mod measured_board;
 mod misfit;
 pub mod model_check;

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use plumb::calibration::result::Grade;
 use plumb::calibration::solve::{SolvedCamera, solve_views};
 use plumb::calibration::view::{FrameFacts, View};
 use plumb::detection::board_detection::{DetectOptions, Detection, NoBoard};
@@ -103,14 +104,14 @@ fn every_board_in_a_full_fisheye_is_found_whole() {
     assert_all_whole("boofcv-fisheye-chess", 26, "4x6");
 }
 
-/// The views of the right camera of OpenCV's samples; `None` where there are none.
-fn right_views() -> Option<Vec<BoardView>> {
+/// The views of the left or the right camera of OpenCV's samples; `None` where there are none.
+fn sample_views(camera: &str) -> Option<Vec<BoardView>> {
     let paths = images("opencv-samples", 28)?;
     let board = Chessboard::new("9x6".parse().unwrap(), 0.03).unwrap();
     let mut detector = Detector::new(board.size);
-    let is_right = |path: &&PathBuf| {
+    let is_of_camera = |path: &&PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        name.starts_with("right0") || name.starts_with("right1")
+        name.strip_prefix(camera).is_some_and(|rest| rest.starts_with(['0', '1']))
     };
     let view = |path: &PathBuf| {
         let detection = search(&mut detector, path, false).unwrap();
@@ -123,11 +124,15 @@ fn right_views() -> Option<Vec<BoardView>> {
         };
         View { number: 0, frame, detection }.to_board_view(&board.into())
     };
-    Some(paths.iter().filter(is_right).map(view).collect())
+    Some(paths.iter().filter(is_of_camera).map(view).collect())
 }
 
 fn solved(views: Vec<BoardView>) -> SolvedCamera {
-    let lens = LensChoice::Model(LensModel::Brown);
+    solved_with(LensModel::Brown, views)
+}
+
+fn solved_with(model: LensModel, views: Vec<BoardView>) -> SolvedCamera {
+    let lens = LensChoice::Model(model);
     let options = CameraOptions { lens, ..CameraOptions::default() };
     let problem = CameraProblem { image_size: ImageSize::new(640, 480), views };
     solve_views(&problem, &options).unwrap()
@@ -136,7 +141,7 @@ fn solved(views: Vec<BoardView>) -> SolvedCamera {
 /// The spread of the estimates without one view after the other is what the stated deviations mean.
 #[test]
 fn stated_deviations_are_those_of_leaving_views_out() {
-    let Some(views) = right_views() else { return };
+    let Some(views) = sample_views("right") else { return };
     let whole = solved(views.clone());
     let left_out: Vec<Vec<f64>> = (0..views.len())
         .map(|out| {
@@ -155,11 +160,21 @@ fn stated_deviations_are_those_of_leaving_views_out() {
     assert!(!whole.verdict.reasons.iter().any(|reason| reason.contains("does not fit")));
 }
 
+/// These views do not determine eight coefficients: those that fit best cancel but for a kink inside
+/// the image, and would be known to a pixel in all of it.
+#[test]
+fn coefficients_that_cancel_are_no_good_lens() {
+    let Some(views) = sample_views("left") else { return };
+    let solved = solved_with(LensModel::Rational, views);
+    assert_eq!(solved.verdict.grade, Grade::Poor);
+    assert!(solved.verdict.reasons[0].contains("cancel"), "{:?}", solved.verdict.reasons);
+}
+
 /// Six or seven views hardly show whether rows were read one after another: what that would change
 /// is in their deviations.
 #[test]
 fn halves_of_few_views_agree_within_their_deviations() {
-    let Some(views) = right_views() else { return };
+    let Some(views) = sample_views("right") else { return };
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let (mut square, mut count) = (0.0, 0.0);
     for _ in 0..12 {

@@ -1,0 +1,53 @@
+//! Rational lenses whose denominator has a zero.
+
+use crate::geometry::lens::Lens;
+use crate::geometry::pixel::ImageSize;
+
+/// A denominator below this is near 0: it is 1 on the axis, and a lens changes it by a part of
+/// that.
+const LEAST_DENOMINATOR: f64 = 0.1;
+
+/// Squared radii at which the denominator is sampled.
+const POLE_STEPS: u32 = 400;
+
+/// Whether the denominator of a rational lens comes near 0 somewhere in the image. Views that do
+/// not determine all of its parameters are fitted best by a numerator and a denominator of huge
+/// coefficients that cancel but for a kink on a circle, which no lens has.
+pub(crate) fn has_pole(lens: &Lens, size: ImageSize) -> bool {
+    let Some([_, _, _, _, _, k4, k5, k6]) = lens.distortion.as_rational() else { return false };
+    let matrix = lens.matrix;
+    let reach = |center: f64, length: u32| center.abs().max((f64::from(length) - center).abs());
+    let farthest =
+        (reach(matrix.cx, size.width) / matrix.fx).hypot(reach(matrix.cy, size.height) / matrix.fy);
+    let denominator = |r2: f64| 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+    (1..=POLE_STEPS).any(|k| {
+        denominator(farthest * farthest * f64::from(k) / f64::from(POLE_STEPS)) < LEAST_DENOMINATOR
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::geometry::lens::LensModel;
+
+    use super::*;
+
+    #[test]
+    fn a_numerator_and_a_denominator_that_cancel_are_no_lens() {
+        let rational = |coefficients: [f64; 8]| {
+            let parameters = [&[700.0, 700.0, 319.5, 239.5, 0.0], coefficients.as_slice()].concat();
+            Lens::from_parameters(LensModel::Rational, &parameters).unwrap()
+        };
+        let size = ImageSize::new(640, 480);
+        assert!(has_pole(
+            &rational([-441.3, 48612.0, 0.0, 0.0, 21670.0, -441.1, 48499.0, 34931.0]),
+            size
+        ));
+        assert!(!has_pole(&rational([0.34, 0.016, 0.0, 0.0, 0.0004, 0.65, 0.1, 0.002]), size));
+        assert!(!has_pole(&rational([12.0, 5.0, 0.0, 0.0, 0.3, 12.3, 8.0, 1.2]), size));
+        let brown = Lens::from_parameters(
+            LensModel::Brown,
+            &[700.0, 700.0, 319.5, 239.5, 0.0, -0.3, 0.1, 0.0, 0.0, 0.0],
+        );
+        assert!(!has_pole(&brown.unwrap(), size));
+    }
+}
