@@ -49,6 +49,8 @@ use rand_chacha::ChaCha8Rng;
 const GOAL_PX: f64 = 0.4;
 const ORDERS: u64 = 200;
 const ENOUGH: f64 = 1.2;
+/// Subsets of a pool that are tried: a minute of one core.
+const MOST_SUBSETS: f64 = 300_000.0;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -198,14 +200,41 @@ fn pool((images, board): (&str, &str)) {
             .collect();
         random.sort_unstable();
         println!(
-            "{images}: {} images, {figure:?} {:.3} px: ordered {}, chosen {}, random median {}",
+            "{images}: {} images, {figure:?} {:.3} px: ordered {}, chosen {}, any subset {}, random median {}",
             order.len(),
             goal_px / ENOUGH,
             needed(&order).unwrap_or(0),
             by_choice.unwrap_or(0),
+            fewest(&pool, &order, goal_px),
             random[random.len() / 2]
         );
     }
+}
+
+/// The fewest images of any subset that reach the goal, all of them tried; "at least" where they are
+/// too many to try.
+fn fewest(pool: &Pool, images: &[usize], goal_px: f64) -> String {
+    for count in 1..=images.len() {
+        let subsets = (0..count).fold(1.0, |n, k| n * (images.len() - k) as f64 / (k + 1) as f64);
+        if subsets > MOST_SUBSETS {
+            return format!("at least {count}");
+        }
+        let mut places: Vec<usize> = (0..count).collect();
+        loop {
+            let subset: Vec<usize> = places.iter().map(|place| images[*place]).collect();
+            if pool.uncertainty_px(&subset) <= goal_px {
+                return count.to_string();
+            }
+            // The next combination in order.
+            let Some(at) = (0..count).rev().find(|at| places[*at] < images.len() - count + at)
+            else {
+                break;
+            };
+            places[at] += 1;
+            (at + 1..count).for_each(|next| places[next] = places[next - 1] + 1);
+        }
+    }
+    images.len().to_string()
 }
 
 fn problem_of(images: &str, target: &Target) -> CameraProblem {
