@@ -79,32 +79,20 @@ impl TargetFinder {
         image: GrayView<'_>,
         options: &DetectOptions,
     ) -> Result<Detection, NoBoard> {
-        self.other = OtherBoard::default();
-        self.find_in_sequence(image, options)
-    }
-
-    /// As [`Self::find`], but another board is recognized in a fraction of the images.
-    fn find_in_sequence(
-        &mut self,
-        image: GrayView<'_>,
-        options: &DetectOptions,
-    ) -> Result<Detection, NoBoard> {
-        let Self { target, of_kind, other } = self;
+        let Self { target, of_kind, .. } = self;
         match of_kind {
             DetectorOfKind::Plain(detector) => detector.find_board(image, options),
             DetectorOfKind::Coded(detector) => {
                 let found = detector.find(image);
-                if found.is_ok() {
-                    *other = OtherBoard::default();
-                }
+                let mut other = OtherBoard::default();
                 let found = found.map_err(|none| other.named(none, image, target))?;
                 Ok(found.into_detection(target.lattice()))
             }
         }
     }
 
-    /// Finds it where it was in the last image, else anywhere. A board with markers is searched for
-    /// each time; another one is named as it was seen within the last second or so.
+    /// Finds it where it was in the last image, else anywhere. Another board with markers is named
+    /// as it was seen within the last second or so.
     ///
     /// # Errors
     /// As [`Self::find`].
@@ -113,11 +101,17 @@ impl TargetFinder {
         image: GrayView<'_>,
         options: &DetectOptions,
     ) -> Result<TrackedBoard, NoBoard> {
-        match &mut self.of_kind {
+        let Self { target, of_kind, other } = self;
+        match of_kind {
             DetectorOfKind::Plain(detector) => detector.track_board(image, options),
-            DetectorOfKind::Coded(_) => {
-                let detection = self.find_in_sequence(image, options)?;
-                Ok(TrackedBoard { detection, followed: false })
+            DetectorOfKind::Coded(detector) => {
+                let tracked = detector.track(image);
+                if tracked.is_ok() {
+                    *other = OtherBoard::default();
+                }
+                let tracked = tracked.map_err(|none| other.named(none, image, target))?;
+                let detection = tracked.detection.into_detection(target.lattice());
+                Ok(TrackedBoard { detection, followed: tracked.followed })
             }
         }
     }

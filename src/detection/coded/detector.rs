@@ -1,6 +1,8 @@
 //! The whole search: lattices on each level of the image, until the markers of one are the
 //! target's.
 
+use std::ops::Range;
+
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::by_sides;
@@ -10,6 +12,7 @@ use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::order::by_reach;
 use crate::detection::coded::reading::MarkerReading;
 use crate::detection::coded::sheet::Sheets;
+use crate::detection::coded::tracking::LastTarget;
 use crate::detection::grid::Grid;
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
@@ -45,6 +48,15 @@ pub struct TargetDetector {
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) refiner: Refiner,
+    pub(super) last: LastTarget,
+}
+
+/// A board that was searched for and found.
+pub(super) struct FoundTarget {
+    pub detection: TargetDetection,
+    pub label: BoardLabel,
+    /// On which level of the image its markers were read.
+    pub level: usize,
 }
 
 /// Which lattices are searched for.
@@ -108,6 +120,7 @@ impl TargetDetector {
             reading: MarkerReading::new(thresholds.labels),
             guesses: Vec::new(),
             refined: Vec::new(),
+            last: LastTarget::default(),
             thresholds,
         })
     }
@@ -122,6 +135,11 @@ impl TargetDetector {
     /// # Errors
     /// [`NoTarget`] says why there is none.
     pub fn find(&mut self, image: GrayView<'_>) -> Result<TargetDetection, NoTarget> {
+        self.search_all(image).map(|found| found.detection)
+    }
+
+    /// The target anywhere in `image`; it is left in `grid`.
+    pub(super) fn search_all(&mut self, image: GrayView<'_>) -> Result<FoundTarget, NoTarget> {
         let (width, height) = (image.width(), image.height());
         if width.min(height) < self.thresholds.lattice.least_side_px {
             let target = self.target.to_string();
@@ -132,15 +150,15 @@ impl TargetDetector {
         let mut seen = Unlabeled::default();
         for level in self.levels(image, coarsest) {
             let search = LatticeSearch::Boards;
-            if let Some(detection) = self.find_on(image, (level, search), &mut seen) {
-                return Ok(detection);
+            if let Some(found) = self.find_on(image, (level, search), &mut seen) {
+                return Ok(found);
             }
         }
         // Squares of which an image shows no more than a few are large on any level.
         for level in (coarsest.saturating_sub(1)..=coarsest).rev() {
             let search = LatticeSearch::FewSquares;
-            if let Some(detection) = self.find_on(image, (level, search), &mut seen) {
-                return Ok(detection);
+            if let Some(found) = self.find_on(image, (level, search), &mut seen) {
+                return Ok(found);
             }
         }
         Err(self.reason(&seen))
@@ -204,11 +222,10 @@ impl TargetDetector {
         image: GrayView<'_>,
         (level, search): (usize, LatticeSearch),
         seen: &mut Unlabeled,
-    ) -> Option<TargetDetection> {
+    ) -> Option<FoundTarget> {
         let label = self.search_level(image, (level, search), seen)?;
-        self.finish(image, level, label).filter(|detection| {
-            detection.corners.len() >= self.thresholds.marker_corners.least_corners
-        })
+        let detection = self.finish(image, level, label)?;
+        Some(FoundTarget { detection, label, level })
     }
 
     fn search_level(
@@ -266,7 +283,7 @@ impl TargetDetector {
                 let (a, b) = (bounds.width() as u32, bounds.height() as u32);
                 seen.lattice = (count, a.max(b), a.min(b));
             }
-            match self.label(view) {
+            match self.label(view, None) {
                 BoardLabels::One(label) => {
                     self.complete(view, label);
                     return Some(label);
@@ -315,34 +332,28 @@ impl TargetDetector {
         }
     }
 
-    /// Reads the markers of `grid`.
-    fn label(&mut self, view: GrayView<'_>) -> BoardLabels {
+    /// Reads the markers of `grid`, first as cells of the way in which the board was `expected`.
+    pub(super) fn label(
+        &mut self,
+        view: GrayView<'_>,
+        expected: Option<BoardLabel>,
+    ) -> BoardLabels {
         let mut believed = BoardLabels::None;
-        let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
-        for &inverted in inversions {
-            let mut way = 0;
-            while way < self.sheets.ways.len() {
-                let sheet = &self.sheets.ways[way];
-                let in_bright = self.sheets.in_bright != inverted;
-                self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
-                // Ways that differ in their cells alone are read once.
-                let alike = self.sheets.ways[way..]
-                    .iter()
-                    .take_while(|other| other.inset == sheet.inset)
-                    .count();
-                for beyond in [0, self.thresholds.labels.most_beyond] {
-                    let mut best = BestLabel::default();
-                    for way in way..way + alike {
-                        let sheet = (&self.sheets, way);
-                        best.weigh(sheet, &self.grid, &self.reading, (inverted, beyond));
-                    }
-                    let labels = best.labels(&self.reading, &self.sheets);
-                    believed = better(believed, self.by_ends(view, labels));
-                    if matches!(believed, BoardLabels::One(_)) {
-                        break;
-                    }
+        for (inverted, ways) in self.readings(expected) {
+            let sheet = &self.sheets.ways[ways.start];
+            let in_bright = self.sheets.in_bright != inverted;
+            self.reading.read(view, (&self.sheets, sheet), &self.grid, in_bright);
+            for beyond in [0, self.thresholds.labels.most_beyond] {
+                let mut best = BestLabel::default();
+                for way in ways.clone() {
+                    let sheet = (&self.sheets, way);
+                    best.weigh(sheet, &self.grid, &self.reading, (inverted, beyond));
                 }
-                way += alike;
+                let labels = best.labels(&self.reading, &self.sheets);
+                believed = better(believed, self.by_ends(view, labels));
+                if matches!(believed, BoardLabels::One(_)) {
+                    break;
+                }
             }
         }
         match believed {
@@ -351,6 +362,30 @@ impl TargetDetector {
             }
             _ => believed,
         }
+    }
+
+    /// In which ways cells may be read: inverted or not, and the sheets, those together that differ
+    /// in their cells alone. The one of the `expected` label comes first.
+    fn readings(&self, expected: Option<BoardLabel>) -> Vec<(bool, Range<usize>)> {
+        let inversions: &[bool] = if self.sheets.alternates() { &[false] } else { &[false, true] };
+        let mut readings = Vec::with_capacity(4);
+        for &inverted in inversions {
+            let mut way = 0;
+            while way < self.sheets.ways.len() {
+                let inset = self.sheets.ways[way].inset;
+                let alike =
+                    self.sheets.ways[way..].iter().take_while(|other| other.inset == inset).count();
+                readings.push((inverted, way..way + alike));
+                way += alike;
+            }
+        }
+        let first = expected.and_then(|label| {
+            readings.iter().position(|(inverted, ways)| {
+                *inverted == label.inverted && ways.contains(&label.way)
+            })
+        });
+        readings[..first.map_or(0, |first| first + 1)].rotate_right(usize::from(first.is_some()));
+        readings
     }
 
     /// How many of the cells around the lattice contradict `label`.

@@ -40,7 +40,9 @@ impl TargetDetector {
         if !self.drop_misplaced(self.thresholds.marker_corners.most_refined_off) {
             return None;
         }
-        Some(self.detection(label))
+        Some(self.detection(label)).filter(|detection| {
+            detection.corners.len() >= self.thresholds.marker_corners.least_corners
+        })
     }
 
     /// Moves each crossing to where a finer level shows it.
@@ -119,7 +121,7 @@ impl TargetDetector {
     fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
         let limits = self.thresholds.marker_corners;
         self.guesses.clear();
-        let reach = 0.5 * (self.sheets.widths[0] + self.sheets.widths[1]);
+        let reach = self.sheets.reach();
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
         for index in 0..self.grid.members.len() {
             let (i, j) = self.grid.members[index];

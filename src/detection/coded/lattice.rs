@@ -12,6 +12,9 @@ use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::imaging::gray::GrayView;
 
+/// How far a lattice reaches from its first crossing, in lines.
+pub(super) const LARGEST_RADIUS: i32 = 104;
+
 /// Grows lattices; its buffers are kept.
 #[derive(Debug, Default)]
 pub(super) struct LatticeGrowth {
@@ -41,7 +44,7 @@ impl LatticeGrowth {
         grid.clear(0, true);
         let mut most = 0;
         for (first, bright) in starts(scene, seed) {
-            spare.clear(104, bright);
+            spare.clear(LARGEST_RADIUS, bright);
             for (&index, (i, j)) in seed.corners.iter().zip([(0, 0), (1, 0), (0, 1), (1, 1)]) {
                 let Candidate { pixel, contrast, .. } = scene.candidates[index];
                 let (i, j) = (first.0 + i, first.1 + j);
@@ -142,20 +145,20 @@ impl LatticeGrowth {
 
 /// A place at which a crossing is expected.
 #[derive(Debug, Clone, Copy)]
-struct Expected {
-    pixel: Vec2,
+pub(super) struct Expected {
+    pub pixel: Vec2,
     /// One unit of the lattice along each axis, in pixels.
-    steps: [Vec2; 2],
-    polarity: f32,
+    pub steps: [Vec2; 2],
+    pub polarity: f32,
     /// Of the crossings next to it.
-    contrast: f32,
+    pub contrast: f32,
     /// It is a place of a board that is labeled.
-    labeled: bool,
+    pub labeled: bool,
 }
 
 impl Expected {
     /// The crossing there.
-    fn detect(&self, scene: LatticeScene<'_>) -> Option<Node> {
+    pub(super) fn detect(&self, scene: LatticeScene<'_>) -> Option<Node> {
         let narrow = scene.sheets.widths[0].min(scene.sheets.widths[1]);
         let cell = self.steps.map(|step| step * narrow);
         let limits = scene.thresholds;

@@ -136,6 +136,11 @@ impl Sheets {
         self.widths[0] != self.widths[1]
     }
 
+    /// The mean interval between lines, in units of the lattice.
+    pub(super) fn reach(&self) -> f32 {
+        0.5 * (self.widths[0] + self.widths[1])
+    }
+
     /// Where line `k` lies, in units of the lattice.
     pub(super) fn line(&self, k: i32) -> f32 {
         let pairs = k.div_euclid(2) as f32 * (self.widths[0] + self.widths[1]);

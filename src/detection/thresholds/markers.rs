@@ -119,3 +119,21 @@ thresholds! {
         most_standing_off: f64 = 3.0, "standard deviations", ThresholdOrigin::Derived("chance, three times in a thousand");
     }
 }
+
+thresholds! {
+    /// From image to image (`coded/tracking.rs`, `coded/shift.rs`).
+    MarkerTrackingThresholds {
+        /// Farthest that a corner is searched for from where its motion predicts it.
+        reach: f32 = 0.025, "share of the longer side", ThresholdOrigin::Swept;
+        /// Largest rotation of a crossing's edges since the last image.
+        most_rotation: f32 = 0.3, "sine", ThresholdOrigin::Swept;
+        /// How far one of two corners may have moved from where the other one's motion puts it.
+        alike: f32 = 0.25, "intervals", ThresholdOrigin::Derived("half of what separates a crossing from the next");
+        /// The same for each pixel between them: the board turns and comes nearer.
+        slope: f32 = 0.03, "px", ThresholdOrigin::Swept;
+        /// Least share of the corners that are searched for that moved alike.
+        least_alike: f32 = 0.6, "share", ThresholdOrigin::Swept;
+        /// Least share of the last image's corners that are found again.
+        least_kept: f32 = 0.5, "share", ThresholdOrigin::Swept;
+    }
+}

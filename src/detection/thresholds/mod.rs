@@ -26,7 +26,7 @@ use crate::detection::thresholds::chessboard::{
 };
 use crate::detection::thresholds::entry::Scale;
 use crate::detection::thresholds::markers::{
-    LabelThresholds, LatticeThresholds, MarkerCornerThresholds,
+    LabelThresholds, LatticeThresholds, MarkerCornerThresholds, MarkerTrackingThresholds,
 };
 use crate::detection::thresholds::refinement::RefinementThresholds;
 
@@ -65,6 +65,8 @@ pub struct Thresholds {
     pub labels: LabelThresholds,
     /// The corners of a board with markers that are reported.
     pub marker_corners: MarkerCornerThresholds,
+    /// The same from image to image.
+    pub marker_tracking: MarkerTrackingThresholds,
 }
 
 impl Default for Thresholds {
@@ -92,6 +94,7 @@ impl Thresholds {
         lattice: LatticeThresholds::DEFAULT,
         labels: LabelThresholds::DEFAULT,
         marker_corners: MarkerCornerThresholds::DEFAULT,
+        marker_tracking: MarkerTrackingThresholds::DEFAULT,
     };
 
     /// Every threshold, in the order of the stages.
@@ -144,7 +147,8 @@ impl Thresholds {
             refinement,
             lattice,
             labels,
-            marker_corners
+            marker_corners,
+            marker_tracking
         );
     }
 }

@@ -7,16 +7,14 @@ use crate::detection::grid::{Grid, Node};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::measure::prediction::Prediction;
+use crate::detection::tracking::last_corners::LastCorners;
 use crate::detection::verify::placement::BoardPlacement;
 use crate::geometry::board::BoardSize;
 
-/// The last positions of a board's corners, in the board's order.
+/// A board and its corners, in the board's order.
 #[derive(Debug, Default)]
 pub(super) struct LastBoard {
-    pub(super) nodes: Vec<Node>,
-    /// Each corner's motion since the board before.
-    pub(super) motion: Vec<Vec2>,
-    before: Vec<Vec2>,
+    pub(super) corners: LastCorners,
     /// Whether the square beyond the first corner, towards the board's middle, is bright.
     pub(super) bright: bool,
     /// Width of the blur across its edges, in pixels.
@@ -24,25 +22,14 @@ pub(super) struct LastBoard {
 }
 
 impl LastBoard {
-    pub(super) fn forget(&mut self) {
-        self.nodes.clear();
-        self.before.clear();
-    }
-
     /// Remembers a whole board.
     pub(super) fn remember(&mut self, grid: &Grid, placement: BoardPlacement, board: BoardSize) {
-        self.before.clear();
-        self.before.extend(self.nodes.iter().map(|node| node.pixel));
-        self.nodes.clear();
         let corners = (0..board.rows as i32)
             .flat_map(|row| (0..board.cols as i32).map(move |col| (col, row)));
-        self.nodes.extend(corners.filter_map(|(col, row)| {
+        self.corners.remember(corners.map(|(col, row)| {
             let (i, j) = placement.in_grid(col, row);
             grid.get(i, j)
         }));
-        self.motion.clear();
-        self.motion
-            .extend(self.nodes.iter().zip(&self.before).map(|(node, before)| node.pixel - before));
         let ((i, j), (k, l)) = (placement.in_grid(0, 0), placement.in_grid(1, 1));
         self.bright = grid.polarity(i.min(k), j.min(l)) > 0.0;
     }
@@ -58,12 +45,12 @@ impl LastBoard {
         let step = |at: usize, length: usize, stride: usize| {
             let low = index - stride.min(at * stride);
             let high = if at + 1 < length { index + stride } else { index };
-            let (p, q) = (self.nodes.get(low)?.pixel, self.nodes.get(high)?.pixel);
+            let (p, q) = (self.corners.get(low)?.pixel, self.corners.get(high)?.pixel);
             Some((q - p) * (stride as f32 / (high - low) as f32))
         };
         let steps = [step(index % cols, cols, 1)?, step(index / cols, rows, cols)?];
-        let moved = if with_motion { *self.motion.get(index)? } else { Vec2::zeros() };
-        let last = *self.nodes.get(index)?;
+        let moved = if with_motion { self.corners.motion(index)? } else { Vec2::zeros() };
+        let last = self.corners.get(index)?;
         Some(ExpectedCorner { last, expected: last.pixel + moved, steps })
     }
 }

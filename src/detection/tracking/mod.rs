@@ -7,6 +7,7 @@
 
 mod board_edges;
 mod last_board;
+pub(in crate::detection) mod last_corners;
 
 use crate::detection::board_detection::{DetectedCorner, Detection};
 use crate::detection::grid::Grid;
@@ -46,7 +47,7 @@ pub(in crate::detection) struct Tracker {
 impl Tracker {
     /// The next image is searched.
     pub(in crate::detection) fn forget(&mut self) {
-        self.last.forget();
+        self.last.corners.forget();
     }
 
     /// Tracks the whole board `found` from here on.
@@ -67,10 +68,10 @@ impl Tracker {
         board: BoardSize,
         buffers: &mut ReportBuffers,
     ) -> Option<Detection> {
-        if self.last.nodes.len() != board.corner_count() {
+        if !self.last.corners.is_whole(board.corner_count()) {
             return None;
         }
-        let moved = !self.last.motion.is_empty() && self.measure_at_predictions(probe, board, true);
+        let moved = self.last.corners.moved() && self.measure_at_predictions(probe, board, true);
         if !moved && !self.measure_at_predictions(probe, board, false) {
             return None;
         }

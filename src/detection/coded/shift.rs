@@ -1,0 +1,212 @@
+//! How a board moved since the last image: crossings are searched for around a few of its corners,
+//! and those that moved alike say how all of them did.
+//!
+//! The nearest crossing may be another corner of the board, or one inside a marker. It is the
+//! agreement of corners far from each other that tells them apart, and after that the markers.
+
+use nalgebra::{Matrix2, Matrix3, Vector3};
+
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::search::candidates::{Candidate, CandidateSearch};
+use crate::detection::search::pyramid::Pyramid;
+use crate::detection::search::response::{REACH, Response};
+use crate::detection::thresholds::markers::MarkerTrackingThresholds;
+use crate::imaging::gray::GrayView;
+
+/// Half the side of the window in which a candidate is measured: no candidate is found nearer to
+/// the border of what is searched.
+const MARGIN: usize = 2 * REACH;
+
+/// A corner around which crossings are searched for.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reference {
+    /// Where it is predicted.
+    pub expected: Vec2,
+    /// The narrow interval between lines along each axis there.
+    pub cell: [Vec2; 2],
+    /// Sign of its contrast in the grid's axes.
+    pub polarity: f32,
+}
+
+/// A crossing that may be a reference.
+#[derive(Debug, Clone, Copy)]
+struct Sighting {
+    reference: usize,
+    /// From its prediction.
+    off: Vec2,
+}
+
+/// How far predictions are off, over the image.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shift {
+    middle: Vec2,
+    off: Vec2,
+    slope: Matrix2<f32>,
+}
+
+/// Searches for crossings around references; its buffers are kept.
+#[derive(Debug, Default)]
+pub(super) struct ShiftSearch {
+    pyramid: Pyramid,
+    response: Response,
+    candidates: CandidateSearch,
+    sightings: Vec<Sighting>,
+}
+
+impl Shift {
+    /// How far a corner is from where it is `expected`.
+    pub(super) fn at(&self, expected: Vec2) -> Vec2 {
+        self.off + self.slope * (expected - self.middle)
+    }
+
+    /// What becomes of steps of the last image.
+    pub(super) fn stretched(&self, steps: [Vec2; 2]) -> [Vec2; 2] {
+        steps.map(|step| step + self.slope * step)
+    }
+
+    /// The offsets of `chosen` by least squares; the steeper a slope, the less likely it is.
+    fn fitted_to(
+        references: &[Reference],
+        chosen: &[Sighting],
+        limits: &MarkerTrackingThresholds,
+    ) -> Option<Self> {
+        let count = chosen.len() as f32;
+        let places = || chosen.iter().map(|it| references[it.reference].expected);
+        let middle = places().fold(Vec2::zeros(), |sum, place| sum + place) / count;
+        let flat = 1.0 / limits.slope.powi(2);
+        let mut normal = Matrix3::from_diagonal(&Vector3::new(0.0, flat, flat));
+        let mut right = [Vector3::zeros(); 2];
+        for (place, sighting) in places().zip(chosen) {
+            let terms = Vector3::new(1.0, place.x - middle.x, place.y - middle.y);
+            normal += terms * terms.transpose();
+            right[0] += terms * sighting.off.x;
+            right[1] += terms * sighting.off.y;
+        }
+        let cholesky = normal.cholesky()?;
+        let [x, y] = right.map(|right| cholesky.solve(&right));
+        let slope = Matrix2::new(x[1], x[2], y[1], y[2]);
+        Some(Self { middle, off: Vec2::new(x[0], y[0]), slope })
+    }
+}
+
+impl ShiftSearch {
+    /// How the board moved, by what is seen on `level` of the image around `references`; `None` if
+    /// too few of them moved alike.
+    pub(super) fn search(
+        &mut self,
+        probe: Probe<'_>,
+        level: usize,
+        references: &[Reference],
+    ) -> Option<Shift> {
+        let limits = &probe.thresholds.marker_tracking;
+        self.sightings.clear();
+        for (index, reference) in references.iter().enumerate() {
+            self.look_around(probe, level, (index, reference));
+        }
+        let least = (limits.least_alike * references.len() as f32).ceil() as usize;
+        let mut best: Vec<Sighting> = Vec::new();
+        for guess in &self.sightings {
+            let chosen = self.near(references, |it| {
+                let apart = references[it].expected - references[guess.reference].expected;
+                (guess.off, limits.alike, limits.slope * apart.norm())
+            });
+            if chosen.len() > best.len() {
+                best = chosen;
+            }
+        }
+        let mut shift = None;
+        // The second fit is to what is nearest to the first.
+        for _ in 0..2 {
+            if best.len() < least.max(3) {
+                return None;
+            }
+            let fitted = Shift::fitted_to(references, &best, limits)?;
+            best = self.near(references, |it| {
+                (fitted.at(references[it].expected), limits.alike / 2.0, 0.0)
+            });
+            shift = Some(fitted);
+        }
+        shift.filter(|_| best.len() >= least)
+    }
+
+    /// Collects the crossings around a reference that are like it.
+    fn look_around(
+        &mut self,
+        probe: Probe<'_>,
+        level: usize,
+        (index, reference): (usize, &Reference),
+    ) {
+        let Self { pyramid, response, candidates, sightings } = self;
+        let limits = &probe.thresholds.marker_tracking;
+        let image = probe.image;
+        let reach = limits.reach * image.width().max(image.height()) as f32;
+        let half = reach + (MARGIN << level) as f32;
+        let Some((patch, origin)) = patch_of(image, reference.expected, half) else { return };
+        pyramid.build(patch, level);
+        let view = pyramid.level(patch, level);
+        response.compute(view, 1);
+        candidates.search(probe.at(view), response, 1);
+        let scale = (1 << level) as f32;
+        for candidate in &candidates.found {
+            let pixel = candidate.pixel * scale + Vec2::repeat((scale - 1.0) / 2.0) + origin;
+            let off = pixel - reference.expected;
+            if off.norm() <= reach && is_alike(candidate, reference, limits.most_rotation) {
+                sightings.push(Sighting { reference: index, off });
+            }
+        }
+    }
+
+    /// Of each reference the sighting that is nearest to where `expected` has it (an offset, and
+    /// the tolerance in cells and in pixels), if that is within the tolerance.
+    fn near(
+        &self,
+        references: &[Reference],
+        expected: impl Fn(usize) -> (Vec2, f32, f32),
+    ) -> Vec<Sighting> {
+        let mut chosen: Vec<Sighting> = Vec::with_capacity(references.len());
+        let mut nearest = f32::MAX;
+        for sighting in &self.sightings {
+            let (off, cells, pixels) = expected(sighting.reference);
+            let away = sighting.off - off;
+            let cell = references[sighting.reference].cell;
+            let narrow = cell[0].norm().min(cell[1].norm());
+            let is_same = chosen.last().is_some_and(|it| it.reference == sighting.reference);
+            let least = if is_same { nearest } else { f32::MAX };
+            let distance = away.norm();
+            if distance <= cells * narrow + pixels && distance < least {
+                if is_same {
+                    chosen.pop();
+                }
+                chosen.push(*sighting);
+                nearest = distance;
+            }
+        }
+        chosen
+    }
+}
+
+/// The part of `image` within `half` pixels of `center`, and where it starts.
+fn patch_of(image: GrayView<'_>, center: Vec2, half: f32) -> Option<(GrayView<'_>, Vec2)> {
+    let range = |center: f32, size: usize| {
+        let from = (center - half).floor().clamp(0.0, size as f32) as usize;
+        let to = (center + half).ceil().clamp(0.0, size as f32) as usize;
+        (from, to.saturating_sub(from))
+    };
+    let (left, width) = range(center.x, image.width());
+    let (top, height) = range(center.y, image.height());
+    if width.min(height) <= 2 * MARGIN {
+        return None;
+    }
+    let bytes = image.bytes().get(top * image.stride() + left..)?;
+    let patch = GrayView::new(width, height, image.stride(), bytes)?;
+    Some((patch, Vec2::new(left as f32, top as f32)))
+}
+
+/// Whether the edges of a crossing run as those of the reference, bright where its are.
+fn is_alike(candidate: &Candidate, reference: &Reference, most_rotation: f32) -> bool {
+    let [u, v] = reference.cell.map(|step| step / step.norm().max(1e-3));
+    let edges = if reference.polarity > 0.0 { [u, v] } else { [v, u] };
+    let sine = |a: Vec2, b: Vec2| (a.x * b.y - a.y * b.x).abs();
+    (0..2).all(|k| sine(candidate.edges[k], edges[k]) < most_rotation)
+}

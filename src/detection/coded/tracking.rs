@@ -1,0 +1,228 @@
+//! The board in the next image of a stream, where it was in the last one: at a fraction of the
+//! cost of a search, and as exact.
+//!
+//! Each corner is measured where its motion and that of a few others (`shift`) predict it. From
+//! there on all is as after a search: the markers are read again and must say the same place in the
+//! board by themselves, and the corners are refined and tested in the same way. Otherwise the
+//! whole image is searched.
+
+use crate::detection::coded::answer::TargetDetection;
+use crate::detection::coded::detector::TargetDetector;
+use crate::detection::coded::labels::{BoardLabel, BoardLabels};
+use crate::detection::coded::lattice::{Expected, LARGEST_RADIUS, LatticeScene};
+use crate::detection::coded::no_target::NoTarget;
+use crate::detection::coded::shift::{Reference, Shift, ShiftSearch};
+use crate::detection::measure::Probe;
+use crate::detection::measure::cross::Vec2;
+use crate::detection::refine::GridCorner;
+use crate::detection::tracking::last_corners::LastCorners;
+use crate::geometry::pixel::Pixel;
+use crate::imaging::gray::GrayView;
+
+/// References lie nearest to so many points along each side of what was seen of the board.
+const REFERENCES_A_SIDE: usize = 3;
+
+/// A target in a stream of images.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrackedTarget {
+    /// The target.
+    pub detection: TargetDetection,
+    /// Whether it was tracked instead of searched for.
+    pub followed: bool,
+}
+
+/// The board of the last image.
+#[derive(Debug, Default)]
+pub(super) struct LastTarget {
+    /// Its corners, in the board's order.
+    corners: LastCorners,
+    /// Of each, one unit of the lattice along each axis of the grid.
+    steps: Vec<[Vec2; 2]>,
+    /// How it lay in the grid, and the grid's colors.
+    label: Option<(BoardLabel, bool)>,
+    /// On which level of the image it was found.
+    level: usize,
+    shifts: ShiftSearch,
+    references: Vec<Reference>,
+}
+
+impl LastTarget {
+    fn forget(&mut self) {
+        self.corners.forget();
+        self.label = None;
+    }
+}
+
+impl TargetDetector {
+    /// Finds the target in the next image of a stream: first near its last position, else by
+    /// [`TargetDetector::find`], in the same call. The result depends on the images given to this
+    /// function since the detector was made, and on nothing else.
+    ///
+    /// # Errors
+    /// [`NoTarget`] says why there is none.
+    pub fn track(&mut self, image: GrayView<'_>) -> Result<TrackedTarget, NoTarget> {
+        if let Some((detection, label)) = self.follow(image) {
+            self.remember(label, self.last.level);
+            return Ok(TrackedTarget { detection, followed: true });
+        }
+        let searched = self.search_all(image);
+        match &searched {
+            Ok(found) => self.remember(found.label, found.level),
+            Err(_) => self.last.forget(),
+        }
+        searched.map(|found| TrackedTarget { detection: found.detection, followed: false })
+    }
+
+    /// Keeps the corners of the board that was answered just now.
+    fn remember(&mut self, label: BoardLabel, level: usize) {
+        let [across, down] = self.sheets.ways[label.way].lines;
+        let Self { last, grid, guesses, sheets, .. } = self;
+        let corners = (0..down).flat_map(|row| (0..across).map(move |col| (col, row)));
+        last.corners.remember(corners.map(|(col, row)| {
+            let (i, j) = label.placement.in_grid(col, row);
+            grid.get(i, j)
+        }));
+        last.steps.clear();
+        last.steps.resize((across * down) as usize, [Vec2::zeros(); 2]);
+        let reach = sheets.reach();
+        for guess in guesses.iter() {
+            let (col, row) = label.placement.in_board(guess.index.col, guess.index.row);
+            if (0..across).contains(&col) && (0..down).contains(&row) {
+                last.steps[(row * across + col) as usize] = steps_of(guess, reach);
+            }
+        }
+        last.label = Some((label, grid.bright));
+        last.level = level;
+    }
+
+    /// The board near its last position; `None` if it must be searched for.
+    fn follow(&mut self, image: GrayView<'_>) -> Option<(TargetDetection, BoardLabel)> {
+        let (label, bright) = self.last.label?;
+        if image.width().min(image.height()) < self.thresholds.lattice.least_side_px {
+            return None;
+        }
+        let with_motion = self.last.corners.moved();
+        let moved = with_motion && self.measure_moved(image, (label, bright), true);
+        if !moved && !self.measure_moved(image, (label, bright), false) {
+            return None;
+        }
+        self.complete(image, label);
+        let BoardLabels::One(seen) = self.label(image, Some(label)) else { return None };
+        let is_same = (seen.placement, seen.way, seen.inverted)
+            == (label.placement, label.way, label.inverted);
+        if !is_same {
+            return None;
+        }
+        let detection = self.finish(image, 0, seen)?;
+        Some((detection, seen))
+    }
+
+    /// Fills the grid with the corners that are found where they are predicted. False if too many
+    /// are not.
+    fn measure_moved(
+        &mut self,
+        image: GrayView<'_>,
+        (label, bright): (BoardLabel, bool),
+        with_motion: bool,
+    ) -> bool {
+        let Some(shift) = self.shift(image, (label, bright), with_motion) else { return false };
+        self.forget_candidates(image);
+        let [across, _] = self.sheets.ways[label.way].lines;
+        let Self { last, grid, sheets, neighborhood, thresholds, .. } = self;
+        let scene = LatticeScene {
+            image,
+            candidates: &[],
+            neighborhood,
+            sheets,
+            thresholds: &thresholds.lattice,
+        };
+        grid.clear(LARGEST_RADIUS, bright);
+        let mut count = 0;
+        for (index, node) in last.corners.seen() {
+            count += 1;
+            let (col, row) = (index as i32 % across, index as i32 / across);
+            let (i, j) = label.placement.in_grid(col, row);
+            let expected = expected(&last.corners, (index, node.pixel), with_motion);
+            let place = Expected {
+                pixel: expected + shift.at(expected),
+                steps: shift.stretched(last.steps[index]),
+                polarity: grid.polarity(i, j),
+                contrast: node.contrast.abs(),
+                labeled: true,
+            };
+            if let Some(node) = place.detect(scene) {
+                grid.set(i, j, node);
+            }
+        }
+        grid.members.len() as f32 >= thresholds.marker_tracking.least_kept * count as f32
+    }
+
+    /// How far the corners are from their predictions.
+    fn shift(
+        &mut self,
+        image: GrayView<'_>,
+        (label, bright): (BoardLabel, bool),
+        with_motion: bool,
+    ) -> Option<Shift> {
+        let [across, _] = self.sheets.ways[label.way].lines;
+        let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
+        let Self { last, thresholds, .. } = self;
+        let LastTarget { corners, steps, shifts, references, level, .. } = last;
+        references.clear();
+        references.extend(spread(corners, across).into_iter().filter_map(|index| {
+            let node = corners.get(index)?;
+            let (i, j) = label.placement.in_grid(index as i32 % across, index as i32 / across);
+            let is_bright = ((i + j) & 1 == 0) == bright;
+            Some(Reference {
+                expected: expected(corners, (index, node.pixel), with_motion),
+                cell: steps[index].map(|step| step * narrow),
+                polarity: if is_bright { 1.0 } else { -1.0 },
+            })
+        }));
+        shifts.search(Probe { image, thresholds }, *level, references)
+    }
+}
+
+/// Where corner `index`, last seen at `pixel`, is now, if it goes on as it moved.
+fn expected(corners: &LastCorners, (index, pixel): (usize, Vec2), with_motion: bool) -> Vec2 {
+    let motion = corners.motion(index).filter(|_| with_motion);
+    pixel + motion.unwrap_or_else(Vec2::zeros)
+}
+
+/// One unit of the lattice along each axis, as the neighbors of a corner have it, which lie so many
+/// units off.
+fn steps_of(guess: &GridCorner, reach: f32) -> [Vec2; 2] {
+    let at = |neighbor: usize| {
+        let Pixel { x, y } = guess.neighbors[neighbor].unwrap_or(guess.pixel);
+        Vec2::new(x as f32, y as f32)
+    };
+    [(at(0) - at(2)) / (2.0 * reach), (at(1) - at(3)) / (2.0 * reach)]
+}
+
+/// Corners far from each other, of a board of so many columns.
+fn spread(corners: &LastCorners, across: i32) -> Vec<usize> {
+    let place = |index: usize| [index as i32 % across, index as i32 / across];
+    let (mut least, mut most) = ([i32::MAX; 2], [i32::MIN; 2]);
+    for (index, _) in corners.seen() {
+        for k in 0..2 {
+            (least[k], most[k]) = (least[k].min(place(index)[k]), most[k].max(place(index)[k]));
+        }
+    }
+    let mut chosen: Vec<usize> = Vec::with_capacity(REFERENCES_A_SIDE * REFERENCES_A_SIDE);
+    for point in 0..REFERENCES_A_SIDE * REFERENCES_A_SIDE {
+        let part = [point % REFERENCES_A_SIDE, point / REFERENCES_A_SIDE];
+        let anchor = [0, 1].map(|k| {
+            let length = (most[k] - least[k]) * part[k] as i32;
+            least[k] + length / (REFERENCES_A_SIDE as i32 - 1)
+        });
+        let away = |index: usize| {
+            let [col, row] = place(index);
+            (col - anchor[0]).pow(2) + (row - anchor[1]).pow(2)
+        };
+        let nearest = corners.seen().map(|(index, _)| index).min_by_key(|&index| away(index));
+        if let Some(nearest) = nearest.filter(|nearest| !chosen.contains(nearest)) {
+            chosen.push(nearest);
+        }
+    }
+    chosen
+}
