@@ -3,14 +3,16 @@
 
 use nalgebra::Matrix3;
 
+use crate::detection::coded::homography_equations::HomographyEquations;
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::Grid;
-use crate::detection::grid::perspective::{HomographyVector, NormalMatrix};
 use crate::detection::measure::cross::Vec2;
 
 /// Radii around a place within which crossings are gathered for a local homography, in grid lines,
 /// tried in this order.
-const REACHES: [i32; 3] = [2, 4, 9];
+const REACHES: [i32; 3] = [2, 4, FARTHEST];
+/// The largest of them: crossings farther off change no chart.
+pub(super) const FARTHEST: i32 = 9;
 /// Crossings at which gathering stops: twice the four that a homography takes.
 const ENOUGH_CROSSINGS: usize = 8;
 /// Weight of the assumption that there is no perspective, relative to one crossing: a few
@@ -20,11 +22,13 @@ const FLATNESS: f64 = 0.004;
 /// A homography from lattice to image, near one place.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Chart {
-    h: HomographyVector,
+    h: [f64; 8],
     middle: [f64; 2],
     spread: f64,
     mean: [f64; 2],
     scale: f64,
+    /// Within how many lines crossings were gathered for it.
+    pub reach: i32,
 }
 
 /// A crossing: its place in the lattice, its pixel, and its weight.
@@ -61,31 +65,16 @@ impl Chart {
         };
         let spread = spread_of(|pair| pair.place, middle);
         let scale = spread_of(|pair| pair.pixel, mean);
-        let (mut normal, mut right) = (NormalMatrix::zeros(), HomographyVector::zeros());
-        normal[(6, 6)] = FLATNESS * total;
-        normal[(7, 7)] = FLATNESS * total;
+        let mut equations = HomographyEquations::default();
+        equations.normal[6][6] = FLATNESS * total;
+        equations.normal[7][7] = FLATNESS * total;
         for pair in pairs {
-            let [i, j] = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
-            let [x, y] = [0, 1].map(|k| (pair.pixel[k] - mean[k]) / scale);
-            for (row, value) in [
-                ([i, j, 1.0, 0.0, 0.0, 0.0, -i * x, -j * x], x),
-                ([0.0, 0.0, 0.0, i, j, 1.0, -i * y, -j * y], y),
-            ] {
-                for a in 0..8 {
-                    let weighted = pair.weight * row[a];
-                    if weighted == 0.0 {
-                        continue;
-                    }
-                    right[a] += weighted * value;
-                    for b in 0..=a {
-                        normal[(a, b)] += weighted * row[b];
-                    }
-                }
-            }
+            let place = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
+            let pixel = [0, 1].map(|k| (pair.pixel[k] - mean[k]) / scale);
+            equations.take(place, pixel, pair.weight);
         }
-        // Only the lower half is read.
-        let h = normal.cholesky()?.solve(&right);
-        Some(Self { h, middle, spread, mean, scale })
+        let h = equations.solve()?;
+        Some(Self { h, middle, spread, mean, scale, reach: 0 })
     }
 
     /// Fitted to the crossings of `grid` nearest to the place (x, y), those on line `without` left
@@ -122,7 +111,7 @@ impl Chart {
                 break;
             }
         }
-        Self::fit(pairs)
+        Some(Self { reach: inner, ..Self::fit(pairs)? })
     }
 
     /// Where it puts the place (x, y); `None` behind the camera.

@@ -6,6 +6,7 @@ use std::ops::Range;
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::chart::ChartPair;
 use crate::detection::coded::ends::by_sides;
+use crate::detection::coded::finish::HeldCrossing;
 use crate::detection::coded::labels::{BestLabel, BoardLabel, BoardLabels, contradicted_around};
 use crate::detection::coded::lattice::{LatticeGrowth, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
@@ -27,6 +28,9 @@ use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::geometry::target::Target;
 use crate::imaging::gray::GrayView;
 
+/// How often missing corners are searched for: each time farther from those that are known.
+const COMPLETIONS: usize = 8;
+
 /// Finds one target with markers in images. Its buffers are kept from image to image.
 #[derive(Debug)]
 pub struct TargetDetector {
@@ -45,6 +49,7 @@ pub struct TargetDetector {
     pub(super) grid: Grid,
     pub(super) spare: Grid,
     reading: MarkerReading,
+    pub(super) held: Vec<HeldCrossing>,
     pub(super) guesses: Vec<GridCorner>,
     pub(super) refined: Vec<Option<RefinedCorner>>,
     pub(super) refiner: Refiner,
@@ -118,6 +123,7 @@ impl TargetDetector {
             grid: Grid::default(),
             spare: Grid::default(),
             reading: MarkerReading::new(thresholds.labels),
+            held: Vec::new(),
             guesses: Vec::new(),
             refined: Vec::new(),
             last: LastTarget::default(),
@@ -355,6 +361,11 @@ impl TargetDetector {
                     break;
                 }
             }
+            if let BoardLabels::One(label) = believed
+                && label.agreement > self.sheets.ways[label.way].certain()
+            {
+                break;
+            }
         }
         match believed {
             BoardLabels::One(label) => {
@@ -426,11 +437,7 @@ impl TargetDetector {
             sheets: &self.sheets,
             thresholds: &self.thresholds.lattice,
         };
-        for _ in 0..8 {
-            if !self.growth.detect_missing(scene, &mut self.grid, &places) {
-                break;
-            }
-        }
+        self.growth.detect_missing(scene, &mut self.grid, (&places, COMPLETIONS));
     }
 
     /// Forgets the candidates of the level that was searched last: they are not the next one's.

@@ -5,7 +5,7 @@ use crate::detection::board_detection::{BoardMarkers, GridIndex};
 use crate::detection::coded::answer::{LabeledCorner, TargetDetection};
 use crate::detection::coded::detector::TargetDetector;
 use crate::detection::coded::labels::BoardLabel;
-use crate::detection::coded::lattice::{LatticeScene, expect_curved, settle};
+use crate::detection::coded::lattice::{CURVED, LatticeScene, expect_curved, settle};
 use crate::detection::coded::print::LabeledPrint;
 use crate::detection::grid::Node;
 use crate::detection::grid::in_steps;
@@ -14,6 +14,26 @@ use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
+
+/// A crossing held against where the others put it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct HeldCrossing {
+    at: (i32, i32),
+    /// How far off it is, in narrow intervals, more of a suspect one.
+    off: f32,
+    /// One unit of the lattice along each axis.
+    steps: Option<[Vec2; 2]>,
+    /// Within how many lines the others decide on all this.
+    reach: i32,
+    /// None of these was dropped since.
+    is_current: bool,
+}
+
+impl HeldCrossing {
+    fn unknown(at: (i32, i32)) -> Self {
+        Self { at, off: 0.0, steps: None, reach: 0, is_current: false }
+    }
+}
 
 impl TargetDetector {
     /// The detection of the board that lies in `grid` as `label` says, found on `level`.
@@ -77,44 +97,63 @@ impl TargetDetector {
     }
 
     /// Drops the crossing that lies farthest from where the others put it, until all lie within
-    /// `most`. False if too many must go.
+    /// `most`. False if too many must go. Where they lie is left in `held`.
     fn drop_misplaced(&mut self, most: f32) -> bool {
         let limits = self.thresholds.marker_corners;
         let budget = (limits.most_misplaced * self.grid.members.len() as f32) as usize + 1;
-        let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
+        let mut held = std::mem::take(&mut self.held);
+        held.clear();
+        held.extend(self.grid.members.iter().map(|&at| HeldCrossing::unknown(at)));
+        let mut holds = false;
         for _ in 0..=budget {
             let mut worst = (most, None);
-            for index in 0..self.grid.members.len() {
-                let (i, j) = self.grid.members[index];
-                let Some((expected, steps)) = self.growth.expect(&self.sheets, &self.grid, (i, j))
-                else {
-                    continue;
-                };
-                let Some(pixel) = self.grid.pixel(i, j) else { continue };
-                let cell = steps.map(|step| step * narrow);
-                let off_from = |expected| {
-                    in_steps(pixel - expected, cell)
-                        .map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()))
-                };
-                let mut off = off_from(expected);
-                // Under lens distortion the lines that end here are curved.
-                if off > most
-                    && let Some(curved) = expect_curved(&self.sheets, &self.grid, (i, j))
-                {
-                    off = off.min(off_from(curved));
+            for (index, crossing) in held.iter_mut().enumerate() {
+                if !crossing.is_current {
+                    *crossing = self.hold(crossing.at, most);
                 }
-                let suspect = self.grid.get(i, j).is_some_and(|node| node.tight);
-                let off = if suspect { off / limits.suspect_share } else { off };
-                if off > worst.0 {
-                    worst = (off, Some((i, j)));
+                if crossing.off > worst.0 {
+                    worst = (crossing.off, Some(index));
                 }
             }
-            match worst.1 {
-                Some((i, j)) => self.grid.remove(i, j),
-                None => return true,
+            let Some(index) = worst.1 else {
+                holds = true;
+                break;
+            };
+            let (i, j) = held.remove(index).at;
+            self.grid.remove(i, j);
+            for crossing in &mut held {
+                let away = (crossing.at.0 - i).abs().max((crossing.at.1 - j).abs());
+                crossing.is_current &= away > crossing.reach;
             }
         }
-        false
+        self.held = held;
+        holds
+    }
+
+    /// How far the crossing `at` lies from where the others put it.
+    fn hold(&mut self, at: (i32, i32), most: f32) -> HeldCrossing {
+        let suspect_share = self.thresholds.marker_corners.suspect_share;
+        let narrow = self.sheets.widths[0].min(self.sheets.widths[1]);
+        let (expected, reach) = self.growth.expect_within(&self.sheets, &self.grid, at);
+        let held = HeldCrossing { reach: reach.max(CURVED), ..HeldCrossing::unknown(at) };
+        let held = HeldCrossing { is_current: true, ..held };
+        let (Some((expected, steps)), Some(node)) = (expected, self.grid.get(at.0, at.1)) else {
+            return held;
+        };
+        let cell = steps.map(|step| step * narrow);
+        let off_from = |expected| {
+            in_steps(node.pixel - expected, cell)
+                .map_or(f32::MAX, |off| off.x.abs().max(off.y.abs()))
+        };
+        let mut off = off_from(expected);
+        // Under lens distortion the lines that end here are curved.
+        if off > most
+            && let Some(curved) = expect_curved(&self.sheets, &self.grid, at)
+        {
+            off = off.min(off_from(curved));
+        }
+        let off = if node.tight { off / suspect_share } else { off };
+        HeldCrossing { off, steps: Some(steps), ..held }
     }
 
     /// Refines all crossings of `grid`; those that are none are taken out.
@@ -123,13 +162,10 @@ impl TargetDetector {
         self.guesses.clear();
         let reach = self.sheets.reach();
         self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
-        for index in 0..self.grid.members.len() {
-            let (i, j) = self.grid.members[index];
-            let (Some(p), Some((_, [u, v]))) =
-                (self.grid.pixel(i, j), self.growth.expect(&self.sheets, &self.grid, (i, j)))
-            else {
-                continue;
-            };
+        self.held.sort_unstable_by_key(|held| (held.at.1, held.at.0));
+        for held in &self.held {
+            let (i, j) = held.at;
+            let (Some(p), Some([u, v])) = (self.grid.pixel(i, j), held.steps) else { continue };
             let pixel = |p: Vec2| Pixel::new(f64::from(p.x), f64::from(p.y));
             self.guesses.push(GridCorner {
                 index: GridIndex { col: i, row: j },

@@ -24,6 +24,8 @@ pub(super) struct BoardLabel {
     pub inverted: bool,
     /// The sum of agreements in its deviations.
     pub significance: f32,
+    /// The mean agreement of its cells.
+    pub agreement: f32,
     /// Cells that were read and agree.
     pub markers: usize,
 }
@@ -228,20 +230,22 @@ fn weigh_one(
     reading: &MarkerReading,
     placement: BoardPlacement,
 ) -> Option<BoardLabel> {
-    let (mut sum, mut weights) = (0.0, 0.0);
+    let (mut sum, mut squares, mut weights) = (0.0, 0.0, 0.0);
     for (index, cell) in reading.cells.iter().enumerate() {
         // A cell of the board without a marker, or one beside it, speaks against the place.
         let own = own_agreement(sheet, reading, index, placement)
             .unwrap_or(-reading.limits.no_marker_penalty);
         sum += cell.weight * own;
-        weights += cell.weight * cell.weight;
+        squares += cell.weight * cell.weight;
+        weights += cell.weight;
     }
     let freedom = (sheets.bits * sheets.bits - 1) as f32;
-    (weights > 0.0).then(|| BoardLabel {
+    (squares > 0.0).then(|| BoardLabel {
         placement,
         way: 0,
         inverted: false,
-        significance: sum * (freedom / weights).sqrt(),
+        significance: sum * (freedom / squares).sqrt(),
+        agreement: sum / weights,
         markers: 0,
     })
 }

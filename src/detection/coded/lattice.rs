@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use crate::detection::coded::chart::{Chart, ChartPair};
+use crate::detection::coded::chart::{Chart, ChartPair, FARTHEST};
 use crate::detection::coded::sheet::Sheets;
 use crate::detection::grid::in_steps;
 use crate::detection::grid::{Grid, Node};
@@ -12,6 +12,8 @@ use crate::detection::search::seeds::{Neighborhood, Seed};
 use crate::detection::thresholds::markers::LatticeThresholds;
 use crate::imaging::gray::GrayView;
 
+/// Crossings of a line that say how it bends.
+pub(super) const CURVED: i32 = 3;
 /// How far a lattice reaches from its first crossing, in lines.
 pub(super) const LARGEST_RADIUS: i32 = 104;
 
@@ -79,29 +81,46 @@ impl LatticeGrowth {
             if !grid.attempt(i, j) {
                 continue;
             }
-            if let Some(node) = self.detect_at(scene, grid, (i, j), false) {
+            if let (Some(node), _) = self.detect_at(scene, grid, (i, j), false) {
                 grid.set(i, j, node);
                 self.push_around(i, j);
             }
         }
     }
 
-    /// Measures each of `places` that is not known yet; true if one more is.
+    /// Measures each of `places` that is not known yet, so many times over: what is found predicts
+    /// others. A place near which nothing was found since is not measured again.
     pub(super) fn detect_missing(
         &mut self,
         scene: LatticeScene<'_>,
         grid: &mut Grid,
-        places: &[(i32, i32)],
-    ) -> bool {
-        let before = grid.members.len();
-        for &(i, j) in places {
-            if grid.get(i, j).is_none()
-                && let Some(node) = self.detect_at(scene, grid, (i, j), true)
-            {
-                grid.set(i, j, node);
+        (places, rounds): (&[(i32, i32)], usize),
+    ) {
+        // By place: how many were found before it was measured, and within how many lines the
+        // others decided on the outcome.
+        let mut missed = vec![(0, i32::MAX); places.len()];
+        let mut found: Vec<(i32, i32)> = Vec::new();
+        for _ in 0..rounds {
+            let before = found.len();
+            for (&(i, j), (since, reach)) in places.iter().zip(&mut missed) {
+                let away = |at: &(i32, i32)| (at.0 - i).abs().max((at.1 - j).abs());
+                let is_new = |at: &(i32, i32)| away(at) <= *reach;
+                if grid.get(i, j).is_some()
+                    || *reach < i32::MAX && !found[*since..].iter().any(is_new)
+                {
+                    continue;
+                }
+                let (node, within) = self.detect_at(scene, grid, (i, j), true);
+                (*since, *reach) = (found.len(), within);
+                if let Some(node) = node {
+                    grid.set(i, j, node);
+                    found.push((i, j));
+                }
+            }
+            if found.len() == before {
+                return;
             }
         }
-        grid.members.len() > before
     }
 
     fn push_around(&mut self, i: i32, j: i32) {
@@ -113,33 +132,50 @@ impl LatticeGrowth {
         &mut self,
         sheets: &Sheets,
         grid: &Grid,
-        (i, j): (i32, i32),
+        at: (i32, i32),
     ) -> Option<(Vec2, [Vec2; 2])> {
-        let chart = Chart::near(grid, sheets, (i, j), Some((i, j)), &mut self.pairs)?;
-        let (x, y) = (sheets.line(i), sheets.line(j));
-        Some((chart.at(x, y)?, chart.steps(x, y)?))
+        self.expect_within(sheets, grid, at).0
     }
 
-    /// The crossing (i, j), if the image shows one where the others put it.
+    /// The same, and within how many lines the others decide on it.
+    pub(super) fn expect_within(
+        &mut self,
+        sheets: &Sheets,
+        grid: &Grid,
+        (i, j): (i32, i32),
+    ) -> (Option<(Vec2, [Vec2; 2])>, i32) {
+        let Some(chart) = Chart::near(grid, sheets, (i, j), Some((i, j)), &mut self.pairs) else {
+            return (None, FARTHEST);
+        };
+        let (x, y) = (sheets.line(i), sheets.line(j));
+        (chart.at(x, y).zip(chart.steps(x, y)), chart.reach)
+    }
+
+    /// The crossing (i, j), if the image shows one where the others put it; and within how many
+    /// lines these are.
     fn detect_at(
         &mut self,
         scene: LatticeScene<'_>,
         grid: &Grid,
         at: (i32, i32),
         labeled: bool,
-    ) -> Option<Node> {
-        let (expected, steps) = self.expect(scene.sheets, grid, at)?;
+    ) -> (Option<Node>, i32) {
+        let (Some((expected, steps)), reach) = self.expect_within(scene.sheets, grid, at) else {
+            return (None, FARTHEST);
+        };
+        let (contrast, near) = contrast_near(grid, at.0, at.1);
         let place = Expected {
             pixel: expected,
             steps,
             polarity: grid.polarity(at.0, at.1),
-            contrast: contrast_near(grid, at.0, at.1),
+            contrast,
             labeled,
         };
-        place.detect(scene).or_else(|| {
+        let node = place.detect(scene).or_else(|| {
             let curved = expect_curved(scene.sheets, grid, at)?;
             Expected { pixel: curved, ..place }.detect(scene)
-        })
+        });
+        (node, reach.max(near).max(CURVED))
     }
 }
 
@@ -249,9 +285,9 @@ pub(super) fn settle(
     })
 }
 
-/// Mean contrast of the crossings next to (i, j).
-fn contrast_near(grid: &Grid, i: i32, j: i32) -> f32 {
-    for reach in [1, 3, 9] {
+/// Mean contrast of the crossings next to (i, j), and within how many lines they are.
+fn contrast_near(grid: &Grid, i: i32, j: i32) -> (f32, i32) {
+    for reach in [1, 3, FARTHEST] {
         let (mut sum, mut count) = (0.0, 0.0);
         for dj in -reach..=reach {
             for di in -reach..=reach {
@@ -262,10 +298,10 @@ fn contrast_near(grid: &Grid, i: i32, j: i32) -> f32 {
             }
         }
         if count > 0.0 {
-            return sum / count;
+            return (sum / count, reach);
         }
     }
-    0.0
+    (0.0, FARTHEST)
 }
 
 /// Which cells of the lattice a seed's square may be: the index of its first corner, and whether

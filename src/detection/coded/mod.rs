@@ -22,10 +22,12 @@
 
 pub mod answer;
 mod chart;
+mod code_columns;
 mod curved_chart;
 pub mod detector;
 mod ends;
 mod finish;
+mod homography_equations;
 mod labels;
 mod lattice;
 pub mod no_target;

@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use crate::detection::coded::chart::{Chart, ChartPair};
-use crate::detection::coded::sheet::{Sheet, Sheets, unit};
+use crate::detection::coded::sheet::{IN_CODE_CELL, Sheet, Sheets, unit};
 use crate::detection::grid::Grid;
 use crate::detection::measure::edges::sample;
 use crate::detection::thresholds::markers::LabelThresholds;
@@ -35,9 +35,12 @@ pub(super) struct MarkerReading {
     pub limits: LabelThresholds,
     /// The cells that were read.
     pub cells: Vec<MarkerCell>,
-    /// For each cell, marker and quarter turn: correlation with its code.
+    /// For each cell, marker and quarter turn: correlation with its code; as many for each cell as
+    /// the sheet's columns of codes have.
     agreement: Vec<f32>,
-    markers: usize,
+    codes: usize,
+    /// The best of each cell.
+    best: Vec<f32>,
     values: Vec<f32>,
     pairs: Vec<ChartPair>,
 }
@@ -86,7 +89,7 @@ impl MarkerReading {
     ) {
         self.cells.clear();
         self.agreement.clear();
-        self.markers = sheets.codes.len() / (4 * sheets.bits * sheets.bits).max(1);
+        self.codes = sheets.columns.room;
         let Some(bounds) = grid.bounds() else { return };
         for j in bounds.j.0 - 1..=bounds.j.1 {
             for i in bounds.i.0 - 1..=bounds.i.1 {
@@ -106,6 +109,11 @@ impl MarkerReading {
         if sheets.in_bright != in_bright {
             self.agreement.iter_mut().for_each(|value| *value = -*value);
         }
+        let best = |all: &[f32]| {
+            all[..sheets.columns.count].iter().copied().fold(-1.0, |a, b| if b > a { b } else { a })
+        };
+        self.best.clear();
+        self.best.extend(self.agreement.chunks_exact(self.codes.max(1)).map(best));
     }
 
     /// Samples the payload of a cell into `values`, made a zero-mean unit vector; how deep it was.
@@ -126,7 +134,7 @@ impl MarkerReading {
         for row in 0..n {
             for col in 0..n {
                 let mut sum = 0.0;
-                for (dx, dy) in [(0.35, 0.5), (0.65, 0.5), (0.5, 0.35), (0.5, 0.65)] {
+                for (dx, dy) in IN_CODE_CELL {
                     let p = chart.at(left + at(col as f32 + dx), top + at(row as f32 + dy))?;
                     sum += sample(image, p)?;
                 }
@@ -137,30 +145,22 @@ impl MarkerReading {
     }
 
     fn compare(&mut self, sheets: &Sheets, at: (i32, i32), depth: f32, contrast: f32) {
-        let squares = sheets.bits * sheets.bits;
         // A pattern of black and white in equal parts has a deviation of half its contrast.
         let depth = 2.0 * depth / contrast.max(1.0);
         let weight = (depth / self.limits.least_payload_contrast).min(1.0).powi(2);
         self.cells.push(MarkerCell { at, weight });
-        let values = &self.values;
-        self.agreement.extend(
-            sheets
-                .codes
-                .chunks_exact(squares)
-                .map(|code| code.iter().zip(values).map(|(a, b)| a * b).sum::<f32>()),
-        );
+        sheets.columns.compare(&self.values, &mut self.agreement);
     }
 
     /// How well the `cell`-th cell agrees with `marker` rotated by so many quarter turns, −1 to 1.
     pub(super) fn agreement(&self, cell: usize, marker: u32, quarter_turns: u8) -> f32 {
-        let slot = (cell * self.markers + marker as usize) * 4 + usize::from(quarter_turns);
+        let slot = cell * self.codes + marker as usize * 4 + usize::from(quarter_turns);
         self.agreement.get(slot).copied().unwrap_or(0.0)
     }
 
     /// The best agreement of the `cell`-th cell with any marker in any rotation.
     pub(super) fn best(&self, cell: usize) -> f32 {
-        let all = cell * self.markers * 4..(cell + 1) * self.markers * 4;
-        self.agreement.get(all).unwrap_or_default().iter().copied().fold(-1.0, f32::max)
+        self.best.get(cell).copied().unwrap_or(-1.0)
     }
 }
 

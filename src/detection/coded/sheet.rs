@@ -1,8 +1,13 @@
 //! What a target prints, in the sheet's own frame: lines of crossings, x right and y down from the
 //! upper left one, and cells between them.
 
+use crate::detection::coded::code_columns::CodeColumns;
 use crate::geometry::dictionary::Dictionary;
 use crate::geometry::target::{AprilGrid, CharucoBoard, Target};
+
+/// Where a cell of a marker's code is sampled, as parts of its sides.
+pub(super) const IN_CODE_CELL: [(f32, f32); 4] =
+    [(0.35, 0.5), (0.65, 0.5), (0.5, 0.35), (0.5, 0.65)];
 
 /// One way in which a target may be printed.
 #[derive(Debug, Clone)]
@@ -15,6 +20,9 @@ pub(super) struct Sheet {
     pub count: usize,
     /// Where in its cell a marker's payload starts, as a part of the cell's side.
     pub inset: f32,
+    /// How well markers agree with their codes, in the mean, that are printed in another way and
+    /// read in this one.
+    pub mistaken: f32,
     /// Of a ChArUco board.
     pub legacy: Option<bool>,
     /// Of an AprilGrid.
@@ -40,9 +48,17 @@ pub(super) struct Sheets {
     /// The codes as zero-mean unit vectors over the payload in the grid's own axes: for each
     /// marker and quarter turn.
     pub codes: Vec<f32>,
+    /// The same by payload cell.
+    pub columns: CodeColumns,
 }
 
 impl Sheet {
+    /// Agreement of a label's cells from which on no other way can have printed them: half of the
+    /// way from those that are mistaken to a perfect one.
+    pub(super) fn certain(&self) -> f32 {
+        (1.0 + self.mistaken) / 2.0
+    }
+
     /// The marker in a cell.
     pub(super) fn marker(&self, col: i32, row: i32) -> Option<u32> {
         let across = self.lines[0] + 1;
@@ -58,7 +74,7 @@ impl Sheet {
             markers[((row + 1) * across + col + 1) as usize] = Some(count as u32);
             count += 1;
         }
-        Self { lines, markers, count, inset, legacy: None, border_bits: None }
+        Self { lines, markers, count, inset, mistaken: 0.0, legacy: None, border_bits: None }
     }
 }
 
@@ -89,6 +105,7 @@ impl Sheets {
             None => vec![way(false), way(true)],
         };
         let count = ways.iter().map(|way| way.count).max().unwrap_or(0);
+        let codes = codes(&board.dictionary, board.first_id as usize, count, 0);
         Self {
             ways,
             widths: [1.0, 1.0],
@@ -96,7 +113,8 @@ impl Sheets {
             in_bright: true,
             room: (1.0 - ratio) / 2.0,
             margin: (1.0 - ratio) / 2.0,
-            codes: codes(&board.dictionary, board.first_id as usize, count, 0),
+            columns: CodeColumns::of(&codes, bits * bits),
+            codes,
         }
     }
 
@@ -110,9 +128,20 @@ impl Sheets {
                 (0..rows).flat_map(|row| (0..cols).map(move |col| (2 * col, 2 * (rows - 1 - row))));
             Sheet { border_bits: Some(border), ..Sheet::of([2 * cols, 2 * rows], inset, cells) }
         };
+        let codes =
+            codes(&grid.family, grid.first_id as usize, grid.cols as usize * grid.rows as usize, 2);
         let ways: Vec<Sheet> = match grid.border_bits {
             Some(border) => vec![way(border)],
-            None => vec![way(2), way(1)],
+            None => {
+                let [wide, narrow] = [way(2), way(1)];
+                let mistaken = |read: &Sheet, printed: &Sheet| {
+                    mistaken(&codes, bits, [read.inset, printed.inset])
+                };
+                vec![
+                    Sheet { mistaken: mistaken(&wide, &narrow), ..wide.clone() },
+                    Sheet { mistaken: mistaken(&narrow, &wide), ..narrow },
+                ]
+            }
         };
         let spacing = grid.spacing as f32;
         Self {
@@ -122,12 +151,8 @@ impl Sheets {
             in_bright: false,
             room: spacing.min(1.0 / (bits + 2) as f32 * 2.0),
             margin: 0.0,
-            codes: codes(
-                &grid.family,
-                grid.first_id as usize,
-                grid.cols as usize * grid.rows as usize,
-                2,
-            ),
+            columns: CodeColumns::of(&codes, bits * bits),
+            codes,
         }
     }
 
@@ -174,6 +199,35 @@ fn codes(dictionary: &Dictionary, first: usize, count: usize, printed: usize) ->
     codes
 }
 
+/// The mean agreement with their codes of markers that are printed with the payload at one inset and
+/// read with it at another.
+fn mistaken(codes: &[f32], bits: usize, [read, printed]: [f32; 2]) -> f32 {
+    // The cell of the print, of so many, in which a part of a cell that is read lies.
+    let cell = |index: usize, part: f32| {
+        let step = |inset: f32| (1.0 - 2.0 * inset) / bits as f32;
+        let place = (read + (index as f32 + part) * step(read) - printed) / step(printed);
+        (0.0..bits as f32).contains(&place).then_some(place as usize)
+    };
+    let agreement = |code: &[f32]| {
+        let white = |row: Option<usize>, col: Option<usize>| {
+            let value = row.zip(col).map_or(0.0, |(row, col)| code[row * bits + col]);
+            if value > 0.0 { 1.0 } else { 0.0 }
+        };
+        let mut seen: Vec<f32> = (0..bits * bits)
+            .map(|at| {
+                let sampled =
+                    IN_CODE_CELL.map(|(x, y)| white(cell(at / bits, y), cell(at % bits, x)));
+                sampled.iter().sum::<f32>() / 4.0
+            })
+            .collect();
+        unit(&mut seen);
+        code.iter().zip(&seen).map(|(a, b)| a * b).sum::<f32>()
+    };
+    // The rotations of a code agree alike.
+    let upright = codes.chunks_exact(bits * bits).step_by(4);
+    upright.clone().map(agreement).sum::<f32>() / upright.count().max(1) as f32
+}
+
 /// Takes the mean off and scales to length 1; returns the length before. All zero if that is
 /// nothing.
 pub(super) fn unit(values: &mut [f32]) -> f32 {
@@ -182,4 +236,31 @@ pub(super) fn unit(values: &mut [f32]) -> f32 {
     let scale = if length > 1e-3 { 1.0 / length } else { 0.0 };
     values.iter_mut().for_each(|value| *value = (*value - mean) * scale);
     length
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_borders_of_tags_with_few_bits_are_not_told_apart_by_their_payload() {
+        let grid = |family: &str| {
+            let family = Dictionary::named(family).expect("a family");
+            let grid = AprilGrid {
+                cols: 6,
+                rows: 5,
+                tag_m: 0.04,
+                spacing: 0.3,
+                family,
+                border_bits: None,
+                first_id: 0,
+            };
+            let sheets = Sheets::of(&Target::AprilGrid(grid)).expect("tags");
+            [0, 1].map(|way| sheets.ways[way].mistaken)
+        };
+        let [wide, narrow] = grid("tag36h11");
+        assert!((0.75..0.82).contains(&wide) && (0.58..0.68).contains(&narrow), "{wide} {narrow}");
+        let [wide, narrow] = grid("tag16h5");
+        assert!(wide > 0.99 && (0.72..0.82).contains(&narrow), "{wide} {narrow}");
+    }
 }

@@ -7,9 +7,9 @@ use crate::detection::grid::{Grid, in_steps};
 use crate::detection::measure::cross::Vec2;
 
 /// Normal equations of the eight parameters of a homography with h₃₃ = 1.
-pub(in crate::detection) type NormalMatrix = SMatrix<f64, 8, 8>;
+type NormalMatrix = SMatrix<f64, 8, 8>;
 /// The eight parameters, row by row, or their right-hand side.
-pub(in crate::detection) type HomographyVector = SVector<f64, 8>;
+type HomographyVector = SVector<f64, 8>;
 
 /// A homography from grid indices to pixels, fitted to all corners of a grid.
 ///
