@@ -45,29 +45,25 @@ impl Chart {
         if pairs.len() < 3 {
             return None;
         }
-        let total: f64 = pairs.iter().map(|pair| pair.weight).sum();
-        let mean_of = |of: fn(&ChartPair) -> [f64; 2]| {
-            let sum = pairs.iter().fold([0.0; 2], |sum, pair| {
-                [sum[0] + pair.weight * of(pair)[0], sum[1] + pair.weight * of(pair)[1]]
-            });
-            sum.map(|v| v / total)
-        };
-        let (middle, mean) = (mean_of(|pair| pair.place), mean_of(|pair| pair.pixel));
-        let spread_of = |of: fn(&ChartPair) -> [f64; 2], mean: [f64; 2]| {
-            let sum: f64 = pairs
-                .iter()
-                .map(|pair| {
-                    let [x, y] = of(pair);
-                    pair.weight * ((x - mean[0]).powi(2) + (y - mean[1]).powi(2))
-                })
-                .sum();
-            (sum / total).sqrt().max(1e-6)
-        };
-        let spread = spread_of(|pair| pair.place, middle);
-        let scale = spread_of(|pair| pair.pixel, mean);
-        let mut equations = HomographyEquations::default();
-        equations.normal[6][6] = FLATNESS * total;
-        equations.normal[7][7] = FLATNESS * total;
+        let (mut total, mut middle, mut mean) = (0.0, [0.0; 2], [0.0; 2]);
+        for pair in pairs {
+            total += pair.weight;
+            for k in 0..2 {
+                middle[k] += pair.weight * pair.place[k];
+                mean[k] += pair.weight * pair.pixel[k];
+            }
+        }
+        let (middle, mean) = (middle.map(|v| v / total), mean.map(|v| v / total));
+        let (mut spread, mut scale) = (0.0, 0.0);
+        for pair in pairs {
+            let away = |[x, y]: [f64; 2], [to_x, to_y]: [f64; 2]| {
+                pair.weight * ((x - to_x).powi(2) + (y - to_y).powi(2))
+            };
+            spread += away(pair.place, middle);
+            scale += away(pair.pixel, mean);
+        }
+        let [spread, scale] = [spread, scale].map(|sum| (sum / total).sqrt().max(1e-6));
+        let mut equations = HomographyEquations::flat(FLATNESS * total);
         for pair in pairs {
             let place = [0, 1].map(|k| (pair.place[k] - middle[k]) / spread);
             let pixel = [0, 1].map(|k| (pair.pixel[k] - mean[k]) / scale);

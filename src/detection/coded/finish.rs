@@ -98,7 +98,7 @@ impl TargetDetector {
 
     /// Drops the crossing that lies farthest from where the others put it, until all lie within
     /// `most`. False if too many must go. Where they lie is left in `held`.
-    fn drop_misplaced(&mut self, most: f32) -> bool {
+    pub(super) fn drop_misplaced(&mut self, most: f32) -> bool {
         let limits = self.thresholds.marker_corners;
         let budget = (limits.most_misplaced * self.grid.members.len() as f32) as usize + 1;
         let mut held = std::mem::take(&mut self.held);
@@ -156,12 +156,10 @@ impl TargetDetector {
         HeldCrossing { off, steps: Some(steps), ..held }
     }
 
-    /// Refines all crossings of `grid`; those that are none are taken out.
-    fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
-        let limits = self.thresholds.marker_corners;
+    /// Makes guesses of the crossings in `held`, for the refinement.
+    pub(super) fn take_guesses(&mut self) {
         self.guesses.clear();
         let reach = self.sheets.reach();
-        self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
         self.held.sort_unstable_by_key(|held| (held.at.1, held.at.0));
         for held in &self.held {
             let (i, j) = held.at;
@@ -173,10 +171,21 @@ impl TargetDetector {
                 neighbors: [u, v, -u, -v].map(|step| Some(pixel(p + step * reach))),
             });
         }
+    }
+
+    /// Refines `guesses`. True where corners are where the whole print is most like the image.
+    pub(super) fn refine_guesses(&mut self, image: GrayView<'_>, label: BoardLabel) -> bool {
         let corners = self.guesses.iter().map(|it| (it.index.col, it.index.row)).collect();
         let mut print = LabeledPrint::new(&self.sheets, label, &mut self.grid, corners);
-        let by_print =
-            self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined);
+        self.refiner.refine_printed(image, &self.guesses, Some(&mut print), &mut self.refined)
+    }
+
+    /// Refines all crossings of `grid`; those that are none are taken out.
+    fn refine(&mut self, image: GrayView<'_>, label: BoardLabel) {
+        let limits = self.thresholds.marker_corners;
+        self.grid.members.sort_unstable_by_key(|&(i, j)| (j, i));
+        self.take_guesses();
+        let by_print = self.refine_guesses(image, label);
         let mut stds: Vec<f64> = self.refined.iter().flatten().map(|it| it.std_px).collect();
         stds.sort_unstable_by(f64::total_cmp);
         let most_std_px = limits.suspect_stds * stds.get(stds.len() / 2).copied().unwrap_or(0.0);
@@ -205,24 +214,27 @@ impl TargetDetector {
     /// Drops crossings that were not refined and lie farther from where their neighbors put them
     /// than their standard deviation lets expect: an occluder's edge passes for one of theirs.
     fn drop_displaced(&mut self) {
-        let limits = self.thresholds.marker_corners;
-        let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
-        let mut is_displaced = |(i, j): (i32, i32)| {
-            let pixel = self.grid.pixel(i, j)?;
-            let (expected, _) = self.growth.expect(&self.sheets, &self.grid, (i, j))?;
-            let curved = expect_curved(&self.sheets, &self.grid, (i, j));
-            let off_px = |expected: Vec2| (pixel - expected).amax();
-            let off_px = curved.map_or(f32::MAX, off_px).min(off_px(expected));
-            (off_px > most_px).then_some((i, j))
-        };
         let unrefined = self.guesses.iter().zip(&self.refined).filter(|(_, it)| it.is_none());
-        let displaced: Vec<(i32, i32)> =
-            unrefined.filter_map(|(it, _)| is_displaced((it.index.col, it.index.row))).collect();
+        let unrefined = unrefined.map(|(it, _)| (it.index.col, it.index.row));
+        let mut displaced: Vec<(i32, i32)> = unrefined.collect();
+        displaced.retain(|&at| self.is_displaced(at));
         displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
     }
 
+    /// Whether a crossing that is not refined lies too far from where its neighbors put it.
+    pub(super) fn is_displaced(&mut self, at: (i32, i32)) -> bool {
+        let limits = self.thresholds.marker_corners;
+        let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
+        let Some(pixel) = self.grid.pixel(at.0, at.1) else { return false };
+        let Some((expected, _)) = self.growth.expect(&self.sheets, &self.grid, at) else {
+            return false;
+        };
+        let curved = expect_curved(&self.sheets, &self.grid, at);
+        let off_px = |expected: Vec2| (pixel - expected).amax();
+        curved.map_or(f32::MAX, off_px).min(off_px(expected)) > most_px
+    }
+
     fn detection(&self, label: BoardLabel) -> TargetDetection {
-        let sheet = &self.sheets.ways[label.way];
         let mut blurs = Vec::new();
         let mut corners: Vec<LabeledCorner> = Vec::with_capacity(self.guesses.len());
         for (guess, refined) in self.guesses.iter().zip(&self.refined) {
@@ -230,18 +242,35 @@ impl TargetDetector {
             if self.grid.get(i, j).is_none() {
                 continue;
             }
-            let (col, row) = label.placement.in_board(i, j);
-            let id = self.target.corner_id(col as u32, row as u32);
             blurs.extend(refined.map(|refined| refined.blur_px));
-            corners.push(LabeledCorner {
-                id,
-                index: GridIndex { col, row },
-                pixel: refined.map_or(guess.pixel, |refined| refined.pixel),
-                std_px: refined.map_or(self.thresholds.marker_corners.standing_std_px, |refined| {
-                    refined.std_px
-                }),
-            });
+            let pixel = refined.map_or(guess.pixel, |refined| refined.pixel);
+            let std_px = refined
+                .map_or(self.thresholds.marker_corners.standing_std_px, |refined| refined.std_px);
+            corners.push(self.labeled(label, guess.index, (pixel, std_px)));
         }
+        self.answer(label, corners, blurs)
+    }
+
+    /// The corner of the board that lies at (i, j) of the grid.
+    pub(super) fn labeled(
+        &self,
+        label: BoardLabel,
+        GridIndex { col: i, row: j }: GridIndex,
+        (pixel, std_px): (Pixel, f64),
+    ) -> LabeledCorner {
+        let (col, row) = label.placement.in_board(i, j);
+        let id = self.target.corner_id(col as u32, row as u32);
+        LabeledCorner { id, index: GridIndex { col, row }, pixel, std_px }
+    }
+
+    /// The detection of these corners of the board that lies as `label` says.
+    pub(super) fn answer(
+        &self,
+        label: BoardLabel,
+        mut corners: Vec<LabeledCorner>,
+        mut blurs: Vec<f64>,
+    ) -> TargetDetection {
+        let sheet = &self.sheets.ways[label.way];
         corners.sort_unstable_by_key(|corner| corner.id);
         blurs.sort_unstable_by(f64::total_cmp);
         TargetDetection {

@@ -1,89 +1,118 @@
 //! The normal equations of a homography's eight numbers, h₃₃ = 1.
 //!
-//! The first three say nothing of y and the next three nothing of x, and both see the same places:
-//! a third of the equations is zero and a third is there twice. What is zero is left out.
-
-/// Rows below the diagonal of each column that are not zero.
-const ROWS: [&[usize]; 8] =
-    [&[1, 2, 6, 7], &[2, 6, 7], &[6, 7], &[4, 5, 6, 7], &[5, 6, 7], &[6, 7], &[7], &[]];
-/// Columns left of the diagonal of each row that are not zero.
-const COLUMNS: [&[usize]; 8] =
-    [&[], &[0], &[0, 1], &[], &[3], &[3, 4], &[0, 1, 2, 3, 4, 5], &[0, 1, 2, 3, 4, 5, 6]];
+//! The first three numbers say nothing of y and the next three nothing of x, and both see the same
+//! places: a third of the equations is zero, and a third is there twice. What is zero is left out
+//! and what is there twice is solved once, in the order in which Cholesky's method has it.
 
 /// Sums over pairs of a place and its pixel.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct HomographyEquations {
-    /// By row and column. Only the lower half is read, and rows 3 to 5 are those of 0 to 2.
-    pub normal: [[f64; 8]; 8],
-    right: [f64; 8],
+    /// Of the three numbers of an axis among each other: the lower half.
+    places: [[f64; 3]; 3],
+    /// Of each of the last two numbers with those three, by axis.
+    slanted: [[[f64; 3]; 2]; 2],
+    /// Of the last two among each other: the lower half.
+    slants: [[f64; 2]; 2],
+    right: [[f64; 3]; 2],
+    right_of_slants: [f64; 2],
 }
 
 impl HomographyEquations {
+    /// No pairs yet, but the assumption with so much weight that there is no perspective.
+    pub(super) fn flat(weight: f64) -> Self {
+        Self { slants: [[weight, 0.0], [0.0, weight]], ..Self::default() }
+    }
+
     /// Adds a pair: (h₀i + h₁j + h₂)/(1 + h₆i + h₇j) = x, and the same of h₃, h₄, h₅ and y.
     #[inline]
     pub(super) fn take(&mut self, [i, j]: [f64; 2], pixel: [f64; 2], weight: f64) {
-        let Self { normal, right } = self;
-        let places = [i, j, 1.0];
-        let weighted = places.map(|place| weight * place);
+        let terms = [i, j, 1.0];
+        let weighted = terms.map(|term| weight * term);
         for a in 0..3 {
             for b in 0..=a {
-                normal[a][b] += weighted[a] * places[b];
+                self.places[a][b] += weighted[a] * terms[b];
             }
         }
-        for (axis, value) in pixel.into_iter().enumerate() {
+        for axis in 0..2 {
+            let value = pixel[axis];
             let slants = [-i * value, -j * value];
             for a in 0..3 {
-                right[3 * axis + a] += weighted[a] * value;
+                self.right[axis][a] += weighted[a] * value;
             }
-            for (a, slant) in slants.into_iter().enumerate() {
-                let weighted = weight * slant;
-                right[6 + a] += weighted * value;
+            for a in 0..2 {
+                let weighted = weight * slants[a];
+                self.right_of_slants[a] += weighted * value;
                 for b in 0..3 {
-                    normal[6 + a][3 * axis + b] += weighted * places[b];
+                    self.slanted[a][axis][b] += weighted * terms[b];
                 }
                 for b in 0..=a {
-                    normal[6 + a][6 + b] += weighted * slants[b];
+                    self.slants[a][b] += weighted * slants[b];
                 }
             }
         }
     }
 
-    /// The eight numbers, by Cholesky's method; `None` if the pairs do not determine them.
+    /// The eight numbers; `None` if the pairs do not determine them.
     pub(super) fn solve(self) -> Option<[f64; 8]> {
-        let Self { normal: mut l, right: mut h } = self;
-        for a in 0..3 {
-            for b in 0..=a {
-                l[3 + a][3 + b] = l[a][b];
-            }
-        }
-        for j in 0..8 {
-            for &k in COLUMNS[j] {
-                let factor = -l[j][k];
-                l[j][j] += factor * l[j][k];
-                for &row in ROWS[j] {
-                    l[row][j] += factor * l[row][k];
+        let Self { places: mut l, slanted: mut below, slants: mut last, .. } = self;
+        let Self { right: mut h, right_of_slants: mut g, .. } = self;
+        for j in 0..3 {
+            for k in 0..j {
+                for row in j..3 {
+                    l[row][j] += -l[j][k] * l[row][k];
                 }
             }
-            if l[j][j].is_nan() || l[j][j] <= 0.0 {
-                return None;
-            }
-            l[j][j] = l[j][j].sqrt();
-            for &row in ROWS[j] {
+            l[j][j] = root(l[j][j])?;
+            for row in j + 1..3 {
                 l[row][j] /= l[j][j];
             }
-        }
-        for j in 0..8 {
-            h[j] /= l[j][j];
-            for &row in ROWS[j] {
-                h[row] += -h[j] * l[row][j];
+            for row in below.iter_mut().flatten() {
+                for k in 0..j {
+                    row[j] += -l[j][k] * row[k];
+                }
+                row[j] /= l[j][j];
             }
         }
-        for j in (0..8).rev() {
-            let known: f64 = ROWS[j].iter().map(|&row| l[row][j] * h[row]).sum();
-            h[j] = (h[j] - known) / l[j][j];
+        for axis in 0..2 {
+            for k in 0..3 {
+                for j in 0..2 {
+                    for row in j..2 {
+                        last[row][j] += -below[j][axis][k] * below[row][axis][k];
+                    }
+                }
+                h[axis][k] /= l[k][k];
+                for row in k + 1..3 {
+                    h[axis][row] += -h[axis][k] * l[row][k];
+                }
+                for row in 0..2 {
+                    g[row] += -h[axis][k] * below[row][axis][k];
+                }
+            }
         }
-        Some(h)
+        last[0][0] = root(last[0][0])?;
+        last[1][0] /= last[0][0];
+        last[1][1] += -last[1][0] * last[1][0];
+        last[1][1] = root(last[1][1])?;
+        g[0] /= last[0][0];
+        g[1] += -g[0] * last[1][0];
+        g[1] = g[1] / last[1][1] / last[1][1];
+        g[0] = (g[0] - last[1][0] * g[1]) / last[0][0];
+        for axis in 0..2 {
+            for j in (0..3).rev() {
+                let known = (j + 1..3).map(|row| l[row][j] * h[axis][row]).sum::<f64>()
+                    + below[0][axis][j] * g[0]
+                    + below[1][axis][j] * g[1];
+                h[axis][j] = (h[axis][j] - known) / l[j][j];
+            }
+        }
+        let [[a, b, c], [d, e, f]] = h;
+        Some([a, b, c, d, e, f, g[0], g[1]])
     }
+}
+
+/// The square root of what is above zero.
+fn root(value: f64) -> Option<f64> {
+    (value > 0.0).then(|| value.sqrt())
 }
 
 #[cfg(test)]
@@ -127,9 +156,7 @@ mod tests {
             };
             let pairs: Vec<_> = (0..3 + case % 22).map(|_| pair()).collect();
             let flat = 0.004;
-            let mut equations = HomographyEquations::default();
-            equations.normal[6][6] = flat;
-            equations.normal[7][7] = flat;
+            let mut equations = HomographyEquations::flat(flat);
             pairs.iter().for_each(|&(place, pixel, weight)| equations.take(place, pixel, weight));
             let (solved, expected) = (equations.solve(), in_full(&pairs, flat));
             assert_eq!(solved.is_some(), expected.is_some(), "case {case}");
@@ -141,7 +168,7 @@ mod tests {
 
     #[test]
     fn places_on_one_line_determine_nothing() {
-        let mut equations = HomographyEquations::default();
+        let mut equations = HomographyEquations::flat(0.1);
         for k in 0..6 {
             equations.take([f64::from(k), 0.0], [f64::from(k), 1.0], 1.0);
         }

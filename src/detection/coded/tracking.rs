@@ -1,10 +1,10 @@
-//! The board in the next image of a stream, where it was in the last one: at a fraction of the
-//! cost of a search, and as exact.
+//! The board in the next image of a stream, near where it was in the last one: at a fraction of the
+//! cost of a search.
 //!
-//! Each corner is measured where its motion and that of a few others (`shift`) predict it. From
-//! there on all is as after a search: the markers are read again and must say the same place in the
-//! board by themselves, and the corners are refined and tested in the same way. Otherwise the
-//! whole image is searched.
+//! Each corner is measured where its motion and that of a few others (`shift`) predict it. The
+//! markers are read again and must say the same place in the board by themselves, with the evidence
+//! that a search needs, and each corner must lie where the others put it. Otherwise the whole image
+//! is searched.
 
 use crate::detection::coded::answer::TargetDetection;
 use crate::detection::coded::detector::TargetDetector;
@@ -15,7 +15,9 @@ use crate::detection::coded::shift::{Reference, Shift, ShiftSearch};
 use crate::detection::measure::Probe;
 use crate::detection::measure::cross::Vec2;
 use crate::detection::refine::GridCorner;
+use crate::detection::thresholds::Thresholds;
 use crate::detection::tracking::last_corners::LastCorners;
+use crate::detection::tracking::sampled::{keep_spread, measured_std_px};
 use crate::geometry::pixel::Pixel;
 use crate::imaging::gray::GrayView;
 
@@ -27,7 +29,8 @@ const REFERENCES_A_SIDE: usize = 3;
 pub struct TrackedTarget {
     /// The target.
     pub detection: TargetDetection,
-    /// Whether it was tracked instead of searched for.
+    /// Whether it was tracked instead of searched for: then only the corners that estimate blur and
+    /// error are refined, and `std_px` is the same for all.
     pub followed: bool,
 }
 
@@ -113,8 +116,42 @@ impl TargetDetector {
         if !is_same {
             return None;
         }
-        let detection = self.finish(image, 0, seen)?;
-        Some((detection, seen))
+        Some((self.report_measured(image, seen)?, seen))
+    }
+
+    /// The corners as they were measured, held against each other as after a search; a few are
+    /// refined, to estimate the blur and the error of the others.
+    fn report_measured(
+        &mut self,
+        image: GrayView<'_>,
+        label: BoardLabel,
+    ) -> Option<TargetDetection> {
+        let Thresholds { marker_corners: limits, marker_tracking: tracking, .. } = self.thresholds;
+        if !self.drop_misplaced(limits.most_refined_off) {
+            return None;
+        }
+        // What a search asks of corners that it could not refine.
+        for index in (0..self.grid.members.len()).rev() {
+            let (i, j) = self.grid.members[index];
+            let stands = self.grid.get(i, j).is_some_and(|it| it.score >= limits.standing_score);
+            if !stands || self.is_displaced((i, j)) {
+                self.grid.remove(i, j);
+            }
+        }
+        self.take_guesses();
+        if self.guesses.len() < limits.least_corners {
+            return None;
+        }
+        let measured = self.guesses.clone();
+        keep_spread(&mut self.guesses, tracking.refined);
+        self.refine_guesses(image, label);
+        let std_px =
+            measured_std_px(&self.guesses, &self.refined, self.thresholds.tracking.least_std_px)?;
+        let blurs = self.refined.iter().flatten().map(|refined| refined.blur_px).collect();
+        self.guesses = measured;
+        let corners = self.guesses.iter();
+        let corners = corners.map(|it| self.labeled(label, it.index, (it.pixel, std_px))).collect();
+        Some(self.answer(label, corners, blurs))
     }
 
     /// Fills the grid with the corners that are found where they are predicted. False if too many

@@ -13,6 +13,7 @@ use crate::imaging::gray::GrayView;
 const ALONG: [f32; 3] = [0.28, 0.5, 0.72];
 
 /// Brightness at `p`; `None` outside the image.
+#[inline]
 pub(in crate::detection) fn sample(image: GrayView<'_>, p: Vec2) -> Option<f32> {
     let inside = p.x >= 0.0
         && p.y >= 0.0

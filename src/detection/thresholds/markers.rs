@@ -133,6 +133,8 @@ thresholds! {
         slope: f32 = 0.03, "px", ThresholdOrigin::Swept;
         /// Least share of the corners that are searched for that moved alike.
         least_alike: f32 = 0.6, "share", ThresholdOrigin::Swept;
+        /// Corners that are refined, to estimate the blur and the error of the others.
+        refined: usize = 8, "corners", ThresholdOrigin::Swept;
         /// Least share of the last image's corners that are found again.
         least_kept: f32 = 0.5, "share", ThresholdOrigin::Swept;
     }

@@ -8,6 +8,7 @@
 mod board_edges;
 mod last_board;
 pub(in crate::detection) mod last_corners;
+pub(in crate::detection) mod sampled;
 
 use crate::detection::board_detection::{DetectedCorner, Detection};
 use crate::detection::grid::Grid;
@@ -19,6 +20,7 @@ use crate::detection::report::{ReportBuffers, detection, take_guesses};
 use crate::detection::search::FoundGrid;
 use crate::detection::tracking::board_edges::Followed;
 use crate::detection::tracking::last_board::LastBoard;
+use crate::detection::tracking::sampled::{keep_spread, measured_std_px};
 use crate::detection::verify::consistency::off_neighbors;
 use crate::detection::verify::placement::{BoardPlacement, place};
 use crate::geometry::board::BoardSize;
@@ -190,25 +192,15 @@ fn report_followed(
         pixel: guess.pixel,
         std_px: 0.0,
     }));
-    let last = guesses.len() - 1;
-    for nth in 0..SAMPLED {
-        guesses[nth] = guesses[nth + (last - SAMPLED + 1) * nth / (SAMPLED - 1)];
-    }
-    guesses.truncate(SAMPLED);
+    keep_spread(guesses, SAMPLED);
     refiner.refine(probe.image, guesses, refined);
     blurs.clear();
-    let mut squares = 0.0;
-    for (guess, refined) in guesses.iter().zip(refined.iter().flatten()) {
-        blurs.push(refined.blur_px);
-        squares += refined.pixel.distance_px(guess.pixel).powi(2) + 2.0 * refined.std_px.powi(2);
-    }
-    let seen = blurs.len();
-    if 2 * seen < SAMPLED {
+    blurs.extend(refined.iter().flatten().map(|refined| refined.blur_px));
+    let least = probe.thresholds.tracking.least_std_px;
+    let Some(std_px) = measured_std_px(guesses, refined, least) else {
         *spare = corners;
         return None;
-    }
-    let least = probe.thresholds.tracking.least_std_px;
-    let std_px = (squares / (2 * seen) as f64).sqrt().max(least);
+    };
     corners.iter_mut().for_each(|corner| corner.std_px = std_px);
     Some(detection(board, placement, corners, blurs))
 }
