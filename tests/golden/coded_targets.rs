@@ -14,12 +14,11 @@ use plumb::geometry::target::{AprilGrid, CharucoBoard, Target, chessboard};
 use plumb::imaging::gray::GrayImage;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use rand_distr::{Distribution, Normal};
 
-const WIDTH: usize = 480;
-const HEIGHT: usize = 360;
-/// Pixels of the raster that a meter of the sheet takes.
-const RASTER_PER_M: f64 = 2500.0;
+use crate::printed_images::rendered;
+
+pub const WIDTH: usize = 480;
+pub const HEIGHT: usize = 360;
 
 fn charuco(dictionary: &str, rows: u32, legacy: bool) -> CharucoBoard {
     CharucoBoard {
@@ -72,18 +71,6 @@ fn image_of(
     seed: u64,
 ) -> (GrayImage, Matrix3<f64>) {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let margin_m = 0.02;
-    let [across, down] = [print.width_m, print.height_m]
-        .map(|side| ((side + 2.0 * margin_m) * RASTER_PER_M).ceil() as usize);
-    let mut raster = vec![1.0_f32; across * down];
-    for rect in &print.rects {
-        let edge = |meters: f64| ((meters + margin_m) * RASTER_PER_M).round() as usize;
-        for row in
-            raster.chunks_exact_mut(across).take(edge(rect.y + rect.height)).skip(edge(rect.y))
-        {
-            row[edge(rect.x)..edge(rect.x + rect.width)].fill(f32::from(u8::from(rect.white)));
-        }
-    }
     let angle = rng.random_range(-0.4..0.4_f64);
     let (s, c) = angle.sin_cos();
     let slant = [0, 1].map(|_| rng.random_range(-0.9..0.9));
@@ -102,28 +89,7 @@ fn image_of(
     let to_middle =
         Matrix3::new(1.0, 0.0, WIDTH as f64 / 2.0, 0.0, 1.0, HEIGHT as f64 / 2.0, 0.0, 0.0, 1.0);
     let pixel_from_sheet = to_middle * pixel_from_sheet;
-    let sheet_from_pixel = pixel_from_sheet.try_inverse().expect("a homography");
-    let noise = Normal::new(0.0, 1.5).expect("a deviation");
-    let mut pixels = Vec::with_capacity(WIDTH * HEIGHT);
-    for y in 0..HEIGHT {
-        for x in 0..WIDTH {
-            let mut white = 0.0;
-            for sub in 0..16 {
-                let at = |v: usize, k: usize| v as f64 - 0.5 + (k as f64 + 0.5) / 4.0;
-                let p = sheet_from_pixel * Vector3::new(at(x, sub % 4), at(y, sub / 4), 1.0);
-                let place = |v: f64| ((v / p.z + margin_m) * RASTER_PER_M).floor();
-                let (col, row) = (place(p.x), place(p.y));
-                let inside = p.z > 0.0
-                    && (0.0..across as f64).contains(&col)
-                    && (0.0..down as f64).contains(&row);
-                white += if inside { raster[row as usize * across + col as usize] } else { 0.6 };
-            }
-            let gray = 30.0 + 180.0 * f64::from(white) / 16.0 + noise.sample(&mut rng);
-            pixels.push(gray.round().clamp(0.0, 255.0) as u8);
-        }
-    }
-    let image = GrayImage::from_pixels(WIDTH, HEIGHT, pixels).expect("so many pixels");
-    (image, pixel_from_sheet)
+    (rendered(print, [WIDTH, HEIGHT], &[pixel_from_sheet], &mut rng), pixel_from_sheet)
 }
 
 /// How many corners of `shown` the detector of `asked` finds in an image of it; each must be right.
@@ -215,14 +181,12 @@ fn other_boards_are_not_answered() {
 }
 
 /// Paints over `image`: at each pixel's place, how much of it is covered and by which gray.
-fn paint(image: &GrayImage, covers: impl Fn(f64, f64) -> (f64, f64)) -> GrayImage {
-    let rows = image.view();
+pub fn paint(image: &GrayImage, covers: impl Fn(f64, f64) -> (f64, f64)) -> GrayImage {
     let covered = |(k, &pixel): (usize, &u8)| {
         let (share, gray) = covers((k % WIDTH) as f64, (k / WIDTH) as f64);
         (f64::from(pixel) + share * (gray - f64::from(pixel))).round() as u8
     };
-    let bytes: Vec<u8> = (0..HEIGHT).flat_map(|y| rows.row(y).to_vec()).collect();
-    let pixels = bytes.iter().enumerate().map(covered).collect();
+    let pixels = image.pixels().iter().enumerate().map(covered).collect();
     GrayImage::from_pixels(WIDTH, HEIGHT, pixels).expect("so many pixels")
 }
 

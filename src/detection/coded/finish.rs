@@ -21,6 +21,8 @@ pub(super) struct HeldCrossing {
     at: (i32, i32),
     /// How far off it is, in narrow intervals, more of a suspect one.
     off: f32,
+    /// The same in pixels, along each axis of the image.
+    off_px: f32,
     /// One unit of the lattice along each axis.
     steps: Option<[Vec2; 2]>,
     /// Within how many lines the others decide on all this.
@@ -31,7 +33,7 @@ pub(super) struct HeldCrossing {
 
 impl HeldCrossing {
     fn unknown(at: (i32, i32)) -> Self {
-        Self { at, off: 0.0, steps: None, reach: 0, is_current: false }
+        Self { at, off: 0.0, off_px: 0.0, steps: None, reach: 0, is_current: false }
     }
 }
 
@@ -153,7 +155,8 @@ impl TargetDetector {
             off = off.min(off_from(curved));
         }
         let off = if node.tight { off / suspect_share } else { off };
-        HeldCrossing { off, steps: Some(steps), ..held }
+        let off_px = (node.pixel - expected).amax();
+        HeldCrossing { off, off_px, steps: Some(steps), ..held }
     }
 
     /// Makes guesses of the crossings in `held`, for the refinement.
@@ -219,6 +222,21 @@ impl TargetDetector {
         let mut displaced: Vec<(i32, i32)> = unrefined.collect();
         displaced.retain(|&at| self.is_displaced(at));
         displaced.into_iter().for_each(|(i, j)| self.grid.remove(i, j));
+    }
+
+    /// Drops of the crossings in `held` those that a search would not answer unless it refined them.
+    pub(super) fn drop_unfit(&mut self) {
+        let limits = self.thresholds.marker_corners;
+        let most_px = (limits.most_standing_off * limits.standing_std_px) as f32;
+        let held = std::mem::take(&mut self.held);
+        for &HeldCrossing { at, off_px, .. } in &held {
+            let stands =
+                self.grid.get(at.0, at.1).is_some_and(|it| it.score >= limits.standing_score);
+            if !stands || off_px > most_px && self.is_displaced(at) {
+                self.grid.remove(at.0, at.1);
+            }
+        }
+        self.held = held;
     }
 
     /// Whether a crossing that is not refined lies too far from where its neighbors put it.

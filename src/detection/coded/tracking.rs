@@ -12,8 +12,9 @@ use crate::detection::coded::labels::{BoardLabel, BoardLabels};
 use crate::detection::coded::lattice::{Expected, LARGEST_RADIUS, LatticeScene};
 use crate::detection::coded::no_target::NoTarget;
 use crate::detection::coded::shift::{Reference, Shift, ShiftSearch};
+use crate::detection::grid::Node;
 use crate::detection::measure::Probe;
-use crate::detection::measure::cross::Vec2;
+use crate::detection::measure::cross::{CrossWindow, Vec2};
 use crate::detection::refine::GridCorner;
 use crate::detection::thresholds::Thresholds;
 use crate::detection::tracking::last_corners::LastCorners;
@@ -45,6 +46,8 @@ pub(super) struct LastTarget {
     label: Option<(BoardLabel, bool)>,
     /// On which level of the image it was found.
     level: usize,
+    /// Width of the blur across its edges, in pixels.
+    blur_px: f32,
     shifts: ShiftSearch,
     references: Vec<Reference>,
 }
@@ -65,19 +68,19 @@ impl TargetDetector {
     /// [`NoTarget`] says why there is none.
     pub fn track(&mut self, image: GrayView<'_>) -> Result<TrackedTarget, NoTarget> {
         if let Some((detection, label)) = self.follow(image) {
-            self.remember(label, self.last.level);
+            self.remember(label, self.last.level, detection.blur_px);
             return Ok(TrackedTarget { detection, followed: true });
         }
         let searched = self.search_all(image);
         match &searched {
-            Ok(found) => self.remember(found.label, found.level),
+            Ok(found) => self.remember(found.label, found.level, found.detection.blur_px),
             Err(_) => self.last.forget(),
         }
         searched.map(|found| TrackedTarget { detection: found.detection, followed: false })
     }
 
     /// Keeps the corners of the board that was answered just now.
-    fn remember(&mut self, label: BoardLabel, level: usize) {
+    fn remember(&mut self, label: BoardLabel, level: usize, blur_px: f64) {
         let [across, down] = self.sheets.ways[label.way].lines;
         let Self { last, grid, guesses, sheets, .. } = self;
         let corners = (0..down).flat_map(|row| (0..across).map(move |col| (col, row)));
@@ -95,7 +98,7 @@ impl TargetDetector {
             }
         }
         last.label = Some((label, grid.bright));
-        last.level = level;
+        (last.level, last.blur_px) = (level, blur_px as f32);
     }
 
     /// The board near its last position; `None` if it must be searched for.
@@ -116,7 +119,12 @@ impl TargetDetector {
         if !is_same {
             return None;
         }
-        Some((self.report_measured(image, seen)?, seen))
+        let detection = if self.grid.members.len() <= self.thresholds.marker_tracking.refined {
+            self.finish(image, 0, seen)?
+        } else {
+            self.report_measured(image, seen)?
+        };
+        Some((detection, seen))
     }
 
     /// The corners as they were measured, held against each other as after a search; a few are
@@ -130,14 +138,7 @@ impl TargetDetector {
         if !self.drop_misplaced(limits.most_refined_off) {
             return None;
         }
-        // What a search asks of corners that it could not refine.
-        for index in (0..self.grid.members.len()).rev() {
-            let (i, j) = self.grid.members[index];
-            let stands = self.grid.get(i, j).is_some_and(|it| it.score >= limits.standing_score);
-            if !stands || self.is_displaced((i, j)) {
-                self.grid.remove(i, j);
-            }
-        }
+        self.drop_unfit();
         self.take_guesses();
         if self.guesses.len() < limits.least_corners {
             return None;
@@ -174,6 +175,8 @@ impl TargetDetector {
             thresholds: &thresholds.lattice,
         };
         grid.clear(LARGEST_RADIUS, bright);
+        let limits = &thresholds.tracking;
+        let exact_px = limits.exact_px.max(limits.exact_blurs * last.blur_px);
         let mut count = 0;
         for (index, node) in last.corners.seen() {
             count += 1;
@@ -188,7 +191,7 @@ impl TargetDetector {
                 labeled: true,
             };
             if let Some(node) = place.detect(scene) {
-                grid.set(i, j, node);
+                grid.set(i, j, exact(node, scene, (place.steps, exact_px)));
             }
         }
         grid.members.len() as f32 >= thresholds.marker_tracking.least_kept * count as f32
@@ -217,6 +220,18 @@ impl TargetDetector {
             })
         }));
         shifts.search(Probe { image, thresholds }, *level, references)
+    }
+}
+
+/// The crossing again, in a window of so many pixels that no other edge reaches into.
+fn exact(node: Node, scene: LatticeScene<'_>, ([u, v], reach_px): ([Vec2; 2], f32)) -> Node {
+    let reach = scene.thresholds.reach * scene.sheets.room;
+    let window = CrossWindow::on_board(node.pixel, u, v, reach, reach_px);
+    match window.measure(scene.image) {
+        Some(cross) if (cross.center - node.pixel).norm() < reach_px => {
+            Node { pixel: cross.center, ..node }
+        }
+        _ => node,
     }
 }
 

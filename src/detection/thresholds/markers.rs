@@ -135,6 +135,8 @@ thresholds! {
         least_alike: f32 = 0.6, "share", ThresholdOrigin::Swept;
         /// Corners that are refined, to estimate the blur and the error of the others.
         refined: usize = 8, "corners", ThresholdOrigin::Swept;
+        /// Least standard deviation of corners that are not.
+        least_std_px: f64 = 0.02, "px", ThresholdOrigin::Swept;
         /// Least share of the last image's corners that are found again.
         least_kept: f32 = 0.5, "share", ThresholdOrigin::Swept;
     }
