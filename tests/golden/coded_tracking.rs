@@ -191,7 +191,7 @@ fn a_board_that_jumps_by_squares_keeps_its_ids() {
 fn another_board_in_its_place_is_not_taken_for_it() {
     for (kind, (board, others)) in [
         (charuco(5, 0, false), vec![charuco(5, 30, false), april_grid(0)]),
-        (charuco(6, 0, false), vec![charuco(6, 1, false), charuco(5, 0, false)]),
+        (charuco(6, 0, false), vec![charuco(6, 1, false), charuco(6, 0, true)]),
         (april_grid(0), vec![april_grid(12), april_grid(1)]),
     ]
     .into_iter()

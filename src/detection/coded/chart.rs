@@ -83,9 +83,14 @@ impl Chart {
         pairs: &mut Vec<ChartPair>,
     ) -> Option<Self> {
         let at = [sheets.line(i), sheets.line(j)];
+        let mut lines = [[0.0; 2 * FARTHEST as usize + 1]; 2];
         let mut inner = -1;
         pairs.clear();
         for reach in REACHES {
+            for off in (-reach..=reach).filter(|off| off.abs() > inner) {
+                let slot = (FARTHEST + off) as usize;
+                (lines[0][slot], lines[1][slot]) = (sheets.line(i + off), sheets.line(j + off));
+            }
             for dj in -reach..=reach {
                 for di in -reach..=reach {
                     let ring = di.abs().max(dj.abs());
@@ -93,7 +98,8 @@ impl Chart {
                         continue;
                     }
                     let Some(pixel) = grid.pixel(i + di, j + dj) else { continue };
-                    let place = [sheets.line(i + di), sheets.line(j + dj)];
+                    let place =
+                        [lines[0][(FARTHEST + di) as usize], lines[1][(FARTHEST + dj) as usize]];
                     let away = (place[0] - at[0]).powi(2) + (place[1] - at[1]).powi(2);
                     pairs.push(ChartPair {
                         place: place.map(f64::from),

@@ -47,6 +47,12 @@ impl Samples {
         [&self.x, &self.y, &self.value, &self.weight].map(|lane| S::as_simd_f32s(&lane[..length]).0)
     }
 
+    /// Where the samples lie, from the window's origin: each one's x, and each one's y.
+    #[inline(always)]
+    pub fn places(&self) -> [&[f32]; 2] {
+        [&self.x[..self.count], &self.y[..self.count]]
+    }
+
     /// Replaces each value by what `change` makes of its position and it.
     pub fn change(&mut self, mut change: impl FnMut(f32, f32, f32) -> f32) {
         let Self { x, y, value, count, .. } = self;

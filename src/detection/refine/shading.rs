@@ -37,23 +37,11 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
         let of = |column: &[f32]| f64::from(column.get(slot).copied().unwrap_or(0.0) * over);
         (f64::from(weight * weight), of(pattern), of(residuals))
     };
-    let mut normal = SMatrix::<f64, TERMS, TERMS>::zeros();
-    let mut right = SVector::<f64, TERMS>::zeros();
-    let (mut slot, mut total) = (0, 0.0);
-    samples.change(|x, y, value| {
-        let (weight, pattern, residual) = at(slot);
-        slot += 1;
-        let terms = basis(f64::from(x) / reach, f64::from(y) / reach, pattern);
-        total += weight;
-        for row in 0..TERMS {
-            let weighted = weight * terms[row];
-            right[row] += weighted * residual;
-            for col in 0..=row {
-                normal[(row, col)] += weighted * terms[col];
-            }
-        }
-        value
-    });
+    let mut sums = LightSums::default();
+    pulp::Arch::new().dispatch(TakeLight { samples, columns, reach, sums: &mut sums });
+    let LightSums { products, total } = sums;
+    let mut normal = SMatrix::<f64, TERMS, TERMS>::from_fn(|row, col| products[row][col]);
+    let right = SVector::<f64, TERMS>::from_fn(|row, _| products[row][TERMS]);
     for term in 0..TERMS {
         normal[(term, term)] += PRIOR * total;
     }
@@ -64,7 +52,7 @@ pub(super) fn take_off_shading(samples: &mut Samples, columns: &ModelColumns, re
         let (_, pattern, _) = at(slot);
         slot += 1;
         let terms = basis(f64::from(x) / reach, f64::from(y) / reach, pattern);
-        value - shading.dot(&terms) as f32
+        value - shading.dot(&SVector::from(terms)) as f32
     });
 }
 
@@ -96,22 +84,10 @@ pub(super) fn joint_step(
     reach: f64,
     amplitude: f64,
 ) -> Option<JointStep> {
-    let mut normal = SMatrix::<f64, JOINT, JOINT>::zeros();
-    let mut right = SVector::<f64, JOINT>::zeros();
-    let mut slot = 0;
-    samples.change(|x, y, value| {
-        let of = |k: usize| f64::from(columns.values(k)[slot]);
-        let weight = of(BY_LEVEL);
-        let pattern = if weight > 0.0 { of(BY_AMPLITUDE) / weight } else { 0.0 };
-        let light = basis(f64::from(x) / reach, f64::from(y) / reach, pattern);
-        let row = SVector::<f64, JOINT>::from_fn(|k, _| {
-            if k < TERMS { weight * light[k] } else { of(k - TERMS) }
-        });
-        normal.syger(1.0, &row, &row, 1.0);
-        right += row * of(RESIDUAL);
-        slot += 1;
-        value
-    });
+    let mut sums = JointSums::default();
+    pulp::Arch::new().dispatch(TakeJoint { samples, columns, reach, sums: &mut sums });
+    let mut normal = SMatrix::<f64, JOINT, JOINT>::from_fn(|row, col| sums.products[row][col]);
+    let right = SVector::<f64, JOINT>::from(sums.right);
     for k in 0..JOINT {
         normal[(k, k)] *= 1.0 + PRIOR;
     }
@@ -128,9 +104,103 @@ pub(super) fn joint_step(
     Some(JointStep { step, offset_covariance })
 }
 
-fn basis(x: f64, y: f64, pattern: f64) -> SVector<f64, TERMS> {
+#[inline(always)]
+fn basis(x: f64, y: f64, pattern: f64) -> [f64; TERMS] {
     let (x2, y2) = (x * x, y * y);
-    SVector::from([x, y, x2, x * y, y2, x2 * x, x2 * y, x * y2, y2 * y, pattern * x, pattern * y])
+    [x, y, x2, x * y, y2, x2 * x, x2 * y, x * y2, y2 * y, pattern * x, pattern * y]
+}
+
+/// Sums over a window's samples, of which the lower half is read.
+#[derive(Default)]
+struct LightSums {
+    /// Products of each term with each other one, and with what the model leaves.
+    products: [[f64; TERMS + 1]; TERMS],
+    /// The samples' weight.
+    total: f64,
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct TakeLight<'a> {
+    samples: &'a Samples,
+    columns: &'a ModelColumns,
+    reach: f64,
+    sums: &'a mut LightSums,
+}
+
+impl pulp::NullaryFnOnce for TakeLight<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { samples, columns, reach, sums } = self;
+        let [xs, ys] = samples.places();
+        let trust = columns.values(BY_LEVEL).iter();
+        let left = columns.values(BY_AMPLITUDE).iter().zip(columns.values(RESIDUAL));
+        for (((x, y), weight), (pattern, residual)) in xs.iter().zip(ys).zip(trust).zip(left) {
+            let over = if *weight > 0.0 { 1.0 / weight } else { 0.0 };
+            let (pattern, residual) = (f64::from(pattern * over), f64::from(residual * over));
+            let weight = f64::from(weight * weight);
+            let light = basis(f64::from(*x) / reach, f64::from(*y) / reach, pattern);
+            let mut terms = [residual; TERMS + 1];
+            terms[..TERMS].copy_from_slice(&light);
+            sums.total += weight;
+            for (products, term) in sums.products.iter_mut().zip(light) {
+                let weighted = weight * term;
+                for (product, other) in products.iter_mut().zip(terms) {
+                    *product += weighted * other;
+                }
+            }
+        }
+    }
+}
+
+/// The same of light and corner together.
+struct JointSums {
+    products: [[f64; JOINT]; JOINT],
+    right: [f64; JOINT],
+}
+
+impl Default for JointSums {
+    fn default() -> Self {
+        Self { products: [[0.0; JOINT]; JOINT], right: [0.0; JOINT] }
+    }
+}
+
+/// A struct, not a closure: all of it must be inlined to be compiled for the processor.
+struct TakeJoint<'a> {
+    samples: &'a Samples,
+    columns: &'a ModelColumns,
+    reach: f64,
+    sums: &'a mut JointSums,
+}
+
+impl pulp::NullaryFnOnce for TakeJoint<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { samples, columns, reach, sums } = self;
+        let [xs, ys] = samples.places();
+        for (slot, (x, y)) in xs.iter().zip(ys).enumerate() {
+            let mut row = [0.0; JOINT];
+            for k in 0..UNKNOWNS {
+                row[TERMS + k] = f64::from(columns.values(k)[slot]);
+            }
+            let (weight, pattern) = (row[TERMS + BY_LEVEL], row[TERMS + BY_AMPLITUDE]);
+            let pattern = if weight > 0.0 { pattern / weight } else { 0.0 };
+            let light = basis(f64::from(*x) / reach, f64::from(*y) / reach, pattern);
+            for k in 0..TERMS {
+                row[k] = weight * light[k];
+            }
+            let residual = f64::from(columns.values(RESIDUAL)[slot]);
+            for k in 0..JOINT {
+                sums.right[k] += row[k] * residual;
+                for other in 0..JOINT {
+                    sums.products[k][other] += row[k] * row[other];
+                }
+            }
+        }
+    }
 }
 
 #[cfg(test)]
@@ -184,7 +254,8 @@ mod tests {
             );
         let mut modeled = columns.values(RESIDUAL).iter();
         samples.change(|x, y, value| {
-            let lit = light.dot(&basis(f64::from(x) / REACH, f64::from(y) / REACH, 0.0));
+            let lit =
+                light.dot(&SVector::from(basis(f64::from(x) / REACH, f64::from(y) / REACH, 0.0)));
             let modeled = value - modeled.next().copied().unwrap_or(0.0);
             modeled + (lit + normal()) as f32
         });
