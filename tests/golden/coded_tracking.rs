@@ -158,7 +158,8 @@ fn a_board_that_moves_is_followed_to_within_its_std() {
     // But for the six first images.
     assert!(corners * 100 >= 97 * (searched * 6 / 7), "{corners} of {searched} corners");
     let ratio = (squares / corners as f64).sqrt();
-    assert!((0.4..1.4).contains(&ratio), "error over std {ratio:.2}");
+    println!("{corners} of {searched} corners, error over std {ratio:.2}");
+    assert!((0.6..1.4).contains(&ratio), "error over std {ratio:.2}");
 }
 
 #[test]

@@ -146,8 +146,7 @@ impl TargetDetector {
         let measured = self.guesses.clone();
         keep_spread(&mut self.guesses, tracking.refined);
         self.refine_guesses(image, label);
-        let std_px =
-            measured_std_px(&self.guesses, &self.refined, self.thresholds.tracking.least_std_px)?;
+        let std_px = measured_std_px(&self.guesses, &self.refined, tracking.least_std_px)?;
         let blurs = self.refined.iter().flatten().map(|refined| refined.blur_px).collect();
         self.guesses = measured;
         let corners = self.guesses.iter();
