@@ -1,5 +1,5 @@
-//! The codes of a target's markers by payload cell: what one cell of the image is compared with, all
-//! codes at once.
+//! The codes of a target's markers by payload cell: what one cell of an image is compared with,
+//! all codes at once.
 
 /// Codes that are compared together, in vectors that fit the processor's registers.
 const BLOCK: usize = 32;
