@@ -11,6 +11,7 @@ use crate::imaging::depth_image::DepthImage;
 use crate::imaging::frame::SensorKind;
 use crate::imaging::gray::GrayImage;
 use crate::imaging::nominal_focal::{NominalFocal, nominal_focal};
+use crate::imaging::stated_camera::stated_camera;
 
 /// Images used at most: of more, as of a video, every so manyth is taken.
 const MAX_IMAGES: usize = 60;
@@ -86,6 +87,7 @@ fn scene_image(frames: &SourcedFrames) -> Result<ReadImage, String> {
         format!("{name}: depth: {error}: give 16-bit PNG or PGM, and check that color and depth are not swapped")
     })?;
     let nominal_focal = nominal_focal(&frame.bytes, luma.size());
-    let image = SceneImage::of(name, luma.view());
+    let mut image = SceneImage::of(name, luma.view());
+    image.stated = stated_camera(&frame.bytes);
     Ok(ReadImage { image, depth: depth.map(Arc::new), nominal_focal })
 }

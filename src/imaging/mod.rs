@@ -28,6 +28,7 @@ pub mod point_cloud;
 pub mod rectify;
 pub mod registration;
 pub mod remap;
+pub mod stated_camera;
 pub mod timestamp;
 pub mod undistort;
 

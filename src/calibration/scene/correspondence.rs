@@ -16,6 +16,7 @@ use crate::features::patch::PatchImage;
 use crate::features::tracks::join_tracks;
 use crate::geometry::pixel::{ImageSize, Pixel};
 use crate::imaging::gray::GrayView;
+use crate::imaging::stated_camera::StatedCamera;
 
 /// One photograph: its name and what is needed of it.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,6 +30,8 @@ pub struct SceneImage {
     /// What keypoints are located in to more than their own precision; none where there is no
     /// image any more.
     patches: Option<Arc<PatchImage>>,
+    /// What its file states of the camera.
+    pub stated: Option<StatedCamera>,
 }
 
 impl SceneImage {
@@ -41,13 +44,14 @@ impl SceneImage {
     pub fn with_options(name: String, image: GrayView<'_>, options: &FeatureOptions) -> Self {
         let features = Arc::new(find_features(image, options));
         let patches = Some(Arc::new(PatchImage::of(image)));
-        Self { name, size: image.size(), features, patches }
+        Self { name, size: image.size(), features, patches, stated: None }
     }
 
     /// One with these features.
     #[cfg(test)]
     pub(crate) fn of_features(name: &str, size: ImageSize, features: Features) -> Self {
-        Self { name: name.to_owned(), size, features: Arc::new(features), patches: None }
+        let (name, features) = (name.to_owned(), Arc::new(features));
+        Self { name, size, features, patches: None, stated: None }
     }
 
     /// Where its features are, strongest first.
@@ -97,10 +101,17 @@ pub(super) struct ImagePairs {
     pub still: usize,
     /// The number of inlier matches between each image and the next.
     pub between_neighbors: Vec<usize>,
+    /// By image, an earlier one that shows the same from the same place: such an image is in no pair
+    /// and no track, since what it says was already said, errors and all.
+    pub same_as: Vec<Option<usize>>,
 }
 
 /// The strongest features of each image, by which pairs that share nothing are recognized.
 const PREVIEWED: usize = 600;
+
+/// Two images between which nothing moved are of one view if this part of the features of the one
+/// that has fewer stayed; of others, what is written into the images stays.
+const SAME_PART: f64 = 0.2;
 
 /// Pairs with fewer preliminary matches share nothing: as many agree by chance.
 const LEAST_PREVIEWED: usize = 6;
@@ -117,7 +128,7 @@ pub(super) fn correspond(
         images.iter().map(|image| image.table(PREVIEWED)).collect();
     let pairs: Vec<(usize, usize)> =
         (0..images.len()).flat_map(|i| (i + 1..images.len()).map(move |j| (i, j))).collect();
-    let matched = in_parallel(&pairs, threads, |(i, j)| {
+    let matched: Vec<Matched> = in_parallel(&pairs, threads, |(i, j)| {
         if interrupt.is_requested() {
             return None;
         }
@@ -144,14 +155,20 @@ pub(super) fn correspond(
         homographies: Vec::new(),
         nearly_planar: 0,
         still: 0,
-        between_neighbors: vec![0; images.len().saturating_sub(1)],
+        between_neighbors: Vec::new(),
+        same_as: Vec::new(),
     };
+    found.same_as = same_views(images, pairs.iter().zip(&matched));
     let mut verified: Vec<(usize, usize, Vec<Match>)> = Vec::new();
     for ((first, second), matched) in pairs.into_iter().zip(matched) {
-        let Some((matches, points, geometry)) = matched else { continue };
-        if second == first + 1 {
-            found.between_neighbors[first] = geometry.inliers.len();
+        if found.same_as[first].or(found.same_as[second]).is_some() {
+            continue;
         }
+        if found.same_as[first + 1..second].iter().all(Option::is_some) {
+            let inliers = matched.as_ref().map_or(0, |(.., geometry)| geometry.inliers.len());
+            found.between_neighbors.push(inliers);
+        }
+        let Some((matches, points, geometry)) = matched else { continue };
         let placed = |k: &usize| Match {
             first: images[first].place(matches[*k].first),
             second: images[second].place(matches[*k].second),
@@ -167,7 +184,38 @@ pub(super) fn correspond(
     found
 }
 
+/// What the matches of a pair of images determine, with the matches.
+type Matched = Option<(Vec<Match>, Vec<PointPair>, TwoViewGeometry)>;
+
+/// By image, the first earlier one of the same view, of those that have none themselves: an image of
+/// a slow motion is compared with the last that was kept, not with the one before.
+fn same_views<'a>(
+    images: &[SceneImage],
+    matched: impl Iterator<Item = (&'a (usize, usize), &'a Matched)>,
+) -> Vec<Option<usize>> {
+    let is_same = |((first, second), matched): &(&(usize, usize), &Matched)| {
+        let features = images[*first].feature_count().min(images[*second].feature_count());
+        matched.as_ref().is_some_and(|(.., geometry)| {
+            let stayed = geometry.inliers.len() as f64;
+            geometry.kind == TwoViewKind::Still && stayed >= SAME_PART * features as f64
+        })
+    };
+    let same: Vec<(usize, usize)> = matched.filter(is_same).map(|(pair, _)| *pair).collect();
+    let mut same_as = vec![None; images.len()];
+    for image in 0..images.len() {
+        let earlier =
+            same.iter().filter(|(first, second)| *second == image && same_as[*first].is_none());
+        same_as[image] = earlier.map(|(first, _)| *first).min();
+    }
+    same_as
+}
+
 impl ImagePairs {
+    /// How many images show different views.
+    pub fn views(&self) -> usize {
+        self.same_as.iter().filter(|same| same.is_none()).count()
+    }
+
     fn add_pair(
         &mut self,
         (first, second): (usize, usize),

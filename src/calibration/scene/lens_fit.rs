@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::calibration::scene::cropping::averaged_over_cropping;
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::estimation::problem::LensChoice;
 use crate::estimation::scene::bundle::{Bundle, BundleStop};
@@ -16,9 +17,11 @@ use crate::geometry::lens::{Lens, LensModel};
 pub(super) struct LensFit {
     pub fit: RobustBundle,
     pub covariance: LensCovariance,
+    /// How likely it is that the images are parts of what the camera took.
+    pub cropped: f64,
 }
 
-const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
+pub(super) const FITTING: BundleStop = BundleStop { max_steps: 25, least_decrease: 3e-6 };
 
 /// Models with more coefficients are not compared by `auto`: eight are beyond what scenes
 /// determine.
@@ -153,7 +156,7 @@ fn fit_model(
     fit.state = fit.bundle.minimize(fit.state, FITTING);
     let mut covariance = lens_covariance(&fit.bundle, &fit.state).ok_or(SceneRefusal::NoFit)?;
     covariance.shared *= factor;
-    Ok(LensFit { fit, covariance })
+    Ok(averaged_over_cropping(LensFit { fit, covariance, cropped: 0.0 }))
 }
 
 /// Whether `model` is one of the family of Brown's polynomials.

@@ -51,7 +51,7 @@ fn off_by(offset: [f64; 2], cameras_from_scene: &[Pose]) -> (Reconstruction, Vec
     let bundle = Bundle {
         observations: truth.iter().map(|p| p.iter().enumerate().map(seen).collect()).collect(),
         free: Vec::new(),
-        prior: LensPrior { image_size: SIZE },
+        prior: LensPrior::of_whole(SIZE),
         motion: CameraMotion::Moving,
         robust_limit: f64::INFINITY,
         interrupt: Interrupt::default(),

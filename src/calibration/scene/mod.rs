@@ -10,10 +10,13 @@
 
 pub mod conditions;
 pub mod correspondence;
+mod cropping;
 pub mod depth_scale;
+mod focal_lengths;
 pub mod key_frames;
 mod lens_fit;
 mod localization;
+mod one_camera;
 pub mod refusal;
 pub mod result;
 #[cfg(test)]

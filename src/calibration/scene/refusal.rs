@@ -11,6 +11,42 @@ pub enum SceneRefusal {
         /// How many there are.
         images: usize,
     },
+    /// Most images are others again.
+    #[error(
+        "{images} images show only {views} different views, which are too few: give at least 3, better 8, from different places"
+    )]
+    TooFewViews {
+        /// How many images there are.
+        images: usize,
+        /// How many of them differ.
+        views: usize,
+    },
+    /// The files state different cameras.
+    #[error("`{name}` is by {camera}, `{other}` by {expected}: all images must be by one camera")]
+    DifferentCameras {
+        /// The image of another camera.
+        name: String,
+        /// Its camera.
+        camera: String,
+        /// One of most images.
+        other: String,
+        /// Their camera.
+        expected: String,
+    },
+    /// The files state different focal lengths.
+    #[error(
+        "`{name}` was taken at {focal_mm} mm, `{other}` at {expected_mm} mm: calibrate each zoom setting by itself"
+    )]
+    DifferentZoom {
+        /// The image of another focal length.
+        name: String,
+        /// That, in millimeters.
+        focal_mm: f64,
+        /// One of most images.
+        other: String,
+        /// Theirs.
+        expected_mm: f64,
+    },
     /// One camera has one size.
     #[error(
         "`{name}` is {size}, the others are {expected}: all images must be by one camera, uncropped"

@@ -86,7 +86,9 @@ fn after(calibration: &SceneCalibration) -> String {
 /// What to do where nothing can be estimated.
 fn instead(refusal: &SceneRefusal) -> String {
     match refusal {
-        SceneRefusal::TooFewImages { .. } | SceneRefusal::Still => SIDEWAYS.to_owned(),
+        SceneRefusal::TooFewImages { .. }
+        | SceneRefusal::TooFewViews { .. }
+        | SceneRefusal::Still => SIDEWAYS.to_owned(),
         SceneRefusal::HardlyAnyParallax => format!("{SIDEWAYS}: there is hardly any parallax yet"),
         SceneRefusal::ForwardMotion { .. } => {
             format!("{SIDEWAYS}, not forward; then {ROLL}")

@@ -5,8 +5,10 @@ use nalgebra::{DMatrix, Point3};
 use crate::calibration::result::{Checks, ProjectionUncertainty};
 use crate::calibration::scene::conditions::SceneConditions;
 use crate::calibration::scene::correspondence::{ImagePairs, SceneImage, correspond};
+use crate::calibration::scene::focal_lengths::{self, other_focals};
 use crate::calibration::scene::lens_fit::{LensFit, fit_lens};
 use crate::calibration::scene::localization::localize;
+use crate::calibration::scene::one_camera::{check_one_camera, states_cropping};
 use crate::calibration::scene::refusal::SceneRefusal;
 use crate::calibration::scene::result::{SceneCalibration, ScenePoint, SceneSensor, SceneView};
 use crate::calibration::scene::verdict::{self, Evidence};
@@ -45,6 +47,9 @@ impl Default for SceneOptions {
         Self { lens, given, nominal_focal, threads: 1, interrupt }
     }
 }
+
+/// Fewer images determine no lens.
+const LEAST_VIEWS: usize = 3;
 
 /// Images with fewer features have nothing to match.
 const LEAST_FEATURES: usize = 60;
@@ -102,12 +107,19 @@ pub fn calibrate_scene(
     settle(&mut start);
     localize(images, &mut start, options.threads);
     goes_on()?;
+    start.bundle.prior.cropped = states_cropping(images);
     let fit = fit_lens(&start, options.lens, &options.given);
     goes_on()?;
-    let fit = fit?;
+    let mut fit = fit?;
+    let others = other_focals(&fit);
+    if let Some(others) = &others {
+        focal_lengths::widen(&mut fit, others);
+    }
     let conditions = SceneConditions::of(&fit.fit.bundle, &fit.fit.state);
     check_determined(&fit, &conditions, &found, &start)?;
-    let mut calibration = finished(images, &start, &fit, (&conditions, &found));
+    let name = |pose: usize| images[start.images[pose]].name.clone();
+    let different_focals = others.map(|others| focal_lengths::reason(&others, name));
+    let mut calibration = finished(images, &start, &fit, (&conditions, &found, different_focals));
     let sensor = &calibration.sensor;
     let focal = (sensor.lens.matrix.fx, sensor.lens_std[FX]);
     let unfit = options.nominal_focal.and_then(|nominal| verdict::unfit_focal(nominal, focal));
@@ -117,7 +129,7 @@ pub fn calibrate_scene(
 
 /// The size of all images, if there are enough and they have features.
 fn checked_size(images: &[SceneImage]) -> Result<ImageSize, SceneRefusal> {
-    if images.len() < 3 {
+    if images.len() < LEAST_VIEWS {
         return Err(SceneRefusal::TooFewImages { images: images.len() });
     }
     let count = |size: ImageSize| images.iter().filter(|image| image.size == size).count();
@@ -127,6 +139,7 @@ fn checked_size(images: &[SceneImage]) -> Result<ImageSize, SceneRefusal> {
         let (name, expected) = (other.name.clone(), size);
         return Err(SceneRefusal::DifferentSizes { name, size: other.size, expected });
     }
+    check_one_camera(images)?;
     let features = images.iter().map(SceneImage::feature_count).collect();
     let median = middle(features);
     if median < LEAST_FEATURES {
@@ -146,6 +159,13 @@ fn reconstruction(
 ) -> Result<Reconstruction, SceneRefusal> {
     let between_neighbors = middle(found.between_neighbors.clone());
     let verified = found.general.len() + found.rotated.len();
+    let (images, views) = (found.problem.images, found.views());
+    if views == 1 {
+        return Err(SceneRefusal::Still);
+    }
+    if views < LEAST_VIEWS {
+        return Err(SceneRefusal::TooFewViews { images, views });
+    }
     if verified == 0 {
         return Err(SceneRefusal::NothingAgrees { between_neighbors });
     }
@@ -210,7 +230,7 @@ fn check_determined(
     found: &ImagePairs,
     start: &Reconstruction,
 ) -> Result<(), SceneRefusal> {
-    let (used, images) = (start.images.len(), found.problem.images);
+    let (used, images) = (start.images.len(), found.views());
     let between_neighbors = middle(found.between_neighbors.clone());
     if used < 3 || used * 2 < images {
         return Err(SceneRefusal::TooFewConnected { used, images, between_neighbors });
@@ -241,7 +261,7 @@ fn finished(
     images: &[SceneImage],
     start: &Reconstruction,
     fit: &LensFit,
-    (conditions, found): (&SceneConditions, &ImagePairs),
+    (conditions, found, different_focals): (&SceneConditions, &ImagePairs, Option<String>),
 ) -> SceneCalibration {
     let (state, bundle) = (&fit.fit.state, &fit.fit.bundle);
     let (lens, size) = (state.lens, found.problem.image_size);
@@ -250,7 +270,10 @@ fn finished(
     let views: Vec<SceneView> = images
         .iter()
         .enumerate()
-        .map(|(image, of)| view(of, image, &frame, &points, &lens))
+        .map(|(image, of)| {
+            let same_as = found.same_as[image].map(|other| images[other].name.as_str());
+            view((of, same_as), image, &frame, &points, &lens)
+        })
         .collect();
     let covariance = full_covariance(&lens, &bundle.free, &fit.covariance.matrix);
     let lens_std: Vec<f64> = covariance.diagonal().iter().map(|v| v.max(0.0).sqrt()).collect();
@@ -277,7 +300,8 @@ fn finished(
         conditions,
         map: map.as_ref(),
         used: start.images.len(),
-        images: images.len(),
+        views: found.views(),
+        different_focals,
         held_by_prior: &held_by_prior,
     };
     let sensor = SceneSensor {
@@ -342,7 +366,7 @@ fn scene_points(start: &Reconstruction, fit: &LensFit, frame: &SceneFrame) -> Ve
 }
 
 fn view(
-    of: &SceneImage,
+    (of, same_as): (&SceneImage, Option<&str>),
     image: usize,
     frame: &SceneFrame,
     points: &[ScenePoint],
@@ -350,7 +374,10 @@ fn view(
 ) -> SceneView {
     let name = of.name.clone();
     let Some(camera_from_scene) = frame.camera_from_scene.get(image).copied().flatten() else {
-        let reason = "too few of its features agree with the other images".to_owned();
+        let reason = same_as.map_or_else(
+            || "too few of its features agree with the other images".to_owned(),
+            |other| format!("it shows the same as `{other}`, from the same place"),
+        );
         return SceneView { name, reason: Some(reason), rms_px: None, camera_from_scene: None };
     };
     let (mut sum, mut count) = (0.0, 0);

@@ -33,7 +33,10 @@ pub(super) struct Evidence<'a> {
     pub conditions: &'a SceneConditions,
     pub map: Option<&'a UncertaintyMap>,
     pub used: usize,
-    pub images: usize,
+    /// Images of different views.
+    pub views: usize,
+    /// What to say of images by different focal lengths.
+    pub different_focals: Option<String>,
     pub held_by_prior: &'a [&'static str],
 }
 
@@ -47,6 +50,8 @@ pub(super) fn relative_focal_std(fit: &LensFit) -> f64 {
 /// Grades and says why.
 pub(super) fn judge(evidence: &Evidence<'_>) -> Verdict {
     let findings = [
+        evidence.different_focals.clone().map(|reason| (Grade::Poor, reason)),
+        cropped(evidence),
         unused_images(evidence),
         focal(evidence),
         projections(evidence),
@@ -77,13 +82,13 @@ fn worse_than_good(grade: Grade, reason: String) -> Option<(Grade, String)> {
 }
 
 fn unused_images(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
-    let unused = evidence.images - evidence.used;
-    let part = unused as f64 / evidence.images as f64;
+    let unused = evidence.views - evidence.used;
+    let part = unused as f64 / evidence.views as f64;
     worse_than_good(
         graded(part, [0.1, 0.4]),
         format!(
             "{unused} of {} images have too little in common with the others: take smaller steps",
-            evidence.images
+            evidence.views
         ),
     )
 }
@@ -177,10 +182,27 @@ pub(super) fn unfit_focal(nominal: NominalFocal, (fx, std): (f64, f64)) -> Optio
     })
 }
 
+fn cropped(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
+    let LensFit { fit, cropped, .. } = evidence.fit;
+    let (size, matrix) = (fit.bundle.prior.image_size, fit.state.lens.matrix);
+    let middle = size.center();
+    let parts = [
+        (matrix.cx - middle.x) / f64::from(size.width),
+        (matrix.cy - middle.y) / f64::from(size.height),
+    ];
+    let [x, y] = parts.map(|part| 100.0 * part);
+    let reason = format!(
+        "the images seem to be parts of larger ones: the principal point is {x:+.0} % of the width and {y:+.0} % of the height from the middle; give whole images if there are"
+    );
+    (*cropped > 0.5).then_some((Grade::Good, reason))
+}
+
 fn held(evidence: &Evidence<'_>) -> Option<(Grade, String)> {
     let names = evidence.held_by_prior.join(", ");
+    let is_center = ["cx", "cy"].iter().any(|name| evidence.held_by_prior.contains(name));
+    let whole = if is_center { " and that images are whole" } else { "" };
     let reason = format!(
-        "the images say no more of {names} than what lenses are like beforehand: rotate the camera by 90 degrees about its axis for some images"
+        "the images say no more of {names} than what lenses are like beforehand{whole}: rotate the camera by 90 degrees about its axis for some images"
     );
     (!evidence.held_by_prior.is_empty()).then_some((Grade::Usable, reason))
 }

@@ -232,7 +232,12 @@ impl Bundle {
         point.coords * point.coords.transpose() * block.trace()
     }
 
-    fn add_prior(&self, lens: &Lens, matrix: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
+    pub(super) fn add_prior(
+        &self,
+        lens: &Lens,
+        matrix: &mut DMatrix<f64>,
+        gradient: &mut DVector<f64>,
+    ) {
         for term in self.prior.terms(lens) {
             let place = |parameter: usize| self.free.iter().position(|free| *free == parameter);
             let terms: Vec<(usize, f64)> =

@@ -13,7 +13,7 @@ use crate::geometry::pose::Pose;
 
 const PARAMETERS: [f64; 10] = [700.0, 702.0, 322.0, 236.0, 0.0, -0.1, 0.05, 0.0004, -0.0003, 0.0];
 
-fn exact() -> (Bundle, SceneState) {
+pub(super) fn exact() -> (Bundle, SceneState) {
     let lens = Lens::from_parameters(LensModel::Brown, &PARAMETERS).unwrap();
     let pose = |k: i32| {
         let part = f64::from(k) - 1.5;
@@ -41,7 +41,7 @@ fn exact() -> (Bundle, SceneState) {
     let bundle = Bundle {
         observations: points.iter().map(seen).collect(),
         free: vec![0, 1, 2, 3, 5, 6, 7, 8],
-        prior: LensPrior { image_size: ImageSize::new(640, 480) },
+        prior: LensPrior::of_whole(ImageSize::new(640, 480)),
         motion: CameraMotion::Moving,
         robust_limit: f64::INFINITY,
         interrupt: Interrupt::default(),

@@ -54,10 +54,16 @@ pub fn lens_covariance(bundle: &Bundle, state: &SceneState) -> Option<LensCovari
     Some(LensCovariance { matrix, independent, shared })
 }
 
-/// All parameters but one that fixes the scene's scale: the longest coordinate of the translation
-/// of the camera farthest from the first.
+/// All parameters but the one that fixes the scene's scale.
 fn kept_parameters(bundle: &Bundle, state: &SceneState) -> Vec<usize> {
+    let fixed = scale_parameter(bundle, state);
     let size = bundle.size(state.cameras_from_scene.len());
+    (0..size).filter(|k| Some(*k) != fixed).collect()
+}
+
+/// The parameter that fixes the scene's scale: the longest coordinate of the translation of the
+/// camera farthest from the first. `None` where there is no scale.
+pub(super) fn scale_parameter(bundle: &Bundle, state: &SceneState) -> Option<usize> {
     let first = state.cameras_from_scene[0];
     let distance = |k: &usize| {
         let moved = state.cameras_from_scene[*k] * first.inverse();
@@ -66,11 +72,9 @@ fn kept_parameters(bundle: &Bundle, state: &SceneState) -> Vec<usize> {
     let farthest = (1..state.cameras_from_scene.len())
         .max_by(|a, b| distance(a).total_cmp(&distance(b)))
         .filter(|_| bundle.motion == CameraMotion::Moving);
-    let fixed = farthest.and_then(|camera| {
-        let longest = state.cameras_from_scene[camera].translation().iamax();
-        Some(bundle.pose_start(camera)? + 3 + longest)
-    });
-    (0..size).filter(|k| Some(*k) != fixed).collect()
+    let camera = farthest?;
+    let longest = state.cameras_from_scene[camera].translation().iamax();
+    Some(bundle.pose_start(camera)? + 3 + longest)
 }
 
 /// What a cluster of observations does to the lens, in standard deviations of the lens: its pull,

@@ -6,7 +6,12 @@ use crate::geometry::pixel::ImageSize;
 
 /// The standard deviation of the principal point from the image's middle, over the image's width:
 /// what sensors and lenses are mounted to.
-const CENTER_STD: f64 = 0.02;
+const MOUNTED_STD: f64 = 0.02;
+
+/// The same where images may be cropped, or rectified for another camera beside: what is left of a
+/// half to all of an image, from anywhere in it, has its middle within 0.5 of its width from that of
+/// the whole, and within 0.2 in the root mean square.
+const CROPPED_STD: f64 = 0.2;
 
 /// The standard deviation of fy / fx from 1: pixels are square but for how images were resampled.
 const ASPECT_STD: f64 = 0.002;
@@ -16,6 +21,8 @@ const ASPECT_STD: f64 = 0.002;
 pub struct LensPrior {
     /// The image.
     pub image_size: ImageSize,
+    /// Whether the image may be a part of the camera's.
+    pub cropped: bool,
 }
 
 /// One thing a prior says: a residual in standard deviations, and its derivative by parameters (in
@@ -42,10 +49,20 @@ pub const SKEW: usize = 4;
 pub const COEFFICIENTS: usize = 5;
 
 impl LensPrior {
+    /// Of a camera's own images.
+    pub const fn of_whole(image_size: ImageSize) -> Self {
+        Self { image_size, cropped: false }
+    }
+
+    /// The standard deviation of the principal point, in pixels.
+    pub fn center_std_px(&self) -> f64 {
+        f64::from(self.image_size.width) * if self.cropped { CROPPED_STD } else { MOUNTED_STD }
+    }
+
     /// The standard deviation of each parameter before any image, in the order of
     /// [`Lens::parameters`]; infinite for the focal lengths.
     pub fn std(&self, model: LensModel) -> Vec<f64> {
-        let center = CENTER_STD * f64::from(self.image_size.width);
+        let center = self.center_std_px();
         let mut std = vec![f64::INFINITY, f64::INFINITY, center, center, 0.0];
         std.extend(model.priors().iter().map(|prior| prior.std));
         std

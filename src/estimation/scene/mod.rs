@@ -15,6 +15,7 @@ pub mod bundle;
 #[cfg(test)]
 mod bundle_tests;
 pub mod covariance;
+pub mod focal_by_image;
 pub mod hypotheses;
 pub mod lens_prior;
 pub mod metric_scale;

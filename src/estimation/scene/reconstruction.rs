@@ -218,7 +218,7 @@ impl<'a> Growing<'a> {
             points.push(point);
             tracks.push(k);
         }
-        let prior = LensPrior { image_size: self.problem.image_size };
+        let prior = LensPrior::of_whole(self.problem.image_size);
         let bundle = Bundle {
             observations,
             free: free.to_vec(),

@@ -113,7 +113,7 @@ pub fn reconstruct_rotations(
         points.push(Point3::from(direction));
         observations.push(seen);
     }
-    let prior = LensPrior { image_size: problem.image_size };
+    let prior = LensPrior::of_whole(problem.image_size);
     let mut bundle = Bundle {
         observations,
         free: vec![FX, FY],

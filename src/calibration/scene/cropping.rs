@@ -1,0 +1,88 @@
+//! Whether the images are parts of what the camera took: the principal point of a whole image is
+//! near its middle, that of a part anywhere. The lens is fitted under both, and the fits are
+//! averaged by how likely they are after the images: where these say little of the principal point,
+//! its standard deviation follows from how likely parts were beforehand.
+
+use nalgebra::DVector;
+
+use crate::calibration::scene::lens_fit::{FITTING, LensFit};
+use crate::estimation::scene::covariance::lens_covariance;
+use crate::estimation::scene::lens_prior::{CX, CY};
+use crate::geometry::pixel::ImageSize;
+
+/// How often images of a shape that cameras have are parts of larger ones.
+const KNOWN_SHAPE: f64 = 0.03;
+/// How often images of another shape are: some sensors have one, but most such images were cropped or
+/// rectified.
+const OTHER_SHAPE: f64 = 0.5;
+
+/// Widths over heights of sensors and of what is read from them.
+const SHAPES: [f64; 8] =
+    [1.0, 5.0 / 4.0, 4.0 / 3.0, 3.0 / 2.0, 752.0 / 480.0, 16.0 / 10.0, 16.0 / 9.0, 17.0 / 9.0];
+/// Shapes differ by less, as a part of themselves: 4256 × 2832 is called 3:2 and 848 × 480 16:9, and
+/// the heights of reduced images are rounded.
+const SAME_SHAPE: f64 = 0.0065;
+
+/// How likely images of `size` are parts of larger ones, before what they show.
+fn cropped_beforehand(size: ImageSize) -> f64 {
+    let (long, short) = (size.width.max(size.height), size.width.min(size.height).max(1));
+    let shape = f64::from(long) / f64::from(short);
+    let is_known = SHAPES.iter().any(|known| (shape / known - 1.0).abs() < SAME_SHAPE);
+    if is_known { KNOWN_SHAPE } else { OTHER_SHAPE }
+}
+
+/// The fit of whole images, `whole`, averaged with that of parts. What is likelier is the estimate,
+/// and the covariance that of both about it.
+pub(super) fn averaged_over_cropping(whole: LensFit) -> LensFit {
+    if whole.fit.bundle.prior.cropped {
+        return LensFit { cropped: 1.0, ..whole };
+    }
+    let Some(part) = as_part(&whole) else { return whole };
+    let beforehand = cropped_beforehand(whole.fit.bundle.prior.image_size);
+    let ratio = (log_evidence(&part) - log_evidence(&whole)).exp();
+    let odds = ratio * beforehand / (1.0 - beforehand);
+    let cropped = if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 };
+    let (own, other, of_other) =
+        if cropped > 0.5 { (part, whole, 1.0 - cropped) } else { (whole, part, cropped) };
+    let parameters = [&own, &other].map(|fit| fit.fit.state.lens.parameters());
+    let free = &own.fit.bundle.free;
+    let difference = free.iter().map(|k| parameters[1][*k] - parameters[0][*k]);
+    let difference = DVector::from_iterator(free.len(), difference);
+    let mut fit = LensFit { cropped, ..own };
+    let of_both =
+        &other.covariance.matrix + &difference * difference.transpose() - &fit.covariance.matrix;
+    fit.covariance.matrix += of_both * of_other;
+    fit
+}
+
+/// The same under the prior of images that are parts; `None` where the principal point is given, or
+/// nothing is determined any more.
+fn as_part(whole: &LensFit) -> Option<LensFit> {
+    if center_parameters(whole) == 0 {
+        return None;
+    }
+    let mut part = whole.clone();
+    part.fit.bundle.prior.cropped = true;
+    part.fit.state = part.fit.bundle.minimize(part.fit.state, FITTING);
+    let shared = part.covariance.shared;
+    part.covariance = lens_covariance(&part.fit.bundle, &part.fit.state)?;
+    part.covariance.shared *= shared;
+    Some(part)
+}
+
+/// How many coordinates of the principal point are estimated.
+fn center_parameters(fit: &LensFit) -> usize {
+    fit.fit.bundle.free.iter().filter(|k| [CX, CY].contains(k)).count()
+}
+
+/// The logarithm of how likely the observations are under a fit's prior, by Laplace's approximation,
+/// up to what fits under either share.
+fn log_evidence(fit: &LensFit) -> f64 {
+    let bundle = &fit.fit.bundle;
+    let Some(root) = fit.covariance.independent.clone().cholesky() else {
+        return f64::NEG_INFINITY;
+    };
+    let log_volume: f64 = root.l().diagonal().iter().map(|side| side.ln()).sum();
+    let prior = center_parameters(fit) as f64 * bundle.prior.center_std_px().ln();
+    log_volume - prior - 0.5 * bundle.cost(&fit.fit.state)
+}

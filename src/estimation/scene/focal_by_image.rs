@@ -1,0 +1,149 @@
+//! The focal length of each image by itself, everything else as in the joint fit: one step of the
+//! problem in which each image has a factor on the focal length of its own. Of one camera with one
+//! lens setting all factors are 1 but for their noise.
+
+use nalgebra::{DMatrix, DVector, Matrix3, SMatrix, Vector2, Vector3};
+
+use crate::estimation::scene::bundle::{Bundle, CameraMotion, PixelRow, SceneState};
+use crate::estimation::scene::covariance::scale_parameter;
+use crate::estimation::scene::lens_prior::{FX, FY};
+use crate::geometry::lens::MAX_PARAMETERS;
+
+/// What each image says of its focal length.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FocalByImage {
+    /// The logarithm of the image's focal length over that of all, by pose.
+    pub log_ratios: DVector<f64>,
+    /// Their covariance, which leaves open what all share.
+    pub covariance: DMatrix<f64>,
+}
+
+/// The standard deviation of each logarithm beforehand: a factor of e, which is nothing. It keeps the
+/// problem solvable where the focal length of all is estimated too.
+const OPEN: f64 = 1.0;
+
+/// The focal lengths at the minimum `state` of `bundle`, whose observations have their true standard
+/// deviations; `None` where they are not determined.
+pub fn focal_by_image(bundle: &Bundle, state: &SceneState) -> Option<FocalByImage> {
+    let mut free = bundle.free.clone();
+    free.extend([FX, FY].into_iter().filter(|k| !bundle.free.contains(k)));
+    let both = [FX, FY].map(|k| free.iter().position(|own| *own == k).unwrap_or(0));
+    let with_focal = Bundle { free, ..bundle.clone() };
+    let cameras = state.cameras_from_scene.len();
+    let own = bundle.size(cameras);
+    let (mut matrix, mut gradient) =
+        (DMatrix::zeros(own + cameras, own + cameras), DVector::zeros(own + cameras));
+    let focal = state.lens.matrix;
+    for point in 0..state.points.len() {
+        let rows = with_focal.rows(state, point);
+        let columns: Vec<RowColumns> = rows
+            .iter()
+            .map(|row| {
+                let by_focal =
+                    row.by_lens.column(both[0]) * focal.fx + row.by_lens.column(both[1]) * focal.fy;
+                RowColumns::of(bundle, row, (by_focal, own + row.camera))
+            })
+            .collect();
+        add_point(bundle, state, (point, &rows, &columns), (&mut matrix, &mut gradient));
+    }
+    bundle.add_prior(&state.lens, &mut matrix, &mut gradient);
+    (own..own + cameras).for_each(|k| matrix[(k, k)] += OPEN.powi(-2));
+    matrix.fill_upper_triangle_with_lower_triangle();
+    let scale = scale_parameter(bundle, state);
+    let lens = bundle.free.len();
+    let is_translation = |k: usize| (lens..own).contains(&k) && (k - lens) % 6 >= 3;
+    let rotates = bundle.motion == CameraMotion::RotationOnly;
+    let is_kept = |k: &usize| Some(*k) != scale && !(rotates && is_translation(*k));
+    let kept: Vec<usize> = (0..own + cameras).filter(is_kept).collect();
+    let inverse = matrix.select_rows(&kept).select_columns(&kept).cholesky()?.inverse();
+    let step = -(&inverse * gradient.select_rows(&kept));
+    let first = kept.len() - cameras;
+    let covariance = inverse.view((first, first), (cameras, cameras)).into_owned();
+    let log_ratios = step.rows(first, cameras).into_owned();
+    log_ratios.iter().all(|v| v.is_finite()).then_some(FocalByImage { log_ratios, covariance })
+}
+
+/// The columns of one observation, by place: lens, pose, own focal length.
+struct RowColumns(Vec<(usize, Vector2<f64>)>);
+
+impl RowColumns {
+    fn of(bundle: &Bundle, row: &PixelRow, (by_focal, place): (Vector2<f64>, usize)) -> Self {
+        let lens = bundle.free.len();
+        let mut columns: Vec<(usize, Vector2<f64>)> = (0..lens.min(MAX_PARAMETERS))
+            .map(|k| (k, row.by_lens.column(k).into_owned()))
+            .collect();
+        if let Some(start) = bundle.pose_start(row.camera) {
+            columns.extend((0..6).map(|k| (start + k, row.by_pose.column(k).into_owned())));
+        }
+        columns.push((place, by_focal));
+        Self(columns)
+    }
+}
+
+/// Adds the rows of a point, the point eliminated, to the lower triangle.
+fn add_point(
+    bundle: &Bundle,
+    state: &SceneState,
+    (point, rows, columns): (usize, &[PixelRow], &[RowColumns]),
+    (matrix, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
+) {
+    let mut block = Matrix3::zeros();
+    let mut point_gradient = Vector3::zeros();
+    for row in rows {
+        block += row.by_point.tr_mul(&row.by_point);
+        point_gradient += row.by_point.tr_mul(&row.residual);
+    }
+    block += bundle.held_length(&block, &state.points[point]);
+    let Some(inverse) = block.try_inverse() else { return };
+    let mut mixed: Vec<(usize, Vector3<f64>)> = Vec::new();
+    for (row, RowColumns(columns)) in rows.iter().zip(columns) {
+        for (i, a) in columns {
+            gradient[*i] += a.dot(&row.residual);
+            let by_point: Vector3<f64> = row.by_point.tr_mul(a);
+            match mixed.iter_mut().find(|(k, _)| k == i) {
+                Some((_, sum)) => *sum += by_point,
+                None => mixed.push((*i, by_point)),
+            }
+            for (j, b) in columns.iter().filter(|(j, _)| j <= i) {
+                matrix[(*i, *j)] += a.dot(b);
+            }
+        }
+    }
+    for (i, a) in &mixed {
+        let carried: SMatrix<f64, 3, 1> = inverse * a;
+        gradient[*i] -= carried.dot(&point_gradient);
+        for (j, b) in mixed.iter().filter(|(j, _)| j <= i) {
+            matrix[(*i, *j)] -= carried.dot(b);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::scene::bundle::BundleStop;
+    use crate::estimation::scene::bundle_tests::exact;
+    use crate::geometry::pixel::Pixel;
+
+    #[test]
+    fn an_image_of_another_focal_length_is_found() {
+        let (mut bundle, truth) = exact();
+        bundle.free = vec![FX, FY];
+        let center = truth.lens.matrix;
+        for seen in bundle.observations.iter_mut().flatten().filter(|seen| seen.camera == 2) {
+            let Pixel { x, y } = seen.pixel;
+            seen.pixel = Pixel::new(
+                center.cx + 1.002 * (x - center.cx),
+                center.cy + 1.002 * (y - center.cy),
+            );
+        }
+        let stop = BundleStop { max_steps: 60, least_decrease: 1e-12 };
+        let state = bundle.minimize(truth, stop);
+        let found = focal_by_image(&bundle, &state).unwrap();
+        let others = [0, 1, 3].map(|k| found.log_ratios[k]);
+        let mean = others.iter().sum::<f64>() / 3.0;
+        let larger = found.log_ratios[2] - mean;
+        assert!((larger - 0.002).abs() < 1e-4, "{found:?}");
+        assert!(others.iter().all(|other| (other - mean).abs() < 1e-4), "{found:?}");
+    }
+}

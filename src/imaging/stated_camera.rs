@@ -1,0 +1,79 @@
+//! The camera that a photograph's file states (EXIF): what all images by one camera state alike.
+
+use std::io::Cursor;
+
+use exif::{Exif, In, Reader, Tag, Value};
+
+use crate::geometry::pixel::ImageSize;
+
+/// What a file states of the camera that took the image.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StatedCamera {
+    /// Make, model and serial number, as far as they are stated.
+    pub camera: Option<String>,
+    /// The focal length, in millimeters.
+    pub focal_mm: Option<f64>,
+    /// The size of the image that the camera wrote.
+    pub image_size: Option<ImageSize>,
+}
+
+/// What the EXIF attributes of a JPEG, PNG or TIFF file state; `None` of a file without any.
+pub fn stated_camera(file: &[u8]) -> Option<StatedCamera> {
+    let exif = Reader::new().read_from_container(&mut Cursor::new(file)).ok()?;
+    let names = [Tag::Make, Tag::Model, Tag::BodySerialNumber];
+    let names: Vec<String> = names.into_iter().filter_map(|tag| text(&exif, tag)).collect();
+    let number = |tag: Tag| exif.get_field(tag, In::PRIMARY)?.value.get_uint(0);
+    let image_size = match (number(Tag::PixelXDimension), number(Tag::PixelYDimension)) {
+        (Some(width), Some(height)) if width > 0 && height > 0 => {
+            Some(ImageSize::new(width, height))
+        }
+        _ => None,
+    };
+    let camera = (!names.is_empty()).then(|| names.join(" "));
+    Some(StatedCamera { camera, focal_mm: focal_mm(&exif), image_size })
+}
+
+fn text(exif: &Exif, tag: Tag) -> Option<String> {
+    let Value::Ascii(lines) = &exif.get_field(tag, In::PRIMARY)?.value else { return None };
+    let text = String::from_utf8_lossy(lines.first()?);
+    let text = text.trim_matches(|c: char| c.is_whitespace() || c == '\0');
+    (!text.is_empty()).then(|| text.to_owned())
+}
+
+fn focal_mm(exif: &Exif) -> Option<f64> {
+    let Value::Rational(values) = &exif.get_field(Tag::FocalLength, In::PRIMARY)?.value else {
+        return None;
+    };
+    // 0 means unknown.
+    let focal_mm = values.first()?.to_f64();
+    (focal_mm.is_finite() && focal_mm > 0.0).then_some(focal_mm)
+}
+
+#[cfg(test)]
+mod tests {
+    use exif::experimental::Writer;
+    use exif::{Field, Rational};
+
+    use super::*;
+
+    #[test]
+    fn the_camera_its_lens_and_the_size_it_wrote_are_read() {
+        let field = |tag: Tag, value: Value| Field { tag, ifd_num: In::PRIMARY, value };
+        let ascii = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
+        let fields = [
+            field(Tag::Make, ascii("Maker ")),
+            field(Tag::Model, ascii("M 5")),
+            field(Tag::FocalLength, Value::Rational(vec![Rational { num: 185, denom: 10 }])),
+            field(Tag::PixelXDimension, Value::Long(vec![3000])),
+            field(Tag::PixelYDimension, Value::Long(vec![2000])),
+        ];
+        let (mut writer, mut tiff) = (Writer::new(), Cursor::new(Vec::new()));
+        fields.iter().for_each(|field| writer.push_field(field));
+        writer.write(&mut tiff, false).unwrap();
+        let found = stated_camera(&tiff.into_inner()).unwrap();
+        assert_eq!(found.camera.as_deref(), Some("Maker M 5"));
+        assert_eq!(found.focal_mm, Some(18.5));
+        assert_eq!(found.image_size, Some(ImageSize::new(3000, 2000)));
+        assert_eq!(stated_camera(b"P5 2 2 255 abcd"), None);
+    }
+}
