@@ -76,8 +76,9 @@ mod tests {
 
     fn image(name: &str, stated: Option<StatedCamera>) -> SceneImage {
         let features = Features { keypoints: Vec::new(), descriptors: Vec::new() };
-        let image = SceneImage::of_features(name, ImageSize::new(300, 200), features);
-        SceneImage { stated, ..image }
+        let mut image = SceneImage::of_features(name, ImageSize::new(300, 200), features);
+        image.stated = stated;
+        image
     }
 
     fn by(camera: &str, focal_mm: f64, size: [u32; 2]) -> Option<StatedCamera> {

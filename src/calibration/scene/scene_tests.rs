@@ -185,6 +185,11 @@ fn what_cannot_be_calibrated_is_refused_by_name() {
     assert_eq!(calibrate_scene(&two, &options), Err(SceneRefusal::TooFewImages { images: 2 }));
     let same = [image("a", &texture), image("b", &texture), image("c", &texture)];
     assert_eq!(calibrate_scene(&same, &options), Err(SceneRefusal::Still));
+    let mirrored: Vec<u8> = texture.pixels().iter().rev().copied().collect();
+    let mirrored = GrayImage::from_pixels(320, 240, mirrored).unwrap();
+    let copied = [image("a", &texture), image("b", &texture), image("c", &mirrored)];
+    let few = SceneRefusal::TooFewViews { images: 3, views: 2 };
+    assert_eq!(calibrate_scene(&copied, &options), Err(few));
     let mixed = [image("a", &texture), image("odd", &other), image("c", &texture)];
     let refused = calibrate_scene(&mixed, &options).unwrap_err();
     assert!(refused.to_string().starts_with("`odd` is 240x320"), "{refused}");
